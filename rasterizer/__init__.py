@@ -1,1 +1,6 @@
-"""See DESIGN.md in this folder."""
+"""Primitives to images, with gradients: 3D Gaussians and smooth convexes blended in one pass. See DESIGN.md."""
+
+from .rasterize import rasterize
+from .types import Camera, Convexes, Frame, Gaussians
+
+__all__ = ["Camera", "Convexes", "Frame", "Gaussians", "rasterize"]

@@ -1,0 +1,201 @@
+"""The public entry: checks its arguments, makes both kinds uniform, and hands them to one backend."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Literal, TypeVar
+
+import torch
+from torch import Tensor
+
+from .types import Camera, Convexes, Frame, Gaussians
+from .validate import check_camera, check_values
+
+Backend = Literal["auto", "cpu", "cuda", "reference"]
+Kind = TypeVar("Kind", Gaussians, Convexes)
+
+SH_COEFFICIENTS = (1, 4, 9, 16)
+POINTS = (3, 8)
+FAR_CAMERA = 1e3  # world units; beyond it float32 coordinates lose more than a hundredth of a pixel, so the scene is recentred
+
+
+def rasterize(
+    camera: Camera,
+    gaussians: Gaussians | None = None,
+    convexes: Convexes | None = None,
+    background: Tensor | None = None,
+    *,
+    backend: Backend = "auto",
+    validate: bool = False,
+) -> Frame:
+    """Render Gaussians and convexes, depth-sorted together and blended front to back in one pass (Edge4DGS, Eq. 1-7).
+
+    camera: see `Camera`. gaussians, convexes: see `Gaussians`, `Convexes`; either may be None or empty.
+    background: [3] float, added to the colour behind what the primitives cover; None is black.
+    backend: "cpu" (C++ kernels, float32), "cuda" (float32), "reference" (plain torch, float64), or "auto" for the kernels of
+        the device on which the tensors are.
+    validate: True raises on non-finite or out-of-range values of primitives; False culls those primitives alone, with zero
+        gradient. A non-finite camera or background always raises.
+
+    Inputs are float32 or float64 tensors on one device; gradients reach every one of them, K and cam_from_world included.
+
+    Raises TypeError for what is not a float tensor, ValueError for shapes and values (both name the field), RuntimeError
+    where the backend cannot be loaded.
+    """
+    gaussians = _empty_gaussians(camera) if gaussians is None else gaussians
+    convexes = _empty_convexes(camera) if convexes is None else convexes
+    _check_gaussians(gaussians)
+    _check_convexes(convexes)
+    check_camera(camera)
+    device = camera.K.device
+    if background is None:
+        background = torch.zeros(3, dtype=camera.K.dtype, device=device)
+    _check("background", background, (3,), device)
+    if not bool(torch.isfinite(background).all()):
+        raise ValueError(f"background must be finite, got {background.tolist()}")
+    for owner in (gaussians, convexes):
+        _check_device(owner, device)
+    if validate:
+        check_values(gaussians)
+        check_values(convexes)
+    gaussians, convexes = _pad_extras(gaussians, convexes)
+
+    if backend == "auto":
+        backend = "cuda" if device.type == "cuda" else "cpu"
+    if backend == "reference":
+        from .reference import rasterize_reference
+
+        double = torch.float64
+        return rasterize_reference(
+            _cast(camera, double), _cast(gaussians, double), _cast(convexes, double), background.to(double).contiguous()
+        )
+    if backend == "cpu":
+        if device.type != "cpu":
+            raise ValueError(f"backend 'cpu' wants tensors on the CPU, got {device}; move them with .cpu()")
+        try:
+            from .cpu_backend import rasterize_cpu
+        except ImportError as cause:
+            raise RuntimeError(
+                f"the CPU kernels of e4dgs.rasterizer cannot be loaded ({cause}); reinstall the package with a C++20 compiler "
+                "present, or use backend='reference' (slow)"
+            ) from cause
+        single = torch.float32
+        camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
+        return rasterize_cpu(_cast(camera, single), _cast(gaussians, single), _cast(convexes, single), background.to(single).contiguous())
+    if backend == "cuda":
+        raise RuntimeError("backend 'cuda' is not built in this version; use backend='cpu' or backend='reference'")
+    raise ValueError(f"backend must be 'auto', 'cpu', 'cuda' or 'reference', got {backend!r}")
+
+
+def _check(name: str, value: object, shape: tuple[int | None, ...], device: torch.device | None = None) -> None:
+    """Refuse what is not a float32/float64 tensor of this shape (None: any length) on this device (None: any)."""
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
+    if value.dtype not in (torch.float32, torch.float64):
+        raise TypeError(f"{name} must be float32 or float64, got {value.dtype}")
+    if value.dim() != len(shape) or any(want is not None and got != want for got, want in zip(value.shape, shape)):
+        wanted = ", ".join("*" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} must have shape [{wanted}], got {list(value.shape)}")
+    if device is not None and value.device != device:
+        raise ValueError(f"{name} is on {value.device}, but camera.K is on {device}; all tensors must be on one device")
+
+
+def _check_device(owner: Gaussians | Convexes, device: torch.device) -> None:
+    for field in fields(owner):
+        value = getattr(owner, field.name)
+        if value is not None and value.device != device:
+            kind = type(owner).__name__.lower()
+            raise ValueError(f"{kind}.{field.name} is on {value.device}, but camera.K is on {device}; all tensors must be on one device")
+
+
+def _check_gaussians(gaussians: Gaussians) -> None:
+    if not isinstance(gaussians, Gaussians):
+        raise TypeError(f"gaussians must be Gaussians or None, got {type(gaussians).__name__}")
+    _check("gaussians.means", gaussians.means, (None, 3))
+    n = gaussians.means.shape[0]
+    _check("gaussians.quats", gaussians.quats, (n, 4))
+    _check("gaussians.scales", gaussians.scales, (n, 3))
+    _check("gaussians.opacities", gaussians.opacities, (n,))
+    _check_looks("gaussians", gaussians, n)
+
+
+def _check_convexes(convexes: Convexes) -> None:
+    if not isinstance(convexes, Convexes):
+        raise TypeError(f"convexes must be Convexes or None, got {type(convexes).__name__}")
+    _check("convexes.points", convexes.points, (None, None, 3))
+    m, k = convexes.points.shape[:2]
+    if not POINTS[0] <= k <= POINTS[1]:
+        raise ValueError(f"convexes.points must have {POINTS[0]} to {POINTS[1]} points each, got {list(convexes.points.shape)}")
+    for name in ("tau", "kappa", "opacities"):
+        _check(f"convexes.{name}", getattr(convexes, name), (m,))
+    _check_looks("convexes", convexes, m)
+
+
+def _check_looks(kind: str, owner: Gaussians | Convexes, n: int) -> None:
+    """Colours, SH and extras: the same rules for both kinds."""
+    if (owner.sh is None) == (owner.colors is None):
+        raise ValueError(f"{kind}: give exactly one of sh and colors, got {'neither' if owner.sh is None else 'both'}")
+    if owner.colors is not None:
+        _check(f"{kind}.colors", owner.colors, (n, 3))
+    if owner.sh is not None:
+        _check(f"{kind}.sh", owner.sh, (n, None, 3))
+        if owner.sh.shape[1] not in SH_COEFFICIENTS:
+            raise ValueError(f"{kind}.sh must have 1, 4, 9 or 16 coefficients (degree 0 to 3), got {list(owner.sh.shape)}")
+    if owner.extras is not None:
+        _check(f"{kind}.extras", owner.extras, (n, None))
+
+
+def _pad_extras(gaussians: Gaussians, convexes: Convexes) -> tuple[Gaussians, Convexes]:
+    """Give both kinds extras of one width: zeros for a kind without, width 0 where neither has any."""
+    ours, theirs = gaussians.extras, convexes.extras
+    if ours is not None and theirs is not None and ours.shape[1] != theirs.shape[1]:
+        raise ValueError(f"gaussians.extras and convexes.extras must have one width, got {list(ours.shape)} and {list(theirs.shape)}")
+    width = ours.shape[1] if ours is not None else theirs.shape[1] if theirs is not None else 0
+    if ours is None:
+        gaussians = replace(gaussians, extras=gaussians.means.new_zeros(gaussians.means.shape[0], width))
+    if theirs is None:
+        convexes = replace(convexes, extras=convexes.points.new_zeros(convexes.points.shape[0], width))
+    return gaussians, convexes
+
+
+def _empty_gaussians(camera: Camera) -> Gaussians:
+    def zeros(*shape: int) -> Tensor:
+        return torch.zeros(shape, dtype=camera.K.dtype, device=camera.K.device)
+
+    return Gaussians(zeros(0, 3), zeros(0, 4), zeros(0, 3), zeros(0), colors=zeros(0, 3))
+
+
+def _empty_convexes(camera: Camera) -> Convexes:
+    def zeros(*shape: int) -> Tensor:
+        return torch.zeros(shape, dtype=camera.K.dtype, device=camera.K.device)
+
+    return Convexes(zeros(0, POINTS[0], 3), zeros(0), zeros(0), zeros(0), colors=zeros(0, 3))
+
+
+Owner = TypeVar("Owner", Camera, Gaussians, Convexes)
+
+
+def _cast(owner: Owner, dtype: torch.dtype) -> Owner:
+    """Every tensor of a dataclass as a contiguous tensor of this dtype, still attached to the graph."""
+    values = {field.name: getattr(owner, field.name) for field in fields(owner)}
+    return replace(owner, **{name: value.to(dtype).contiguous() for name, value in values.items() if isinstance(value, Tensor)})
+
+
+def _recentre(camera: Camera, gaussians: Gaussians, convexes: Convexes) -> tuple[Camera, Gaussians, Convexes]:
+    """Move scene and camera together so that a far camera sits near the origin before coordinates are rounded to float32.
+
+    The image is the same (means - c and t + R c for any fixed c). So are the gradients, except for the part of
+    cam_from_world's that points off the rigid transforms, through the view direction of SH; hence only where it pays.
+    """
+    world = camera.cam_from_world.double()
+    with torch.no_grad():
+        centre = (-world[:3, :3].T @ world[:3, 3]).to(torch.float32)  # exactly representable in either dtype
+    if float(centre.norm()) <= FAR_CAMERA:
+        return camera, gaussians, convexes
+    shift = torch.zeros_like(world)
+    shift[:3, 3] = centre.double()
+    return (
+        replace(camera, cam_from_world=world + torch.cat([world[:, :3], torch.zeros_like(world[:, :1])], 1) @ shift),
+        replace(gaussians, means=gaussians.means - centre.to(gaussians.means.dtype)),
+        replace(convexes, points=convexes.points - centre.to(convexes.points.dtype)),
+    )

@@ -1,0 +1,91 @@
+"""Which values are acceptable: of a camera (raises), and of each primitive (a mask for culling, or an error that names it)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+
+import torch
+from torch import Tensor
+
+from .types import Camera, Convexes, Gaussians
+
+SKEW = 1e-6  # of fx; below it is rounding of whoever composed K
+LAST_ROW = 1e-3  # largest deviation of cam_from_world's last row from 0 0 0 1; more than that is a transposed matrix
+
+_RANGES: dict[str, tuple[str, Callable[[Tensor], Tensor]]] = {
+    "scales": ("> 0", lambda x: x > 0),
+    "tau": ("> 0", lambda x: x > 0),
+    "kappa": ("> 0", lambda x: x > 0),
+    "opacities": ("in [0, 1]", lambda x: (x >= 0) & (x <= 1)),
+    "quats": ("non-zero", lambda x: (x != 0).any(-1, keepdim=True)),
+}
+
+
+def check_camera(camera: Camera) -> None:
+    """Raise TypeError or ValueError, naming the field, unless this camera can be rendered from."""
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera must be a Camera, got {type(camera).__name__}")
+    for name, shape in (("K", (3, 3)), ("cam_from_world", (4, 4))):
+        value = getattr(camera, name)
+        if not isinstance(value, Tensor):
+            raise TypeError(f"camera.{name} must be a torch.Tensor, got {type(value).__name__}")
+        if value.dtype not in (torch.float32, torch.float64):
+            raise TypeError(f"camera.{name} must be float32 or float64, got {value.dtype}")
+        if value.shape != shape:
+            raise ValueError(f"camera.{name} must have shape {list(shape)}, got {list(value.shape)}")
+        if not bool(torch.isfinite(value).all()):
+            raise ValueError(f"camera.{name} must be finite, got {value.tolist()}")
+    if camera.cam_from_world.device != camera.K.device:
+        raise ValueError(f"camera.cam_from_world is on {camera.cam_from_world.device}, but camera.K is on {camera.K.device}")
+    for name in ("width", "height"):
+        value = getattr(camera, name)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise TypeError(f"camera.{name} must be an int, got {type(value).__name__}")
+        if value < 1:
+            raise ValueError(f"camera.{name} must be at least 1, got {value}")
+    if not 0 < camera.near < float("inf"):
+        raise ValueError(f"camera.near must be positive and finite, got {camera.near}")
+    K = camera.K.detach().cpu().tolist()
+    if K[0][0] <= 0 or K[1][1] <= 0:
+        raise ValueError(f"camera.K must have positive focal lengths, got fx={K[0][0]}, fy={K[1][1]}")
+    if max(abs(K[0][1]), abs(K[1][0])) > SKEW * K[0][0]:
+        raise ValueError(f"camera.K has skew ({K[0][1]}, {K[1][0]}), which is not supported; undistort or rectify the images first")
+    last = camera.cam_from_world[3].tolist()
+    if max(abs(a - b) for a, b in zip(last, (0.0, 0.0, 0.0, 1.0))) > LAST_ROW:
+        raise ValueError(f"camera.cam_from_world must end with the row 0 0 0 1, got {last}; is it transposed?")
+
+
+def bad_values(owner: Gaussians | Convexes) -> dict[str, Tensor]:
+    """Per field, [N] bool: the primitives whose value there is non-finite or out of range.
+
+    Judged after rounding to float32, so that all backends cull the same primitives whatever they compute in.
+    """
+    found = {}
+    for field in fields(owner):
+        value = getattr(owner, field.name)
+        if value is None:
+            continue
+        value = value.detach().to(torch.float32)
+        good = torch.isfinite(value)
+        if field.name in _RANGES:
+            good = good & _RANGES[field.name][1](value)
+        found[field.name] = ~good.flatten(1).all(1) if good.dim() > 1 else ~good
+    return found
+
+
+def usable(owner: Gaussians | Convexes) -> Tensor:
+    """[N] bool: the primitives all of whose values are finite and in range; the others are culled."""
+    return ~torch.stack(list(bad_values(owner).values())).any(0)
+
+
+def check_values(owner: Gaussians | Convexes) -> None:
+    """Raise a ValueError that names field and index of the first bad value of each kind of field."""
+    kind = type(owner).__name__.lower()
+    for name, bad in bad_values(owner).items():
+        if not bool(bad.any()):
+            continue
+        index = int(bad.nonzero()[0])
+        value = getattr(owner, name)[index].tolist()
+        wanted = f"finite and {_RANGES[name][0]}" if name in _RANGES else "finite"
+        raise ValueError(f"{kind}.{name}[{index}] must be {wanted}, got {value} ({int(bad.sum())} of {len(bad)} are bad)")
