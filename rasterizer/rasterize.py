@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import torch
 from torch import Tensor
@@ -12,7 +12,7 @@ from .types import Camera, Convexes, Frame, Gaussians
 from .validate import check_camera, check_values
 
 Backend = Literal["auto", "cpu", "cuda", "reference"]
-Kind = TypeVar("Kind", Gaussians, Convexes)
+Owner = TypeVar("Owner", Camera, Gaussians, Convexes)
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
 POINTS = (3, 8)
@@ -42,11 +42,11 @@ def rasterize(
     Raises TypeError for what is not a float tensor, ValueError for shapes and values (both name the field), RuntimeError
     where the backend cannot be loaded.
     """
+    check_camera(camera)
     gaussians = _empty_gaussians(camera) if gaussians is None else gaussians
     convexes = _empty_convexes(camera) if convexes is None else convexes
     _check_gaussians(gaussians)
     _check_convexes(convexes)
-    check_camera(camera)
     device = camera.K.device
     if background is None:
         background = torch.zeros(3, dtype=camera.K.dtype, device=device)
@@ -172,12 +172,9 @@ def _empty_convexes(camera: Camera) -> Convexes:
     return Convexes(zeros(0, POINTS[0], 3), zeros(0), zeros(0), zeros(0), colors=zeros(0, 3))
 
 
-Owner = TypeVar("Owner", Camera, Gaussians, Convexes)
-
-
 def _cast(owner: Owner, dtype: torch.dtype) -> Owner:
     """Every tensor of a dataclass as a contiguous tensor of this dtype, still attached to the graph."""
-    values = {field.name: getattr(owner, field.name) for field in fields(owner)}
+    values: dict[str, Any] = {field.name: getattr(owner, field.name) for field in fields(owner)}
     return replace(owner, **{name: value.to(dtype).contiguous() for name, value in values.items() if isinstance(value, Tensor)})
 
 
@@ -192,10 +189,9 @@ def _recentre(camera: Camera, gaussians: Gaussians, convexes: Convexes) -> tuple
         centre = (-world[:3, :3].T @ world[:3, 3]).to(torch.float32)  # exactly representable in either dtype
     if float(centre.norm()) <= FAR_CAMERA:
         return camera, gaussians, convexes
-    shift = torch.zeros_like(world)
-    shift[:3, 3] = centre.double()
+    moved = world[:, 3:] + world[:, :3] @ centre.double()[:, None]
     return (
-        replace(camera, cam_from_world=world + torch.cat([world[:, :3], torch.zeros_like(world[:, :1])], 1) @ shift),
+        replace(camera, cam_from_world=torch.cat([world[:, :3], moved], 1)),
         replace(gaussians, means=gaussians.means - centre.to(gaussians.means.dtype)),
         replace(convexes, points=convexes.points - centre.to(convexes.points.dtype)),
     )

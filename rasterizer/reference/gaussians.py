@@ -1,0 +1,96 @@
+"""Gaussians: from 3D covariance to opacity at a pixel (EWA splatting as in 3DGS, with exact support)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..types import Camera, Gaussians
+from ..validate import usable
+from .sh import colors_of
+
+DILATION = 0.3  # px^2, added to the 2D covariance's diagonal
+
+
+@dataclass(eq=False)
+class Splats:
+    """The n Gaussians that survive culling, in the input's order."""
+
+    index: Tensor  # [n] int64, which ones
+    depths: Tensor  # [n] z of the centre in camera coordinates
+    centres: Tensor  # [n, 2] px
+    factors: Tensor  # [n, 2, 3] M, px; the 2D covariance is M M^T + 0.3 I
+    opacities: Tensor  # [n]
+    colors: Tensor  # [n, 3]
+    extras: Tensor  # [n, E]
+
+
+def rotations(quats: Tensor) -> Tensor:
+    """[n, 3, 3] rotation matrices of quaternions w x y z of any non-zero norm."""
+    # Dividing by the largest component first keeps tiny and huge quaternions in range; it changes neither value nor gradient.
+    quats = quats / quats.detach().abs().amax(-1, keepdim=True)
+    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+def project_gaussians(camera: Camera, gaussians: Gaussians) -> Splats:
+    """Cull (unusable values, centre nearer than `near`) and project the rest."""
+    rotation, translation = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
+    with torch.no_grad():
+        z = (gaussians.means @ rotation.T + translation)[:, 2]
+        index = (usable(gaussians) & (z >= camera.near)).nonzero()[:, 0]
+
+    # From here on only survivors: a culled primitive is not part of the graph, so its gradient is zero, never NaN.
+    means = gaussians.means[index]
+    x, y, z = (means @ rotation.T + translation).unbind(-1)
+    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+
+    # J = d(pixel)/d(camera coordinates). Its x/z and y/z are clamped to the image widened by 0.3 of tan(half the angle):
+    # far outside, the linearisation is meaningless.
+    slope_x = clamp_without_gradient(x / z, camera.width, fx, cx)
+    slope_y = clamp_without_gradient(y / z, camera.height, fy, cy)
+    zero = torch.zeros_like(z)
+    jacobian = torch.stack(
+        [torch.stack([fx / z, zero, -fx * slope_x / z], -1), torch.stack([zero, fy / z, -fy * slope_y / z], -1)],
+        dim=-2,
+    )
+    factors = jacobian @ rotation @ rotations(gaussians.quats[index]) * gaussians.scales[index][:, None, :]
+    assert gaussians.extras is not None  # rasterize() has padded them
+    return Splats(
+        index=index,
+        depths=z,
+        centres=torch.stack([fx * x / z + cx, fy * y / z + cy], -1),
+        factors=factors,
+        opacities=gaussians.opacities[index],
+        colors=colors_of(gaussians, index, means, camera),
+        extras=gaussians.extras[index],
+    )
+
+
+def clamp_without_gradient(slope: Tensor, size: int, focal: Tensor, principal: Tensor) -> Tensor:
+    """[n] slope clamped to [-c/f - 0.3 t, (size - c)/f + 0.3 t], t = size / (2 f); a clamped one is a constant."""
+    with torch.no_grad():
+        margin = 0.3 * size / (2 * focal)
+        low, high = -principal / focal - margin, (size - principal) / focal + margin
+        clamped = slope.clamp(low, high)
+    return torch.where(clamped == slope, slope, clamped)
+
+
+def gaussian_alphas(splats: Splats, pixels: Tensor) -> Tensor:
+    """[P, n] o exp(-1/2 d^T C^-1 d) at pixels [P, 2], before the cap and the cut; d = pixel - centre, C = M M^T + 0.3 I.
+
+    With m1, m2 the rows of M, det C = |m1 x m2|^2 + 0.3 (|m1|^2 + |m2|^2) + 0.09 and
+    d^T adj(C) d = |m2 dx - m1 dy|^2 + 0.3 (dx^2 + dy^2): sums of squares, which lose nothing to cancellation on needles.
+    """
+    m1, m2 = splats.factors.unbind(1)
+    det = torch.linalg.cross(m1, m2).square().sum(-1) + DILATION * (m1.square() + m2.square()).sum(-1) + DILATION**2
+    dx, dy = (pixels[:, None, :] - splats.centres).unbind(-1)
+    across = (m2 * dx[..., None] - m1 * dy[..., None]).square().sum(-1)
+    return splats.opacities * torch.exp(-0.5 * (across + DILATION * (dx * dx + dy * dy)) / det)

@@ -1,0 +1,42 @@
+"""The convex hull of a few points in the plane, by Graham's scan (Andrew's variant: sorted by x, then y)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+Point = tuple[float, float]
+
+
+def hull_corners(points: Sequence[Point]) -> list[int]:
+    """Indices of the corners, in the order in which the shoelace sum is positive.
+
+    Corners are the extreme points: points on an edge are not, and of coincident points one is. The hull of points on a line is
+    its two ends, that of coincident points is one point.
+    """
+    order = sorted(range(len(points)), key=lambda i: points[i])
+    distinct = [i for n, i in enumerate(order) if n == 0 or points[i] != points[order[n - 1]]]
+    if len(distinct) < 3:
+        return distinct
+    return _chain(points, distinct)[:-1] + _chain(points, distinct[::-1])[:-1]
+
+
+def _chain(points: Sequence[Point], order: list[int]) -> list[int]:
+    """One side of the hull: walk the sorted points and drop every one at which the path does not turn to the positive side."""
+    kept: list[int] = []
+    for i in order:
+        while len(kept) > 1 and turn(points[kept[-2]], points[kept[-1]], points[i]) <= 0:
+            kept.pop()
+        kept.append(i)
+    return kept
+
+
+def turn(a: Point, b: Point, c: Point) -> float:
+    """Twice the signed area of the triangle a b c."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def hull_area(points: Sequence[Point], corners: Sequence[int]) -> float:
+    """Area of the polygon with these corners; the sum runs around its first corner, so that it is exact far from the origin too."""
+    first = points[corners[0]]
+    return 0.5 * sum(turn(first, points[b], points[c]) for b, c in pairwise(corners))
