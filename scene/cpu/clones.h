@@ -1,0 +1,9 @@
+// One binary for every x86-64: the compiler emits a leaf function once for each instruction set and the loader picks.
+// Only leaf functions carry it: code outlined for an OpenMP region would be compiled for the baseline alone.
+#pragma once
+
+#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(E4DGS_NO_CLONES)
+#define E4DGS_CLONES __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
+#else
+#define E4DGS_CLONES
+#endif

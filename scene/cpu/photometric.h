@@ -1,0 +1,14 @@
+// L1 and SSIM (11-tap Gaussian window, sigma 1.5, zero padding, as 3D Gaussian Splatting uses them) with the gradient in one call.
+#pragma once
+
+namespace e4dgs {
+
+struct Photometric {
+    double l1;    // mean |x - y|
+    double ssim;  // mean SSIM over pixels and channels
+};
+
+// x, y [H,W,3]; grad [H,W,3] receives d(w_l1 * l1 + w_ssim * (1 - ssim)) / dx. Bit-equal for any number of threads.
+Photometric photometric(const float* x, const float* y, int height, int width, float w_l1, float w_ssim, float* grad, int threads);
+
+}  // namespace e4dgs

@@ -1,0 +1,68 @@
+"""The deformation field D of the paper: six planes, a small MLP, heads for displacement, rotation and scale."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from .hexplane import HexPlanes
+from .motion import Displacement
+
+
+class DeformationField(nn.Module):
+    """Implements `Motion`. Heads start at zero, so an untrained field moves nothing.
+
+    Args:
+        low, high: [3] corners of the box (world units) that the planes cover; positions outside are clamped to its faces.
+        times: number of distinct times in the capture, the resolution of the time planes.
+        resolutions: spatial resolution of each level.
+        channels: features of a level.
+        width: of the MLP's hidden layers.
+        seed: of the initial values.
+    """
+
+    low: Tensor
+    high: Tensor
+
+    def __init__(
+        self,
+        low: Tensor,
+        high: Tensor,
+        times: int,
+        resolutions: tuple[int, ...] = (32, 64),
+        channels: int = 16,
+        width: int = 64,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        size = (high - low).float()
+        # A flat box (one point, a plane) would divide by zero: give every axis at least a thousandth of the longest one.
+        size = torch.maximum(size, (size.max() * 1e-3).clamp(min=1e-6))
+        self.register_buffer("low", low.float().clone())
+        self.register_buffer("high", low.float() + size)
+        self.planes = HexPlanes(resolutions, times, channels, seed)
+        generator = torch.Generator().manual_seed(seed + 1)
+        self.trunk = nn.Sequential(nn.Linear(self.planes.features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.head = nn.Linear(width, 10)
+        with torch.no_grad():
+            for layer in (self.trunk[0], self.trunk[2]):
+                assert isinstance(layer, nn.Linear)
+                bound = (6.0 / layer.in_features) ** 0.5
+                layer.weight.copy_(torch.rand(layer.weight.shape, generator=generator) * 2 * bound - bound)
+                layer.bias.zero_()
+            self.head.weight.zero_()
+            self.head.bias.zero_()
+        self.config = {"times": times, "resolutions": list(resolutions), "channels": channels, "width": width}
+
+    @property
+    def reach(self) -> float:
+        """World units that one unit of the displacement head means: a quarter of the box's diagonal."""
+        return 0.25 * float((self.high - self.low).norm())
+
+    def forward(self, rest: Tensor, t: float) -> Displacement:
+        u = (rest.detach() - self.low) / (self.high - self.low)
+        out = self.head(self.trunk(self.planes(u, t)))
+        return Displacement(out[:, :3] * self.reach, out[:, 3:7], out[:, 7:10])
+
+    def regulariser(self) -> Tensor:
+        return self.planes.total_variation()

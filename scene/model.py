@@ -1,0 +1,106 @@
+"""The 4D model of Eq. 1: Gaussians and convexes at rest, and the motion that carries both through time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
+from .field import DeformationField
+from .primitives import ConvexSet, GaussianSet, PrimitiveSet
+
+
+class Model:
+    """Edge4DGS = {G, C} (Eq. 1) with an optional deformation field.
+
+    gaussians, convexes: the two sets at rest. field: None where nothing moves. sh_degree: highest degree that is rendered.
+    """
+
+    def __init__(self, gaussians: GaussianSet, convexes: ConvexSet, field: DeformationField | None, sh_degree: int) -> None:
+        self.gaussians = gaussians
+        self.convexes = convexes
+        self.field = field
+        self.sh_degree = sh_degree
+
+    def at(
+        self, t: float, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None
+    ) -> tuple[Gaussians, Convexes]:
+        """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
+
+        Only primitives that move, and that a ``camera`` (if given) could see, enter the field. move=False renders the rest state.
+        """
+        degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
+        g, c = self.gaussians, self.convexes
+        means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
+        if self.field is not None and move:
+            index = self._moving(g, camera, margin=0.25)
+            hulls = self._moving(c, camera, margin=0.25)
+            corners = points.shape[1]
+            rest = torch.cat([means[index], points[hulls].reshape(-1, 3)])
+            if len(rest):
+                dx, dr, ds = self.field(rest, t)
+                n = len(index)
+                means = means.index_add(0, index, dx[:n])
+                quats = quats.index_add(0, index, dr[:n])
+                log_scales = log_scales.index_add(0, index, ds[:n])
+                if len(hulls):
+                    points = points.index_add(0, hulls, dx[n:].reshape(-1, corners, 3))
+        gaussians = Gaussians(means, quats, torch.exp(log_scales), g.opacities, sh=g.sh(degree))
+        convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), c.opacities, sh=c.sh(degree))
+        return gaussians, convexes
+
+    def _moving(self, primitives: PrimitiveSet, camera: Camera | None, margin: float) -> Tensor:
+        """Indices [m] of the primitives that move and whose rest position lies in the camera's view, widened by ``margin`` of its size."""
+        moving = primitives.dynamic
+        if camera is not None and len(primitives):
+            with torch.no_grad():
+                centre = primitives.rest_points().reshape(len(primitives), -1, 3).mean(1)
+                R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
+                x, y, z = (centre @ R.T.to(centre) + T.to(centre)).unbind(1)
+                fx, fy, cx, cy = (float(camera.K[r, col]) for r, col in ((0, 0), (1, 1), (0, 2), (1, 2)))
+                depth = z.clamp(min=1e-6)
+                px, py = fx * x / depth + cx, fy * y / depth + cy
+                wide, high = margin * camera.width, margin * camera.height
+                inside = (px > -wide) & (px < camera.width + wide) & (py > -high) & (py < camera.height + high)
+                moving = moving & (z > camera.near) & inside
+        return moving.nonzero()[:, 0]
+
+    def render(self, camera: Camera, time: float, background: Tensor | None = None, backend: str = "auto") -> Frame:
+        """One view at one time, without gradients. ``background`` [3] in [0, 1]."""
+        with torch.no_grad():
+            gaussians, convexes = self.at(time, camera)
+            return rasterize(camera, gaussians, convexes, background, backend=backend)  # type: ignore[arg-type]
+
+    def bake(self, displacement: Tensor, index: Tensor) -> None:
+        """Move the rest positions of the Gaussians ``index`` by ``displacement`` [m, 3] and take them out of the field."""
+        with torch.no_grad():
+            self.gaussians.means[index] += displacement
+        self.gaussians.dynamic[index] = False
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Every tensor of the model by name; with `config` all that `from_arrays` needs."""
+        arrays = {**self.gaussians.to_arrays(), **self.convexes.to_arrays()}
+        if self.field is not None:
+            arrays |= {"field_" + name.replace(".", "_"): p.numpy() for name, p in self.field.state_dict().items()}
+        return arrays
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """JSON values beside the arrays."""
+        return {"sh_degree": self.sh_degree, "field": None if self.field is None else self.field.config}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray], config: Mapping[str, Any]) -> Model:
+        """Inverse of `to_arrays` and `config`. Raises KeyError where an array is missing."""
+        field = None
+        if config["field"] is not None:
+            options = dict(config["field"])
+            low, high = (torch.tensor(np.asarray(arrays[f"field_{k}"])) for k in ("low", "high"))
+            field = DeformationField(low, high, options.pop("times"), tuple(options.pop("resolutions")), **options)
+            names = {name: "field_" + name.replace(".", "_") for name in field.state_dict()}
+            field.load_state_dict({name: torch.tensor(np.asarray(arrays[array])) for name, array in names.items()})
+        return cls(GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays), field, int(config["sh_degree"]))

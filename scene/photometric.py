@@ -1,0 +1,55 @@
+"""The image terms of Eq. 9, L1 and 1 - SSIM, with their gradient from one fused kernel."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from . import _kernels
+
+
+def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float = 0.2) -> Tensor:
+    """``l1 * mean|image - target| + ssim * (1 - SSIM(image, target))``, a scalar.
+
+    Args:
+        image: [H, W, 3] float32, carries gradients.
+        target: [H, W, 3] float32, does not.
+        l1, ssim: the weights lambda_1 and lambda_2 of Eq. 9.
+    """
+    if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
+        raise ValueError(f"image and target must both be [H, W, 3]; got {tuple(image.shape)} and {tuple(target.shape)}")
+    if image.device.type == "cpu" and image.dtype == torch.float32:
+        return _Photometric.apply(image, target, l1, ssim)
+    return l1 * (image - target).abs().mean() + ssim * (1 - ssim_reference(image, target))
+
+
+def ssim_reference(x: Tensor, y: Tensor) -> Tensor:
+    """Mean SSIM of two [H, W, C] images in [0, 1]: 11-tap Gaussian window, sigma 1.5, zero padding. Plain torch: the kernel's oracle."""
+    window = torch.exp(-torch.arange(-5, 6, dtype=x.dtype, device=x.device).square() / (2 * 1.5**2))
+    window = window / window.sum()
+    c = x.shape[2]
+    moments = torch.cat([x, y, x * x, y * y, x * y], dim=2).permute(2, 0, 1)[None]
+    moments = F.conv2d(moments, window.view(1, 1, 1, 11).expand(5 * c, 1, 1, 11), padding=(0, 5), groups=5 * c)
+    moments = F.conv2d(moments, window.view(1, 1, 11, 1).expand(5 * c, 1, 11, 1), padding=(5, 0), groups=5 * c)
+    mx, my, xx, yy, xy = moments[0].split(c)
+    c1, c2 = 0.01**2, 0.03**2
+    numerator = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
+    return (numerator / ((mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2))).mean()
+
+
+class _Photometric(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, image: Tensor, target: Tensor, l1: float, ssim: float) -> Tensor:  # type: ignore[override]
+        grad = torch.empty_like(image)
+        mean_l1, mean_ssim = _kernels.photometric(
+            image.detach().contiguous(), target.contiguous(), l1, ssim, grad, torch.get_num_threads()
+        )
+        ctx.save_for_backward(grad)
+        return image.new_tensor(l1 * mean_l1 + ssim * (1.0 - mean_ssim))
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, grad_output: Tensor):  # type: ignore[override]
+        (grad,) = ctx.saved_tensors
+        return grad * grad_output, None, None, None

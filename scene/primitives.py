@@ -1,0 +1,144 @@
+"""Gaussians and convexes as sets of unconstrained parameters: what the optimiser sees and what is saved."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
+
+
+class PrimitiveSet:
+    """N primitives of one kind: named parameter tensors with N rows, and a flag that says which of them move.
+
+    ``parameters`` maps a name of `FIELDS` to a leaf tensor [N, ...] float32; ``dynamic`` [N] bool: True enters the motion model.
+    """
+
+    KIND: ClassVar[str]
+    FIELDS: ClassVar[tuple[str, ...]]
+
+    def __init__(self, parameters: dict[str, Tensor], dynamic: Tensor | None = None) -> None:
+        if tuple(parameters) != self.FIELDS:
+            raise ValueError(f"{self.KIND} need the fields {self.FIELDS}, got {tuple(parameters)}")
+        rows = {name: p.shape[0] for name, p in parameters.items()}
+        if len(set(rows.values())) != 1:
+            raise ValueError(f"{self.KIND}: every field must have the same number of rows, got {rows}")
+        self.parameters = {name: p.detach().float().contiguous().requires_grad_() for name, p in parameters.items()}
+        count = len(self)
+        self.dynamic = torch.ones(count, dtype=torch.bool) if dynamic is None else dynamic.bool()
+        if self.dynamic.shape != (count,):
+            raise ValueError(f"{self.KIND}: dynamic must be [{count}], got {list(self.dynamic.shape)}")
+
+    def __len__(self) -> int:
+        return next(iter(self.parameters.values())).shape[0]
+
+    def __getattr__(self, name: str) -> Tensor:
+        parameters = self.__dict__.get("parameters", {})
+        if name in parameters:
+            return parameters[name]
+        raise AttributeError(name)
+
+    @property
+    def opacities(self) -> Tensor:
+        """[N] in (0, 1)."""
+        return torch.sigmoid(self.opacity_logits)
+
+    def sh(self, degree: int) -> Tensor:
+        """[N, (degree+1)^2, 3], as far as the set has coefficients."""
+        rest = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
+        return torch.cat([self.sh_dc, self.sh_rest[:, :rest]], dim=1) if rest else self.sh_dc
+
+    def rest_points(self) -> Tensor:
+        """[N * corners, 3] positions that the motion model displaces."""
+        raise NotImplementedError
+
+    def select(self, index: Tensor) -> Self:
+        """The rows ``index`` (long) as a new set."""
+        return type(self)({name: p.detach()[index] for name, p in self.parameters.items()}, self.dynamic[index])
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Named arrays, prefixed by the kind: ``gaussians_means`` and so on."""
+        arrays = {f"{self.KIND}_{name}": p.detach().numpy() for name, p in self.parameters.items()}
+        arrays[f"{self.KIND}_dynamic"] = self.dynamic.numpy()
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays) -> Self:
+        """Inverse of `to_arrays`; ``arrays`` is any mapping that holds the names."""
+        parameters = {name: torch.tensor(np.asarray(arrays[f"{cls.KIND}_{name}"])) for name in cls.FIELDS}
+        return cls(parameters, torch.tensor(np.asarray(arrays[f"{cls.KIND}_dynamic"])))
+
+
+class GaussianSet(PrimitiveSet):
+    """Eq. 2: means [N,3] world units, quats [N,4] w x y z of any norm, log_scales [N,3], opacity_logits [N], sh_dc [N,1,3], sh_rest [N,R,3]."""
+
+    KIND = "gaussians"
+    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
+
+    def rest_points(self) -> Tensor:
+        return self.means
+
+    @classmethod
+    def from_points(cls, points: np.ndarray, colors: np.ndarray, sh_degree: int, opacity: float = 0.1, max_scale: float = np.inf) -> GaussianSet:
+        """Isotropic Gaussians at ``points`` [N,3] with ``colors`` [N,3] in [0,1]; scales from the three nearest neighbours."""
+        from .fibonacci import neighbour_radius
+
+        n = len(points)
+        scales = np.clip(neighbour_radius(points), 1e-7, max_scale)
+        quats = torch.zeros(n, 4)
+        quats[:, 0] = 1
+        return cls(
+            {
+                "means": torch.tensor(points),
+                "quats": quats,
+                "log_scales": torch.tensor(np.log(scales)).float()[:, None].repeat(1, 3),
+                "opacity_logits": torch.full((n,), float(np.log(opacity / (1 - opacity)))),
+                "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
+                "sh_rest": torch.zeros(n, (sh_degree + 1) ** 2 - 1, 3),
+            }
+        )
+
+
+class ConvexSet(PrimitiveSet):
+    """Eq. 3: points [M,K,3] world units, log_tau and log_kappa [M] (1/world unit), opacity_logits [M], sh_dc [M,1,3], sh_rest [M,R,3]."""
+
+    KIND = "convexes"
+    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest")
+
+    def rest_points(self) -> Tensor:
+        return self.points.reshape(-1, 3)
+
+    @classmethod
+    def empty(cls, corners: int, sh_degree: int) -> ConvexSet:
+        zero = torch.zeros(0)
+        return cls(
+            {
+                "points": torch.zeros(0, corners, 3),
+                "log_tau": zero,
+                "log_kappa": zero,
+                "opacity_logits": zero,
+                "sh_dc": torch.zeros(0, 1, 3),
+                "sh_rest": torch.zeros(0, (sh_degree + 1) ** 2 - 1, 3),
+            }
+        )
+
+    @classmethod
+    def from_hulls(cls, points: np.ndarray, colors: np.ndarray, sh_degree: int, opacity: float = 0.3) -> ConvexSet:
+        """Convexes on ``points`` [M,K,3] with ``colors`` [M,3] in [0,1]; sharpness in proportion to the size of each."""
+        m = len(points)
+        radius = np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=2).mean(axis=1).clip(min=1e-9)
+        return cls(
+            {
+                "points": torch.tensor(points),
+                # tau r = 20: the smooth maximum exceeds the true one by at most ln K / 20 of the radius.
+                "log_tau": torch.tensor(np.log(20.0 / radius)),
+                # kappa r = 12: alpha falls from 95 % to 5 % of the opacity over half of the radius.
+                "log_kappa": torch.tensor(np.log(12.0 / radius)),
+                "opacity_logits": torch.full((m,), float(np.log(opacity / (1 - opacity)))),
+                "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
+                "sh_rest": torch.zeros(m, (sh_degree + 1) ** 2 - 1, 3),
+            }
+        )
