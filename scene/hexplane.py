@@ -28,9 +28,7 @@ class HexPlanes(nn.Module):
     def __init__(self, resolutions: tuple[int, ...] = (64, 128), times: int = 50, channels: int = 16, seed: int = 0) -> None:
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
-        self.space = nn.ParameterList(
-            [nn.Parameter(torch.rand(3, r, r, channels, generator=generator) * 0.4 + 0.1) for r in resolutions]
-        )
+        self.space = nn.ParameterList([nn.Parameter(torch.rand(3, r, r, channels, generator=generator) * 0.4 + 0.1) for r in resolutions])
         self.time = nn.ParameterList([nn.Parameter(torch.ones(3, max(times, 1), r, channels)) for r in resolutions])
         self.channels = channels
 
@@ -51,13 +49,16 @@ class HexPlanes(nn.Module):
 
     def total_variation(self) -> Tensor:
         """L_tv of Eq. 9: mean squared difference of neighbours in space plus mean squared second difference in time, summed over planes."""
-        total = torch.zeros(())
+        differences = []
         for space, time in zip(self.space, self.time):
-            total = total + (space[:, 1:] - space[:, :-1]).square().mean() + (space[:, :, 1:] - space[:, :, :-1]).square().mean()
-            total = total + (time[:, :, 1:] - time[:, :, :-1]).square().mean()
-            if time.shape[1] > 2:
-                total = total + (time[:, 2:] - 2 * time[:, 1:-1] + time[:, :-2]).square().mean()
-        return total
+            differences += [
+                space.diff(dim=1),
+                space.diff(dim=2),
+                time.diff(dim=2),
+                time.diff(n=2, dim=1) if time.shape[1] > 2 else time[:, :0],
+            ]
+        terms = [d.square().mean() for d in differences if d.numel()]
+        return torch.stack(terms).sum() if terms else torch.zeros(())
 
 
 def _taps(u: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -109,8 +110,6 @@ class _PlaneLookup(torch.autograd.Function):
         for level, (space, time) in enumerate(zip(parameters[0::2], parameters[1::2])):
             grad_space, grad_time = torch.zeros_like(space), torch.zeros_like(time)
             offset = level * space.shape[3]
-            _kernels.planes_backward(
-                space.detach(), time.detach(), u, ctx.t, grad, offset, grad_space, grad_time, torch.get_num_threads()
-            )
+            _kernels.planes_backward(space.detach(), time.detach(), u, ctx.t, grad, offset, grad_space, grad_time, torch.get_num_threads())
             gradients += [grad_space, grad_time]
         return None, None, *gradients

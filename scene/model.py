@@ -26,9 +26,7 @@ class Model:
         self.field = field
         self.sh_degree = sh_degree
 
-    def at(
-        self, t: float, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None
-    ) -> tuple[Gaussians, Convexes]:
+    def at(self, t: float, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None) -> tuple[Gaussians, Convexes]:
         """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
 
         Only primitives that move, and that a ``camera`` (if given) could see, enter the field. move=False renders the rest state.

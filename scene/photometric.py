@@ -42,9 +42,7 @@ class _Photometric(torch.autograd.Function):
     @staticmethod
     def forward(ctx, image: Tensor, target: Tensor, l1: float, ssim: float) -> Tensor:  # type: ignore[override]
         grad = torch.empty_like(image)
-        mean_l1, mean_ssim = _kernels.photometric(
-            image.detach().contiguous(), target.contiguous(), l1, ssim, grad, torch.get_num_threads()
-        )
+        mean_l1, mean_ssim = _kernels.photometric(image.detach().contiguous(), target.contiguous(), l1, ssim, grad, torch.get_num_threads())
         ctx.save_for_backward(grad)
         return image.new_tensor(l1 * mean_l1 + ssim * (1.0 - mean_ssim))
 

@@ -73,7 +73,8 @@ class PrimitiveSet:
 
 
 class GaussianSet(PrimitiveSet):
-    """Eq. 2: means [N,3] world units, quats [N,4] w x y z of any norm, log_scales [N,3], opacity_logits [N], sh_dc [N,1,3], sh_rest [N,R,3]."""
+    """Eq. 2: means [N,3] world units, quats [N,4] w x y z of any norm, log_scales [N,3], opacity_logits [N], sh_dc [N,1,3],
+    sh_rest [N,R,3]."""
 
     KIND = "gaussians"
     FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
@@ -82,7 +83,9 @@ class GaussianSet(PrimitiveSet):
         return self.means
 
     @classmethod
-    def from_points(cls, points: np.ndarray, colors: np.ndarray, sh_degree: int, opacity: float = 0.1, max_scale: float = np.inf) -> GaussianSet:
+    def from_points(
+        cls, points: np.ndarray, colors: np.ndarray, sh_degree: int, opacity: float = 0.1, max_scale: float = np.inf
+    ) -> GaussianSet:
         """Isotropic Gaussians at ``points`` [N,3] with ``colors`` [N,3] in [0,1]; scales from the three nearest neighbours."""
         from .fibonacci import neighbour_radius
 

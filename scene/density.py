@@ -1,0 +1,106 @@
+"""Adaptive control under a budget: primitives are added where the error is and removed where they add nothing.
+
+What a primitive is responsible for is measured, not guessed: an extra channel that is zero everywhere is rendered with it, and the
+gradient of sum(error * channel) by the primitive's own value is sum over pixels of blending weight times error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ..rasterizer import rasterize
+from .model import Model
+from .primitives import GaussianSet, PrimitiveSet
+from .views import Views
+
+
+@dataclass
+class Responsibility:
+    """Sums over the probed views: blending weight (pixels) and weight times error, for [N] Gaussians and [M] convexes."""
+
+    weight_gaussians: Tensor
+    weight_convexes: Tensor
+    error_gaussians: Tensor
+    error_convexes: Tensor
+
+
+def measure_responsibility(model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility:
+    """Render ``frames`` and attribute their absolute error (mean over channels) to the primitives that blended it."""
+    n, m = len(model.gaussians), len(model.convexes)
+    total = [torch.zeros(n, 2), torch.zeros(m, 2)]
+    background = torch.tensor(views.background)
+    for i in frames:
+        camera = views.rasterizer_camera(i, scale)
+        with torch.no_grad():
+            gaussians, convexes = model.at(float(views.time[i]), camera, move)
+        probes = [torch.zeros(n, 2, requires_grad=True), torch.zeros(m, 2, requires_grad=True)]
+        frame = rasterize(camera, replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1]), background)
+        error = (frame.color.detach() - views.target(i, scale)).abs().mean(-1)
+        gradients = torch.autograd.grad((frame.extras * torch.stack([torch.ones_like(error), error], -1)).sum(), probes, allow_unused=True)
+        for sums, gradient in zip(total, gradients):
+            if gradient is not None:
+                sums += gradient
+    return Responsibility(total[0][:, 0], total[1][:, 0], total[0][:, 1], total[1][:, 1])
+
+
+def survivors(primitives: PrimitiveSet, weight: Tensor | None, min_opacity: float) -> Tensor:
+    """Indices (long) to keep: opaque enough, finite, and (where ``weight`` [N] is given) blended into at least a tenth of a pixel."""
+    keep = primitives.opacities.detach() >= min_opacity
+    for parameter in primitives.parameters.values():
+        keep &= torch.isfinite(parameter.detach()).flatten(1).all(1) if parameter.ndim > 1 else torch.isfinite(parameter.detach())
+    if weight is not None:
+        keep &= weight >= 0.1
+    return keep.nonzero()[:, 0]
+
+
+def split_along_longest_axis(gaussians: GaussianSet, index: Tensor) -> tuple[GaussianSet, Tensor]:
+    """Each Gaussian of ``index`` becomes two halves along its longest axis; the others stay.
+
+    The children sit half a standard deviation to either side; their axis shrinks to 0.6, the others to 0.9, and their opacity is
+    1 - sqrt(1 - o), so that two of them stacked are as opaque as their parent. Returns the new set and, for each of its rows, the old row
+    whose optimiser state it keeps (-1 for children).
+    """
+    parent = gaussians.select(index)
+    with torch.no_grad():
+        p = parent.parameters
+        axis = p["log_scales"].argmax(1)
+        rows = torch.arange(len(index))
+        rotation = quats_to_matrices(p["quats"])
+        offset = rotation[rows, :, axis] * (0.5 * p["log_scales"][rows, axis].exp())[:, None]
+        shrink = torch.full_like(p["log_scales"], 0.9).log()
+        shrink[rows, axis] = torch.tensor(0.6).log()
+        opacity = 1 - torch.sqrt((1 - torch.sigmoid(p["opacity_logits"])).clamp(min=1e-6))
+        halves = []
+        for sign in (1.0, -1.0):
+            child = {name: value.detach().clone() for name, value in p.items()}
+            child["means"] += sign * offset
+            child["log_scales"] += shrink
+            child["opacity_logits"] = torch.logit(opacity.clamp(1e-4, 1 - 1e-4))
+            halves.append(child)
+    rest = torch.ones(len(gaussians), dtype=torch.bool)
+    rest[index] = False
+    kept = rest.nonzero()[:, 0]
+    remaining = gaussians.select(kept)
+    parameters = {name: torch.cat([remaining.parameters[name].detach(), halves[0][name], halves[1][name]]) for name in GaussianSet.FIELDS}
+    dynamic = torch.cat([remaining.dynamic, parent.dynamic, parent.dynamic])
+    return GaussianSet(parameters, dynamic), torch.cat([kept, torch.full((2 * len(index),), -1)])
+
+
+def choose_to_split(gaussians: GaussianSet, error: Tensor, count: int) -> Tensor:
+    """The ``count`` Gaussians with the largest attributed ``error`` [N]; those that no probed pixel saw are never chosen."""
+    count = min(count, int((error > 0).sum()))
+    return error.topk(count).indices.sort().values if count > 0 else torch.zeros(0, dtype=torch.long)
+
+
+def quats_to_matrices(quats: Tensor) -> Tensor:
+    """Rotations [N, 3, 3] of quaternions [N, 4] (w x y z, any norm but zero)."""
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, 1).view(-1, 3, 3)

@@ -1,0 +1,58 @@
+"""What moves: primitives that stay where they are leave the deformation field, which is where most of a step's time goes."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .model import Model
+from .views import Views
+
+TIMES = 12  # sampled over the capture to measure how far a primitive travels
+STILL_PIXELS = 0.3  # travels less than this, seen from the nearest training camera: does not move
+
+
+def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean displacement [m, 3] and largest distance from it [m], world units, over the capture, of the Gaussians ``index``."""
+    assert model.field is not None
+    with torch.no_grad():
+        rest = model.gaussians.means[index]
+        paths = torch.stack([model.field(rest, float(t)).dx for t in np.linspace(0, 1, TIMES)])
+    mean = paths.mean(0)
+    return mean, (paths - mean).norm(dim=2).amax(0)
+
+
+def freeze_still_gaussians(model: Model, views: Views) -> int:
+    """Take Gaussians that travel less than `STILL_PIXELS` out of the field, at their mean position. Returns how many."""
+    index = model.gaussians.dynamic.nonzero()[:, 0]
+    if model.field is None or not len(index):
+        return 0
+    mean, travel = mean_path(model, index)
+    centres = torch.tensor(views.centres()[views.train], dtype=torch.float32)
+    with torch.no_grad():
+        nearest = torch.cdist(model.gaussians.means[index], centres).amin(1)
+    focal = float(views.K[views.train, 0, 0].max())
+    still = travel * focal / nearest.clamp(min=views.near) < STILL_PIXELS
+    model.bake(mean[still], index[still])
+    return int(still.sum())
+
+
+def dynamic_from_masks(points: np.ndarray, views: Views, masks: dict[int, np.ndarray], share: float = 0.3) -> np.ndarray:
+    """Which of ``points`` [P, 3] project onto changing pixels in at least ``share`` of the fixed cameras that see them: [P] bool.
+
+    masks: camera number -> [H, W] uint8, 255 where the pixel changes over time. A point that no camera sees counts as moving.
+    """
+    seen = np.zeros(len(points))
+    moving = np.zeros(len(points))
+    first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}
+    for camera, mask in masks.items():
+        i = first[camera]
+        cam = points @ views.cam_from_world[i, :3, :3].T + views.cam_from_world[i, :3, 3]
+        z = np.maximum(cam[:, 2], 1e-9)
+        x = np.floor(views.K[i, 0, 0] * cam[:, 0] / z + views.K[i, 0, 2])
+        y = np.floor(views.K[i, 1, 1] * cam[:, 1] / z + views.K[i, 1, 2])
+        inside = (cam[:, 2] > views.near) & (x >= 0) & (x < views.width) & (y >= 0) & (y < views.height)
+        seen += inside
+        moving[inside] += mask[y[inside].astype(int), x[inside].astype(int)] > 127
+    return (seen == 0) | (moving >= share * np.maximum(seen, 1))

@@ -1,0 +1,32 @@
+"""How much edge lies under each Gaussian: the measure by which hulls are seeded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ..rasterizer import rasterize
+from .model import Model
+from .views import Views
+
+
+def edge_density(model: Model, views: Views, frames: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean edge weight [N] in [0, 1] over the pixels that each Gaussian blends, and its summed blending weight [N] in px, over ``frames``.
+
+    Both are gradients of an extra channel, as in `density.measure_responsibility`, so occluded Gaussians count for nothing.
+    """
+    total = torch.zeros(len(model.gaussians), 2)
+    for i in frames:
+        camera = views.rasterizer_camera(i)
+        with torch.no_grad():
+            gaussians, _ = model.at(float(views.time[i]), camera)
+        probe = torch.zeros(len(model.gaussians), 2, requires_grad=True)
+        frame = rasterize(camera, replace(gaussians, extras=probe))
+        edges = views.edges(i)
+        (frame.extras * torch.stack([torch.ones_like(edges), edges], -1)).sum().backward()
+        if probe.grad is not None:
+            total += probe.grad
+    weight, edge = total.double().numpy().T
+    return np.where(weight > 0, edge / np.maximum(weight, 1e-9), 0.0), weight

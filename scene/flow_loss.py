@@ -1,0 +1,73 @@
+"""Edge consistency: the flow that the model renders, its steadiness over unit intervals (Eq. 8), its agreement with measured flow.
+
+A primitive's flow is the displacement of its projected centre, blended like a colour in two extra channels. The blending weights
+are held fixed and only primitives that move receive gradients: these terms steer the motion, not the geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..rasterizer import Camera, Convexes, Gaussians, rasterize
+from .model import Model
+
+
+def project(camera: Camera, points: Tensor) -> Tensor:
+    """Pixel positions [N, 2] of ``points`` [N, 3] in world units; depth is clamped at the near plane, so the result is finite."""
+    R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
+    x, y, z = (points @ R.T + T).unbind(1)
+    z = z.clamp(min=camera.near)
+    return torch.stack([camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]], 1)
+
+
+def _centres(gaussians: Gaussians, convexes: Convexes) -> tuple[Tensor, Tensor]:
+    return gaussians.means, convexes.points.mean(1)
+
+
+def _detached(kind: Gaussians | Convexes, extras: Tensor):
+    fixed = {name: value.detach() for name, value in vars(kind).items() if isinstance(value, Tensor)}
+    fixed.pop("sh")
+    return replace(kind, **fixed, sh=None, colors=torch.zeros(extras.shape[0], 3), extras=extras)
+
+
+def _blend(camera: Camera, gaussians: Gaussians, convexes: Convexes, extras: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    frame = rasterize(camera, _detached(gaussians, extras[0]), _detached(convexes, extras[1]))
+    return frame.extras, frame.alpha.detach()
+
+
+def rendered_flow(model: Model, camera: Camera, t: float, next_camera: Camera, t_next: float) -> tuple[Tensor, Tensor]:
+    """Flow [H, W, 2] (u right, v down, px) from ``camera`` at ``t`` to ``next_camera`` at ``t_next``, and alpha [H, W].
+
+    Where primitives cover a pixel in part, the flow is divided by their alpha.
+    """
+    now, later = model.at(t, camera), model.at(t_next, camera)
+    extras = []
+    for kind, a, b in zip((model.gaussians, model.convexes), _centres(*now), _centres(*later)):
+        flow = project(next_camera, b) - project(camera, a.detach())
+        # A footprint-sized bound keeps one primitive beside the camera from dominating the sum.
+        flow = flow.clamp(-camera.width, camera.width)
+        extras.append(torch.where(kind.dynamic[:, None], flow, flow.detach()))
+    flow, alpha = _blend(camera, now[0], now[1], (extras[0], extras[1]))
+    return flow / alpha.clamp(min=0.05)[..., None], alpha
+
+
+def interval_loss(model: Model, camera: Camera, t: float, dt: float, edges: Tensor) -> Tensor:
+    """L_interval (Eq. 8): mean over edge pixels of |flow(t + dt) - flow(t)|^2 in px^2, both seen from the same camera.
+
+    edges: [H, W] weight in [0, 1]. The three times t, t + dt, t + 2 dt must lie in [0, 1].
+    """
+    first, alpha_first = rendered_flow(model, camera, t, camera, t + dt)
+    second, alpha_second = rendered_flow(model, camera, t + dt, camera, t + 2 * dt)
+    weight = edges * (alpha_first > 0.5) * (alpha_second > 0.5)
+    return ((second - first).square().sum(-1) * weight).sum() / weight.sum().clamp(min=1.0)
+
+
+def data_flow_loss(model: Model, camera: Camera, t: float, next_camera: Camera, t_next: float, measured: Tensor, weight: Tensor) -> Tensor:
+    """Rendered against measured flow [H, W, 2] px: mean Charbonnier distance over pixels of ``weight`` [H, W] (edges times confidence)."""
+    flow, alpha = rendered_flow(model, camera, t, next_camera, t_next)
+    weight = weight * (alpha > 0.5)
+    distance = torch.sqrt((flow - measured).square().sum(-1) + 1e-2)
+    return (distance * weight).sum() / weight.sum().clamp(min=1.0)

@@ -1,0 +1,38 @@
+"""A step that went wrong is rolled back and counted; a training that keeps going wrong stops with a clear message."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+MOST_IN_A_ROW = 20
+
+
+class TrainingDiverged(RuntimeError):
+    """The loss or its gradients stayed non-finite."""
+
+
+class NonFiniteGuard:
+    """Checks loss and gradients before the optimiser moves anything, so a bad step never reaches the parameters."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._in_a_row = 0
+
+    def accepts(self, loss: Tensor, parameters: dict[str, Tensor], iteration: int, frame: int) -> bool:
+        """True if the step may be taken. Raises `TrainingDiverged` after too many refusals in a row, naming step, frame and field."""
+        gradients = {name: p.grad for name, p in parameters.items() if p.grad is not None}
+        norms = torch._foreach_norm(list(gradients.values()), float("inf")) if gradients else []
+        bad = [name for name, norm in zip(gradients, norms) if not torch.isfinite(norm)]
+        if bool(torch.isfinite(loss)) and not bad:
+            self._in_a_row = 0
+            return True
+        self.count += 1
+        self._in_a_row += 1
+        if self._in_a_row >= MOST_IN_A_ROW:
+            where = f"gradients of {', '.join(bad)}" if bad else f"the loss ({float(loss)})"
+            raise TrainingDiverged(
+                f"step {iteration}, frame {frame}: {where} not finite, {MOST_IN_A_ROW} steps in a row. "
+                "Lower the learning rates (--set coarse.lr_means=..., coarse.lr_field=...) or check the capture's poses."
+            )
+        return False

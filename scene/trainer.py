@@ -1,0 +1,334 @@
+"""The training loop: one view a step, the losses of Eq. 9, density control, checkpoints, and a stop when nothing improves any more."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..rasterizer import rasterize
+from .checkpoint import load_checkpoint, save_checkpoint
+from .colour import CameraAffine
+from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
+from .dynamics import freeze_still_gaussians
+from .flow_loss import data_flow_loss, interval_loss
+from .guard import NonFiniteGuard
+from .model import Model
+from .optimiser import RowAdam, exponential
+from .photometric import photometric_loss
+from .primitives import ConvexSet, GaussianSet
+from .schedule import Phase
+from .settings import TrainingSettings
+from .views import Views
+
+MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
+CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
+PROBE_VIEWS = 12
+
+
+@dataclass
+class TrainingLog:
+    """What happened, for the artifact and the report. Curves hold [step, value, ...] rows."""
+
+    loss: list[list[float]] = field(default_factory=list)
+    psnr: list[list[float]] = field(default_factory=list)
+    primitives: list[list[int]] = field(default_factory=list)
+    events: list[str] = field(default_factory=list)
+    skipped: dict[str, int] = field(default_factory=dict)
+    iterations: int = 0
+    seconds: float = 0.0
+    nonfinite_steps: int = 0
+    stopped: str = "all steps done"
+
+
+class Trainer:
+    """Trains ``model`` in place on ``views``.
+
+    phases: what to do, in order. settings: see `TrainingSettings`. budget: most Gaussians. lr_scale: factor on the rates of what a stage
+    before has already trained. measured_flow: for frame i the flow to its next frame [H, W, 2] px and a weight [H, W], or None where there
+    is none. checkpoints: folder of this run; a state found there is continued. advance: called with (steps, note). log: a line for people.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        views: Views,
+        phases: list[Phase],
+        settings: TrainingSettings,
+        budget: int,
+        checkpoints: Path | None = None,
+        lr_scale: float = 1.0,
+        grow: bool = True,
+        measured_flow: MeasuredFlow | None = None,
+        advance: Callable[[int, str], None] = lambda n, note: None,
+        log: Callable[[str], None] = lambda message: None,
+    ) -> None:
+        self.model, self.views, self.phases, self.settings = model, views, phases, settings
+        self.budget, self.checkpoints, self.lr_scale, self.grow = budget, checkpoints, lr_scale, grow
+        self.measured_flow, self.advance, self._say = measured_flow, advance, log
+        self.total = sum(phase.iterations for phase in phases)
+        self.log = TrainingLog()
+        self.guard = NonFiniteGuard()
+        self.iteration = 0
+        self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
+        several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
+        self.affine = CameraAffine(len(self.camera_numbers)) if settings.affine and several else None
+        self.times = np.unique(views.time)
+        self.unit = views.viewing_distance(model.gaussians.means.detach().numpy())
+        self.optimiser = self._make_optimiser()
+        self._froze_still = False
+
+    # -- set-up -------------------------------------------------------------------------------------------------------------------
+
+    def _named(self) -> dict[str, Tensor]:
+        named = {f"{s.KIND}.{name}": p for s in (self.model.gaussians, self.model.convexes) for name, p in s.parameters.items()}
+        if self.model.field is not None:
+            named |= {f"field.{name}": p for name, p in self.model.field.named_parameters()}
+        if self.affine is not None:
+            named |= {f"affine.{name}": p for name, p in self.affine.named_parameters()}
+        return named
+
+    def _make_optimiser(self) -> RowAdam:
+        s, k = self.settings, self.lr_scale
+        position = exponential(s.lr_means * self.unit * k, s.lr_means * self.unit / 50)
+        planes, mlp = exponential(s.lr_field * k, s.lr_field / 10), exponential(s.lr_mlp * k, s.lr_mlp / 10)
+        rates: dict[str, Callable[[float], float]] = {
+            "means": position,
+            "points": exponential(s.lr_means * self.unit, s.lr_means * self.unit / 50),
+            "quats": exponential(4e-3 * k, 1e-3),
+            "log_scales": exponential(1e-2 * k, 2e-3),
+            "opacity_logits": exponential(5e-2 * k, 1e-2),
+            "sh_dc": exponential(1e-2 * k, 1e-3),
+            "sh_rest": exponential(1e-3 * k, 1e-4),
+            "log_tau": exponential(5e-3, 1e-3),
+            "log_kappa": exponential(1e-2, 1e-3),
+            "log_gain": exponential(2e-3, 2e-4),
+            "offset": exponential(2e-3, 2e-4),
+        }
+        named = self._named()
+
+        def rate(name: str) -> Callable[[float], float]:
+            if name.startswith("field."):
+                return planes if ".planes." in name else mlp
+            return rates[name.split(".")[1]]
+
+        return RowAdam(named, {name: rate(name) for name in named})
+
+    # -- the loop -----------------------------------------------------------------------------------------------------------------
+
+    def run(self) -> TrainingLog:
+        """All phases, from a checkpoint where there is one."""
+        self._resume()
+        started, before = time.monotonic(), self.log.seconds
+        saved = started
+        done = 0
+        for phase in self.phases:
+            for step in range(phase.iterations):
+                if done + step < self.iteration:
+                    continue
+                self._step(phase, step)
+                self.iteration += 1
+                self.log.seconds = before + time.monotonic() - started
+                if self.iteration % 10 == 0 or self.iteration == self.total:
+                    self.advance(10 if self.iteration % 10 == 0 else self.iteration % 10, self._note(phase))
+                self._after_step(phase)
+                if self.checkpoints is not None and time.monotonic() - saved > self.settings.checkpoint_seconds:
+                    self._save()
+                    saved = time.monotonic()
+                if self._converged():
+                    self.log.stopped = f"converged after {self.iteration} of {self.total} steps"
+                    self._event(self.log.stopped)
+                    break
+            done += phase.iterations
+        self._final_prune()
+        self.log.iterations = self.iteration
+        self.log.nonfinite_steps = self.guard.count
+        return self.log
+
+    def _frame(self) -> int:
+        """Views are visited in shuffled rounds; the order depends on seed and step alone, so a resumed run sees what it would have seen."""
+        train = self.views.train
+        epoch, position = divmod(self.iteration, len(train))
+        return int(np.random.default_rng((self.settings.seed, epoch)).permutation(train)[position])
+
+    def _step(self, phase: Phase, step: int) -> None:
+        views, model, s = self.views, self.model, self.settings
+        i = self._frame()
+        t = float(views.time[i])
+        camera = views.rasterizer_camera(i, phase.scale)
+        degree = min(s.sh_degree, self.iteration * 6 // max(self.total, 1)) if self.grow else s.sh_degree
+        background = torch.tensor(views.background)
+        gaussians, convexes = model.at(t, camera, phase.move, degree)
+        frame = rasterize(camera, gaussians, convexes, background)
+        color = frame.color
+        if self.affine is not None:
+            color = self.affine(color, self.camera_numbers[int(views.camera[i])])
+        target = views.target(i, phase.scale)
+        loss = photometric_loss(color, target, s.l1, s.ssim)
+        if self.iteration % 50 == 0:
+            mse = float((color.detach() - target).square().mean())
+            self.log.psnr.append([self.iteration, -10 * float(np.log10(max(mse, 1e-10)))])
+        image_loss = float(loss.detach())
+        if phase.move and model.field is not None:
+            loss = loss + self._motion_terms(i, t, phase)
+        loss.backward()
+        parameters = self.optimiser.parameters()
+        if self.guard.accepts(loss.detach(), parameters, self.iteration, i):
+            self.optimiser.step(self.iteration / max(self.total, 1), self._frozen(phase, step))
+        else:
+            self.optimiser.zero_grad()
+            self._event(f"step {self.iteration}: not finite, rolled back")
+        self._ema = image_loss if self.iteration == 0 or not hasattr(self, "_ema") else 0.98 * self._ema + 0.02 * image_loss
+        if self.iteration % 20 == 0:
+            self.log.loss.append([self.iteration, self._ema])
+
+    def _motion_terms(self, i: int, t: float, phase: Phase) -> Tensor:
+        s, model, views = self.settings, self.model, self.views
+        total = torch.zeros(())
+        if s.tv and self.iteration % 4 == 0:
+            assert model.field is not None
+            total = total + 4 * s.tv * model.field.regulariser()
+        if self.iteration % s.flow_every or self.iteration < 0.3 * self.total:
+            return total
+        if not bool(model.gaussians.dynamic.any() | model.convexes.dynamic.any()):
+            return total
+        dt = 1.0 / max(len(self.times) - 1, 1)
+        if s.interval and len(self.times) >= 3:
+            start = min(t, 1 - 2 * dt)
+            camera = views.rasterizer_camera(i, phase.scale * 0.5)
+            total = total + s.flow_every * s.interval * interval_loss(model, camera, start, dt, views.edges(i, phase.scale * 0.5))
+        measured = self.measured_flow(i) if self.measured_flow is not None and s.data_flow else None
+        if measured is not None:
+            flow, weight = measured
+            nxt = int(views.next[i])
+            camera, next_camera = views.rasterizer_camera(i, 0.5), views.rasterizer_camera(nxt, 0.5)
+            total = total + s.flow_every * s.data_flow * data_flow_loss(
+                model, camera, t, next_camera, float(views.time[nxt]), flow, weight * views.edges(i, 0.5)
+            )
+        return total
+
+    def _frozen(self, phase: Phase, step: int) -> frozenset[str]:
+        if not phase.alternation or not len(self.model.convexes):
+            return frozenset()
+        turn = (step // phase.alternation) % 2
+        return frozenset({"convexes"} if turn == 0 else {"gaussians", "field"})
+
+    # -- between steps ------------------------------------------------------------------------------------------------------------
+
+    def _after_step(self, phase: Phase) -> None:
+        s = self.settings
+        progress = self.iteration / max(self.total, 1)
+        if self.iteration % 50 == 0:
+            self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
+        if phase.move and self.grow and not self._froze_still and progress >= 0.45:
+            self._froze_still = True
+            count = freeze_still_gaussians(self.model, self.views)
+            self.log.skipped["still Gaussians taken out of the field"] = count
+            self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
+        if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= s.densify_until:
+            self._control(phase, grow=self.grow)
+
+    def _probe(self, count: int) -> list[int]:
+        train = self.views.train
+        rng = np.random.default_rng((self.settings.seed, 1, self.iteration))
+        return [int(i) for i in rng.permutation(train)[: min(count, len(train))]]
+
+    def _control(self, phase: Phase, grow: bool) -> None:
+        model = self.model
+        probed = self._probe(PROBE_VIEWS)
+        measured = measure_responsibility(model, self.views, probed, phase.move, phase.scale)
+        whole = len(probed) == len(self.views.train)
+        keep = survivors(model.gaussians, measured.weight_gaussians if whole else None, self.settings.min_opacity)
+        self._replace(model.gaussians.select(keep), keep)
+        error = measured.error_gaussians[keep]
+        room = self.budget - len(model.gaussians)
+        if grow and room > 0:
+            progress = self.iteration / max(self.total, 1)
+            rounds_left = max(1, round((self.settings.densify_until - progress) * self.total / self.settings.densify_every))
+            chosen = choose_to_split(model.gaussians, error, min(room, max(room // rounds_left, len(model.gaussians) // 8)))
+            self._replace(*split_along_longest_axis(model.gaussians, chosen))
+        if len(model.convexes):
+            keep = survivors(model.convexes, None, self.settings.min_opacity)
+            self._replace(model.convexes.select(keep), keep)
+
+    def _final_prune(self) -> None:
+        """What no training view blends is removed at the end."""
+        move = self.phases[-1].move if self.phases else False
+        measured = measure_responsibility(self.model, self.views, self._probe(min(len(self.views.train), 120)), move, 0.5)
+        before = len(self.model.gaussians), len(self.model.convexes)
+        for primitives, weight in ((self.model.gaussians, measured.weight_gaussians), (self.model.convexes, measured.weight_convexes)):
+            keep = survivors(primitives, weight * 4, self.settings.min_opacity)
+            self._replace(primitives.select(keep), keep)
+        self._event(
+            f"removed at the end, blended by no training view: {before[0] - len(self.model.gaussians)} Gaussians, "
+            f"{before[1] - len(self.model.convexes)} convexes"
+        )
+
+    def _replace(self, new: Any, source: Tensor) -> None:
+        if isinstance(new, GaussianSet):
+            self.model.gaussians = new
+        else:
+            assert isinstance(new, ConvexSet)
+            self.model.convexes = new
+        for name, parameter in new.parameters.items():
+            self.optimiser.replace(f"{new.KIND}.{name}", parameter, source)
+
+    def _converged(self) -> bool:
+        """The smoothed loss of the last `patience` steps is no better than that of the `patience` steps before."""
+        rows = self.settings.patience // 20
+        progress = self.iteration / max(self.total, 1)
+        if self.iteration % 100 or progress < max(0.5, self.settings.densify_until) or len(self.log.loss) < 2 * rows:
+            return False
+        values = [value for _, value in self.log.loss]
+        before, now = float(np.mean(values[-2 * rows : -rows])), float(np.mean(values[-rows:]))
+        return now > before * (1 - CONVERGED)
+
+    def _note(self, phase: Phase) -> str:
+        return f"{phase.name}, loss {self._ema:.4f}, {len(self.model.gaussians)} Gaussians, {len(self.model.convexes)} convexes"
+
+    def _event(self, message: str) -> None:
+        self.log.events.append(message)
+        self._say(message)
+
+    # -- checkpoints --------------------------------------------------------------------------------------------------------------
+
+    def _save(self) -> None:
+        assert self.checkpoints is not None
+        tensors = {f"parameter/{name}": p for name, p in self._named().items()}
+        tensors |= {f"optimiser/{name}": value for name, value in self.optimiser.state().items()}
+        tensors |= {f"dynamic/{p.KIND}": p.dynamic for p in (self.model.gaussians, self.model.convexes)}
+        state = {
+            "iteration": self.iteration,
+            "ema": self._ema,
+            "froze": self._froze_still,
+            "nonfinite": self.guard.count,
+            "log": vars(self.log),
+        }
+        save_checkpoint(self.checkpoints, tensors, state)
+
+    def _resume(self) -> None:
+        found = load_checkpoint(self.checkpoints) if self.checkpoints is not None else None
+        if found is None:
+            return
+        tensors, state = found
+        for kind, name in ((GaussianSet, "gaussians"), (ConvexSet, "convexes")):
+            parameters = {f: tensors[f"parameter/{name}.{f}"] for f in kind.FIELDS}
+            setattr(self.model, name, kind(parameters, tensors[f"dynamic/{name}"]))
+        with torch.no_grad():
+            for module, prefix in ((self.model.field, "field"), (self.affine, "affine")):
+                if module is not None:
+                    for name, p in module.named_parameters():
+                        p.copy_(tensors[f"parameter/{prefix}.{name}"])
+        self.optimiser = self._make_optimiser()
+        self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
+        self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]
+        self.guard.count = state["nonfinite"]
+        self.log = TrainingLog(**state["log"])
+        self._event(f"continued from the checkpoint at step {self.iteration} of {self.total}")
+        self.advance(self.iteration, "continued from a checkpoint")

@@ -1,0 +1,73 @@
+"""From artifacts to what training reads: posed views, measured flow, seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..pipeline import Artifact, StageError
+from .frameset import FrameSet
+
+if TYPE_CHECKING:
+    from ..scene.views import Views
+
+BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
+
+
+def load_frameset(inputs: Any, root: Path) -> FrameSet:
+    """The capture's frames with poses from the files or from SfM."""
+    return FrameSet(inputs["frames"], root, inputs.get("poses"))
+
+
+def load_views(frames: FrameSet, flow: Artifact | None) -> Views:
+    """Views over all frames. ``train`` holds the registered training frames; raises StageError where there is none."""
+    from ..scene.views import Views
+
+    if not len(frames.train):
+        raise StageError(
+            "no training frame has a pose; see the coverage report of `poses`, or use fewer held-out frames (--set frames.holdout=0)"
+        )
+    edges = None
+    if flow is not None and "edges" in flow:
+        array = flow.array("edges")
+        edges = lambda i: np.asarray(array[int(i)])  # noqa: E731
+    return Views(
+        K=np.asarray(frames.K),
+        cam_from_world=np.asarray(frames.cam_from_world),
+        time=np.asarray(frames.time),
+        camera=np.asarray(frames.camera),
+        next=np.asarray(frames.next),
+        train=np.asarray(frames.train),
+        width=frames.width,
+        height=frames.height,
+        load=frames.composited,
+        background=BACKGROUNDS[frames.background],
+        stored_edges=edges,
+    )
+
+
+def measured_flow(flow: Artifact | None, views: Views):
+    """``frame -> (flow [h, w, 2] px, confidence [h, w] in [0, 1])`` at half resolution, or None where `flow` was skipped."""
+    if flow is None or "pair" not in flow:
+        return None
+    import cv2
+    import torch
+
+    pairs = {int(first): p for p, (first, second) in enumerate(flow.read("pair")) if int(views.next[first]) == int(second)}
+    trained = {int(i) for i in views.train}
+    forward, confidence = flow.array("forward"), flow.array("confidence")
+
+    def of_frame(i: int):
+        p = pairs.get(int(i))
+        if p is None or int(views.next[i]) not in trained:
+            return None
+        size = views.size(0.5)
+        field = np.asarray(forward[p]).astype(np.float32)
+        field = cv2.resize(field, size, interpolation=cv2.INTER_AREA)
+        field *= np.array([size[0] / views.width, size[1] / views.height], np.float32)
+        weight = cv2.resize(np.asarray(confidence[p]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+        return torch.from_numpy(np.ascontiguousarray(field)), torch.from_numpy(weight)
+
+    return of_frame

@@ -1,0 +1,78 @@
+"""`fine`: convexes join the Gaussians where edges are dense, and both are refined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field
+
+from ..pipeline import Applies, Context, Stage
+from ..scene.settings import TrainingSettings
+
+
+class FineSettings(TrainingSettings):
+    iterations: int = Field(1500, ge=0, le=1_000_000, description="optimiser steps of this stage")
+    lr_scale: float = Field(0.3, gt=0, le=1, description="factor on the first rates of what `coarse` has already trained")
+    convex_opacity: float = Field(0.3, gt=0, lt=1, description="opacity with which convexes begin")
+
+
+class Fine(Stage):
+    """Refines the model of `coarse` together with the convexes of `hulls`."""
+
+    name = "fine"
+    version = 1
+    inputs = ("frames", "poses", "flow", "hulls", "coarse")
+    settings = FineSettings
+    reads_capture = True
+    device_class = True
+
+    def applies(self, facts: Mapping[str, Any], settings: FineSettings) -> Applies:
+        if settings.iterations == 0:
+            return Applies.no("fine.iterations is 0")
+        return Applies.yes("Gaussians and convexes together")
+
+    def estimate(self, facts: Mapping[str, Any], settings: FineSettings) -> float | None:
+        from .estimates import training_seconds
+
+        return 1.3 * training_seconds(facts, settings.iterations, static=bool(facts.get("static")))
+
+    def run(self, ctx: Context) -> None:
+        import torch
+
+        from ..scene.primitives import ConvexSet
+        from ..scene.schedule import fine_phases
+        from ..scene.trainer import Trainer
+        from .coarse import auto_budget
+        from .dataset import load_frameset, load_views, measured_flow
+        from .training_artifact import read_model, write_training
+
+        settings = ctx.settings
+        torch.manual_seed(settings.seed)
+        coarse, hulls = ctx.inputs["coarse"], ctx.inputs["hulls"]
+        model = read_model(coarse)
+        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"])
+        if hulls is not None and hulls.array("points").shape[0]:
+            model.convexes = ConvexSet.from_hulls(hulls.read("points"), hulls.read("colors"), model.sh_degree, settings.convex_opacity)
+            model.convexes.dynamic = model.gaussians.dynamic[torch.from_numpy(hulls.read("seed")).long()]
+        else:
+            ctx.log("no convexes: no seed lies on enough edges; Gaussians alone are refined")
+
+        strategy = coarse.attrs["strategy"]
+        phases = fine_phases(strategy, coarse.attrs["iterations"], settings.iterations, bool(ctx.facts.get("static")))
+        with ctx.progress(sum(phase.iterations for phase in phases), "fine") as bar:
+            trainer = Trainer(
+                model,
+                views,
+                phases,
+                settings,
+                budget=settings.budget or auto_budget(views, plain=bool(ctx.facts.get("alpha"))),
+                checkpoints=ctx.checkpoints,
+                lr_scale=1.0 if strategy == "joint" else settings.lr_scale,
+                grow=strategy == "joint",
+                measured_flow=measured_flow(ctx.inputs["flow"], views),
+                advance=lambda n, note: bar.advance(n, note),
+                log=ctx.log,
+            )
+            log = trainer.run()
+        write_training(ctx.out, model, log)

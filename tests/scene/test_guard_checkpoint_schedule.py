@@ -1,0 +1,66 @@
+"""What keeps a training alive: the guard, the checkpoint, the phases."""
+
+import pytest
+import torch
+from e4dgs.scene.checkpoint import FILE, load_checkpoint, save_checkpoint
+from e4dgs.scene.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
+from e4dgs.scene.schedule import coarse_phases, fine_phases
+
+
+def parameter(gradient):
+    p = torch.zeros(3, requires_grad=True)
+    p.grad = torch.tensor(gradient)
+    return {"gaussians.means": p}
+
+
+def test_guard_counts_and_forgives_single_accidents():
+    guard = NonFiniteGuard()
+    for _ in range(3 * MOST_IN_A_ROW):
+        assert not guard.accepts(torch.tensor(1.0), parameter([0.0, float("inf"), 0.0]), 5, 2)
+        assert guard.accepts(torch.tensor(1.0), parameter([0.0, 1.0, 0.0]), 6, 2)
+    assert guard.count == 3 * MOST_IN_A_ROW
+
+
+def test_guard_stops_and_names_step_frame_and_field():
+    guard = NonFiniteGuard()
+    with pytest.raises(TrainingDiverged, match=r"step 7, frame 3: gradients of gaussians.means"):
+        for _ in range(MOST_IN_A_ROW):
+            guard.accepts(torch.tensor(1.0), parameter([float("nan")] * 3), 7, 3)
+    assert guard.count == MOST_IN_A_ROW
+
+
+def test_guard_refuses_a_non_finite_loss():
+    assert not NonFiniteGuard().accepts(torch.tensor(float("nan")), parameter([0.0, 0.0, 0.0]), 0, 0)
+
+
+def test_checkpoint_round_trip_and_damage(tmp_path):
+    assert load_checkpoint(tmp_path) is None
+    tensors = {"a": torch.arange(5.0), "flag": torch.tensor([True, False])}
+    save_checkpoint(tmp_path, tensors, {"iteration": 7})
+    loaded, state = load_checkpoint(tmp_path)
+    assert state == {"iteration": 7} and torch.equal(loaded["a"], tensors["a"]) and torch.equal(loaded["flag"], tensors["flag"])
+    assert [p.name for p in tmp_path.iterdir()] == [FILE]
+    whole = (tmp_path / FILE).read_bytes()
+    for size in (0, 7, len(whole) // 2, len(whole) - 1):
+        (tmp_path / FILE).write_bytes(whole[:size])
+        assert load_checkpoint(tmp_path) is None
+
+
+@pytest.mark.parametrize("strategy", ["two-stage", "joint", "alternating", "progressive"])
+def test_every_strategy_spends_the_same_steps(strategy):
+    phases = coarse_phases(strategy, 1000, static=False) + fine_phases(strategy, 1000, 300, static=False)
+    assert sum(p.iterations for p in phases) == 1300
+    assert not phases[0].move and phases[-1].move
+
+
+def test_what_each_strategy_is():
+    assert [p.name for p in coarse_phases("joint", 1000, False)] == ["warm-up"]
+    assert {p.scale for p in coarse_phases("progressive", 1000, False)} == {0.5}
+    assert fine_phases("progressive", 1000, 300, False)[0].scale == 1.0
+    assert fine_phases("alternating", 1000, 300, False)[0].alternation > 0
+    assert fine_phases("two-stage", 1000, 300, False)[0].alternation == 0
+
+
+def test_static_scenes_never_move():
+    assert not any(p.move for p in coarse_phases("two-stage", 1000, True) + fine_phases("two-stage", 1000, 300, True))
+    assert sum(p.iterations for p in fine_phases("joint", 1000, 300, True)) == 300

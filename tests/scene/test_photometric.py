@@ -1,0 +1,58 @@
+"""The fused L1 + SSIM against plain torch in float64."""
+
+import pytest
+import torch
+from e4dgs.scene.photometric import photometric_loss, ssim_reference
+
+
+def images(height, width, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    y = torch.rand(height, width, 3, generator=generator)
+    return (y + 0.2 * torch.randn(y.shape, generator=generator)).clamp(0, 1), y
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 17), (12, 5), (40, 33)])
+@pytest.mark.parametrize(("l1", "ssim"), [(1.0, 0.0), (0.0, 1.0), (0.8, 0.2)])
+def test_value_and_gradient_match_the_oracle(height, width, l1, ssim):
+    x, y = images(height, width)
+    x.requires_grad_()
+    loss = photometric_loss(x, y, l1, ssim)
+    (ours,) = torch.autograd.grad(loss, x)
+    exact = x.detach().double().requires_grad_()
+    expected = l1 * (exact - y).abs().mean() + ssim * (1 - ssim_reference(exact, y.double()))
+    (theirs,) = torch.autograd.grad(expected, exact)
+    assert abs(float(loss) - float(expected)) < 2e-6
+    assert (ours - theirs).norm() <= 2e-5 * theirs.norm() + 1e-9
+
+
+def test_oracle_gradient_matches_central_differences():
+    x, y = images(4, 5)
+    assert torch.autograd.gradcheck(lambda a: ssim_reference(a, y.double()), x.double().requires_grad_(), eps=1e-6, atol=1e-7)
+
+
+def test_equal_images_have_no_loss_and_no_gradient():
+    _, y = images(20, 20)
+    x = y.clone().requires_grad_()
+    loss = photometric_loss(x, y)
+    loss.backward()
+    assert abs(float(loss)) < 1e-6 and x.grad.abs().max() < 1e-6
+
+
+def test_bit_equal_for_any_number_of_threads():
+    x, y = images(64, 48)
+    before, results = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 4):
+            torch.set_num_threads(threads)
+            a = x.clone().requires_grad_()
+            loss = photometric_loss(a, y)
+            loss.backward()
+            results.append((float(loss), a.grad))
+    finally:
+        torch.set_num_threads(before)
+    assert all(r[0] == results[0][0] and torch.equal(r[1], results[0][1]) for r in results)
+
+
+def test_shapes_are_named():
+    with pytest.raises(ValueError, match=r"\(4, 4, 3\) and \(4, 5, 3\)"):
+        photometric_loss(torch.zeros(4, 4, 3), torch.zeros(4, 5, 3))
