@@ -174,8 +174,9 @@ def _empty_convexes(camera: Camera) -> Convexes:
 
 def _cast(owner: Owner, dtype: torch.dtype) -> Owner:
     """Every tensor of a dataclass as a contiguous tensor of this dtype, still attached to the graph."""
-    values: dict[str, Any] = {field.name: getattr(owner, field.name) for field in fields(owner)}
-    return replace(owner, **{name: value.to(dtype).contiguous() for name, value in values.items() if isinstance(value, Tensor)})
+    values = {field.name: getattr(owner, field.name) for field in fields(owner)}
+    changes: dict[str, Any] = {name: value.to(dtype).contiguous() for name, value in values.items() if isinstance(value, Tensor)}
+    return replace(owner, **changes)
 
 
 def _recentre(camera: Camera, gaussians: Gaussians, convexes: Convexes) -> tuple[Camera, Gaussians, Convexes]:
