@@ -1,0 +1,229 @@
+"""`Capture`: what the frames of a recording are, known from names, JSON and image headers alone."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...pipeline import CaptureError
+
+TRAIN, VAL, TEST = 0, 1, 2
+SPLITS = ("train", "val", "test")
+DEFAULT_FPS = 30.0  # for numbered images and cameras whose files give no rate
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a capture is to be read; the same fields as the settings of the `frames` stage."""
+
+    format: str | None = None
+    static: bool = False
+    holdout: int = 8
+    background: str | None = None
+    max_size: int | None = None
+    max_frames: int | None = None
+    every: int | None = None
+    fps: float | None = None
+
+
+@dataclass
+class Shot:
+    """One frame as a reader found it. `camera` is any sortable id; `time` is in the file's own unit."""
+
+    name: str
+    camera: Any
+    time: float
+    split: int = TRAIN
+    file: str | None = None
+    mask: str | None = None
+    seconds: float | None = None
+    linked: bool = True  # may be paired with the same camera's next frame
+    K: np.ndarray | None = None
+    cam_from_world: np.ndarray | None = None
+    distortion: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Video:
+    """A video file of the capture and which of its frames are taken; they are consecutive in the capture from `start` on."""
+
+    file: str
+    start: int
+    taken: tuple[int, ...]
+    total: int
+
+
+@dataclass
+class Reading:
+    """What a reader hands to `assemble`."""
+
+    why: str
+    shots: list[Shot]
+    width: int
+    height: int
+    alpha: bool = False
+    has_split: bool = False
+    fps: float | None = None
+    fixed_cameras: bool = False
+    videos: tuple[Video, ...] = ()
+    sources: tuple[str, ...] = ()  # files beside images and videos that the result depends on
+    points: np.ndarray | None = None
+    point_colors: np.ndarray | None = None
+    K_hint: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A recognised capture. F frames in a fixed order that every stage uses.
+
+    `files` are the paths, relative to `root`, whose content decides the result (the digest of the capture); `facts` is the
+    mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`).
+    """
+
+    root: Path
+    files: tuple[str, ...]
+    facts: Mapping[str, Any]
+    options: Options
+    names: tuple[str, ...]
+    images: tuple[str, ...] | None
+    masks: tuple[str | None, ...] | None
+    videos: tuple[Video, ...]
+    camera: np.ndarray
+    time: np.ndarray
+    seconds: np.ndarray
+    split: np.ndarray
+    next: np.ndarray
+    K: np.ndarray | None
+    cam_from_world: np.ndarray | None
+    distortion: np.ndarray | None
+    background: str | None
+    points: np.ndarray | None = None
+    point_colors: np.ndarray | None = None
+    K_hint: tuple[float, ...] | None = None
+    notes: tuple[str, ...] = field(default=())
+
+
+def assemble(root: Path, kind: str, reading: Reading, options: Options) -> Capture:
+    """Reader's frames -> `Capture`: times in [0,1], splits, pairs, facts; refuses captures that nothing can be trained on."""
+    shots = reading.shots
+    _refuse_duplicates(shots)
+    split = np.array([s.split for s in shots], dtype=np.uint8)
+    if not reading.has_split and options.holdout:
+        split[np.arange(len(shots)) % options.holdout == 0] = TEST
+    if not (split == TRAIN).any():
+        raise CaptureError(
+            f"{root}: {len(shots)} frames, none of them for training; "
+            + ("check the split files" if reading.has_split else "use frames.holdout=0")
+        )
+
+    raw = np.array([s.time for s in shots], dtype=np.float64)
+    time = np.zeros_like(raw) if options.static else _unit_times(raw)
+    distinct = np.unique(np.round(time, 9))
+    static = options.static or len(distinct) == 1
+    fps = options.fps or reading.fps or DEFAULT_FPS
+    seconds = np.array([t * (len(distinct) - 1) / fps if s.seconds is None else s.seconds for s, t in zip(shots, time, strict=True)])
+    keys = sorted({s.camera for s in shots})
+    index = {key: i for i, key in enumerate(keys)}
+    camera = np.array([index[s.camera] for s in shots], dtype=np.int32)
+    following = np.full(len(shots), -1, np.int32) if static else _next_frames(shots, camera, time, split)
+
+    posed = all(s.cam_from_world is not None for s in shots)
+    width, height, sx, sy = _output_size(reading.width, reading.height, options.max_size)
+    scale = np.diag([sx, sy, 1.0])
+    hint = None if reading.K_hint is None else tuple(float(v) for v in (scale @ reading.K_hint).reshape(-1))
+    background = options.background or ("white" if reading.alpha else None)
+    facts: dict[str, Any] = {
+        "format": kind,
+        "why": reading.why,
+        "frames": len(shots),
+        "cameras": len(keys),
+        "times": len(distinct),
+        "width": width,
+        "height": height,
+        "poses": posed,
+        "points": reading.points is not None,
+        "alpha": reading.alpha,
+        "static": static,
+        "pairs": int((following >= 0).sum()),
+        "fixed_cameras": reading.fixed_cameras,
+        "splits": {name: int((split == i).sum()) for i, name in enumerate(SPLITS)},
+        "images_in_files": not reading.videos,
+    }
+    images = None if reading.videos else tuple(str(s.file) for s in shots)
+    masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
+    files = {*reading.sources, *(images or ()), *(m for m in masks or () if m), *(v.file for v in reading.videos)}
+    zeros = np.zeros(4)
+    return Capture(
+        root=root,
+        files=tuple(sorted(files)),
+        facts=facts,
+        options=options,
+        names=tuple(s.name for s in shots),
+        images=images,
+        masks=masks,
+        videos=reading.videos,
+        camera=camera,
+        time=time,
+        seconds=seconds,
+        split=split,
+        next=following,
+        K=np.stack([scale @ s.K for s in shots if s.K is not None]) if posed else None,
+        cam_from_world=np.stack([s.cam_from_world for s in shots if s.cam_from_world is not None]) if posed else None,
+        distortion=np.stack([zeros if s.distortion is None else s.distortion for s in shots]) if posed else None,
+        background=background,
+        points=reading.points,
+        point_colors=reading.point_colors,
+        K_hint=hint,
+        notes=reading.notes,
+    )
+
+
+def _unit_times(raw: np.ndarray) -> np.ndarray:
+    """Times in [0,1] are kept as they are (D-NeRF's convention); others are stretched over the capture."""
+    if raw.min() >= 0 and raw.max() <= 1:
+        return raw
+    span = raw.max() - raw.min()
+    return (raw - raw.min()) / span if span > 0 else np.zeros_like(raw)
+
+
+def _output_size(width: int, height: int, max_size: int | None) -> tuple[int, int, float, float]:
+    """Size after `max_size` and the exact factors on x and y (pixel centres lie at +0.5, so K scales without an offset)."""
+    if not max_size or max(width, height) <= max_size:
+        return width, height, 1.0, 1.0
+    factor = max_size / max(width, height)
+    w, h = max(1, round(width * factor)), max(1, round(height * factor))
+    return w, h, w / width, h / height
+
+
+def _next_frames(shots: Sequence[Shot], camera: np.ndarray, time: np.ndarray, split: np.ndarray) -> np.ndarray:
+    """Index of the same camera's train frame at its next time, -1 where none.
+
+    Held-out frames have no next and are stepped over, so that measured flow never looks at a picture that is evaluated.
+    """
+    result = np.full(len(shots), -1, np.int32)
+    for key in np.unique(camera):
+        members = np.flatnonzero((camera == key) & (split == TRAIN))
+        members = members[np.argsort(time[members], kind="stable")]
+        for a, b in itertools.pairwise(members):
+            if time[b] > time[a] and shots[a].linked:
+                result[a] = b
+    return result
+
+
+def _refuse_duplicates(shots: Sequence[Shot]) -> None:
+    """The same picture twice in one split, or in training and in a held-out split, makes scores meaningless."""
+    seen: dict[str, Shot] = {}
+    for shot in shots:
+        if shot.file is None:
+            continue
+        other = seen.setdefault(shot.file, shot)
+        if other is not shot and (other.split == shot.split or TRAIN in (other.split, shot.split)):
+            raise CaptureError(
+                f"{shot.file}: listed twice (split {SPLITS[other.split]} and split {SPLITS[shot.split]}); list each image once"
+            )

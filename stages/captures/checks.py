@@ -1,0 +1,218 @@
+"""What every reader asks of a capture's files before it believes them: paths stay inside, numbers are finite, poses are rigid.
+
+Each function raises `CaptureError` with a message that names the file, the frame and the field, and says what to do.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import posixpath
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...pipeline import CaptureError
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".mpg", ".mpeg", ".ts", ".gif")
+_JSON_LIMIT = 512 * 2**20
+_RIGID_TOLERANCE = 1e-3
+
+
+def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Sort key under which `2.png` stands before `10.png`."""
+    parts = re.findall(r"\d+|\D+", name)
+    return tuple((0, int(p), "") if p.isdecimal() and p.isascii() and len(p) < 4000 else (1, 0, p) for p in parts)
+
+
+def list_folder(folder: Path) -> list[str]:
+    """Names in `folder` that are not hidden, in natural order."""
+    try:
+        names = os.listdir(folder)
+    except OSError as error:
+        raise CaptureError(f"{folder}: cannot be listed ({error.strerror}); check the path and its permissions") from error
+    return sorted((n for n in names if not n.startswith(".")), key=natural_key)
+
+
+def read_json(root: Path, name: str) -> dict[str, Any]:
+    """The JSON object in `root/name`; refuses other top-level types, broken text and files over 512 MiB."""
+    path = root / name
+    resolve_inside(root, name, name)
+    try:
+        if path.stat().st_size > _JSON_LIMIT:
+            raise CaptureError(f"{name}: larger than 512 MiB, which is no camera file; check the capture")
+        data = json.loads(path.read_bytes().decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise CaptureError(f"{name}: not UTF-8 (byte {error.start}); save the file as UTF-8") from error
+    except (ValueError, RecursionError) as error:
+        raise CaptureError(f"{name}: not valid JSON ({error}); the file may be cut short, copy it again") from error
+    except OSError as error:
+        raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
+    if not isinstance(data, dict):
+        raise CaptureError(f"{name}: expected a JSON object at the top, found {_kind(data)}; see the format's documentation")
+    return data
+
+
+def number(value: Any, where: str, low: float = -1e12, high: float = 1e12) -> float:
+    """`value` as a finite float in [low, high]. Booleans and strings are not numbers."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise CaptureError(f"{where}: expected a number, found {_kind(value)}; correct the file")
+    try:
+        result = float(value)
+    except OverflowError:
+        result = math.inf
+    if not math.isfinite(result):
+        raise CaptureError(f"{where}: not a finite number; correct the file or remove the frame")
+    if not low <= result <= high:
+        raise CaptureError(f"{where}: {result:g} lies outside [{low:g}, {high:g}]; correct the file")
+    return result
+
+
+def integer(value: Any, where: str, low: int, high: int) -> int:
+    result = number(value, where, low, high)
+    if result != int(result):
+        raise CaptureError(f"{where}: expected a whole number, found {result:g}; correct the file")
+    return int(result)
+
+
+def text(value: Any, where: str) -> str:
+    if not isinstance(value, str) or not value.strip():
+        raise CaptureError(f"{where}: expected a non-empty string, found {_kind(value)}; correct the file")
+    return value
+
+
+def items(value: Any, where: str) -> list[Any]:
+    if not isinstance(value, list) or not value:
+        raise CaptureError(f"{where}: expected a non-empty list, found {_kind(value)}; correct the file")
+    return value
+
+
+def matrix(value: Any, where: str, shapes: Sequence[tuple[int, int]]) -> np.ndarray:
+    """`value` (nested lists) as float64 of one of `shapes`, every entry finite."""
+    expected = " or ".join(f"{r}x{c}" for r, c in shapes)
+    if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+        raise CaptureError(f"{where}: expected a {expected} matrix, found {_kind(value)}; correct the file")
+    widths = {len(row) for row in value}
+    if len(widths) != 1 or (len(value), next(iter(widths))) not in shapes:
+        raise CaptureError(f"{where}: expected a {expected} matrix, found {len(value)} rows of {sorted(widths)} numbers; correct the file")
+    return np.array([[number(v, f"{where}[{r}][{c}]") for c, v in enumerate(row)] for r, row in enumerate(value)], dtype=np.float64)
+
+
+def rigid(pose: np.ndarray, where: str) -> np.ndarray:
+    """[3,4] or [4,4] rigid transform -> [4,4] float64 with an exactly orthonormal rotation. Refuses scale, shear and mirrors."""
+    result = np.eye(4)
+    result[:3, :4] = pose[:3, :4]
+    if not np.isfinite(result).all():
+        raise CaptureError(f"{where}: holds NaN or Inf; remove the frame or estimate its pose again")
+    if pose.shape[0] == 4 and np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise CaptureError(f"{where}: the last row is {pose[3].tolist()}, not [0, 0, 0, 1]; this is no camera pose (transposed, perhaps)")
+    rotation = result[:3, :3]
+    error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if error > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        reason = "mirrors" if error <= _RIGID_TOLERANCE else f"is {error:.2g} away from a rotation"
+        raise CaptureError(f"{where}: the 3x3 part {reason}, so the pose is not rigid; remove scale, shear and mirroring from the export")
+    # Files carry six or seven digits; the nearest rotation restores the rest, so that inverse and transpose agree downstream.
+    u, _, vt = np.linalg.svd(rotation)
+    result[:3, :3] = u @ vt
+    return result
+
+
+def inverse(rigid_transform: np.ndarray) -> np.ndarray:
+    """Inverse of a rigid [4,4] transform."""
+    rotation = rigid_transform[:3, :3].T
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    result[:3, 3] = -rotation @ rigid_transform[:3, 3]
+    return result
+
+
+def intrinsics(fx: float, fy: float, cx: float, cy: float, where: str, skew: float = 0.0) -> np.ndarray:
+    """[3,3] float64 K in pixels, pixel centres at +0.5. Refuses singular matrices and skew."""
+    values = np.array([fx, fy, cx, cy, skew])
+    if not np.isfinite(values).all():
+        raise CaptureError(f"{where}: intrinsics hold NaN or Inf; correct the file")
+    if min(fx, fy) <= 1e-6:
+        raise CaptureError(f"{where}: focal lengths must be positive, found {fx:g}, {fy:g} px; correct the file")
+    if abs(skew) > 1e-3 * max(fx, fy):
+        raise CaptureError(f"{where}: skew {skew:g} is not supported; rectify the images first")
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
+
+
+def resolve_inside(root: Path, name: str, where: str) -> Path:
+    """`root/name` with links resolved; refuses absolute paths, `..` that leaves the capture, and links that lead out of it."""
+    normal = posixpath.normpath(name)
+    absolute = name.startswith(("/", "~")) or re.match(r"^[A-Za-z]:", name)
+    if absolute or normal == ".." or normal.startswith("../") or "\0" in name:
+        raise CaptureError(f"{where}: the path {name!r} leaves the capture; use a path relative to {root}")
+    try:
+        real = (root / normal).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise CaptureError(f"{where}: the path {name[:200]!r} cannot be followed ({error}); correct it") from error
+    if not real.is_relative_to(root.resolve()):
+        raise CaptureError(f"{where}: {name!r} is a link that leads out of the capture; copy the file into {root}")
+    return real
+
+
+def find_image(root: Path, name: str, where: str) -> str:
+    """Path relative to `root` of the image that `name` means; the extension may be missing, `\\` counts as `/`."""
+    name = name.replace("\\", "/")
+    resolve_inside(root, name, where)
+    normal = posixpath.normpath(name)
+    suffixes = [s for suffix in IMAGE_SUFFIXES for s in (suffix, suffix.upper())]
+    for candidate in (normal, *(normal + suffix for suffix in suffixes)):
+        try:
+            found = (root / candidate).is_file()
+        except (OSError, ValueError):
+            found = False
+        if found:
+            resolve_inside(root, candidate, where)
+            return candidate
+    raise CaptureError(f"{where}: no image {name[:200]!r} in {root}; add the file or remove the frame")
+
+
+def image_header(root: Path, name: str) -> tuple[int, int, bool]:
+    """(width, height, has alpha) from the header of one image; nothing is decoded."""
+    from PIL import Image
+
+    try:
+        with Image.open(root / name) as image:
+            width, height = image.size
+            mode = image.mode
+            alpha = "A" in image.getbands() or "transparency" in image.info
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise CaptureError(f"{name}: not a readable image ({error}); copy it again or remove it from the capture") from error
+    if mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
+        raise CaptureError(f"{name}: pixels of kind {mode!r} are not supported; convert the images to 8-bit RGB or RGBA")
+    return width, height, alpha
+
+
+def image_headers(root: Path, names: Iterable[str]) -> tuple[int, int, bool]:
+    """(width, height, any alpha) of all `names`; one size is required."""
+    first: tuple[str, int, int] | None = None
+    any_alpha = False
+    for name in names:
+        width, height, alpha = image_header(root, name)
+        any_alpha |= alpha
+        if first is None:
+            first = (name, width, height)
+        elif (width, height) != first[1:]:
+            raise CaptureError(
+                f"{name}: {width}x{height}, but {first[0]} is {first[1]}x{first[2]}; all images of a capture need one size, "
+                "resize or remove the ones that differ"
+            )
+    if first is None:
+        raise CaptureError(f"{root}: holds no image")
+    return first[1], first[2], any_alpha
+
+
+def _kind(value: Any) -> str:
+    if value is None:
+        return "nothing (null)"
+    return {dict: "an object", list: "a list", str: "a string", bool: "a boolean", int: "a number", float: "a number"}.get(
+        type(value), type(value).__name__
+    ) + (" without entries" if isinstance(value, (list, dict, str)) and not value else "")

@@ -1,0 +1,116 @@
+"""One `transforms.json` (nerfstudio, instant-ngp): a moving camera, or several cameras when times repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...pipeline import CaptureError
+from . import checks, transforms
+from .capture import SPLITS, Options, Reading, Shot
+
+_FILE = "transforms.json"
+
+
+def detect(root: Path) -> str | None:
+    return _FILE if (root / _FILE).is_file() else None
+
+
+def read(root: Path, options: Options) -> Reading:
+    if detect(root) is None:
+        raise CaptureError(f"{root}: no {_FILE}, which the nerfstudio layout needs; pass its folder or another --format")
+    data = checks.read_json(root, _FILE)
+    frames = transforms.frames_of(data, _FILE)
+    paths = [
+        checks.find_image(root, checks.text(frame.get("file_path"), f"{_FILE}: frame {i}: file_path"), f"{_FILE}: frame {i}: file_path")
+        for i, frame in enumerate(frames)
+    ]
+    width, height, alpha = checks.image_headers(root, paths)
+    times = transforms.times_of(frames, _FILE)
+    # Files of this family are often unsorted: frames follow their time, or the natural order of their names.
+    keys: list[Any] = (
+        [checks.natural_key(p) for p in paths] if times is None else [(t, checks.natural_key(p)) for t, p in zip(times, paths)]
+    )
+    order = sorted(range(len(frames)), key=lambda i: keys[i])
+    splits = _splits(data, root)
+    shots = []
+    for rank, i in enumerate(order):
+        where = f"{_FILE}: frame {i}"
+        K, distortion = transforms.lens(frames[i], data, where, width, height)
+        shots.append(
+            Shot(
+                name=paths[i],
+                camera=0,
+                time=float(rank) if times is None else times[i],
+                file=paths[i],
+                mask=_mask(root, frames[i], where),
+                K=K,
+                cam_from_world=transforms.pose(frames[i], where),
+                distortion=distortion,
+            )
+        )
+    if splits is not None:
+        for shot in shots:
+            if shot.file not in splits:
+                raise CaptureError(f"{_FILE}: {shot.file} is in none of train_filenames, val_filenames, test_filenames; add it to one")
+            shot.split = splits[shot.file]
+    fixed = _cameras(shots)
+    fps = data.get("fps")
+    return Reading(
+        why=f"{_FILE}, {'several cameras' if len({s.camera for s in shots}) > 1 else 'one moving camera'}",
+        shots=shots,
+        width=width,
+        height=height,
+        alpha=alpha,
+        has_split=splits is not None,
+        fps=None if fps is None else checks.number(fps, f"{_FILE}: fps", 1e-3, 1e6),
+        fixed_cameras=fixed,
+        sources=(_FILE,),
+    )
+
+
+def _splits(data: dict[str, Any], root: Path) -> dict[str, int] | None:
+    """file -> split from nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`; None when the file has none."""
+    result: dict[str, int] = {}
+    if data.get("train_filenames") is None:
+        return None
+    for split, name in enumerate(SPLITS):
+        field = f"{name}_filenames"
+        if not data.get(field):
+            continue
+        for i, path in enumerate(checks.items(data[field], f"{_FILE}: {field}")):
+            where = f"{_FILE}: {field}[{i}]"
+            file = checks.find_image(root, checks.text(path, where), where)
+            # nerfstudio writes the same list for val and test when there is only one held-out set: it counts as test.
+            result[file] = max(split, result.get(file, 0))
+    return result
+
+
+def _mask(root: Path, frame: dict[str, Any], where: str) -> str | None:
+    path = frame.get("mask_path")
+    return None if path is None else checks.find_image(root, checks.text(path, f"{where}: mask_path"), f"{where}: mask_path")
+
+
+def _cameras(shots: Sequence[Shot]) -> bool:
+    """Tell cameras apart where several frames share a time; True when the same fixed cameras see every time."""
+    times = [round(s.time, 9) for s in shots]
+    distinct = len(set(times))
+    if distinct == len(times) or distinct == 1:
+        return False
+    # Same pose and same lens at several times: one tripod.
+    poses = [
+        tuple(np.round(np.concatenate([s.cam_from_world.ravel(), s.K.ravel()]), 5))
+        for s in shots
+        if s.cam_from_world is not None and s.K is not None
+    ]
+    ids = {key: i for i, key in enumerate(dict.fromkeys(poses))}
+    if len(ids) * distinct == len(shots):
+        for shot, key in zip(shots, poses, strict=True):
+            shot.camera = ids[key]
+        return True
+    for i, shot in enumerate(shots):
+        shot.camera = i
+    return False

@@ -1,0 +1,93 @@
+"""`recognise(path)`: which format a capture has, from its files alone, and why."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+from ...pipeline import CaptureError
+from . import checks, dnerf, images, n3v, nerfstudio, panoptic, video
+from .capture import Capture, Options, assemble
+
+# Formats with poses first: a bare folder of images or a lone video is what remains when no file says more.
+_POSED: dict[str, ModuleType] = {"dnerf": dnerf, "n3v": n3v, "panoptic": panoptic, "nerfstudio": nerfstudio}
+_BARE: dict[str, ModuleType] = {"images": images, "video": video}
+FORMATS = (*_POSED, *_BARE)
+_STEPPED = ("n3v", "images", "video")
+
+
+def recognise(
+    path: str | Path,
+    format: str | None = None,
+    static: bool = False,
+    holdout: int = 8,
+    background: str | None = None,
+    *,
+    max_size: int | None = None,
+    max_frames: int | None = None,
+    every: int | None = None,
+    fps: float | None = None,
+) -> Capture:
+    """Read a capture's names, JSON and image headers; decode no pixels (of a video, the first frame alone).
+
+    `format` forces a reader; `static` collapses all times to 0; every `holdout`-th frame is test where files carry no split
+    (0 none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px bounds the longer
+    side of what later stages see; `max_frames`, `every` thin video, images and synchronised videos; `fps` gives numbered images
+    their seconds. Raises `CaptureError` when the capture is unreadable, inconsistent, or fits two formats.
+    """
+    options = Options(format, static, holdout, background, max_size, max_frames, every, fps)
+    root = _existing(Path(path))
+    kind = _choose(root, format)
+    if (max_frames or every) and kind not in _STEPPED:
+        raise CaptureError(f"{root}: frames.every and frames.max_frames thin {', '.join(_STEPPED)}, not {kind}; leave them unset")
+    reading = (_POSED | _BARE)[kind].read(root, options)
+    return assemble(root if root.is_dir() else root.parent, kind, reading, options)
+
+
+def _existing(path: Path) -> Path:
+    try:
+        root = path.expanduser().resolve(strict=True)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise CaptureError(f"{path}: no such file or folder; check the path of the capture") from error
+    if not root.is_dir() and not root.is_file():
+        raise CaptureError(f"{path}: neither a file nor a folder; pass a video or the capture's folder")
+    if root.is_file() and root.suffix.lower() in (".json", ".npy", *checks.IMAGE_SUFFIXES):
+        raise CaptureError(f"{path}: one file of a capture; pass its folder {root.parent}")
+    return root
+
+
+def _choose(root: Path, format: str | None) -> str:
+    if format is not None:
+        if format not in FORMATS:
+            raise CaptureError(f"--format {format}: unknown; the formats are {', '.join(FORMATS)}")
+        return format
+    if root.is_file():
+        return "video"
+    if not checks.list_folder(root):
+        raise CaptureError(f"{root}: the folder is empty; pass a video, a folder of images, or a capture with poses")
+    found = _candidates(root, _POSED) or _candidates(root, _BARE)
+    if len(found) > 1:
+        reasons = " and as ".join(f"{kind} ({why})" for kind, why in found.items())
+        choices = " or ".join(f"--format {kind}" for kind in found)
+        raise CaptureError(f"{root}: can be read as {reasons}; choose with {choices}")
+    if not found:
+        raise CaptureError(f"{root}: nothing recognised here. {_advice(root)}")
+    return next(iter(found))
+
+
+def _candidates(root: Path, readers: dict[str, ModuleType]) -> dict[str, str]:
+    return {kind: why for kind, reader in readers.items() if (why := reader.detect(root)) is not None}
+
+
+def _advice(root: Path) -> str:
+    """The likeliest reason why a folder was not recognised."""
+    names = checks.list_folder(root)
+    folders = [name for name in names if (root / name).is_dir()]
+    videos = [name for name in names if name.lower().endswith(checks.VIDEO_SUFFIXES)]
+    if "poses_bounds.npy" in names:
+        return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
+    if len(videos) > 1:
+        return f"{len(videos)} videos: pass one of them, or name synchronised cameras cam00.mp4, cam01.mp4, ... beside poses_bounds.npy"
+    if folders:
+        return f"It has the folders {', '.join(folders[:6])}: pass the one that holds images, or add transforms.json"
+    return "Expected a video, images, transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
