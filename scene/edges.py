@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-# Thresholds on the gradient of 8-bit grey (Sobel 3x3, so a step of height h has gradient 4h), strongest first. Between two of the
-# strong thresholds Canny's hysteresis keeps whole contours, so a weight changes along an edge only where its contrast does.
+# (low, high, strength): hysteresis thresholds on the gradient of 8-bit grey, strongest first. Sobel 3x3 gives a step of height h the
+# gradient 4h before smoothing. Three levels let the weight follow the contrast of an edge without thinning its contour.
 LEVELS: tuple[tuple[float, float, float], ...] = ((100.0, 200.0, 1.0), (50.0, 100.0, 0.66), (25.0, 50.0, 0.33))
 FALLOFF = 1.0  # px, standard deviation of the weight across an edge
 BLUR = 1.0  # px, smoothing before the gradient; noise of 2 grey levels stays below the weakest level
