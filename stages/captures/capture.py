@@ -87,6 +87,7 @@ class Capture:
     """
 
     root: Path
+    name: str
     files: tuple[str, ...]
     facts: Mapping[str, Any]
     options: Options
@@ -109,7 +110,7 @@ class Capture:
     notes: tuple[str, ...] = field(default=())
 
 
-def assemble(root: Path, kind: str, reading: Reading, options: Options) -> Capture:
+def assemble(root: Path, name: str, kind: str, reading: Reading, options: Options) -> Capture:
     """Reader's frames -> `Capture`: times in [0,1], splits, pairs, facts; refuses captures that nothing can be trained on."""
     shots = reading.shots
     _refuse_duplicates(shots)
@@ -161,6 +162,7 @@ def assemble(root: Path, kind: str, reading: Reading, options: Options) -> Captu
     zeros = np.zeros(4)
     return Capture(
         root=root,
+        name=name,
         files=tuple(sorted(files)),
         facts=facts,
         options=options,

@@ -41,7 +41,13 @@ def recognise(
     if (max_frames or every) and kind not in _STEPPED:
         raise CaptureError(f"{root}: frames.every and frames.max_frames thin {', '.join(_STEPPED)}, not {kind}; leave them unset")
     reading = (_POSED | _BARE)[kind].read(root, options)
-    return assemble(root if root.is_dir() else root.parent, kind, reading, options)
+    return assemble(root if root.is_dir() else root.parent, _name(root), kind, reading, options)
+
+
+def _name(root: Path) -> str:
+    """Name of the scene: the folder's or the file's; `room/images` is called `room-images`, since every capture has an `images`."""
+    name = root.stem if root.is_file() else root.name
+    return f"{root.parent.name}-{name}" if name == "images" and root.parent.name else name or "capture"
 
 
 def _existing(path: Path) -> Path:

@@ -1,0 +1,133 @@
+"""Stage `frames`: what every frame is (time, camera, split, pose), and the decoded pictures of videos.
+
+Pictures that already are files are checked by decoding each once and are not copied; videos are decoded frame by frame into the
+artifact, so memory stays bounded. Arrays and attrs: docs/artifacts.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field
+
+from ..pipeline import Applies, Context, Settings, Stage
+
+if TYPE_CHECKING:
+    from .captures import Capture
+
+_DECODE_THREADS = 4
+
+
+class FramesSettings(Settings):
+    """How the capture is read; the same names as the arguments of `captures.recognise`."""
+
+    format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "images", "video"] | None = Field(
+        None, description="reader to use; recognised from the files when not set"
+    )
+    static: bool = Field(False, description="nothing moves: all times are one, no flow, no deformation")
+    holdout: int = Field(8, ge=0, le=100_000, description="every N-th frame is test where the files carry no split; 0 for none")
+    background: Literal["white", "black"] | None = Field(None, description="what alpha is composited on; white for captures with alpha")
+    max_size: int | None = Field(None, ge=16, le=65_536, description="px; larger pictures are scaled down by area, intrinsics along")
+    max_frames: int | None = Field(None, ge=2, le=1_000_000, description="at most so many frames of a camera (a lone video: 200)")
+    every: int | None = Field(
+        None, ge=1, le=1_000_000, description="take every N-th frame of a video or image sequence; wins over max_frames"
+    )
+    fps: float | None = Field(None, gt=0, le=1e6, description="frames per second of numbered images; 30 where the files say nothing")
+
+
+def recognise_for(path: str | Path, settings: FramesSettings) -> Capture:
+    """`captures.recognise` with these settings. Raises `CaptureError`."""
+    from .captures import recognise
+
+    return recognise(path, **settings.model_dump())
+
+
+class Frames(Stage):
+    name = "frames"
+    version = 1
+    inputs = ()
+    settings = FramesSettings
+    reads_capture = True
+
+    def applies(self, facts: Mapping[str, Any], settings: FramesSettings) -> Applies:
+        action = "pictures stay in their files" if facts["images_in_files"] else "pictures are decoded from video"
+        return Applies.yes(f"{facts['frames']} frames, {action}")
+
+    def estimate(self, facts: Mapping[str, Any], settings: FramesSettings) -> float | None:
+        """Decoding once, two cores: about 100 megapixels a second from image files, 25 from video into the store (measured)."""
+        megapixels = facts["frames"] * facts["width"] * facts["height"] / 1e6
+        return 0.5 + megapixels / (100 if facts["images_in_files"] else 25)
+
+    def run(self, ctx: Context) -> None:
+        from .captures import Capture
+
+        capture = ctx.capture
+        if not isinstance(capture, Capture):
+            capture = recognise_for(ctx.capture.root, ctx.settings)
+        for note in capture.notes:
+            ctx.log(note)
+        if capture.images is None:
+            _extract(capture, ctx)
+        else:
+            _check(capture, ctx)
+        _write(capture, ctx)
+
+
+def _write(capture: Capture, ctx: Context) -> None:
+    out = ctx.out
+    out.write("camera", capture.camera, doc="index of the camera that took the frame")
+    out.write("time", capture.time, doc="time over the capture, in [0,1]")
+    out.write("seconds", capture.seconds, unit="s", doc="time since the capture's start")
+    out.write("split", capture.split, doc="0 train, 1 val, 2 test")
+    out.write("next", capture.next, doc="the same camera's train frame at its next time, -1 where none")
+    if capture.K is not None and capture.cam_from_world is not None and capture.distortion is not None:
+        out.write("K", capture.K, unit="px", doc="intrinsics, pixel centres at +0.5")
+        out.write("cam_from_world", capture.cam_from_world, unit="world", doc="OpenCV pose of the camera")
+        out.write("distortion", capture.distortion, doc="k1 k2 p1 p2")
+    if capture.points is not None and capture.point_colors is not None:
+        out.write("points", capture.points, unit="world", doc="points of the capture's files")
+        out.write("point_colors", capture.point_colors, doc="RGB of points")
+    out.attrs.update(capture.facts)
+    out.attrs["names"] = list(capture.names)
+    out.attrs["background"] = capture.background
+    out.attrs["notes"] = list(capture.notes)
+    if capture.images is not None:
+        out.attrs["files"] = list(capture.images)
+    if capture.masks is not None:
+        out.attrs["mask_files"] = list(capture.masks)
+    if capture.K_hint is not None:
+        out.attrs["K_hint"] = list(capture.K_hint)
+
+
+def _extract(capture: Capture, ctx: Context) -> None:
+    """Decode every video into `images`, one chunk a frame."""
+    from .captures.video import decode
+
+    frames, height, width = capture.facts["frames"], capture.facts["height"], capture.facts["width"]
+    shape = (frames, height, width, 3)
+    images = ctx.out.create("images", shape, "uint8", (1, height, width, 3), doc="decoded RGB frames")
+    with ctx.progress(frames, "decode") as progress:
+        for video in capture.videos:
+            for offset, picture in enumerate(decode(capture.root, video, width, height)):
+                images[video.start + offset] = picture
+                progress.advance(1, video.file)
+
+
+def _check(capture: Capture, ctx: Context) -> None:
+    """Decode every picture and mask once, so that a file that is cut short is found now and not hours later in training."""
+    from .pictures import read_mask, read_picture
+
+    jobs = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
+    jobs += [(name, read_mask) for name in dict.fromkeys(m for m in capture.masks or () if m)]
+
+    def decode(job: tuple[str, Any]) -> str:
+        name, read = job
+        read(capture.root, name)
+        return name
+
+    with ctx.progress(len(jobs), "check pictures") as progress, ThreadPoolExecutor(_DECODE_THREADS) as pool:
+        for name in pool.map(decode, jobs):
+            progress.advance(1, name)

@@ -1,0 +1,107 @@
+"""`FrameSet`: the frames of a capture as numpy, poses from the files or from structure from motion. Imports no torch."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from ..pipeline import Artifact
+from . import pictures
+
+_MAPS_KEPT = 4  # undistortion maps take 8 bytes a pixel; one camera needs one
+
+
+class FrameSet:
+    """Frames of a capture: fields of the `frames` artifact, and pictures that fit the pinhole camera K.
+
+    frames: the `frames` artifact. root: the capture's folder, for pictures in files. poses: the `poses` artifact, whose K,
+    cam_from_world, distortion, points replace the capture's.
+
+    camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 where none); K [F,3,3] float64 px and
+    cam_from_world [F,4,4] float64 (OpenCV), None without poses; distortion [F,4]; registered [F] bool; points [P,3] float64 and
+    point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
+    train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
+    Pictures may be read from several threads at once; nothing is cached here.
+    """
+
+    def __init__(self, frames: Artifact, root: Path, poses: Artifact | None = None) -> None:
+        self.root = Path(root)
+        self.attrs = frames.attrs
+        self.width = int(frames.attrs["width"])
+        self.height = int(frames.attrs["height"])
+        self.background: str | None = frames.attrs["background"]
+        self.alpha = bool(frames.attrs["alpha"])
+        self.names: list[str] = frames.attrs["names"]
+        self.files: list[str] | None = frames.attrs.get("files")
+        self.mask_files: list[str | None] | None = frames.attrs.get("mask_files")
+        self.camera = frames.read("camera")
+        self.time = frames.read("time")
+        self.seconds = frames.read("seconds")
+        self.split = frames.read("split")
+        self.next = frames.read("next")
+        self._images = frames.array("images") if "images" in frames else None
+        source = poses if poses is not None else frames
+        posed = "cam_from_world" in source
+        self.K = source.read("K") if posed else None
+        self.cam_from_world = source.read("cam_from_world") if posed else None
+        self.distortion = source.read("distortion") if posed else np.zeros((len(self), 4))
+        self.points = source.read("points") if "points" in source else None
+        self.point_colors = source.read("point_colors") if "point_colors" in source else None
+        if self.K is None or self.cam_from_world is None:
+            self.registered = np.zeros(len(self), bool)
+        else:
+            finite = np.isfinite(self.cam_from_world).all((1, 2)) & np.isfinite(self.K).all((1, 2))
+            self.registered = finite & source.read("registered") if "registered" in source else finite
+        usable = self.registered if posed else np.ones(len(self), bool)
+        self.train, self.val, self.test = (np.flatnonzero(usable & (self.split == s)) for s in range(3))
+        self._maps: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    def image(self, i: int) -> np.ndarray:
+        """Frame i: uint8 [H,W,3], or [H,W,4] with straight alpha for captures with alpha; undistorted to the pinhole K."""
+        picture = self.original(i)
+        maps = self._undistortion(i)
+        return picture if maps is None else pictures.undistort(picture, maps)
+
+    def original(self, i: int) -> np.ndarray:
+        """Frame i at the capture's size, still with its lens distortion (what structure from motion matches on)."""
+        if self._images is not None:
+            return np.asarray(self._images[i])
+        assert self.files is not None
+        picture = pictures.resize(pictures.read_picture(self.root, self.files[i]), self.width, self.height)
+        if self.alpha and picture.shape[2] == 3:
+            picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
+        return picture
+
+    def composited(self, i: int) -> np.ndarray:
+        """Frame i as uint8 [H,W,3] on the capture's background."""
+        return pictures.composite(self.image(i), self.background)
+
+    def mask(self, i: int) -> np.ndarray | None:
+        """Foreground of frame i, uint8 [H,W] (255 foreground), undistorted like the image; None where the capture has none."""
+        name = self.mask_files[i] if self.mask_files is not None else None
+        if name is None:
+            return None
+        mask = pictures.resize(pictures.read_mask(self.root, name), self.width, self.height)
+        maps = self._undistortion(i)
+        return mask if maps is None else pictures.undistort(mask, maps)
+
+    def _undistortion(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Maps for `pictures.undistort`; None for frames without distortion or without a pose."""
+        if self.K is None or not self.registered[i] or not self.distortion[i].any():
+            return None
+        key = self.K[i].tobytes() + self.distortion[i].tobytes()
+        with self._lock:
+            maps = self._maps.get(key)
+        if maps is None:
+            maps = pictures.undistort_maps(self.K[i], self.distortion[i], self.width, self.height)
+            with self._lock:
+                if len(self._maps) >= _MAPS_KEPT:
+                    self._maps.pop(next(iter(self._maps)))
+                self._maps[key] = maps
+        return maps

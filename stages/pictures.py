@@ -1,0 +1,82 @@
+"""Decoding one image file, and resizing and undistorting pictures with or without alpha. Imports OpenCV inside functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from ..pipeline import CaptureError
+
+
+def read_picture(root: Path, name: str) -> np.ndarray:
+    """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (EXIF orientation is not applied, as in COLMAP)."""
+    from PIL import Image
+
+    try:
+        with Image.open(root / name) as image:
+            alpha = "A" in image.getbands() or "transparency" in image.info
+            return np.asarray(image.convert("RGBA" if alpha else "RGB"))
+    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise CaptureError(
+            f"{name}: cannot be decoded, perhaps cut short ({error}); copy it again or remove it from the capture"
+        ) from error
+
+
+def read_mask(root: Path, name: str) -> np.ndarray:
+    """uint8 [H,W] of a mask file; 255 is foreground (also for 1-bit files)."""
+    from PIL import Image
+
+    try:
+        with Image.open(root / name) as image:
+            return np.asarray(image.convert("L"))
+    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
+
+
+def resize(picture: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Scaled down by area; the picture itself when it has that size."""
+    import cv2
+
+    if picture.shape[:2] == (height, width):
+        return picture
+    return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=cv2.INTER_AREA))
+
+
+def undistort_maps(K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where each pixel of the pinhole image (same K) lies in the distorted one, for `undistort`. K has pixel centres at +0.5."""
+    import cv2
+
+    # OpenCV counts pixel centres from 0.
+    matrix = np.asarray(K, np.float64) - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    x, y = cv2.initUndistortRectifyMap(matrix, np.asarray(distortion, np.float64), None, matrix, (width, height), cv2.CV_32FC1)  # type: ignore[call-overload]
+    return x, y
+
+
+def undistort(picture: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """`picture` resampled (bicubic) to the pinhole image; beyond the source's border its edge pixels continue."""
+    import cv2
+
+    return _premultiplied(picture, lambda p: cv2.remap(p, *maps, interpolation=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+
+
+def composite(picture: np.ndarray, background: str | None) -> np.ndarray:
+    """uint8 [H,W,3]: straight alpha over "white" or "black" (None counts as black), rounded to nearest."""
+    if picture.shape[2] == 3:
+        return picture
+    alpha = picture[..., 3:].astype(np.uint16)
+    total = picture[..., :3] * alpha + (255 if background == "white" else 0) * (255 - alpha)
+    return ((total + 127) // 255).astype(np.uint8)
+
+
+def _premultiplied(picture: np.ndarray, operation: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Apply a resampling so that colours under alpha 0 do not bleed into what is visible."""
+    if picture.ndim == 2 or picture.shape[2] == 3:
+        return operation(picture)
+    values = picture.astype(np.float32)
+    values[..., :3] *= values[..., 3:] / 255
+    values = np.clip(operation(values), 0, 255)
+    alpha = values[..., 3:]
+    values[..., :3] = np.where(alpha > 0, values[..., :3] * 255 / np.maximum(alpha, 1e-6), 0)
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
