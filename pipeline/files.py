@@ -1,0 +1,104 @@
+"""Files written whole or not at all, and their digests."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from blake3 import blake3
+
+_THREADS = min(8, (os.cpu_count() or 1) * 2)
+
+
+def canonical_json(value: Any) -> bytes:
+    """One byte string for equal values: sorted keys, no spaces."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def digest_bytes(data: bytes) -> str:
+    """BLAKE3, 64 hex digits."""
+    return blake3(data).hexdigest()
+
+
+def digest_file(path: Path) -> str:
+    """BLAKE3 of a file's content, 64 hex digits. Raises OSError."""
+    hasher = blake3(max_threads=blake3.AUTO)
+    if os.path.getsize(path) > 1 << 20:
+        hasher.update_mmap(path)
+    else:
+        with open(path, "rb") as file:
+            hasher.update(file.read())
+    return hasher.hexdigest()
+
+
+def digest_files(root: Path, files: Iterable[str | Path]) -> dict[str, str]:
+    """Relative name (``/`` as separator) -> digest, in sorted order; several files at a time."""
+    names = sorted(Path(file).as_posix() for file in files)
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return dict(zip(names, pool.map(lambda name: digest_file(root / name), names)))
+
+
+def sizes(root: Path) -> dict[str, int]:
+    """Relative name -> bytes of every regular file below ``root``. A link or device counts as -1, so it matches nothing."""
+    found: dict[str, int] = {}
+    pending = [("", str(root))]
+    while pending:
+        prefix, folder = pending.pop()
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    pending.append((f"{prefix}{entry.name}/", entry.path))
+                else:
+                    regular = entry.is_file(follow_symlinks=False)
+                    found[prefix + entry.name] = entry.stat(follow_symlinks=False).st_size if regular else -1
+    return found
+
+
+def sync_file(path: Path) -> None:
+    """Asks the system to have a file, or a folder's list of names, on disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_tree(root: Path, files: Iterable[str]) -> None:
+    """fsync of the given files and of every folder below and including ``root``."""
+    with ThreadPoolExecutor(_THREADS) as pool:
+        list(pool.map(lambda name: sync_file(root / name), files))
+    for folder, _, _ in os.walk(root):
+        sync_file(Path(folder))
+
+
+def write_atomically(path: Path, data: bytes | str) -> None:
+    """Replaces ``path`` in one step: a reader, or a crash, sees the old content or the new, never a part."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data.encode() if isinstance(data, str) else data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    sync_file(path.parent)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Indented JSON, written atomically. NaN is not JSON and raises ValueError."""
+    write_atomically(path, json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file, or None when it is absent or not JSON."""
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return None

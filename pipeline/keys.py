@@ -1,0 +1,67 @@
+"""Cache keys: everything that decides a stage's result, and nothing else (never a time stamp)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from .errors import CaptureError, SettingsError
+from .files import canonical_json, digest_bytes, digest_file, digest_files
+from .settings import Settings
+from .stage import Capture, Stage
+
+
+def capture_digest(capture: Capture) -> str:
+    """BLAKE3 over the relative names and contents of all files of a capture. Raises CaptureError for a file that cannot be read."""
+    try:
+        digests = digest_files(Path(capture.root), capture.files)
+    except OSError as error:
+        raise CaptureError(
+            f"{error.filename or capture.root}: cannot be read ({error.strerror or error}); check the capture's files"
+        ) from error
+    return digest_bytes(canonical_json(digests))
+
+
+def settings_parts(settings: Settings) -> dict[str, Any]:
+    """The settings as JSON; a ``Path`` field counts with the content of the file that it names."""
+    parts = settings.model_dump(mode="json")
+    for name in type(settings).model_fields:
+        value = getattr(settings, name)
+        if isinstance(value, Path):
+            parts[name] = {"file": _file_digest(name, value)}
+    return parts
+
+
+def _file_digest(name: str, path: Path) -> str:
+    if not os.path.isfile(path):
+        raise SettingsError(f"{name}={path}: there is no such file")
+    try:
+        return digest_file(path)
+    except OSError as error:
+        raise SettingsError(f"{name}={path}: cannot be read ({error.strerror})") from error
+
+
+def key_parts(stage: Stage, settings: Settings, inputs: Mapping[str, str | None], capture: str | None, device: str) -> dict[str, Any]:
+    """What a stage's result depends on, as JSON.
+
+    ``inputs`` maps input stages to the content digests of their artifacts (None: skipped). Content, not keys: an input that was
+    made again and came out equal leaves this key as it was, and the rerun stops there.
+    """
+    parts: dict[str, Any] = {
+        "stage": stage.name,
+        "version": stage.version,
+        "settings": settings_parts(settings),
+        "inputs": {name: inputs[name] for name in stage.inputs},
+    }
+    if stage.reads_capture:
+        parts["capture"] = capture
+    if stage.device_class:
+        parts["device"] = device
+    return parts
+
+
+def key_of(parts: Mapping[str, Any]) -> str:
+    """32 hex digits that name a result in the store."""
+    return digest_bytes(canonical_json(parts))[:32]

@@ -1,0 +1,105 @@
+"""What a run would do, stage by stage, and why; nothing runs and nothing heavy is imported."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from .artifact import Artifact
+from .errors import ArtifactError
+from .job import Job
+from .keys import key_of
+from .records import differences
+from .stage import Stage
+
+
+@dataclass(frozen=True)
+class Row:
+    """A stage in the plan. ``key`` and ``parts`` are unknown (None) while an input has still to be made."""
+
+    stage: str
+    state: Literal["cached", "run", "skip"]
+    reason: str
+    estimate: float | None = None  # seconds, for rows that run
+    key: str | None = None
+    parts: Mapping[str, Any] | None = None
+    artifact: Artifact | None = None  # of a cached row
+
+    def as_json(self) -> dict[str, Any]:
+        return {"stage": self.stage, "state": self.state, "reason": self.reason, "estimate_seconds": self.estimate, "key": self.key}
+
+
+def make_plan(job: Job, targets: Iterable[str] | None = None, force: Collection[str] = ()) -> list[Row]:
+    """Rows for the targets (default: all stages) and what they need, in running order.
+
+    ``force`` names stages that run although they are cached.
+    """
+    names = list(job.graph.stages) if targets is None else list(targets)
+    rows: dict[str, Row] = {}
+    for stage in job.graph.needed_for(names):
+        waiting = [rows[name] for name in stage.inputs if rows[name].state == "run"]
+        if waiting and job.graph[stage.name].applies(job.capture.facts, job.settings[stage.name]).needed:
+            rows[stage.name] = _unknown(job, stage, waiting)
+        else:
+            rows[stage.name] = assess(job, stage, {name: _digest(rows[name]) for name in stage.inputs}, stage.name in force)
+    return list(rows.values())
+
+
+def assess(job: Job, stage: Stage, inputs: Mapping[str, str | None], forced: bool = False) -> Row:
+    """The row of a stage whose inputs are known (content digests, None: skipped)."""
+    settings = job.settings[stage.name]
+    applies = stage.applies(job.capture.facts, settings)
+    if not applies.needed:
+        return Row(stage.name, "skip", applies.reason)
+    parts = job.parts(stage, inputs)
+    key = key_of(parts)
+    estimate = stage.estimate(job.capture.facts, settings)
+    damage = ""
+    if job.store.has(stage.name, key):
+        try:
+            artifact = job.store.open(stage.name, key)
+            if not forced:
+                return Row(stage.name, "cached", _cached_reason(job, stage, key), None, key, parts, artifact)
+        except ArtifactError as error:
+            damage = str(error)
+    reason = "forced" if forced else f"damaged: {damage}" if damage else _run_reason(job, stage, parts, key)
+    if not forced and _has_entries(job, stage, key):
+        reason += "; continues from a checkpoint"
+    return Row(stage.name, "run", reason, estimate, key, parts)
+
+
+def _digest(row: Row) -> str | None:
+    return row.artifact.digest if row.artifact is not None else None
+
+
+def _cached_reason(job: Job, stage: Stage, key: str) -> str:
+    record = job.records.read(stage.name)
+    return "nothing changed" if record is None or record["key"] == key else "was made before with the same inputs and settings"
+
+
+def _run_reason(job: Job, stage: Stage, parts: Mapping[str, Any], key: str) -> str:
+    record = job.records.read(stage.name)
+    if record is None:
+        return "never run for this scene"
+    if record["key"] == key:
+        return "its result is no longer in the store"
+    return "; ".join(differences(record["parts"], parts))
+
+
+def _unknown(job: Job, stage: Stage, waiting: list[Row]) -> Row:
+    """A stage behind one that runs: its key is known once that one is done, and an equal result would stop the rerun there."""
+    reason = f"after {', '.join(row.stage for row in waiting)}"
+    record = job.records.read(stage.name)
+    if record is None:
+        reason = f"never run for this scene; {reason}"
+    else:
+        known = {**job.parts(stage, dict.fromkeys(stage.inputs)), "inputs": record["parts"].get("inputs")}
+        own = differences(record["parts"], known)
+        reason = "; ".join([*own, reason])
+    return Row(stage.name, "run", reason, stage.estimate(job.capture.facts, job.settings[stage.name]))
+
+
+def _has_entries(job: Job, stage: Stage, key: str) -> bool:
+    folder = job.store.checkpoints(stage.name, key)
+    return folder.is_dir() and any(folder.iterdir())

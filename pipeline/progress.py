@@ -1,0 +1,81 @@
+"""Progress of a long loop: a bar with the time left on a terminal, a line now and then elsewhere, nothing for quick things."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_QUIET_SECONDS = 1.0  # a loop that ends before shows nothing
+_LINE_SECONDS = 10.0
+
+
+class Progress:
+    """``with ctx.progress(3000, "training") as bar: bar.advance(note="loss 0.01")``."""
+
+    def __init__(self, total: int, label: str, console: Console | None = None, line_seconds: float = _LINE_SECONDS) -> None:
+        self.total, self.label, self.done = max(0, int(total)), label, 0
+        self._console, self._line_seconds = console, line_seconds
+        self._start = self._last = time.monotonic()
+        self._bar: Any = None
+        self._task: Any = None
+
+    def advance(self, n: int = 1, note: str = "") -> None:
+        """``n`` more units are done; ``note`` is shown beside the bar."""
+        self.done += n
+        now = time.monotonic()
+        if self._console is None or now - self._start < _QUIET_SECONDS:
+            return
+        if self._console.is_terminal:
+            self._show_bar(note)
+        elif now - self._last >= self._line_seconds:
+            self._last = now
+            self._console.print(self._line(now, note), markup=False, highlight=False, soft_wrap=True)
+
+    def _show_bar(self, note: str) -> None:
+        if self._bar is None:
+            from rich import progress
+
+            self._bar = progress.Progress(
+                progress.TextColumn("  {task.description}"),
+                progress.BarColumn(),
+                progress.MofNCompleteColumn(),
+                progress.TimeRemainingColumn(),
+                progress.TextColumn("{task.fields[note]}"),
+                console=self._console,
+                transient=True,
+            )
+            self._task = self._bar.add_task(self.label, total=self.total, note=note)
+            self._bar.start()
+        self._bar.update(self._task, completed=self.done, **({"note": note} if note else {}))
+
+    def _line(self, now: float, note: str) -> str:
+        percent = 100 * self.done / self.total if self.total else 100.0
+        left = (now - self._start) / max(1, self.done) * max(0, self.total - self.done)
+        return f"  {self.label}: {self.done}/{self.total} ({percent:.0f} %), {duration(left)} left{', ' + note if note else ''}"
+
+    def close(self) -> None:
+        """Takes the bar away; called at the end of the ``with``."""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def duration(seconds: float) -> str:
+    """``0.42 s``, ``12 s``, ``3 min 05 s``, ``2 h 10 min``."""
+    if seconds < 10:
+        return f"{seconds:.2g} s"
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"

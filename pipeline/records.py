@@ -1,0 +1,58 @@
+"""What was last run for one scene: the key parts of every stage, so that a rerun can say what changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from .files import read_json, write_json
+
+
+class Records:
+    """One JSON file a stage in a scene's folder: ``{"key", "parts", "digest"}`` of the stage's last result."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(folder)
+
+    def read(self, stage: str) -> dict[str, Any] | None:
+        """The record of a stage's last result, or None."""
+        record = read_json(self.folder / f"{stage}.json")
+        valid = isinstance(record, dict) and isinstance(record.get("key"), str) and isinstance(record.get("parts"), dict)
+        return record if valid else None
+
+    def write(self, stage: str, key: str, parts: Mapping[str, Any], digest: str) -> None:
+        record = {"key": key, "parts": dict(parts), "digest": digest}
+        if self.read(stage) != record:
+            write_json(self.folder / f"{stage}.json", record)
+
+
+def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """Which key fields differ, one line each: ``settings.iterations: 3000 -> 2000``."""
+    lines = []
+    for field in sorted({*old, *new}):
+        before, after = old.get(field), new.get(field)
+        if before == after:
+            continue
+        if field in ("settings", "inputs") and isinstance(before, Mapping) and isinstance(after, Mapping):
+            for name in sorted({*before, *after}):
+                if name not in before or name not in after or before[name] != after[name]:
+                    lines.append(_line(field, name, before.get(name, "(absent)"), after.get(name, "(absent)")))
+        elif field == "capture":
+            lines.append("the capture's files have another content")
+        else:
+            lines.append(f"{field}: {before} -> {after}")
+    return lines
+
+
+def _line(field: str, name: str, before: Any, after: Any) -> str:
+    if field == "settings":
+        return f"settings.{name}: {_short(before)} -> {_short(after)}"
+    if before is None or after is None:
+        return f"input {name}: {'skipped' if before is None else 'there'} -> {'skipped' if after is None else 'there'}"
+    return f"input {name} has another content"
+
+
+def _short(value: Any) -> str:
+    text = f"file {value['file'][:8]}" if isinstance(value, Mapping) and "file" in value else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

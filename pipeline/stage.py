@@ -1,0 +1,85 @@
+"""What a stage is, and what it is given when it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+from .settings import Settings
+
+if TYPE_CHECKING:
+    from .artifact import Artifact
+    from .progress import Progress
+    from .writer import ArtifactWriter
+
+
+class Capture(Protocol):
+    """Input files of a run. ``facts`` are known from names and headers alone; ``files`` are relative to ``root``."""
+
+    @property
+    def root(self) -> Path: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def files(self) -> Sequence[str | Path]: ...
+    @property
+    def facts(self) -> Mapping[str, Any]: ...
+
+
+@dataclass(frozen=True)
+class Applies:
+    """Whether a stage has anything to do for a capture, and why."""
+
+    needed: bool
+    reason: str
+
+    @classmethod
+    def yes(cls, reason: str = "") -> Applies:
+        return cls(True, reason)
+
+    @classmethod
+    def no(cls, reason: str) -> Applies:
+        return cls(False, reason)
+
+
+class Stage:
+    """One step of a workflow: reads artifacts, writes one artifact. Subclasses set the class attributes and write ``run``.
+
+    A stage must give the same arrays and attrs for the same key; what varies from run to run (timings) goes to ``ctx.out.info``.
+    """
+
+    name: ClassVar[str]  # CLI name and settings prefix
+    version: ClassVar[int] = 1  # raised when the output's meaning changes
+    inputs: ClassVar[tuple[str, ...]] = ()  # names of stages; a skipped one arrives as None
+    settings: ClassVar[type[Settings]] = Settings
+    reads_capture: ClassVar[bool] = False  # the capture's content digest enters the key
+    device_class: ClassVar[bool] = False  # results differ between cpu and cuda, the key says which
+
+    def applies(self, facts: Mapping[str, Any], settings: Any) -> Applies:
+        """Whether there is anything to do; must be quick and import nothing heavy."""
+        return Applies.yes()
+
+    def estimate(self, facts: Mapping[str, Any], settings: Any) -> float | None:
+        """Expected wall time in seconds, or None where nobody has measured it."""
+        return None
+
+    def run(self, ctx: Context) -> None:
+        """Writes the artifact into ``ctx.out``. Raises StageError or CaptureError with a message for the user."""
+        raise NotImplementedError
+
+
+@dataclass
+class Context:
+    """What a running stage may touch."""
+
+    capture: Capture
+    facts: Mapping[str, Any]
+    settings: Any  # the stage's own Settings instance
+    inputs: Mapping[str, Artifact | None]
+    out: ArtifactWriter
+    checkpoints: Path  # survives a kill, belongs to this key, emptied once the stage is published
+    device: str  # "cpu" | "cuda"
+    log: Callable[[str], None]  # one line for the user and the report
+    progress: Callable[[int, str], Progress]  # progress(total, label)

@@ -1,0 +1,159 @@
+"""The store of a workspace: results by key, each published whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from .artifact import MANIFEST, Artifact
+from .errors import ArtifactError
+from .files import sync_file
+from .writer import ArtifactWriter
+
+_INTERNAL = ("locks", "tmp", "checkpoints")
+
+
+class Store:
+    """``<stage>/<key>/`` artifacts, ``tmp/`` for what is being written, ``checkpoints/<stage>-<key>/``, ``locks/``.
+
+    Whoever holds the lock of a key is the only one who builds it, so whatever lies in ``tmp`` for that key was left by a dead run.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = Path(root)
+
+    def path(self, stage: str, key: str) -> Path:
+        return self.root / stage / key
+
+    def checkpoints(self, stage: str, key: str) -> Path:
+        """Where a stage keeps its progress for exactly this key; not created here."""
+        return self.root / "checkpoints" / f"{stage}-{key}"
+
+    def has(self, stage: str, key: str) -> bool:
+        """Whether something lies under this key; opening it says whether it is valid."""
+        return self.path(stage, key).is_dir()
+
+    def open(self, stage: str, key: str) -> Artifact:
+        """The artifact under a key. Raises ArtifactError when there is none or it is damaged."""
+        return Artifact(self.path(stage, key))
+
+    @contextmanager
+    def lock(self, stage: str, key: str, waiting: Any = None) -> Iterator[None]:
+        """The exclusive right to build a key, across processes; the system frees it when its holder dies.
+
+        ``waiting()`` is called once when another process holds it.
+        """
+        lock = self._lock(stage, key)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            if waiting is not None:
+                waiting()
+            lock.acquire()
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def _lock(self, stage: str, key: str) -> FileLock:
+        folder = self.root / "locks"
+        folder.mkdir(parents=True, exist_ok=True)
+        return FileLock(folder / f"{stage}-{key}.lock")
+
+    @contextmanager
+    def writing(self, stage: str, key: str) -> Iterator[ArtifactWriter]:
+        """A writer in a temporary folder, removed at the end unless published. Hold the key's lock around it."""
+        self._sweep_key(stage, key)
+        folder = self.root / "tmp" / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
+        folder.mkdir(parents=True)
+        try:
+            yield ArtifactWriter(folder)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def publish(self, writer: ArtifactWriter, stage: str, key: str, provenance: Mapping[str, Any]) -> Artifact:
+        """Finishes the writer and moves its folder into place in one rename; then drops the key's checkpoints.
+
+        An artifact that was there (a forced or damaged one) is moved aside first and put back if the move fails.
+        """
+        writer.finish(provenance)
+        target = self.path(stage, key)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        aside = None
+        if target.exists():
+            aside = self.root / "tmp" / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
+            os.rename(target, aside)
+        try:
+            os.rename(writer.path, target)
+        except BaseException:
+            if aside is not None:
+                os.rename(aside, target)
+            raise
+        sync_file(target.parent)
+        if aside is not None:
+            shutil.rmtree(aside, ignore_errors=True)
+        self.drop_checkpoints(stage, key)
+        return Artifact(target)
+
+    def drop_checkpoints(self, stage: str, key: str) -> None:
+        shutil.rmtree(self.checkpoints(stage, key), ignore_errors=True)
+
+    def _sweep_key(self, stage: str, key: str) -> None:
+        for folder in (self.root / "tmp").glob(f"{stage}-{key}-*"):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def sweep(self) -> list[str]:
+        """Removes what dead runs left in ``tmp``; whatever a living process builds is locked and stays. Returns the names removed."""
+        removed = []
+        for folder in sorted((self.root / "tmp").glob("*-*-*")):
+            stage, key, _ = folder.name.rsplit("-", 2)
+            lock = self._lock(stage, key)
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                continue
+            try:
+                shutil.rmtree(folder, ignore_errors=True)
+                removed.append(folder.name)
+            finally:
+                lock.release()
+        return removed
+
+    def keys(self) -> list[tuple[str, str]]:
+        """(stage, key) of everything that lies in the store, valid or not."""
+        if not self.root.is_dir():
+            return []
+        stages = sorted(folder for folder in self.root.iterdir() if folder.is_dir() and folder.name not in _INTERNAL)
+        return [(folder.name, entry.name) for folder in stages for entry in sorted(folder.iterdir()) if entry.is_dir()]
+
+    def remove(self, stage: str, key: str) -> bool:
+        """Removes an artifact (its manifest first, so that a crash leaves nothing valid). False when a process builds or keeps it."""
+        lock = self._lock(stage, key)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            return False
+        try:
+            (self.path(stage, key) / MANIFEST).unlink(missing_ok=True)
+            shutil.rmtree(self.path(stage, key), ignore_errors=True)
+        finally:
+            lock.release()
+        return True
+
+    def verify(self) -> list[tuple[str, str, str]]:
+        """Digests everything again: (stage, key, problem) with an empty problem where all is well."""
+        results = []
+        for stage, key in self.keys():
+            try:
+                self.open(stage, key).verify()
+                results.append((stage, key, ""))
+            except ArtifactError as error:
+                results.append((stage, key, str(error)))
+        return results
