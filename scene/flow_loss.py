@@ -23,8 +23,11 @@ def project(camera: Camera, points: Tensor) -> Tensor:
     return torch.stack([camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]], 1)
 
 
-def _centres(gaussians: Gaussians, convexes: Convexes) -> tuple[Tensor, Tensor]:
-    return gaussians.means, convexes.points.mean(1)
+def _centres(model: Model, gaussians: Gaussians, convexes: Convexes) -> tuple[Tensor, Tensor]:
+    """Centres of both kinds, attached to the motion but not to the rest positions."""
+    centres = gaussians.means, convexes.points.mean(1)
+    rest = model.gaussians.means, model.convexes.points.mean(1)
+    return centres[0] - rest[0] + rest[0].detach(), centres[1] - rest[1] + rest[1].detach()
 
 
 def _detached(kind: Gaussians | Convexes, extras: Tensor):
@@ -45,8 +48,8 @@ def rendered_flow(model: Model, camera: Camera, t: float, next_camera: Camera, t
     """
     now, later = model.at(t, camera), model.at(t_next, camera)
     extras = []
-    for kind, a, b in zip((model.gaussians, model.convexes), _centres(*now), _centres(*later)):
-        flow = project(next_camera, b) - project(camera, a.detach())
+    for kind, a, b in zip((model.gaussians, model.convexes), _centres(model, *now), _centres(model, *later)):
+        flow = project(next_camera, b) - project(camera, a)
         # A footprint-sized bound keeps one primitive beside the camera from dominating the sum.
         flow = flow.clamp(-camera.width, camera.width)
         extras.append(torch.where(kind.dynamic[:, None], flow, flow.detach()))

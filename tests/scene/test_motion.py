@@ -1,0 +1,193 @@
+"""The model in time: what enters the field, what leaves it, rendered flow and its losses."""
+
+import numpy as np
+import pytest
+import torch
+from e4dgs.rasterizer import Camera
+from e4dgs.scene.dynamics import dynamic_from_masks, freeze_still_gaussians
+from e4dgs.scene.field import DeformationField
+from e4dgs.scene.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
+from e4dgs.scene.model import Model
+from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.views import Views
+
+WIDTH, HEIGHT = 48, 32
+
+
+class Path(torch.nn.Module):
+    """A motion with a known path: dx = velocity t + acceleration t^2, for every position."""
+
+    def __init__(self, velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
+        super().__init__()
+        self.velocity = torch.nn.Parameter(torch.tensor(velocity).float())
+        self.acceleration = torch.nn.Parameter(torch.tensor(acceleration).float())
+
+    def forward(self, rest, t):
+        from e4dgs.scene.motion import Displacement
+
+        dx = (self.velocity * t + self.acceleration * t * t).expand(len(rest), 3)
+        return Displacement(dx, torch.zeros(len(rest), 4), torch.zeros(len(rest), 3))
+
+
+def camera():
+    K = torch.tensor([[40.0, 0, WIDTH / 2], [0, 40.0, HEIGHT / 2], [0, 0, 1]])
+    pose = torch.eye(4)
+    pose[2, 3] = 4.0
+    return Camera(K, pose, WIDTH, HEIGHT)
+
+
+def model(motion=None, convex=False):
+    points = np.array([[0.0, 0, 0], [0.3, 0.1, 0.2], [-0.4, 0, 0.5]])
+    g = GaussianSet.from_points(points, np.full((3, 3), 0.5), 0, opacity=0.95)
+    with torch.no_grad():
+        g.log_scales.fill_(-1.5)
+    rng = np.random.default_rng(0)
+    hull = rng.normal(size=(1, 6, 3)) * 0.3
+    c = ConvexSet.from_hulls(hull, np.full((1, 3), 0.5), 0) if convex else ConvexSet.empty(6, 0)
+    return Model(g, c, motion, 0)
+
+
+def views(frames=3):
+    K = camera().K.numpy()[None].repeat(frames, 0).astype(float)
+    poses = camera().cam_from_world.numpy()[None].repeat(frames, 0).astype(float)
+    index = np.arange(frames)
+    image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    return Views(
+        K, poses, np.linspace(0, 1, frames), np.zeros(frames, int), np.append(index[1:], -1), index, WIDTH, HEIGHT, lambda i: image
+    )
+
+
+def test_an_untrained_field_moves_nothing():
+    field = DeformationField(torch.tensor([-1.0, -1, -1]), torch.tensor([1.0, 1, 1]), times=5)
+    m = model(field)
+    still, _ = model().at(0.0)
+    for t in (0.0, 0.4, 1.0):
+        now, _ = m.at(t)
+        assert torch.equal(now.means, still.means) and torch.equal(now.scales, still.scales) and torch.equal(now.quats, still.quats)
+
+
+@pytest.mark.parametrize(("low", "high"), [([0.0, 0, 0], [0.0, 0, 0]), ([-1.0, 0, 0], [1.0, 0, 1e-12]), ([-1e9] * 3, [1e9] * 3)])
+def test_flat_and_huge_boxes_stay_finite(low, high):
+    field = DeformationField(torch.tensor(low), torch.tensor(high), times=1)
+    with torch.no_grad():
+        field.head.weight.normal_()
+    for t in (-1.0, 0.5, 2.0):
+        out = field(torch.tensor([[0.0, 0, 0], [1e6, -1e6, 3]]), t)
+        assert all(torch.isfinite(part).all() for part in out)
+
+
+def test_only_what_moves_enters_the_field():
+    calls = []
+
+    class Counting(Path):
+        def forward(self, rest, t):
+            calls.append(len(rest))
+            return super().forward(rest, t)
+
+    m = model(Counting((1.0, 0, 0)), convex=True)
+    m.gaussians.dynamic = torch.tensor([False, True, False])
+    m.convexes.dynamic = torch.tensor([True])
+    g, c = m.at(0.5)
+    assert calls == [1 + 6]
+    shift = (g.means - m.gaussians.means).detach()
+    assert torch.allclose(shift, torch.tensor([[0.0, 0, 0], [0.5, 0, 0], [0, 0, 0]]), atol=1e-6)
+    assert torch.allclose((c.points - m.convexes.points).detach(), torch.tensor([0.5, 0, 0]).expand(1, 6, 3), atol=1e-6)
+    m.gaussians.dynamic[:] = False
+    m.convexes.dynamic[:] = False
+    m.at(0.5)
+    assert len(calls) == 1
+
+
+def test_what_a_camera_cannot_see_skips_the_field():
+    m = model(Path((1.0, 0, 0)))
+    with torch.no_grad():
+        m.gaussians.means[0] = torch.tensor([0.0, 0, -100.0])  # behind
+        m.gaussians.means[1] = torch.tensor([50.0, 0, 0])  # beside
+    shift = (m.at(1.0, camera())[0].means - m.gaussians.means).detach().norm(dim=1)
+    assert shift.tolist() == pytest.approx([0.0, 0.0, 1.0])
+
+
+def test_model_arrays_round_trip():
+    field = DeformationField(torch.tensor([-1.0, -1, -1]), torch.tensor([1.0, 1, 1]), times=4, resolutions=(4, 8), channels=4, width=8)
+    with torch.no_grad():
+        field.head.weight.normal_()
+    m = model(field, convex=True)
+    again = Model.from_arrays(m.to_arrays(), m.config)
+    a, b = m.render(camera(), 0.3), again.render(camera(), 0.3)
+    assert torch.equal(a.color, b.color) and float(a.alpha.detach().max()) > 0.5
+
+
+def test_rendered_flow_is_the_projected_displacement():
+    m = model(Path((0.5, 0.0, 0.0)))
+    flow, alpha = rendered_flow(m, camera(), 0.0, camera(), 0.2)
+    solid = alpha > 0.5
+    now, later = project(camera(), m.at(0.0)[0].means), project(camera(), m.at(0.2)[0].means)
+    expected = (later - now).detach()
+    assert solid.any()
+    assert float(flow[solid][:, 0].min().detach()) >= float(expected[:, 0].min()) - 1e-4
+    assert float(flow[solid][:, 0].max().detach()) <= float(expected[:, 0].max()) + 1e-4
+    assert flow[..., 1].detach().abs().max() < 1e-4
+
+
+def test_interval_loss_is_zero_for_steady_motion_and_grows_with_acceleration():
+    edges = torch.ones(HEIGHT, WIDTH)
+    steady = interval_loss(model(Path((0.0, 0, 0))), camera(), 0.0, 0.2, edges)
+    small = interval_loss(model(Path((0, 0, 0), (0.5, 0, 0))), camera(), 0.0, 0.2, edges)
+    large = interval_loss(model(Path((0, 0, 0), (1.0, 0, 0))), camera(), 0.0, 0.2, edges)
+    assert float(steady.detach()) < 1e-8
+    assert float(large.detach()) == pytest.approx(4 * float(small.detach()), rel=0.1)
+
+
+def test_flow_terms_reach_the_motion_and_nothing_else():
+    motion = Path((0.3, 0.1, 0.0), (0.4, 0.2, 0.1))
+    m = model(motion)
+    edges = torch.ones(HEIGHT, WIDTH)
+    interval_loss(m, camera(), 0.0, 0.2, edges).backward()
+    assert motion.acceleration.grad.norm() > 0
+    assert m.gaussians.opacity_logits.grad is None and m.gaussians.log_scales.grad is None
+    motion.zero_grad()
+    m.gaussians.means.grad = None
+    m.gaussians.dynamic[:] = False
+    loss = data_flow_loss(m, camera(), 0.0, camera(), 0.2, torch.zeros(HEIGHT, WIDTH, 2), edges)
+    loss.backward()
+    assert motion.acceleration.grad is None or motion.acceleration.grad.abs().max() == 0
+    assert m.gaussians.means.grad.abs().max() == 0
+
+
+def test_interval_gradient_matches_central_differences():
+    """One Gaussian: the flow of every pixel that it covers is its own, so holding the blending weights fixed changes nothing."""
+    edges = torch.ones(HEIGHT, WIDTH)
+
+    def loss(motion):
+        m = model(motion)
+        m.gaussians = m.gaussians.select(torch.tensor([0]))
+        return interval_loss(m, camera(), 0.0, 0.2, edges)
+
+    motion = Path((0.3, 0.1, 0.0), (0.4, 0.2, 0.1))
+    loss(motion).backward()
+
+    def value(axis, shift):
+        acceleration = [0.4, 0.2, 0.1]
+        acceleration[axis] += shift
+        return float(loss(Path((0.3, 0.1, 0.0), acceleration)).detach())
+
+    for axis in range(3):
+        numeric = (value(axis, 1e-2) - value(axis, -1e-2)) / 2e-2
+        assert float(motion.acceleration.grad[axis]) == pytest.approx(numeric, rel=1e-2, abs=1e-3)
+
+
+def test_still_gaussians_leave_the_field_where_they_stand():
+    m = model(Path((1e-4, 0, 0)))
+    before = m.at(0.5)[0].means.detach()
+    assert freeze_still_gaussians(m, views()) == 3
+    assert not m.gaussians.dynamic.any()
+    assert torch.allclose(m.at(0.5)[0].means, before, atol=1e-4)
+    moving = model(Path((0.5, 0, 0)))
+    assert freeze_still_gaussians(moving, views()) == 0
+
+
+def test_fixed_cameras_tell_what_moves():
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[:, WIDTH // 2 :] = 255
+    points = np.array([[-0.5, 0, 0], [0.5, 0, 0], [0, 0, -100.0]])
+    assert dynamic_from_masks(points, views(), {0: mask}).tolist() == [False, True, True]

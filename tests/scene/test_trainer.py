@@ -1,0 +1,161 @@
+"""The training loop on a scene of its own: a few coloured Gaussians that slide past fixed cameras."""
+
+import numpy as np
+import pytest
+import torch
+from e4dgs.scene.guard import MOST_IN_A_ROW, TrainingDiverged
+from e4dgs.scene.model import Model
+from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase, coarse_phases, fine_phases
+from e4dgs.scene.settings import TrainingSettings
+from e4dgs.scene.trainer import Trainer
+from e4dgs.scene.views import Views
+from e4dgs.stages.coarse import make_field
+
+SIZE = 32
+SETTINGS = TrainingSettings(
+    iterations=120, sh_degree=0, densify_every=40, lr_means=4e-3, flow_every=4, patience=100, checkpoint_seconds=1e-9
+)
+
+
+def truth(t):
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-0.8, 0.8, (12, 3))
+    points[:6, 0] += 0.6 * t
+    g = GaussianSet.from_points(points, rng.uniform(size=(12, 3)), 0, opacity=0.9)
+    with torch.no_grad():
+        g.log_scales.fill_(-1.4)
+    return Model(g, ConvexSet.empty(6, 0), None, 0)
+
+
+def make_views(cameras=3, times=4):
+    poses, K = [], np.array([[36.0, 0, SIZE / 2], [0, 36, SIZE / 2], [0, 0, 1]])
+    for c in range(cameras):
+        angle = 0.5 * (c - 1)
+        R = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = R, [0, 0, 4]
+        poses.append(pose)
+    frames = [(c, t) for c in range(cameras) for t in range(times)]
+    count = len(frames)
+    nxt = np.array([i + 1 if t + 1 < times else -1 for i, (_, t) in enumerate(frames)])
+    views = Views(
+        np.repeat(K[None], count, 0), np.array([poses[c] for c, _ in frames]), np.array([t / (times - 1) for _, t in frames]),
+        np.array([c for c, _ in frames]), nxt, np.arange(count), SIZE, SIZE, lambda i: images[i],
+    )  # fmt: skip
+    images = []
+    for i, (_, t) in enumerate(frames):
+        color = truth(t / (times - 1)).render(views.rasterizer_camera(i), 0.0).color
+        images.append((color.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
+    return views
+
+
+@pytest.fixture(scope="module")
+def views():
+    return make_views()
+
+
+def fresh(views, static=False):
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (60, 3))
+    g = GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, max_scale=0.3)
+    return Model(g, ConvexSet.empty(6, 0), None if static else make_field(points, views, SETTINGS), 0)
+
+
+def train(views, model=None, settings=SETTINGS, budget=90, phases=None, **options):
+    model = model or fresh(views)
+    trainer = Trainer(
+        model, views, phases or coarse_phases("two-stage", settings.iterations, model.field is None), settings, budget, **options
+    )
+    return model, trainer.run(), trainer
+
+
+def test_training_learns_the_scene_within_the_budget(views):
+    settings = SETTINGS.model_copy(update={"iterations": 400})
+    model, log, _ = train(views, settings=settings)
+    assert log.iterations == 400 and log.nonfinite_steps == 0
+    assert log.loss[-1][1] < 0.4 * log.loss[0][1]
+    assert max(n for _, n, _ in log.primitives) <= 90
+    assert any("do not move" in event for event in log.events)
+    assert len(model.convexes) == 0
+
+
+def test_a_killed_training_continues_as_if_nothing_had_happened(views, tmp_path):
+    whole, _, _ = train(views, checkpoints=tmp_path / "whole")
+
+    class Killed(Exception):
+        pass
+
+    def kill(n, note, seen=[0]):  # noqa: B006
+        seen[0] += n
+        if seen[0] == 70:
+            raise Killed
+
+    with pytest.raises(Killed):
+        train(views, checkpoints=tmp_path / "cut", advance=kill)
+    again, log, _ = train(views, checkpoints=tmp_path / "cut")
+    assert any("continued from the checkpoint" in event for event in log.events)
+    for name, array in whole.to_arrays().items():
+        assert np.array_equal(array, again.to_arrays()[name]), name
+
+
+def test_static_scenes_have_no_field(views):
+    model, log, _ = train(views, model=fresh(views, static=True))
+    assert model.field is None and log.iterations == SETTINGS.iterations
+
+
+@pytest.mark.parametrize("strategy", ["two-stage", "alternating"])
+def test_convexes_join_and_are_refined(views, strategy):
+    model, _, _ = train(views)
+    centres = model.gaussians.means.detach().numpy()[:8]
+    rng = np.random.default_rng(0)
+    model.convexes = ConvexSet.from_hulls(centres[:, None] + 0.15 * rng.normal(size=(8, 6, 3)), np.full((8, 3), 0.4), 0)
+    before = model.convexes.points.detach().clone()
+    settings = SETTINGS.model_copy(update={"iterations": 260})
+    _, log, _ = train(views, model, settings, phases=fine_phases(strategy, 0, 260, static=False), grow=False, lr_scale=0.3)
+    assert 0 < len(model.convexes) <= 8
+    if len(model.convexes) == 8:
+        assert not torch.equal(model.convexes.points.detach(), before)
+    assert np.isfinite(log.loss[-1][1])
+
+
+def test_half_resolution_phase(views):
+    _, log, _ = train(views, phases=[Phase("half", 60, move=False, scale=0.5)])
+    assert log.iterations == 60
+
+
+def test_measured_flow_is_used(views):
+    asked = []
+
+    def measured(i):
+        asked.append(i)
+        return (torch.zeros(16, 16, 2), torch.ones(16, 16)) if views.next[i] >= 0 else None
+
+    train(views, measured_flow=measured)
+    assert asked
+
+
+def test_a_poisoned_image_stops_training_with_a_clear_message(views, monkeypatch):
+    monkeypatch.setattr(views, "target", lambda i, scale=1.0: torch.full((SIZE, SIZE, 3), float("nan")))
+    with pytest.raises(TrainingDiverged, match="frame"):
+        train(views)
+
+
+def test_one_bad_step_is_rolled_back_and_counted(views, monkeypatch):
+    original, calls = views.target, []
+
+    def target(i, scale=1.0):
+        calls.append(i)
+        return original(i, scale) * (float("inf") if len(calls) == 30 else 1.0)
+
+    monkeypatch.setattr(views, "target", target)
+    model, log, _ = train(views)
+    assert 1 <= log.nonfinite_steps < MOST_IN_A_ROW
+    assert all(torch.isfinite(p).all() for p in model.gaussians.parameters.values())
+
+
+def test_a_training_that_no_longer_improves_stops(views):
+    settings = SETTINGS.model_copy(update={"iterations": 5000, "lr_means": 1e-12, "densify_until": 0.0, "patience": 100})
+    model, _, _ = train(views)
+    _, log, _ = train(views, model, settings, grow=False, phases=[Phase("rest", 5000, move=False)])
+    assert log.stopped.startswith("converged") and log.iterations < 5000
