@@ -24,7 +24,7 @@ _DECODE_THREADS = 4
 class FramesSettings(Settings):
     """How the capture is read; the same names as the arguments of `captures.recognise`."""
 
-    format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "images", "video"] | None = Field(
+    format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "colmap", "images", "video"] | None = Field(
         None, description="reader to use; recognised from the files when not set"
     )
     static: bool = Field(False, description="nothing moves: all times are one, no flow, no deformation")
@@ -57,9 +57,9 @@ class Frames(Stage):
         return Applies.yes(f"{facts['frames']} frames, {action}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FramesSettings) -> float | None:
-        """Decoding once, two cores: about 100 megapixels a second from image files, 25 from video into the store (measured)."""
+        """Decoding once, two cores: about 25 megapixels a second from image files, 10 from video into the store (measured)."""
         megapixels = facts["frames"] * facts["width"] * facts["height"] / 1e6
-        return 0.5 + megapixels / (100 if facts["images_in_files"] else 25)
+        return 0.5 + megapixels / (25 if facts["images_in_files"] else 10)
 
     def run(self, ctx: Context) -> None:
         from .captures import Capture

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...pipeline import CaptureError
+from . import checks
 
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")
@@ -158,6 +159,9 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     }
     images = None if reading.videos else tuple(str(s.file) for s in shots)
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
+    for mask in dict.fromkeys(m for m in masks or () if m):
+        if (size := checks.image_header(root, mask)[:2]) != (reading.width, reading.height):
+            raise CaptureError(f"{mask}: the mask is {size[0]}x{size[1]}, the images {reading.width}x{reading.height}; make them one size")
     files = {*reading.sources, *(images or ()), *(m for m in masks or () if m), *(v.file for v in reading.videos)}
     zeros = np.zeros(4)
     return Capture(
@@ -211,7 +215,7 @@ def _next_frames(shots: Sequence[Shot], camera: np.ndarray, time: np.ndarray, sp
     result = np.full(len(shots), -1, np.int32)
     for key in np.unique(camera):
         members = np.flatnonzero((camera == key) & (split == TRAIN))
-        members = members[np.argsort(time[members], kind="stable")]
+        members = members[np.argsort(time[members], kind="stable")].tolist()
         for a, b in itertools.pairwise(members):
             if time[b] > time[a] and shots[a].linked:
                 result[a] = b

@@ -1,0 +1,206 @@
+"""A COLMAP model (`sparse/0` or `sparse`, text or binary) and `images/`: poses, points, one camera over time unless static.
+
+Pixel centres lie at +0.5 in COLMAP's intrinsics, as in ours; poses are `cam_from_world` in OpenCV axes as w x y z and a translation.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...pipeline import CaptureError
+from . import checks
+from .capture import Options, Reading, Shot
+
+_FOLDERS = ("sparse/0", "sparse")
+# COLMAP's model number -> name; and where fx, fy, cx, cy, k1, k2, p1, p2 stand among the parameters (None: zero).
+_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+_LAYOUT: dict[str, tuple[int | None, ...]] = {
+    "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None, None, None),
+    "PINHOLE": (0, 1, 2, 3, None, None, None, None),
+    "SIMPLE_RADIAL": (0, 0, 1, 2, 3, None, None, None),
+    "RADIAL": (0, 0, 1, 2, 3, 4, None, None),
+    "OPENCV": (0, 1, 2, 3, 4, 5, 6, 7),
+}
+
+
+@dataclass(frozen=True)
+class _Image:
+    name: str
+    camera: int
+    pose: np.ndarray  # qw qx qy qz tx ty tz
+
+
+def detect(root: Path) -> str | None:
+    model = _model(root)
+    return f"a COLMAP model in {model[0]}" if model is not None and (root / "images").is_dir() else None
+
+
+def read(root: Path, options: Options) -> Reading:
+    model = _model(root)
+    if model is None or not (root / "images").is_dir():
+        raise CaptureError(f"{root}: no sparse/0 with cameras and images beside images/, which a COLMAP capture needs; pass its folder")
+    folder, suffix = model
+    files = {part: f"{folder}/{part}{suffix}" for part in ("cameras", "images", "points3D")}
+    for file in files.values():
+        checks.resolve_inside(root, file, file)
+    has_points = (root / files["points3D"]).is_file()
+    parse = _BINARY if suffix == ".bin" else _TEXT
+    try:
+        cameras = dict(parse[0](root / files["cameras"]))
+        images = sorted(parse[1](root / files["images"]), key=lambda image: checks.natural_key(image.name))
+        table = np.array(list(parse[2](root / files["points3D"])) if has_points else [], dtype=np.float64).reshape(-1, 6)
+    except (OSError, ValueError, IndexError, struct.error, OverflowError) as error:
+        raise CaptureError(f"{folder}: the COLMAP model cannot be read, perhaps cut short ({error}); export it again") from error
+    if not images:
+        raise CaptureError(f"{files['images']}: no registered image; run structure from motion again")
+    if not np.isfinite(table).all():
+        row = int(np.flatnonzero(~np.isfinite(table).all(1))[0])
+        raise CaptureError(f"{files['points3D']}: point {row}: holds NaN or Inf; remove it")
+    paths = [checks.find_image(root, f"images/{image.name}", f"{files['images']}: image {image.name!r}: name") for image in images]
+    width, height, alpha = checks.image_headers(root, paths)
+    shots = []
+    for i, (image, path) in enumerate(zip(images, paths, strict=True)):
+        if image.camera not in cameras:
+            raise CaptureError(f"{files['images']}: image {image.name!r}: camera {image.camera} is not in {files['cameras']}; export again")
+        K, distortion = _lens(cameras[image.camera], f"{files['cameras']}: camera {image.camera}", width, height)
+        pose = _pose(image.pose, f"{files['images']}: image {image.name!r}: pose")
+        shots.append(Shot(name=path, camera=0, time=float(i), file=path, K=K, cam_from_world=pose, distortion=distortion))
+    present = sum(1 for name in checks.list_folder(root / "images") if name.lower().endswith(checks.IMAGE_SUFFIXES))
+    return Reading(
+        why=f"a COLMAP model in {folder}, {'a static scene' if options.static else 'one camera over time'}",
+        shots=shots,
+        width=width,
+        height=height,
+        alpha=alpha,
+        sources=tuple(file for part, file in files.items() if part != "points3D" or has_points),
+        points=table[:, :3].copy() if len(table) else None,
+        point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
+        notes=(f"{present - len(shots)} images without a pose in {folder} are left out",) if present > len(shots) else (),
+    )
+
+
+def _model(root: Path) -> tuple[str, str] | None:
+    """(folder, suffix) of the model, binary before text."""
+    for folder in _FOLDERS:
+        for suffix in (".bin", ".txt"):
+            if all((root / folder / f"{part}{suffix}").is_file() for part in ("cameras", "images")):
+                return folder, suffix
+    return None
+
+
+def _lens(camera: tuple[str, float, float, list[float]], where: str, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    model, file_width, file_height, values = camera
+    if model not in _LAYOUT:
+        raise CaptureError(f"{where}: model {model} is not supported ({', '.join(_LAYOUT)} are); undistort the images first")
+    used = _LAYOUT[model]
+    if len(values) <= max(i for i in used if i is not None):
+        raise CaptureError(f"{where}: {len(values)} parameters are too few for {model}; export the model again")
+    fx, fy, cx, cy, *distortion = (0.0 if i is None else checks.number(values[i], f"{where}: parameter {i}") for i in used)
+    checks.number(file_width, f"{where}: width", 1, 1e6)
+    checks.number(file_height, f"{where}: height", 1, 1e6)
+    sx, sy = width / file_width, height / file_height
+    if abs(sx / sy - 1) > 0.02:
+        raise CaptureError(f"{where}: made for {file_width:g}x{file_height:g}, the images are {width}x{height}, another shape; resize them")
+    return checks.intrinsics(fx * sx, fy * sy, cx * sx, cy * sy, where), np.array(distortion)
+
+
+def _pose(values: np.ndarray, where: str) -> np.ndarray:
+    q = values[:4]
+    norm = float(np.linalg.norm(q))
+    if not np.isfinite(values).all() or norm < 1e-6:
+        raise CaptureError(f"{where}: holds NaN, Inf or a zero quaternion; remove the image or estimate its pose again")
+    w, x, y, z = q / norm
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = values[4:7]
+    return checks.rigid(matrix, where)
+
+
+def _lines(path: Path) -> list[str]:
+    return [line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
+
+
+def _text_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, list[float]]]]:
+    for line in _lines(path):
+        if line.strip():
+            number, model, width, height, *values = line.split()
+            yield int(number), (model, float(width), float(height), [float(v) for v in values])
+
+
+def _text_images(path: Path) -> Iterator[_Image]:
+    lines = _lines(path)
+    while lines and not lines[-1].strip():
+        lines.pop()
+    for line in lines[::2]:  # every second line lists the image's keypoints and may be empty
+        parts = line.split(maxsplit=9)
+        yield _Image(parts[9].strip(), int(parts[8]), np.array(parts[1:8], dtype=np.float64))
+
+
+def _text_points(path: Path) -> Iterator[list[float]]:
+    for line in _lines(path):
+        if line.strip():
+            yield [float(v) for v in line.split()[1:7]]
+
+
+class _Bytes:
+    """Reads little-endian records; running past the end raises `struct.error`."""
+
+    def __init__(self, path: Path) -> None:
+        self.data = path.read_bytes()
+        self.at = 0
+
+    def take(self, layout: str) -> tuple:
+        values = struct.unpack_from("<" + layout, self.data, self.at)
+        self.at += struct.calcsize("<" + layout)
+        return values
+
+    def skip(self, count: int) -> None:
+        self.at += count
+        if self.at > len(self.data):
+            raise struct.error(f"ends after {len(self.data)} bytes")
+
+    def name(self) -> str:
+        end = self.data.index(b"\0", self.at)
+        text = self.data[self.at : end].decode("utf-8")
+        self.at = end + 1
+        return text
+
+
+def _binary_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, list[float]]]]:
+    source = _Bytes(path)
+    for _ in range(source.take("Q")[0]):
+        number, kind, width, height = source.take("iiQQ")
+        if not 0 <= kind < len(_MODELS):
+            raise CaptureError(f"{path.name}: camera {number}: model {kind} is not supported ({', '.join(_MODELS)} are); undistort first")
+        count = 1 + max(i for i in _LAYOUT[_MODELS[kind]] if i is not None)
+        yield number, (_MODELS[kind], float(width), float(height), list(source.take(f"{count}d")))
+
+
+def _binary_images(path: Path) -> Iterator[_Image]:
+    source = _Bytes(path)
+    for _ in range(source.take("Q")[0]):
+        _, *pose, camera = source.take("i7di")
+        name = source.name()
+        source.skip(24 * source.take("Q")[0])
+        yield _Image(name, camera, np.array(pose))
+
+
+def _binary_points(path: Path) -> Iterator[list[float]]:
+    source = _Bytes(path)
+    for _ in range(source.take("Q")[0]):
+        _, *values = source.take("Q3d3Bd")
+        source.skip(8 * source.take("Q")[0])
+        yield [float(v) for v in values[:6]]
+
+
+_BINARY = (_binary_cameras, _binary_images, _binary_points)
+_TEXT = (_text_cameras, _text_images, _text_points)
