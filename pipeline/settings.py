@@ -79,7 +79,8 @@ def describe(stage: str, key: str, field: FieldInfo) -> str:
 
 
 def _parse(stage: str, key: str, field: FieldInfo, value: Any) -> Any:
-    adapter: TypeAdapter[Any] = TypeAdapter(Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation)
+    kind: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
+    adapter: TypeAdapter[Any] = TypeAdapter(kind)
     candidates = [value]
     if isinstance(value, str):
         if value.lower() in ("none", "null"):

@@ -126,7 +126,7 @@ class Store:
                 lock.release()
         return removed
 
-    def keys(self) -> list[tuple[str, str]]:
+    def entries(self) -> list[tuple[str, str]]:
         """(stage, key) of everything that lies in the store, valid or not."""
         if not self.root.is_dir():
             return []
@@ -150,7 +150,7 @@ class Store:
     def verify(self) -> list[tuple[str, str, str]]:
         """Digests everything again: (stage, key, problem) with an empty problem where all is well."""
         results = []
-        for stage, key in self.keys():
+        for stage, key in self.entries():
             try:
                 self.open(stage, key).verify()
                 results.append((stage, key, ""))

@@ -1,0 +1,207 @@
+"""The command line. Exit codes: 0 done, 1 a stage failed, 2 bad arguments or a bad capture, 130 interrupted."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from ..pipeline import Outcome, PipelineError, Row, Runner, Store, check_targets, duration, explain, make_plan
+from . import show
+from .reconstruction import EVALUATION, LIBRARIES
+from .session import DEFAULT_WORKSPACE, Options, Session, open_session
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Captures of moving scenes become 4D models that render any view at any time.",
+)
+console = Console()
+
+Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, or a folder with poses.")]
+Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
+Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast.")]
+Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
+Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
+Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
+Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
+Format = Annotated[str | None, typer.Option("--format", help="How to read the capture, where files fit two formats.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]
+
+
+@app.command()
+def run(
+    target: Annotated[str, typer.Argument(metavar="all|STAGE", help="Every stage, or one and what it needs.")],
+    capture: Capture,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    force: Annotated[bool, typer.Option("--force", help="Run the stage (with 'all': every stage) although it is cached.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Run stages; what is in the store is reused."""
+    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    targets = check_targets(session.job.graph.stages, target)
+    forced = tuple(targets or session.job.graph.stages) if force else ()
+    rows = make_plan(session.job, targets, forced)
+    show.show_capture(console, session)
+    show.show_plan(console, rows)
+    _run(session, rows, targets, forced)
+
+
+def _run(session: Session, rows: list[Row], targets: list[str] | None, forced: tuple[str, ...]) -> None:
+    from .. import __version__
+    from .publish import publish, write_plan
+
+    def finished(outcome: Outcome) -> None:
+        session.scene.claim()  # only now: a capture that the first stage refuses leaves no scene behind
+        write_plan(session, rows)
+        if outcome.state == "ran":
+            _say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")
+
+    runner = Runner(session.job, _say, console, __version__, LIBRARIES)
+    outcomes = runner.run(targets, forced, finished)
+    if outcomes[-1].stage == EVALUATION and outcomes[-1].artifact is not None:
+        show.show_metrics(console, *publish(session, rows, outcomes))
+
+
+def _say(message: str) -> None:
+    console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
+def plan(
+    capture: Capture,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The plan as JSON.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Show what a run would do, stage by stage, and why. Nothing runs and nothing is written."""
+    from .publish import plan_json
+
+    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    rows = make_plan(session.job)
+    if as_json:
+        print(json.dumps(plan_json(session, rows), indent=2, ensure_ascii=False))
+        return
+    show.show_capture(console, session)
+    show.show_plan(console, rows)
+
+
+@app.command()
+def why(
+    stage: Annotated[str, typer.Argument(metavar="STAGE")],
+    capture: Capture,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Say which field changed since a stage last ran for this capture."""
+    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    for line in explain(session.job, stage):
+        _say(line)
+
+
+@app.command()
+def doctor(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
+    """Check this installation; exit code 1 when something that is needed does not work."""
+    from .doctor import checks
+
+    broken = 0
+    for what, well, detail in checks(workspace):
+        broken += well is False
+        mark = {True: "[green]ok[/]  ", False: "[red]FAIL[/]", None: "    "}[well]
+        console.print(f"{mark} {what}: ", end="", highlight=False)
+        console.print(detail, markup=False, highlight=False, soft_wrap=True)
+    if broken:
+        raise typer.Exit(1)
+
+
+@app.command()
+def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
+    """Digest every result in the store again; exit code 1 when one is damaged."""
+    results = Store(workspace.resolve() / "store").verify()
+    damaged = [problem for _, _, problem in results if problem]
+    for problem in damaged:
+        _say(problem)
+    _say(f"{len(results) - len(damaged)} of {len(results)} results in {workspace} are as they were written")
+    if damaged:
+        raise typer.Exit(1)
+
+
+@app.command()
+def gc(
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be removed, remove nothing.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Remove results that no scene's last run used, and what dead runs left half-written."""
+    from .upkeep import collect, garbage
+
+    entries, swept = (garbage(workspace.resolve()), []) if dry_run else collect(workspace.resolve())
+    for stage, key, size in entries:
+        _say(f"{'would remove' if dry_run else 'removed'} {stage}/{key} ({size / 1e6:.1f} MB)")
+    for left in swept:
+        _say(f"removed half-written {left}")
+    _say(f"{len(entries)} results, {sum(size for _, _, size in entries) / 1e6:.1f} MB")
+
+
+def main(arguments: list[str] | None = None) -> Any:
+    """Console script: runs a command and returns its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    errors = Console(stderr=True)
+    _end_cleanly_when_terminated()
+    try:
+        return app(arguments, prog_name="e4dgs", standalone_mode=False) or 0
+    except (KeyboardInterrupt, typer.Abort):
+        errors.print("interrupted; what is finished is kept, and a long stage continues where its last checkpoint is", highlight=False)
+        return 130
+    except Exception as error:
+        if hasattr(error, "format_message") and hasattr(error, "exit_code"):  # a usage error of the command line's parser
+            context = getattr(error, "ctx", None)
+            help_hint = f" (see {context.command_path} --help)" if context is not None else ""
+            errors.print(f"error: {error.format_message()}{help_hint}", markup=False, highlight=False, soft_wrap=True)
+            return 2
+        if "--debug" in arguments:
+            traceback.print_exc()
+        message = str(error) if isinstance(error, PipelineError) else f"{type(error).__name__}: {error} (--debug shows where)"
+        errors.print(f"error: {message}", markup=False, highlight=False, soft_wrap=True)
+        return error.exit_code if isinstance(error, PipelineError) else 1
+
+
+def _end_cleanly_when_terminated() -> None:
+    """A cluster's SIGTERM ends a run like Ctrl-C does: temporary folders are removed, checkpoints stay."""
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        signal.signal(signal.SIGTERM, stop)
+    except ValueError:
+        return  # not in the main thread: the caller handles signals
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""What a run leaves for people and programs: plan.json, metrics.json and report.html in the scene's folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..pipeline import Artifact, Outcome, Row
+from ..pipeline.files import read_json, write_atomically, write_json
+from .reconstruction import EVALUATION, TRAINING
+from .session import Session
+
+
+def plan_json(session: Session, rows: Sequence[Row]) -> dict[str, Any]:
+    """The plan as JSON: the scene, what was recognised, and a row a stage."""
+    job = session.job
+    return {
+        "scene": session.scene.name,
+        "capture": str(session.scene.capture),
+        "recognised": dict(job.capture.facts),
+        "device": job.device,
+        "preset": session.options.preset,
+        "settings": {name: settings.model_dump(mode="json") for name, settings in job.settings.items()},
+        "stages": [row.as_json() for row in rows],
+    }
+
+
+def write_plan(session: Session, rows: Sequence[Row]) -> Path:
+    """``scenes/<name>/plan.json``: what the run found to do."""
+    path = session.scene.folder / "plan.json"
+    content = plan_json(session, rows)
+    if read_json(path) != content:
+        write_json(path, content)
+    return path
+
+
+def metrics_json(scene: str, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+    """metrics.json: what `evaluate` measured, the training time, and what became of every stage.
+
+    Times and memory of a cached stage are those of the run that made it. A training that was continued counts with what its own
+    log adds up, since the last process saw only a part.
+    """
+    evaluate = outcomes[EVALUATION].artifact
+    assert evaluate is not None
+    measured = {**evaluate.attrs["metrics"], **evaluate.info.get("metrics", {})}
+    return {
+        **measured,
+        "scene": scene,
+        "train_seconds": round(sum(_training_seconds(outcomes[name]) for name in TRAINING if name in outcomes), 1),
+        "stages": {name: outcome.as_json() for name, outcome in outcomes.items()},
+    }
+
+
+def _training_seconds(outcome: Outcome) -> float:
+    if outcome.artifact is None:
+        return 0.0
+    return max(outcome.seconds, float(outcome.artifact.info.get("training", {}).get("seconds", 0.0)))
+
+
+def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) -> tuple[dict[str, Any], Path]:
+    """Writes metrics.json and report.html; returns the metrics and the report's path. The report is drawn again when a stage ran or
+    another result was taken from the store.
+    """
+    from .. import __version__
+
+    named = {outcome.stage: outcome for outcome in outcomes}
+    evaluate = named[EVALUATION].artifact
+    assert evaluate is not None
+    folder = session.scene.folder
+    metrics = metrics_json(session.scene.name, named)
+    if read_json(folder / "metrics.json") != metrics:
+        write_json(folder / "metrics.json", metrics)
+    report = folder / "report.html"
+    shown = {"version": __version__, "artifacts": {name: o.artifact.digest for name, o in named.items() if o.artifact}}
+    stamp = folder / "records" / "report-shows.json"
+    if any(outcome.state == "ran" for outcome in outcomes) or not report.is_file() or read_json(stamp) != shown:
+        write_atomically(report, _render(session, rows, named, evaluate, metrics))
+        write_json(stamp, shown)
+    return metrics, report
+
+
+def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcome], evaluate: Artifact, metrics: Mapping[str, Any]) -> str:
+    from ..stages.report import render_report
+
+    infos = {
+        name: {**outcomes[name].artifact.attrs, **outcomes[name].artifact.info, "log": outcomes[name].artifact.provenance["log"]}  # type: ignore[union-attr]
+        for name in outcomes
+        if outcomes[name].artifact is not None
+    }
+    plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
+    return render_report(session.scene.name, evaluate, infos, plan_rows, metrics)

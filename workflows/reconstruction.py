@@ -1,0 +1,41 @@
+"""The reconstruction: from a capture to a model that renders any view at any time, and its metrics.
+
+Each stage names its inputs itself; this is the order in which they run. `e4dgs plan CAPTURE` shows what a capture needs of it.
+
+    frames ── poses ── flow ── coarse ── hulls ── fine ── evaluate
+"""
+
+from ..pipeline import Graph
+
+
+def reconstruction() -> Graph:
+    """frames: times, cameras, splits, decoded video. poses: SfM, where the files hold none. flow: motion between frames of one
+    camera, and edge masks. coarse: Gaussians and their motion. hulls: where convexes begin. fine: both kinds together.
+    evaluate: metrics on held-out views and pictures for the report.
+    """
+    from ..stages.coarse import Coarse
+    from ..stages.evaluate import Evaluate
+    from ..stages.fine import Fine
+    from ..stages.flow import Flow
+    from ..stages.frames import Frames
+    from ..stages.hulls import Hulls
+    from ..stages.poses import Poses
+
+    return Graph([Frames(), Poses(), Flow(), Coarse(), Hulls(), Fine(), Evaluate()])
+
+
+TRAINING = ("coarse", "hulls", "fine")  # stages whose time is the training time of metrics.json
+EVALUATION = "evaluate"
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "torch",
+    "zarr",
+    "pycolmap",
+    "opencv-contrib-python-headless",
+    "kornia",
+    "open3d-cpu",
+    "av",
+    "pillow",
+    "pydantic",
+)

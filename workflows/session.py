@@ -1,0 +1,71 @@
+"""From command-line options to a job: settings, capture, scene, store."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..pipeline import Job, SettingsError, Store, build_settings, split_assignment
+from .devices import resolve_device
+from .presets import PRESETS
+from .reconstruction import reconstruction
+from .scenes import Scene, find_scene
+
+DEFAULT_WORKSPACE = Path("e4dgs-workspace")
+
+
+@dataclass
+class Options:
+    """What the user gave on the command line."""
+
+    capture: Path
+    workspace: Path = DEFAULT_WORKSPACE
+    preset: str = "default"
+    assignments: Sequence[str] = ()
+    device: str = "auto"
+    name: str | None = None
+    static: bool = False
+    format: str | None = None
+
+
+@dataclass
+class Session:
+    """A job and the scene that it writes to."""
+
+    options: Options
+    job: Job
+    scene: Scene
+
+
+def open_session(options: Options) -> Session:
+    """Recognises the capture and writes nothing. Raises SettingsError or CaptureError."""
+    from ..stages.frames import FramesSettings, recognise_for
+
+    graph = reconstruction()
+    settings = build_settings(graph.settings, assignments_of(options))
+    device = resolve_device(options.device)
+    frames = settings["frames"]
+    assert isinstance(frames, FramesSettings)
+    capture = recognise_for(options.capture, frames)
+    path = Path(os.path.abspath(options.capture.expanduser())).resolve()
+    scene = find_scene(options.workspace.resolve(), path, capture.name, options.name)
+    job = Job(graph, capture, settings, Store(options.workspace.resolve() / "store"), scene.records, device)
+    return Session(options, job, scene)
+
+
+def assignments_of(options: Options) -> list[tuple[str, Any]]:
+    """Preset, then --static and --format, then --set; a later one wins. Raises SettingsError."""
+    if options.preset not in PRESETS:
+        raise SettingsError(f"--preset {options.preset}: there is no such preset; presets: {', '.join(PRESETS)}")
+    chosen: list[tuple[str, Any]] = list(PRESETS[options.preset].items())
+    if options.static:
+        chosen.append(("frames.static", True))
+    if options.format is not None:
+        chosen.append(("frames.format", options.format))
+    for text in options.assignments:
+        stage, key, value = split_assignment(text)
+        chosen.append((f"{stage}.{key}", value))
+    return chosen

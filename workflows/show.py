@@ -1,0 +1,63 @@
+"""What the command line prints about captures, plans and results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ..pipeline import Row, duration
+from .session import Session
+
+_COLOURS = {"cached": "green", "run": "yellow", "skip": "dim"}
+
+
+def show_capture(console: Console, session: Session) -> None:
+    """What was recognised and why."""
+    facts = session.job.capture.facts
+    splits = ", ".join(f"{count} {name}" for name, count in facts["splits"].items() if count)
+    console.print(f"[bold]{escape(session.scene.name)}[/]: {facts['format']} ({escape(facts['why'])})", soft_wrap=True, highlight=False)
+    console.print(
+        f"  {facts['frames']} frames {facts['width']}x{facts['height']}, {facts['cameras']} cameras, {facts['times']} times; {splits}",
+        soft_wrap=True,
+        highlight=False,
+    )
+    if session.scene.renamed:
+        console.print(f"  another capture already has this name in the workspace, so the scene is called {session.scene.name} (see --name)")
+
+
+def show_plan(console: Console, rows: Sequence[Row]) -> None:
+    """One line a stage: state, reason, estimate."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for title in ("stage", "state", "estimate", "reason"):
+        table.add_column(title, no_wrap=title != "reason", overflow="fold")
+    for row in rows:
+        estimate = f"about {duration(row.estimate)}" if row.estimate is not None else ""
+        table.add_row(row.stage, f"[{_COLOURS[row.state]}]{row.state}[/]", estimate, escape(row.reason))
+    console.print(table)
+
+
+def show_metrics(console: Console, metrics: Mapping[str, Any], report: Path) -> None:
+    """The numbers of metrics.json that people look for first, and where the report lies."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for title in ("split", "PSNR", "SSIM", "LPIPS", "edge PSNR"):
+        table.add_column(title)
+    for split, values in metrics.get("splits", {}).items():
+        cells = [_number(values.get(name), digits) for name, digits in (("psnr", 2), ("ssim", 4), ("lpips", 4), ("edge_psnr", 2))]
+        table.add_row(split, *cells)
+    console.print(table)
+    parts = [f"trained in {duration(metrics['train_seconds'])}"]
+    if metrics.get("render_fps") is not None:
+        parts.append(f"{metrics['render_fps']:.1f} frames per second")
+    if primitives := metrics.get("primitives"):
+        parts.append(f"{primitives.get('gaussians', 0)} Gaussians, {primitives.get('convexes', 0)} convexes")
+    console.print(", ".join(parts), highlight=False)
+    console.print(f"report: {report}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _number(value: Any, digits: int) -> str:
+    return f"{value:.{digits}f}" if isinstance(value, int | float) else "-"

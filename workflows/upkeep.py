@@ -1,0 +1,37 @@
+"""Looking after a workspace: digest everything again, drop what no scene refers to."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from ..pipeline import Store
+from ..pipeline.files import read_json, sizes
+
+
+def referenced(workspace: Path) -> set[tuple[str, str]]:
+    """(stage, key) of every result that some scene's last run used."""
+    found = set()
+    for path in (workspace / "scenes").glob("*/records/*.json"):
+        record = read_json(path)
+        if isinstance(record, dict) and isinstance(record.get("key"), str):
+            found.add((path.stem, record["key"]))
+    return found
+
+
+def garbage(workspace: Path) -> list[tuple[str, str, int]]:
+    """(stage, key, bytes) of results in the store that no scene refers to."""
+    store = Store(workspace / "store")
+    keep = referenced(workspace)
+    return [(stage, key, sum(sizes(store.path(stage, key)).values())) for stage, key in store.entries() if (stage, key) not in keep]
+
+
+def collect(workspace: Path) -> tuple[list[tuple[str, str, int]], list[str]]:
+    """Removes the garbage and what dead runs left half-written; returns both lists. What a living process builds stays."""
+    store = Store(workspace / "store")
+    removed = [entry for entry in garbage(workspace) if store.remove(entry[0], entry[1])]
+    for stage, _, _ in removed:
+        folder = workspace / "store" / stage
+        if folder.is_dir() and not any(folder.iterdir()):
+            shutil.rmtree(folder, ignore_errors=True)
+    return removed, store.sweep()
