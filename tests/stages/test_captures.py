@@ -1,0 +1,274 @@
+"""Each layout is recognised from its files, and its cameras, times, splits and pairs are the ones that made it."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from e4dgs.pipeline import CaptureError
+from e4dgs.stages.captures import recognise
+from PIL import Image
+
+
+def edit(path, change):
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def assert_cameras(capture, truth):
+    """Poses and K equal the truth, frame by frame, matched by file (files) or in order (videos)."""
+    views = {(f"{file}#{view.time_index}" if capture.images is None else file): view for file, view in zip(truth.files, truth.views)}
+    assert set(capture.names) == set(views)
+    for i, name in enumerate(capture.names):
+        camera = views[name].camera
+        np.testing.assert_allclose(capture.cam_from_world[i], camera.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(capture.K[i], camera.K, atol=1e-6)
+        np.testing.assert_allclose(capture.distortion[i], camera.distortion, atol=1e-12)
+        assert capture.time[i] == pytest.approx(views[name].time, abs=1e-6)
+
+
+def test_dnerf_keeps_its_split_and_times(dnerf_capture):
+    capture = recognise(dnerf_capture.root)
+    facts = capture.facts
+    assert (facts["format"], facts["splits"], facts["alpha"]) == ("dnerf", {"train": 12, "val": 2, "test": 4}, True)
+    assert (facts["poses"], facts["pairs"], facts["cameras"], capture.background) == (True, 0, 18, "white")
+    assert_cameras(capture, dnerf_capture)
+    assert "transforms_val.json" in capture.files and "train/r_000.png" in capture.files
+
+
+def test_n3v_rows_belong_to_sorted_cameras_and_cam00_is_test(n3v_capture):
+    capture = recognise(n3v_capture.root)
+    facts = capture.facts
+    assert (facts["format"], facts["cameras"], facts["times"], facts["splits"]) == ("n3v", 4, 6, {"train": 18, "val": 0, "test": 6})
+    assert facts["fixed_cameras"] and not facts["images_in_files"] and facts["pairs"] == 15
+    assert_cameras(capture, n3v_capture)
+    np.testing.assert_array_equal(capture.split[capture.camera == 0], 2)
+
+
+def test_n3v_focal_length_follows_the_size_of_the_video(n3v_capture, tmp_path):
+    root = shutil.copytree(n3v_capture.root, tmp_path / "scaled")
+    table = np.load(root / "poses_bounds.npy")
+    table[:, [4, 9, 14]] *= 4  # h, w, f of the recording before it was scaled down
+    np.save(root / "poses_bounds.npy", table)
+    assert_cameras(recognise(root), n3v_capture)
+
+
+def test_n3v_cameras_may_be_folders(n3v_capture, tmp_path):
+    np.save(tmp_path / "poses_bounds.npy", np.load(n3v_capture.root / "poses_bounds.npy"))
+    for camera in range(4):
+        (tmp_path / f"cam{camera:02d}").mkdir()
+        for t in range(3):
+            Image.new("RGB", (80, 64)).save(tmp_path / f"cam{camera:02d}" / f"{t}.png")
+    facts = recognise(tmp_path).facts
+    assert (facts["format"], facts["frames"], facts["times"], facts["images_in_files"], facts["pairs"]) == ("n3v", 12, 3, True, 6)
+
+
+def test_panoptic(panoptic_capture):
+    capture = recognise(panoptic_capture.root)
+    facts = capture.facts
+    assert (facts["format"], facts["splits"], facts["fixed_cameras"]) == ("panoptic", {"train": 12, "val": 0, "test": 4}, True)
+    assert facts["pairs"] == 9 and facts["times"] == 4
+    assert_cameras(capture, panoptic_capture)
+    assert capture.masks[list(capture.images).index("ims/1/000000.jpg")] == "seg/1/000000.png"
+
+
+def test_nerfstudio_holds_out_every_eighth_frame_and_keeps_distortion(nerfstudio_capture):
+    capture = recognise(nerfstudio_capture.root)
+    facts = capture.facts
+    assert (facts["format"], facts["cameras"], facts["splits"]) == ("nerfstudio", 1, {"train": 8, "val": 0, "test": 2})
+    np.testing.assert_array_equal(np.flatnonzero(capture.split == 2), [0, 8])
+    assert_cameras(capture, nerfstudio_capture)
+
+
+def test_pairs_never_touch_held_out_frames(nerfstudio_capture):
+    capture = recognise(nerfstudio_capture.root)
+    np.testing.assert_array_equal(capture.next, [-1, 2, 3, 4, 5, 6, 7, 9, -1, -1])
+    assert capture.facts["pairs"] == 7
+    np.testing.assert_array_equal(recognise(nerfstudio_capture.root, holdout=0).next, [1, 2, 3, 4, 5, 6, 7, 8, 9, -1])
+
+
+def test_nerfstudio_filenames_of_splits_win_over_the_hold_out(nerfstudio_capture, tmp_path):
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "split")
+
+    def split(data):
+        names = [f["file_path"] for f in data["frames"]]
+        data.update(train_filenames=names[:6], val_filenames=names[6:7], test_filenames=names[7:])
+
+    edit(root / "transforms.json", split)
+    np.testing.assert_array_equal(recognise(root).split, [0] * 6 + [1] + [2] * 3)
+
+
+def test_nerfstudio_order_without_times_is_that_of_the_names(nerfstudio_capture, tmp_path):
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "untimed")
+
+    def shuffle(data):
+        data["frames"].reverse()
+        for frame in data["frames"]:
+            del frame["time"]
+
+    edit(root / "transforms.json", shuffle)
+    capture = recognise(root)
+    assert capture.names[:2] == ("images/000.png", "images/001.png")
+    np.testing.assert_allclose(capture.time, np.arange(10) / 9)
+    assert_cameras(capture, nerfstudio_capture)
+
+
+def test_intrinsics_per_frame_and_size_in_the_file(nerfstudio_capture, tmp_path):
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "own")
+
+    def own(data):
+        data["frames"][3]["fl_x"] = 123.0
+        data.update(w=160, h=128)  # calibrated at twice the size
+
+    edit(root / "transforms.json", own)
+    capture, before = recognise(root), recognise(nerfstudio_capture.root)
+    assert capture.K[3, 0, 0] == pytest.approx(61.5)
+    np.testing.assert_allclose(capture.K[4, :2], before.K[4, :2] / 2)
+
+
+def test_colmap_text_model(colmap_capture):
+    capture = recognise(colmap_capture.root)
+    facts = capture.facts
+    assert (facts["format"], facts["frames"], facts["points"], facts["poses"]) == ("colmap", 8, True, True)
+    assert capture.points.shape == (200, 3) and capture.point_colors.dtype == np.uint8
+    assert_cameras(capture, colmap_capture)
+
+
+def test_colmap_binary_model_equals_the_text(colmap_capture, tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    root = tmp_path / "binary"
+    shutil.copytree(colmap_capture.root / "images", root / "images")
+    (root / "sparse/0").mkdir(parents=True)
+    pycolmap.Reconstruction(str(colmap_capture.root / "sparse/0")).write_binary(str(root / "sparse/0"))
+    assert not (root / "sparse/0/cameras.txt").exists()
+    capture = recognise(root)
+    assert_cameras(capture, colmap_capture)
+    order = np.lexsort(capture.points.T)
+    text = recognise(colmap_capture.root).points
+    np.testing.assert_allclose(capture.points[order], text[np.lexsort(text.T)], atol=1e-9)
+
+
+def test_folder_of_images_is_one_camera_over_time(images_capture):
+    capture = recognise(images_capture.root)
+    facts = capture.facts
+    assert (facts["format"], facts["poses"], facts["static"], facts["cameras"]) == ("images", False, False, 1)
+    assert facts["splits"] == {"train": 8, "val": 0, "test": 2} and facts["pairs"] == 7
+    assert capture.K is None and capture.seconds[-1] == pytest.approx(9 / 30)
+
+
+def test_images_sort_naturally_and_other_files_are_ignored(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for name in ("10.png", "9.PNG", "2.png", ".hidden.png"):
+        Image.new("RGB", (20, 10)).save(folder / name, format="png")
+    (folder / "notes.md").write_text("words")
+    (folder / "K.txt").write_text("30 0 10\n0 30 5\n0 0 1\n")
+    (tmp_path / "Readme.txt").write_text("words")
+    capture = recognise(tmp_path)
+    assert capture.names == ("images/2.png", "images/9.PNG", "images/10.png")
+    assert capture.K_hint == (30, 0, 10, 0, 30, 5, 0, 0, 1)
+    assert "images/K.txt" in capture.files and "images/notes.md" not in capture.files
+
+
+def test_static_collapses_times(images_capture):
+    capture = recognise(images_capture.root, static=True)
+    assert capture.facts["static"] and capture.facts["times"] == 1 and capture.facts["pairs"] == 0
+    assert not capture.time.any() and (capture.next == -1).all()
+
+
+def test_video(video_capture):
+    capture = recognise(video_capture.root)
+    facts = capture.facts
+    assert (facts["format"], facts["frames"], facts["width"], facts["height"]) == ("video", 12, 96, 80)
+    assert (facts["images_in_files"], facts["poses"], capture.files) == (False, False, ("clip.mp4",))
+    step = 1 / round(video_capture.synthetic.options.fps)
+    np.testing.assert_allclose(capture.seconds, np.arange(12) * step, atol=1e-6)
+    assert recognise(video_capture.root.parent).facts == facts, "a folder that holds one video means the video"
+
+
+def test_video_frames_are_thinned_and_it_is_said(video_capture):
+    assert recognise(video_capture.root, every=5).names == ("clip.mp4#0", "clip.mp4#5", "clip.mp4#10")
+    capture = recognise(video_capture.root, max_frames=5)
+    assert capture.facts["frames"] == 4 and "4 of 12" in capture.notes[0]
+
+
+def test_max_size_scales_intrinsics(nerfstudio_capture, images_capture):
+    before, after = recognise(nerfstudio_capture.root), recognise(nerfstudio_capture.root, max_size=40)
+    assert (after.facts["width"], after.facts["height"]) == (40, 32)
+    np.testing.assert_allclose(after.K[:, :2], before.K[:, :2] / 2)
+    assert recognise(images_capture.root, max_size=1000).facts["width"] == 96, "nothing is enlarged"
+
+
+def test_times_outside_the_unit_interval_are_stretched_over_the_capture(dnerf_capture, tmp_path):
+    root = shutil.copytree(dnerf_capture.root, tmp_path / "seconds")
+    original = recognise(dnerf_capture.root)
+    for split in ("train", "val", "test"):
+        edit(root / f"transforms_{split}.json", lambda data: [f.update(time=10 + 4 * f["time"]) for f in data["frames"]])
+    low, high = original.time.min(), original.time.max()
+    np.testing.assert_allclose(recognise(root).time, (original.time - low) / (high - low), atol=1e-12)
+
+
+def test_smooth_path_in_the_dnerf_layout_is_one_camera(tmp_path):
+    """A walk of 20 frames makes pairs, except over its cut; the same views in random order do not."""
+    rng = np.random.default_rng(0)
+    centres = np.stack([np.linspace(0, 4, 20), np.zeros(20), np.zeros(20)], 1)
+    centres[10:] += [5, 0, 0]
+
+    def write(root, order):
+        root.mkdir()
+        frames = []
+        for t, k in enumerate(order):
+            pose = np.eye(4)
+            pose[:3, 3] = centres[k]
+            frames.append({"file_path": f"{t}", "time": t / 19, "transform_matrix": pose.tolist()})
+            Image.new("RGB", (8, 8)).save(root / f"{t}.png")
+        data = {"camera_angle_x": 1.0, "frames": frames[:-1]}
+        (root / "transforms_train.json").write_text(json.dumps(data))
+        (root / "transforms_test.json").write_text(json.dumps({**data, "frames": frames[-1:]}))
+        return recognise(root)
+
+    walk = write(tmp_path / "walk", range(20))
+    assert walk.facts["pairs"] == 17 and walk.facts["cameras"] == 2 and walk.next[9] == -1 and walk.next[8] == 9
+    scattered = write(tmp_path / "scattered", rng.permutation(20))
+    assert scattered.facts["pairs"] == 0 and scattered.facts["cameras"] == 20
+
+
+def test_recognition_imports_nothing_heavy(dnerf_capture):
+    code = (
+        "import sys; from e4dgs.stages.frames import FramesSettings, recognise_for;"
+        f"recognise_for({str(dnerf_capture.root)!r}, FramesSettings());"
+        "print([m for m in ('torch', 'cv2', 'scipy', 'pycolmap', 'zarr') if m in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_a_folder_that_fits_two_formats_names_both(nerfstudio_capture, dnerf_capture, tmp_path):
+    root = shutil.copytree(dnerf_capture.root, tmp_path / "both")
+    shutil.copytree(nerfstudio_capture.root, root, dirs_exist_ok=True)
+    with pytest.raises(CaptureError, match=r"dnerf .*nerfstudio .*--format dnerf or --format nerfstudio"):
+        recognise(root)
+    assert recognise(root, format="nerfstudio").facts["format"] == "nerfstudio"
+    assert recognise(root, format="dnerf").facts["format"] == "dnerf"
+
+
+@pytest.mark.parametrize(
+    ("path", "options", "expected"),
+    [
+        ("lego", {}, {"format": "dnerf", "splits": {"train": 50, "val": 11, "test": 20}, "pairs": 0}),
+        ("robot", {}, {"format": "dnerf", "splits": {"train": 100, "val": 10, "test": 20}, "pairs": 0}),
+        ("room_mono", {}, {"format": "dnerf", "splits": {"train": 90, "val": 0, "test": 12}, "pairs": 89, "cameras": 13}),
+        ("room_video/room.mp4", {}, {"format": "video", "frames": 90, "poses": False}),
+        ("balloon1", {}, {"format": "nerfstudio", "splits": {"train": 10, "val": 0, "test": 2}, "cameras": 1}),
+        ("balloon1/images", {}, {"format": "images", "frames": 12}),
+        ("sceaux/images", {"static": True}, {"format": "images", "frames": 11, "static": True, "pairs": 0}),
+        ("basketball", {}, {"format": "panoptic", "splits": {"train": 324, "val": 0, "test": 48}, "fixed_cameras": True}),
+        ("stage", {}, {"format": "n3v", "splits": {"train": 315, "val": 0, "test": 45}, "fixed_cameras": True}),
+    ],
+)
+def test_real_captures(shared_scenes, path, options, expected):
+    facts = recognise(Path(shared_scenes) / path, **options).facts
+    assert {key: facts[key] for key in expected} == expected
