@@ -77,7 +77,7 @@ def probe(root: Path, name: str) -> Header:
             for packet in container.demux(stream):
                 if packet.size and not packet.is_discard:
                     if packet.is_corrupt:
-                        raise CaptureError(f"{name}: frame {len(stamps)}: damaged data in the container; copy or record the video again")
+                        raise CaptureError(f"{name}: frame {len(stamps)}: the file is damaged or cut short here; copy it again")
                     stamps.append(packet.pts)
             rate = float(stream.average_rate) if stream.average_rate else None
         with av.open(str(root / name)) as container:
@@ -116,7 +116,7 @@ def decode(root: Path, video: Video, width: int, height: int) -> Iterator[np.nda
             stream.thread_type = "AUTO"
             for frame in container.decode(stream):
                 if frame.is_corrupt:
-                    raise CaptureError(f"{video.file}: frame {index}: damaged data; copy or record the video again")
+                    raise CaptureError(f"{video.file}: frame {index}: the picture is damaged; copy or record the video again")
                 if index == target:
                     yield _picture(frame, width, height)
                     target = next(wanted, None)

@@ -1,0 +1,320 @@
+"""A bad capture is one `CaptureError` that names file, frame and field and says what to do."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from e4dgs.pipeline import CaptureError
+from e4dgs.stages.captures import recognise
+from PIL import Image
+
+POSE = np.eye(4).tolist()
+
+
+def scene(root, frames=None, **head):
+    """A transforms.json capture of three 16x12 images; `frames` and `head` replace what is written."""
+    root.mkdir(exist_ok=True)
+    for i in range(3):
+        Image.new("RGB", (16, 12)).save(root / f"{i}.png")
+    default = [{"file_path": f"{i}.png", "transform_matrix": POSE} for i in range(3)]
+    data = {"fl_x": 20.0, **head, "frames": default if frames is None else frames}
+    (root / "transforms.json").write_text(json.dumps(data))
+    return root
+
+
+def frames(**changes):
+    """Three frames, the middle one changed."""
+    result = [{"file_path": f"{i}.png", "transform_matrix": POSE, "time": i / 2} for i in range(3)]
+    result[1].update(changes)
+    return result
+
+
+def entry(row, column, value):
+    pose = np.eye(4).tolist()
+    pose[row][column] = value
+    return pose
+
+
+def refused(root, *words, **options):
+    with pytest.raises(CaptureError) as caught:
+        recognise(root, **options)
+    message = str(caught.value)
+    assert all(word in message for word in words), message
+    assert "\n" not in message
+
+
+def test_the_sound_scene_passes(tmp_path):
+    assert recognise(scene(tmp_path / "s", frames())).facts["frames"] == 3
+
+
+def test_paths_that_hold_nothing(tmp_path):
+    refused(tmp_path / "absent", "absent", "check the path")
+    refused("bad\0name", "check the path")
+    (tmp_path / "empty").mkdir()
+    refused(tmp_path / "empty", "empty", "pass a video")
+    (tmp_path / "text").mkdir()
+    (tmp_path / "text/readme.md").write_text("nothing here")
+    refused(tmp_path / "text", "nothing recognised", "transforms.json")
+    (tmp_path / "word.txt").write_text("not a video")
+    refused(tmp_path / "word.txt", "word.txt", "not a readable video")
+    refused(scene(tmp_path / "s") / "transforms.json", "pass its folder")
+    refused(scene(tmp_path / "s"), "unknown", "nerfstudio", format="blender")
+    refused(scene(tmp_path / "s"), "transforms_train.json", format="dnerf")
+
+
+POSES = {
+    "NaN": (entry(0, 3, float("nan")), "finite"),
+    "Inf": (entry(1, 1, float("inf")), "finite"),
+    "huge integer": (entry(0, 3, 10**400), "finite"),
+    "far away": (entry(0, 3, 1e300), "outside"),
+    "scaled": ((np.diag([2, 2, 2, 1.0])).tolist(), "not rigid"),
+    "mirrored": ((np.diag([-1, 1, 1, 1.0])).tolist(), "mirrors"),
+    "singular": ((np.diag([0, 1, 1, 1.0])).tolist(), "not rigid"),
+    "last row": (entry(3, 0, 1.0), "last row"),
+    "string": (entry(0, 0, "1"), "expected a number"),
+    "boolean": (entry(0, 0, True), "expected a number"),
+    "short": (POSE[:2], "4x4"),
+    "ragged": ([*POSE[:3], [0, 0]], "4x4"),
+    "object": ({"a": 1}, "4x4"),
+    "absent": (None, "4x4"),
+}
+
+
+@pytest.mark.parametrize("case", POSES)
+def test_bad_pose(tmp_path, case):
+    pose, word = POSES[case]
+    refused(scene(tmp_path / "s", frames(transform_matrix=pose)), "transforms.json: frame 1: transform_matrix", word)
+
+
+FIELDS = {
+    "missing image": ({"file_path": "gone.png"}, ("file_path", "gone.png", "add the file or remove the frame")),
+    "parent": ({"file_path": "../secret.png"}, ("file_path", "leaves the capture")),
+    "hidden parent": ({"file_path": "a/../../secret.png"}, ("file_path", "leaves the capture")),
+    "backslash parent": ({"file_path": "..\\secret.png"}, ("file_path", "leaves the capture")),
+    "absolute": ({"file_path": "/etc/hostname"}, ("file_path", "leaves the capture")),
+    "drive": ({"file_path": "C:/x.png"}, ("file_path", "leaves the capture")),
+    "zero byte": ({"file_path": "1\0.png"}, ("file_path", "leaves the capture")),
+    "very long": ({"file_path": "x" * 100_000}, ("file_path", "no image")),
+    "no string": ({"file_path": 7}, ("file_path", "expected a non-empty string")),
+    "blank": ({"file_path": " "}, ("file_path", "expected a non-empty string")),
+    "time NaN": ({"time": float("nan")}, ("time", "finite")),
+    "time text": ({"time": "noon"}, ("time", "expected a number")),
+    "time missing": ({"time": None}, ("time", "missing")),
+    "zero focal": ({"fl_x": 0.0}, ("focal", "positive")),
+    "negative focal": ({"fl_x": -3.0}, ("focal", "positive")),
+    "focal text": ({"fl_x": "wide"}, ("fl_x", "expected a number")),
+    "centre outside": ({"cx": 4000.0}, ("cx", "outside")),
+    "field of view": ({"fl_x": None, "camera_angle_x": 4.0}, ("camera_angle_x", "outside")),
+    "other shape": ({"w": 100, "h": 200}, ("100x200", "16x12")),
+    "fisheye": ({"camera_model": "OPENCV_FISHEYE"}, ("camera_model", "undistort")),
+    "fisheye flag": ({"is_fisheye": True}, ("fisheye", "undistort")),
+    "k3": ({"k3": 0.1}, ("k3", "undistort")),
+}
+
+
+@pytest.mark.parametrize("case", FIELDS)
+def test_bad_field_of_a_frame(tmp_path, case):
+    change, words = FIELDS[case]
+    refused(scene(tmp_path / "s", frames(**change)), "transforms.json", "frame 1", *words)
+
+
+FILES = {
+    "cut short": (b'{"frames": [', "not valid JSON"),
+    "not UTF-8": (b'{"frames": "\xff\xfe"}', "UTF-8"),
+    "a list": (b"[1, 2]", "JSON object"),
+    "no frames": (b"{}", "frames"),
+    "frames null": (b'{"frames": null}', "frames"),
+    "frames empty": (b'{"frames": []}', "frames"),
+    "frames of numbers": (b'{"frames": [1]}', "frame 0"),
+    "nested": (b"[" * 200_000, "not valid JSON"),
+    "endless digits": (b'{"frames": ' + b"9" * 10_000 + b"}", "not valid JSON"),
+    "empty": (b"", "not valid JSON"),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_bad_json_file(tmp_path, case):
+    content, word = FILES[case]
+    root = scene(tmp_path / "s")
+    (root / "transforms.json").write_bytes(content)
+    refused(root, "transforms.json", word)
+
+
+def test_links_may_not_lead_out_of_the_capture(tmp_path):
+    Image.new("RGB", (16, 12)).save(tmp_path / "secret.png")
+    root = scene(tmp_path / "s", frames())
+    (root / "1.png").unlink()
+    (root / "1.png").symlink_to(tmp_path / "secret.png")
+    refused(root, "frame 1", "file_path", "leads out of the capture")
+    (root / "transforms.json").unlink()
+    refused(root, "1.png", "leads out of the capture")
+    (root / "1.png").unlink()
+    (root / "1.png").symlink_to("0.png")
+    assert recognise(root).facts["frames"] == 3, "a link inside the capture is fine"
+
+
+def test_links_in_a_circle(tmp_path):
+    root = scene(tmp_path / "s", frames())
+    (root / "1.png").unlink()
+    (root / "1.png").symlink_to("1.png")
+    refused(root, "frame 1", "file_path")
+
+
+def test_images_of_mixed_size(tmp_path):
+    root = scene(tmp_path / "s")
+    Image.new("RGB", (12, 16)).save(root / "2.png")
+    refused(root, "2.png", "12x16", "16x12")
+
+
+def test_broken_and_unsupported_images(tmp_path):
+    root = scene(tmp_path / "s")
+    (root / "1.png").write_bytes((root / "1.png").read_bytes()[:20])
+    refused(root, "1.png", "not a readable image")
+    Image.fromarray(np.zeros((12, 16), np.uint16)).save(root / "1.png")
+    refused(root, "1.png", "8-bit")
+
+
+def test_the_same_image_twice(tmp_path):
+    refused(scene(tmp_path / "s", frames(file_path="./0.png")), "0.png", "listed twice")
+
+
+def test_nothing_to_train_on(tmp_path):
+    root = scene(tmp_path / "s")
+    refused(root, "none of them for training", "holdout=0", holdout=1)
+    refused(root, "frames.every", every=2)
+    single = tmp_path / "single"
+    single.mkdir()
+    Image.new("RGB", (8, 8)).save(single / "0.png")
+    refused(single, "one image alone", holdout=0)
+
+
+def test_split_that_leaves_a_frame_out(tmp_path):
+    refused(scene(tmp_path / "s", train_filenames=["0.png"], test_filenames=["1.png"]), "2.png", "train_filenames")
+
+
+def test_bad_hint_of_intrinsics(tmp_path):
+    root = scene(tmp_path / "s")
+    (root / "transforms.json").unlink()
+    for content, word in (
+        ("1 2 3", "nine numbers"),
+        ("a b", "nine numbers"),
+        ("0 0 8 0 20 6 0 0 1", "positive"),
+        ("9 0 99 0 9 6 0 0 1", "outside"),
+    ):
+        (root / "K.txt").write_text(content)
+        refused(root, "K.txt", word)
+
+
+def test_videos_cut_short(video_capture, tmp_path):
+    whole = video_capture.root.read_bytes()
+    for length in (0, 10, len(whole) // 2, len(whole) * 3 // 4):
+        (tmp_path / "clip.mp4").write_bytes(whole[:length])
+        refused(tmp_path / "clip.mp4", "clip.mp4", "copy it again")
+
+
+def test_fast_start_video_cut_short_names_the_frame(video_capture, tmp_path):
+    """With the index in front a cut file still opens, and merely ends early."""
+    av = pytest.importorskip("av")
+    with av.open(str(video_capture.root)) as source, av.open(str(tmp_path / "f.mp4"), "w", options={"movflags": "faststart"}) as target:
+        stream = target.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                target.mux(packet)
+    whole = (tmp_path / "f.mp4").read_bytes()
+    assert recognise(tmp_path / "f.mp4").facts["frames"] == 12
+    (tmp_path / "f.mp4").write_bytes(whole[: int(len(whole) * 0.8)])  # within the tenth of twelve frames
+    refused(tmp_path / "f.mp4", "f.mp4: frame 9", "cut short")
+
+
+def test_n3v(n3v_capture, tmp_path):
+    def broken(change):
+        root = tmp_path / "n3v"
+        shutil.rmtree(root, ignore_errors=True)
+        shutil.copytree(n3v_capture.root, root)
+        table = np.load(root / "poses_bounds.npy")
+        result = change(root, table)
+        if result is not None:
+            np.save(root / "poses_bounds.npy", result)
+        return root
+
+    def nan(root, table):
+        table[2, 3] = np.nan
+        return table
+
+    def scaled(root, table):
+        table[1, [0, 5, 10]] *= 2
+        return table
+
+    refused(broken(lambda root, table: table[:3]), "poses_bounds.npy", "3 rows for 4 cameras")
+    refused(broken(lambda root, table: table[:, :15]), "poses_bounds.npy", "[N,17]")
+    refused(broken(nan), "poses_bounds.npy: row 2 (cam02.mp4)", "NaN")
+    refused(broken(scaled), "poses_bounds.npy: row 1", "not rigid")
+    pickled = broken(lambda root, table: None)
+    np.save(pickled / "poses_bounds.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    refused(pickled, "poses_bounds.npy", "not a readable numpy array")
+    cut = broken(lambda root, table: None)
+    (cut / "cam01.mp4").write_bytes((cut / "cam01.mp4").read_bytes()[:200])
+    refused(cut, "cam01.mp4", "copy it again")
+    lone = tmp_path / "lone"
+    lone.mkdir()
+    np.save(lone / "poses_bounds.npy", np.zeros((2, 17)))
+    refused(lone, "cam00.mp4")
+
+
+def test_n3v_cameras_of_unequal_length(n3v_capture, tmp_path):
+    np.save(tmp_path / "poses_bounds.npy", np.load(n3v_capture.root / "poses_bounds.npy"))
+    for camera in range(4):
+        (tmp_path / f"cam{camera:02d}").mkdir()
+        for t in range(3 - (camera == 2)):
+            Image.new("RGB", (80, 64)).save(tmp_path / f"cam{camera:02d}" / f"{t}.png")
+    refused(tmp_path, "cam02: 2 frames", "up to 3")
+
+
+def test_panoptic(panoptic_capture, tmp_path):
+    root = shutil.copytree(panoptic_capture.root, tmp_path / "p")
+    original = (root / "train_meta.json").read_text()
+
+    def broken(change):
+        data = json.loads(original)
+        change(data)
+        (root / "train_meta.json").write_text(json.dumps(data))
+        return root
+
+    refused(broken(lambda d: d["w2c"][1][2][0].__setitem__(3, float("nan"))), "train_meta.json: time 1, camera 2: w2c", "finite")
+    refused(broken(lambda d: d["k"][0][1][0].__setitem__(0, 0)), "train_meta.json: time 0, camera 1: k", "positive")
+    refused(broken(lambda d: d["fn"][0].__setitem__(0, "../../x.jpg")), "time 0, camera 0: fn", "leaves the capture")
+    refused(broken(lambda d: d["fn"].pop()), "train_meta.json", "number of times")
+    refused(broken(lambda d: d["fn"][0].pop()), "train_meta.json: time 0", "number of cameras")
+    refused(broken(lambda d: d.pop("w")), "train_meta.json: w", "expected a number")
+    broken(lambda d: None)
+    Image.new("L", (7, 7)).save(root / "seg/1/000000.png")
+    refused(root, "seg/1/000000.png", "7x7")
+    (root / "test_meta.json").unlink()
+    refused(root, "test_meta.json", "missing")
+
+
+def test_dnerf_times_in_one_split_only(dnerf_capture, tmp_path):
+    root = shutil.copytree(dnerf_capture.root, tmp_path / "d")
+    data = json.loads((root / "transforms_test.json").read_text())
+    for frame in data["frames"]:
+        del frame["time"]
+    (root / "transforms_test.json").write_text(json.dumps(data))
+    refused(root, "transforms_test.json", "time is missing")
+
+
+def test_colmap(colmap_capture, tmp_path):
+    root = shutil.copytree(colmap_capture.root, tmp_path / "c")
+    cameras = (root / "sparse/0/cameras.txt").read_text()
+    (root / "sparse/0/cameras.txt").write_text(cameras.replace("OPENCV", "OPENCV_FISHEYE"))
+    refused(root, "cameras.txt: camera 1", "OPENCV_FISHEYE", "undistort")
+    (root / "sparse/0/cameras.txt").write_text(cameras)
+    images = (root / "sparse/0/images.txt").read_text()
+    (root / "sparse/0/images.txt").write_text(images.replace("000.png", "../../0.png"))
+    refused(root, "images.txt", "leaves the capture")
+    (root / "sparse/0/images.txt").write_text(images[: len(images) // 3])
+    refused(root, "sparse/0", "export it again")
+    for part in ("cameras", "images"):
+        (root / f"sparse/0/{part}.bin").write_bytes(b"\x05\0\0\0\0\0\0\0\x01")
+    refused(root, "sparse/0", "cut short")
