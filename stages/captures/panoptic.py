@@ -39,6 +39,11 @@ def read(root: Path, options: Options) -> Reading:
     width, height, alpha = checks.image_headers(root, [str(s.file) for s in shots])
     for shot in shots:
         file_width, file_height = sizes[0 if shot.split == TRAIN else 1]
+        if abs(width * file_height / (height * file_width) - 1) > 0.02:
+            raise CaptureError(
+                f"{_FILES[shot.split == TEST][1]}: w, h say {file_width:g}x{file_height:g}, the images are {width}x{height}; "
+                "correct w and h or the images"
+            )
         if shot.K is not None:
             shot.K = np.diag([width / file_width, height / file_height, 1.0]) @ shot.K
     points, colors = _points(root)

@@ -117,6 +117,27 @@ def test_nerfstudio_order_without_times_is_that_of_the_names(nerfstudio_capture,
     assert_cameras(capture, nerfstudio_capture)
 
 
+def test_nerfstudio_with_repeated_times_is_several_cameras(nerfstudio_capture, tmp_path):
+    """Five frames at each of two times: tripods when poses repeat, single cameras without pairs when they do not."""
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "many")
+
+    def two_times(data):
+        for i, frame in enumerate(data["frames"]):
+            frame["time"] = float(i >= 5)
+
+    edit(root / "transforms.json", two_times)
+    facts = recognise(root).facts
+    assert (facts["cameras"], facts["times"], facts["pairs"], facts["fixed_cameras"]) == (10, 2, 0, False)
+
+    def tripods(data):
+        for i in range(5):
+            data["frames"][5 + i]["transform_matrix"] = data["frames"][i]["transform_matrix"]
+
+    edit(root / "transforms.json", tripods)
+    facts = recognise(root, holdout=0).facts
+    assert (facts["cameras"], facts["times"], facts["pairs"], facts["fixed_cameras"]) == (5, 2, 5, True)
+
+
 def test_intrinsics_per_frame_and_size_in_the_file(nerfstudio_capture, tmp_path):
     root = shutil.copytree(nerfstudio_capture.root, tmp_path / "own")
 

@@ -1,6 +1,7 @@
 """The `frames` stage: what it writes, and that damaged pictures stop it."""
 
 import shutil
+import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -96,6 +97,18 @@ def test_synchronised_videos_follow_camera_by_camera(n3v_capture, tmp_path):
         view = views[divmod(i, 6)]
         truth = flatten(render(n3v_capture.synthetic.scene, view.camera, view.time, n3v_capture.synthetic.options.samples))
         assert luma_error(images[i], truth) < 4
+
+
+def test_rotation_in_the_container_is_applied(video_capture, tmp_path):
+    """Telephones store portrait videos lying down, with a matrix in the track header that turns them clockwise."""
+    data = bytearray(video_capture.root.read_bytes())
+    at = data.index(b"tkhd") + 4 + 40
+    assert struct.unpack_from(">9i", data, at)[0] == 1 << 16, "the identity stands here"
+    struct.pack_into(">9i", data, at, 0, 1 << 16, 0, -1 << 16, 0, 0, 80 << 16, 0, 1 << 30)
+    (tmp_path / "portrait.mp4").write_bytes(data)
+    lying, upright = run(video_capture.root, tmp_path / "a"), run(tmp_path / "portrait.mp4", tmp_path / "b")
+    assert (upright.attrs["width"], upright.attrs["height"]) == (80, 96)
+    np.testing.assert_array_equal(upright.read("images")[3], np.rot90(lying.read("images")[3], -1))
 
 
 def test_max_size_applies_to_decoded_video(video_capture, tmp_path):
