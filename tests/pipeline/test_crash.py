@@ -1,0 +1,149 @@
+"""Whatever fails, wherever it fails: a result is there whole or not at all, and the next run ends well."""
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import toy_stages
+from e4dgs.pipeline import Artifact, Runner, StageError, make_plan
+
+SCRIPT = [sys.executable, str(Path(toy_stages.__file__))]
+
+
+class Crash(BaseException):
+    """The process ends here: nothing that it would have cleaned up is cleaned up."""
+
+
+class FailNth:
+    """Makes the Nth call of os.fsync, os.rename or os.replace fail, as SQLite's tests do."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, n: int, error: BaseException) -> None:
+        self.left, self.failed, self.error, self._lock = n, False, error, threading.Lock()
+        for name in ("fsync", "rename", "replace"):
+            monkeypatch.setattr(os, name, self._wrap(getattr(os, name)))
+
+    def _wrap(self, original):
+        def call(*args, **kwargs):
+            with self._lock:
+                self.left -= 1
+                dead = self.left < 0 and isinstance(self.error, Crash)  # a dead process does nothing any more
+                fail = self.left == 0 or dead
+            if fail:
+                self.failed = True
+                raise self.error
+            return original(*args, **kwargs)
+
+        return call
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), Crash()], ids=["error", "crash"])
+@pytest.mark.parametrize("forced", [False, True], ids=["new", "replaced"])
+def test_failing_at_any_write_leaves_all_or_nothing(bench, error, forced):
+    stages = ["numbers"]
+    whole = Runner(bench.job()).run(stages)[0].artifact
+    digest, key = whole.digest, whole.path.name
+    for n in range(1, 200):
+        if not forced:
+            bench.store.remove("numbers", key)
+        with pytest.MonkeyPatch.context() as patch:
+            failure = FailNth(patch, n, error)
+            if isinstance(error, Crash):
+                patch.setattr(shutil, "rmtree", lambda *args, **kwargs: None)
+            with contextlib.suppress(StageError, OSError, Crash):
+                Runner(bench.job()).run(stages, force=stages if forced else ())
+        found = bench.store.has("numbers", key)
+        if found:
+            artifact = Artifact(bench.store.path("numbers", key))
+            artifact.verify()
+            assert artifact.digest == digest
+        assert make_plan(bench.job(), stages)[0].state == ("cached" if found else "run")
+        assert Runner(bench.job()).run(stages)[0].artifact.digest == digest
+        if not failure.failed:
+            break
+    assert n > 10, "the loop must have failed at many places before it got through"
+    bench.store.sweep()
+    assert list((bench.store.root / "tmp").iterdir()) == []
+
+
+def start(bench, steps: int, seconds: float) -> subprocess.Popen:
+    return subprocess.Popen([*SCRIPT, str(bench.root), str(steps), str(seconds)], stdout=subprocess.PIPE, text=True)
+
+
+def wait_for_step(bench, step: int) -> None:
+    for _ in range(1500):
+        for path in (bench.store.root / "checkpoints").glob("slow-*/step.json"):
+            if int(path.read_text()) >= step:
+                return
+        time.sleep(0.02)
+    raise AssertionError("the process never got to its checkpoint")
+
+
+def test_a_killed_stage_is_never_taken_for_done_and_continues(bench):
+    process = start(bench, 60, 0.05)
+    wait_for_step(bench, 5)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    assert [stage for stage, _ in bench.store.entries()] == ["numbers"]
+    assert len(list((bench.store.root / "tmp").iterdir())) == 1, "the dead run could not clean up"
+    job = bench.slow(steps=60)
+    job.settings["slow"] = job.settings["slow"].model_copy(update={"seconds": 0.05})  # the killed run's settings
+    row = make_plan(job)[1]
+    assert row.state == "run" and row.reason == "never run for this scene; continues from a checkpoint"
+    made = Runner(job).run()[1].artifact
+    assert made.info["started_at"] >= 5
+    assert made.read("steps").tolist() == list(range(60))
+    assert list((bench.store.root / "tmp").iterdir()) == [] == list((bench.store.root / "checkpoints").iterdir())
+
+
+def test_other_settings_do_not_continue_from_that_checkpoint(bench):
+    with pytest.raises(StageError):
+        Runner(bench.slow(steps=5, fail_at=3)).run()
+    assert Runner(bench.slow(steps=5)).run()[1].artifact.info["started_at"] == 0
+
+
+def test_force_starts_over_instead_of_continuing(bench):
+    with pytest.raises(StageError):
+        Runner(bench.slow(fail_at=3)).run()
+    with pytest.raises(StageError):
+        Runner(bench.slow(fail_at=3)).run(force=["slow"])
+    assert bench.runs().count("slow") == 2
+    path = next((bench.store.root / "checkpoints").glob("slow-*/step.json"))
+    assert path.read_text() == "3"
+
+
+def test_an_interrupted_run_leaves_a_clean_state(bench):
+    process = start(bench, 200, 0.05)
+    wait_for_step(bench, 2)
+    process.send_signal(signal.SIGINT)
+    process.wait(timeout=20)
+    assert process.returncode != 0
+    assert list((bench.store.root / "tmp").iterdir()) == []
+    assert [stage for stage, _ in bench.store.entries()] == ["numbers"]
+    assert len(list((bench.store.root / "checkpoints").iterdir())) == 1
+
+
+def test_two_processes_make_one_result_once(bench):
+    processes = [start(bench, 10, 0.1) for _ in range(2)]
+    output = [process.communicate(timeout=60)[0].strip() for process in processes]
+    assert [process.returncode for process in processes] == [0, 0]
+    assert sorted(bench.runs()) == ["numbers", "slow"], "each stage ran once"
+    assert sorted(output) != ["['ran', 'ran']"] * 2
+
+
+def test_sweeping_spares_what_a_living_process_builds(bench):
+    process = start(bench, 200, 0.05)
+    wait_for_step(bench, 1)
+    left = bench.store.root / "tmp" / "slow-0123-dead"
+    left.mkdir()
+    assert bench.store.sweep() == ["slow-0123-dead"]
+    assert len(list((bench.store.root / "tmp").iterdir())) == 1
+    process.kill()
+    process.wait()
+    assert len(bench.store.sweep()) == 1

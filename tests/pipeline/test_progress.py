@@ -1,0 +1,43 @@
+"""Progress: nothing for quick loops, a line now and then where there is no terminal; peak memory belongs to its stage."""
+
+import io
+
+import numpy as np
+from e4dgs.pipeline import Progress, duration
+from e4dgs.pipeline import progress as module
+from e4dgs.pipeline.memory import PeakMemory
+from rich.console import Console
+
+
+def run_for(monkeypatch, seconds_a_step: float, terminal: bool = False) -> str:
+    clock = iter(np.arange(0, 1000, seconds_a_step))
+    monkeypatch.setattr(module.time, "monotonic", lambda: float(next(clock)))
+    out = io.StringIO()
+    with Progress(40, "coarse", Console(file=out, force_terminal=terminal, width=200)) as bar:
+        for _ in range(40):
+            bar.advance(note="loss 0.5")
+    monkeypatch.undo()
+    return out.getvalue()
+
+
+def test_a_quick_loop_says_nothing(monkeypatch):
+    assert run_for(monkeypatch, 0.01) == ""
+
+
+def test_a_long_loop_says_a_line_every_ten_seconds(monkeypatch):
+    lines = run_for(monkeypatch, 1.0).splitlines()
+    assert lines[0] == "  coarse: 10/40 (25 %), 30 s left, loss 0.5"
+    assert len(lines) == 4
+
+
+def test_durations_read_well():
+    assert [duration(s) for s in (0.4213, 9.7, 12.3, 185, 7800)] == ["0.42 s", "9.7 s", "12 s", "3 min 05 s", "2 h 10 min"]
+
+
+def test_peak_memory_is_that_of_the_block_alone():
+    with PeakMemory() as first:
+        block = np.ones(40_000_000)  # 320 MB, touched
+        del block
+    with PeakMemory() as second:
+        pass
+    assert first.mb > second.mb + 250
