@@ -182,7 +182,8 @@ def main(arguments: list[str] | None = None) -> Any:
         if hasattr(error, "format_message") and hasattr(error, "exit_code"):  # a usage error of the command line's parser
             context = getattr(error, "ctx", None)
             help_hint = f" (see {context.command_path} --help)" if context is not None else ""
-            errors.print(f"error: {error.format_message()}{help_hint}", markup=False, highlight=False, soft_wrap=True)
+            if error.format_message():  # empty when no argument was given: the help is already printed
+                errors.print(f"error: {error.format_message()}{help_hint}", markup=False, highlight=False, soft_wrap=True)
             return 2
         if "--debug" in arguments:
             traceback.print_exc()

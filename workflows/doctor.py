@@ -8,6 +8,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 
 from .devices import why_not_cuda
@@ -22,7 +23,7 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
         ("python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
         ("e4dgs", True, _installed_version()),
     ]
-    found += [(name, *_try(lambda name=name: metadata.version(name))) for name in LIBRARIES]  # type: ignore[misc]
+    found += [(name, *_library(name)) for name in LIBRARIES]
     found.append(("CPU kernels", *_try(_render)))
     found.append(("threads", *_try(_threads)))
     found.append(("pycolmap loads", *_try(_pycolmap)))
@@ -36,11 +37,24 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
     return found
 
 
+_MODULES = {"opencv-contrib-python-headless": "cv2", "open3d-cpu": "open3d"}  # other distributions bring the same module
+_OPTIONAL = ("open3d-cpu",)
+
+
+def _library(name: str) -> tuple[bool | None, str]:
+    try:
+        return True, metadata.version(name)
+    except metadata.PackageNotFoundError:
+        if name in _MODULES and find_spec(_MODULES[name]) is not None:
+            return True, f"another distribution brings {_MODULES[name]}"
+        return (
+            (None, "not installed, optional") if name in _OPTIONAL else (False, "not installed; install e4dgs again with its dependencies")
+        )
+
+
 def _try(check: Callable[[], str]) -> tuple[bool, str]:
     try:
         return True, check()
-    except metadata.PackageNotFoundError:
-        return False, "not installed; install e4dgs again with its dependencies"
     except Exception as error:  # a doctor reports whatever is broken
         return False, f"{type(error).__name__}: {error}"
 

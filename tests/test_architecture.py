@@ -1,0 +1,77 @@
+"""The house rules that a machine can hold: imports point down, heavy libraries load late, DESIGN.md files are short."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BELOW = {
+    "pipeline": set(),
+    "rasterizer": set(),
+    "scene": {"pipeline", "rasterizer"},
+    "stages": {"scene", "pipeline", "rasterizer"},
+    "workflows": {"stages", "scene", "pipeline", "rasterizer"},
+}
+LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
+
+
+def imported_folders(path: Path) -> set[str]:
+    """Folders of the house that a file imports, relatively or as e4dgs.*, at any depth; its own folder included."""
+    package = ("e4dgs", *path.relative_to(ROOT).parts[:-1])
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            targets = [tuple(alias.name.split(".")) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            module = (*base, *(node.module or "").split(".")) if node.module else base
+            targets = [(*module, alias.name) for alias in node.names]
+        else:
+            continue
+        found |= {target[1] for target in targets if len(target) > 1 and target[0] == "e4dgs"}
+    return found
+
+
+@pytest.mark.parametrize("folder", BELOW)
+def test_imports_point_down(folder):
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        above = imported_folders(path) & (BELOW.keys() - BELOW[folder] - {folder})
+        assert not above, f"{path.relative_to(ROOT)} imports {above}; {folder} may import {BELOW[folder] or 'nothing of ours'}"
+
+
+def test_the_rule_sees_every_form_of_import(tmp_path, monkeypatch):
+    (tmp_path / "scene" / "sub").mkdir(parents=True)
+    path = tmp_path / "scene" / "sub" / "x.py"
+    path.write_text(
+        "import e4dgs.workflows.cli\nfrom ...stages import frames\ndef f():\n    from ... import rasterizer\n"
+        "from ..model import Model\nfrom e4dgs.pipeline import Stage\n"
+    )
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    assert imported_folders(path) == {"workflows", "stages", "rasterizer", "scene", "pipeline"}
+
+
+@pytest.mark.parametrize("folder", BELOW)
+def test_every_folder_has_a_short_design(folder):
+    design = ROOT / folder / "DESIGN.md"
+    assert design.is_file(), f"{folder} has no DESIGN.md"
+    assert len(design.read_text().splitlines()) <= 120
+
+
+def test_heavy_libraries_load_late():
+    """`import e4dgs`, the pipeline, the command line and every stage can be imported without them."""
+    stages = sorted(f"e4dgs.stages.{path.stem}" for path in (ROOT / "stages").glob("*.py") if path.stem != "__init__")
+    names = ["e4dgs", "e4dgs.pipeline", "e4dgs.workflows.cli", "e4dgs.workflows.reconstruction", "e4dgs.stages", *stages]
+    code = (
+        "import importlib, json, sys\nfound = {}\n"
+        f"for name in {names!r}:\n"
+        "    importlib.import_module(name)\n"
+        f"    found[name] = [heavy for heavy in {LATE!r} if heavy in sys.modules]\n"
+        "print(json.dumps(found))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    for name, heavy in json.loads(result.stdout).items():
+        assert not heavy, f"importing {name} (or a module before it) imports {heavy}"

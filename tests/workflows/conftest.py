@@ -1,0 +1,51 @@
+"""The command line on a toy reconstruction: `cli("run", "all", path)` returns exit code, output and errors."""
+
+import sys
+import types
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import toy_reconstruction
+
+
+class Result(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def cli(tmp_path, monkeypatch, capsys):
+    """Runs a command in an empty folder, whose workspace is ``e4dgs-workspace``."""
+    from e4dgs.workflows import cli as module
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("e4dgs.workflows.session.reconstruction", toy_reconstruction.toy_reconstruction)
+    report = types.ModuleType("e4dgs.stages.report")
+    report.render_report = toy_reconstruction.render_report
+    monkeypatch.setitem(sys.modules, "e4dgs.stages.report", report)
+    monkeypatch.setattr("signal.signal", lambda *args: None)
+
+    def run(*arguments: object) -> Result:
+        monkeypatch.setattr(module, "console", module.Console(width=200, force_terminal=False))
+        code = module.main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return Result(code, captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture
+def capture(tmp_path) -> Path:
+    """A folder of five tiny pictures."""
+    from PIL import Image
+
+    folder = tmp_path / "captures" / "my scene"
+    folder.mkdir(parents=True)
+    for i in range(5):
+        Image.new("RGB", (32, 24), (40 * i, 0, 0)).save(folder / f"{i:03d}.png")
+    return folder

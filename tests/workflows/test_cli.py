@@ -1,0 +1,170 @@
+"""What a user types, what is printed and written, and the exit codes: 0 done, 1 a stage failed, 2 bad arguments or capture."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+SCENE = Path("e4dgs-workspace/scenes/my-scene")
+
+
+def test_run_all_leaves_metrics_report_and_plan(cli, capture):
+    result = cli("run", "all", capture)
+    assert result.code == 0, result.err
+    assert "images" in result.out and "5 frames 32x24" in result.out and "4 train, 1 test" in result.out
+    assert "30.00" in result.out and f"report: {SCENE.resolve() / 'report.html'}" in result.out
+    metrics = json.loads((SCENE / "metrics.json").read_text())
+    assert metrics["scene"] == "my-scene" and metrics["splits"]["test"]["psnr"] == 30.0 and metrics["render_fps"] == 12.5
+    assert metrics["train_seconds"] == 1234.0, "a continued training counts with its own log"
+    assert {name: stage["state"] for name, stage in metrics["stages"].items()} == dict.fromkeys(("frames", "fine", "evaluate"), "ran")
+    assert set(metrics["stages"]["fine"]) == {"state", "reason", "seconds", "peak_rss_mb"}
+    assert "all steps done" in (SCENE / "report.html").read_text()
+    plan = json.loads((SCENE / "plan.json").read_text())
+    assert [row["state"] for row in plan["stages"]] == ["run"] * 3 and plan["settings"]["fine"]["iterations"] == 10
+
+
+def test_a_second_run_reuses_everything(cli, capture):
+    cli("run", "all", capture)
+    (SCENE / "report.html").write_text("as it was")
+    result = cli("run", "all", capture)
+    assert result.code == 0 and "done in" not in result.out
+    metrics = json.loads((SCENE / "metrics.json").read_text())
+    assert {stage["state"] for stage in metrics["stages"].values()} == {"cached"}
+    assert metrics["stages"]["fine"]["seconds"] > 0, "what the run that made it took"
+    assert (SCENE / "report.html").read_text() == "as it was"
+    (SCENE / "report.html").unlink()
+    cli("run", "all", capture)
+    assert (SCENE / "report.html").is_file()
+
+
+def test_a_changed_setting_runs_what_depends_on_it(cli, capture):
+    cli("run", "all", capture)
+    plan = json.loads(cli("plan", capture, "--set", "fine.iterations=5", "--json").out)
+    assert [(row["stage"], row["state"]) for row in plan["stages"]] == [("frames", "cached"), ("fine", "run"), ("evaluate", "run")]
+    assert plan["stages"][1]["reason"] == "settings.iterations: 10 -> 5"
+    assert "fine would run: settings.iterations: 10 -> 5" in cli("why", "fine", capture, "--set", "fine.iterations=5").out
+    cli("run", "all", capture, "--set", "fine.iterations=5")
+    metrics = json.loads((SCENE / "metrics.json").read_text())
+    assert [stage["state"] for stage in metrics["stages"].values()] == ["cached", "ran", "ran"]
+    assert metrics["splits"]["test"]["psnr"] == 25.0
+
+
+def test_a_skipped_stage_is_recorded_with_its_reason(cli, capture):
+    result = cli("run", "all", capture, "--set", "fine.iterations=0")
+    assert result.code == 0 and "skip" in result.out
+    stage = json.loads((SCENE / "metrics.json").read_text())["stages"]["fine"]
+    assert stage == {"state": "skipped", "reason": "fine.iterations is 0", "seconds": 0.0, "peak_rss_mb": 0.0}
+
+
+def test_run_one_stage_stops_there_and_force_reruns_it(cli, capture):
+    assert cli("run", "fine", capture).code == 0
+    assert not (SCENE / "metrics.json").exists()
+    assert "fine: done" not in cli("run", "fine", capture).out
+    forced = cli("run", "fine", capture, "--force")
+    assert "fine: forced" in forced.out and "frames: done" not in forced.out
+
+
+def test_plan_and_why_write_nothing(cli, capture):
+    assert cli("plan", capture).code == 0
+    assert "never run for this scene" in cli("why", "fine", capture).out
+    assert not Path("e4dgs-workspace").exists()
+
+
+def test_static_and_format_are_settings_of_frames(cli, capture):
+    facts = json.loads(cli("plan", capture, "--static", "--format", "images", "--json").out)
+    assert facts["recognised"]["static"] is True
+    assert facts["settings"]["frames"]["static"] is True and facts["settings"]["frames"]["format"] == "images"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--set", "fine.iterations=101"), "less than or equal to 100"),
+        (("--set", "fine.iters=1"), "did you mean 'iterations'?"),
+        (("--preset", "fastest"), "presets: default, fast"),
+        (("--device", "tpu"), "choose one of auto, cpu, cuda"),
+        (("--device", "cuda"), "use --device cpu"),
+        (("--name", "../up"), "use up to 100 letters"),
+        (("--format", "vhs"), "'images'"),
+        (("--frobnicate",), "--frobnicate"),
+    ],
+)
+def test_bad_arguments_exit_with_2_and_say_what_is_valid(cli, capture, arguments, message, monkeypatch):
+    monkeypatch.setattr("e4dgs.workflows.devices.why_not_cuda", lambda: "no driver")
+    result = cli("run", "all", capture, *arguments)
+    assert result.code == 2 and message in result.err and "Traceback" not in result.err
+    assert not Path("e4dgs-workspace").exists()
+
+
+def test_an_unknown_stage_and_a_missing_argument_exit_with_2(cli, capture):
+    result = cli("run", "fime", capture)
+    assert result.code == 2 and "give one of: all, frames, fine, evaluate" in result.err
+    assert cli("run", "all").code == 2
+    assert cli("why", "fime", capture).code == 2
+
+
+def test_a_bad_capture_exits_with_2_and_leaves_no_scene(cli, capture, tmp_path):
+    empty = tmp_path / "nothing"
+    empty.mkdir()
+    result = cli("run", "all", empty)
+    assert result.code == 2 and result.err.startswith("error: ") and "empty" in result.err
+    broken = shutil.copytree(capture, tmp_path / "broken")
+    result = cli("run", "all", broken)
+    assert (result.code, result.err) == (2, "error: 000.png: cut short; copy it again\n")
+    assert not Path("e4dgs-workspace/scenes").exists()
+    assert list(Path("e4dgs-workspace/store").glob("frames/*")) == [] == list(Path("e4dgs-workspace/store/tmp").iterdir())
+
+
+def test_a_failing_stage_exits_with_1_in_one_line(cli, capture):
+    result = cli("run", "all", capture, "--set", "fine.iterations=13")
+    assert (result.code, result.err) == (1, "error: fine: 13 steps bring bad luck; choose another number\n")
+    result = cli("run", "all", capture, "--set", "fine.iterations=14")
+    assert (result.code, result.err) == (1, "error: fine failed: MemoryError: out of memory\n")
+    assert "Traceback" in cli("run", "all", capture, "--set", "fine.iterations=14", "--debug").err
+
+
+def test_two_captures_of_one_name_get_two_scenes(cli, capture, tmp_path):
+    cli("run", "all", capture)
+    other = shutil.copytree(capture, tmp_path / "elsewhere" / "my scene")
+    result = cli("run", "all", other)
+    assert result.code == 0 and "another capture already has this name" in result.out
+    scenes = sorted(path.name for path in SCENE.parent.iterdir())
+    assert len(scenes) == 2 and scenes[1].startswith("my-scene-")
+    assert "done in" not in cli("run", "all", other).out
+    assert len(list(SCENE.parent.iterdir())) == 2
+    result = cli("run", "all", other, "--name", "my-scene")
+    assert result.code == 2 and f"this scene belongs to {capture}" in result.err
+
+
+def test_verify_finds_damage_and_the_next_run_repairs_it(cli, capture):
+    cli("run", "all", capture)
+    assert cli("verify").out.startswith("3 of 3 results")
+    path = next(Path("e4dgs-workspace/store/fine").glob("*/info.json"))
+    path.write_bytes(path.read_bytes().replace(b"1234", b"4321"))
+    result = cli("verify")
+    assert result.code == 1 and "info.json" in result.out and "2 of 3 results" in result.out
+    cli("run", "fine", capture, "--force")
+    assert cli("verify").code == 0
+
+
+def test_gc_removes_what_no_scene_used_last(cli, capture):
+    cli("run", "all", capture)
+    cli("run", "all", capture, "--set", "fine.iterations=5")
+    assert "would remove fine/" in cli("gc", "--dry-run").out
+    assert len(list(Path("e4dgs-workspace/store/fine").iterdir())) == 2
+    result = cli("gc")
+    assert result.code == 0 and "2 results" in result.out
+    assert "done in" not in cli("run", "all", capture, "--set", "fine.iterations=5").out
+    assert cli("gc").out.startswith("0 results")
+
+
+def test_doctor_reports_what_fails_without_failing_itself(cli, monkeypatch):
+    def broken() -> str:
+        raise ImportError("no such library")
+
+    monkeypatch.setattr("e4dgs.workflows.doctor._render", broken)
+    result = cli("doctor")
+    assert result.code == 1
+    assert "FAIL CPU kernels: ImportError: no such library" in result.out
+    assert "ok   zarr writes and reads: with checksums" in result.out and "CUDA: " in result.out
