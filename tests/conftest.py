@@ -1,0 +1,86 @@
+"""Small synthetic captures, one of every layout, for all tests.
+
+Each fixture is a `factory.Capture`: `.root` is the path, `.views` and `.synthetic` are the truth. They are shared by the whole
+session, so tests only read them; who wants to damage a capture copies it first (`shutil.copytree(capture.root, tmp_path / "bad")`)
+or makes an own one with `factory.make` and a writer.
+"""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # importlib mode leaves sys.path alone, and `factory` is shared
+
+from factory import (
+    Capture,
+    Options,
+    make,
+    write_colmap,
+    write_dnerf,
+    write_images,
+    write_n3v,
+    write_nerfstudio,
+    write_panoptic,
+    write_video,
+)
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared_scenes() -> Path:
+    """The folder of real captures beside the repository; tests that need it skip where it is absent."""
+    if not (SHARED / "scenes").is_dir():
+        pytest.skip("needs the captures in ../shared/scenes, which are not part of the repository")
+    return SHARED / "scenes"
+
+
+@pytest.fixture(scope="session")
+def dnerf_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """12 train, 2 val, 4 test RGBA views of 64x64, a new camera at every time."""
+    return write_dnerf(make(Options()), tmp_path_factory.mktemp("dnerf"))
+
+
+@pytest.fixture(scope="session")
+def n3v_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """4 fixed synchronised cameras x 6 times, 80x64; camera 0 is the test camera."""
+    options = Options(backdrop="room", rig="arc", cameras=4, times=6, width=80, height=64, samples=3, fov_degrees=60.0)
+    return write_n3v(make(options), tmp_path_factory.mktemp("n3v"))
+
+
+@pytest.fixture(scope="session")
+def panoptic_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """4 fixed synchronised cameras x 4 times, 80x64, with masks of what moves; camera 0 is the test camera."""
+    options = Options(backdrop="room", rig="arc", cameras=4, times=4, width=80, height=64, samples=3, fov_degrees=60.0, seed=1)
+    return write_panoptic(make(options), tmp_path_factory.mktemp("panoptic"))
+
+
+@pytest.fixture(scope="session")
+def nerfstudio_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """One moving camera with lens distortion, 10 times, 80x64."""
+    options = Options(
+        backdrop="room", rig="path", times=10, width=80, height=64, samples=3, fov_degrees=60.0, distortion=(-0.06, 0.01, 0.001, -0.0005)
+    )
+    return write_nerfstudio(make(options), tmp_path_factory.mktemp("nerfstudio"))
+
+
+@pytest.fixture(scope="session")
+def colmap_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """A COLMAP text model with true poses, 8 times of one moving camera, 80x64."""
+    options = Options(backdrop="room", rig="path", times=8, width=80, height=64, samples=3, fov_degrees=60.0, seed=2)
+    return write_colmap(make(options), tmp_path_factory.mktemp("colmap"))
+
+
+@pytest.fixture(scope="session")
+def images_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """A bare folder: 10 images of one moving camera, 96x80."""
+    options = Options(backdrop="room", rig="path", times=10, width=96, height=80, samples=3, fov_degrees=60.0)
+    return write_images(make(options), tmp_path_factory.mktemp("images"))
+
+
+@pytest.fixture(scope="session")
+def video_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """An H.264 file of 12 frames of one moving camera, 96x80; `.root` is the file."""
+    options = Options(backdrop="room", rig="path", times=12, width=96, height=80, samples=3, fov_degrees=60.0)
+    return write_video(make(options), tmp_path_factory.mktemp("video") / "clip.mp4")
