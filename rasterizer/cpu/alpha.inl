@@ -1,0 +1,155 @@
+// Evaluating one primitive at a vector of pixels, and which blocks of a tile it may touch. Included by blend.inl.
+
+constexpr int kVectors = 16 / kWidth;  // a block of 4 x 4 pixels; lanes run along x, then y
+constexpr int kChunk = 128;
+
+alignas(64) constexpr float kLaneX[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
+alignas(64) constexpr float kLaneY[16] = {0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3};
+alignas(64) constexpr float kBlockX[16] = {1.5, 5.5, 9.5, 13.5, 1.5, 5.5, 9.5, 13.5, 1.5, 5.5, 9.5, 13.5, 1.5, 5.5, 9.5, 13.5};
+alignas(64) constexpr float kBlockY[16] = {1.5, 1.5, 1.5, 1.5, 5.5, 5.5, 5.5, 5.5, 9.5, 9.5, 9.5, 9.5, 13.5, 13.5, 13.5, 13.5};
+
+// 2^a, a relative error of 1e-7. Below the range of exponents 0 where SATURATE, else anything: callers mask that.
+template <bool SATURATE = true>
+inline Float exp2(Float a) {
+    if constexpr (SATURATE && !kScaleSaturates) a = max(a, set1(-126.0f));
+    const Float n = nearest(a), f = a - n;
+    Float p = fma(set1(0.001326472731307149f), f, set1(0.009671512991189957f));
+    p = fma(p, f, set1(0.05550733581185341f));
+    p = fma(p, f, set1(0.24022242426872253f));
+    p = fma(p, f, set1(0.6931470036506653f));
+    return scale(fma(p, f, set1(1.0f)), n);
+}
+
+// log2 a for normal a > 0, absolute error 1e-7 for small results.
+inline Float log2(Float a) {
+    Float e, m;
+    split(a, e, m);
+    const Mask high = m >= set1(1.41421356f);
+    e = select(high, e + set1(1.0f), e);
+    const Float t = select(high, m * set1(0.5f), m) - set1(1.0f);
+    Float p = fma(set1(0.12541235983371735f), t, set1(-0.21030330657958984f));
+    p = fma(p, t, set1(0.2173794060945511f));
+    p = fma(p, t, set1(-0.23851944506168365f));
+    p = fma(p, t, set1(0.28765666484832764f));
+    p = fma(p, t, set1(-0.3607212007045746f));
+    p = fma(p, t, set1(0.48092252016067505f));
+    p = fma(p, t, set1(-0.7213471531867981f));
+    p = fma(p, t, set1(1.442694902420044f));
+    return fma(p, t, e);
+}
+
+inline Float abs(Float a) { return max(a, zero() - a); }
+
+// A primitive in the coordinates of its tile: (0, 0) is the centre of the tile's first pixel.
+struct Item {
+    float f0, f1, f2, u, v, exponent;  // Gaussians: u = f0 X + f1 Y + u0, v = f2 Y + v0
+    float color[3], z;
+    int32_t convex;                    // index into the chunk's convexes, -1 for a Gaussian
+    const float* extras;               // null: zeros
+};
+
+struct ConvexItem {
+    float a[kMaxPoints], b[kMaxPoints], c[kMaxPoints];  // L_i = a_i X + b_i Y + c_i
+    float opacity, rho, limit;
+    int n;
+};
+
+inline float bounded(double x) { return x > 1e30 ? 1e30f : x < -1e30 ? -1e30f : float(x); }
+
+inline void gather(const TileJob& job, uint32_t id, double ox, double oy, Item& item, ConvexItem* convexes, int& n_convexes) {
+    if (id < job.n_gaussians) {
+        const GaussianRecord& r = job.gaussians[id];
+        const double dx = ox - r.x, dy = oy - r.y;
+        item.f0 = float(r.f[0]), item.f1 = float(r.f[1]), item.f2 = float(r.f[2]);
+        item.u = float(r.f[0] * dx + r.f[1] * dy), item.v = float(r.f[2] * dy);
+        item.exponent = r.exponent;
+        item.color[0] = r.color[0], item.color[1] = r.color[1], item.color[2] = r.color[2], item.z = r.z;
+        item.convex = -1;
+        item.extras = job.gaussian_extras ? job.gaussian_extras + int64_t(id) * job.extras : nullptr;
+        return;
+    }
+    id -= job.n_gaussians;
+    const ConvexRecord& r = job.convexes[id];
+    ConvexItem& c = convexes[n_convexes];
+    for (int i = 0; i < r.n; ++i) {
+        c.a[i] = bounded(r.A[i]), c.b[i] = bounded(r.B[i]);
+        c.c[i] = bounded(r.A[i] * (ox - r.x0) + r.B[i] * (oy - r.y0) + r.C[i]);
+    }
+    c.opacity = r.opacity, c.rho = r.rho, c.limit = r.limit, c.n = r.n;
+    item.color[0] = r.color[0], item.color[1] = r.color[1], item.color[2] = r.color[2], item.z = r.z;
+    item.convex = n_convexes++;
+    item.extras = job.convex_extras ? job.convex_extras + int64_t(id) * job.extras : nullptr;
+}
+
+// Blocks whose pixel centres may meet the disc u^2 + v^2 <= radius^2, by three separating axes: the block's own two edges and
+// the line from the disc's centre to the block's. A block is a parallelogram in the (u, v) plane.
+inline uint32_t gaussian_blocks(const Item& g, float radius) {
+    constexpr float h = 0.5f * (kBlock - 1);
+    const float r = radius + 1e-4f;
+    const float side = __builtin_sqrtf(g.f1 * g.f1 + g.f2 * g.f2);
+    const Float f0 = set1(g.f0), f1 = set1(g.f1), f2 = set1(g.f2), r2 = set1(r * r), half = set1(h);
+    const Float high_v = set1(r + h * g.f2), high_n = set1(r * side + h * g.f0 * g.f2);
+    uint32_t mask = 0;
+    for (int k = 0; k < kVectors; ++k) {
+        const Float y = load(kBlockY + k * kWidth);
+        const Float u = fma(f0, load(kBlockX + k * kWidth), fma(f1, y, set1(g.u))), v = fma(f2, y, set1(g.v));
+        const Float p2 = fma(u, u, v * v);
+        const Float support = fma(abs(u), f0, abs(fma(u, f1, v * f2)));
+        const Float gap = max(fnma(half, support, p2), zero());
+        const Mask m = (high_v >= abs(v)) & (high_n >= abs(fma(u, f2, zero() - v * f1))) & (r2 * p2 >= gap * gap);
+        mask |= bits(m) << (k * kWidth);
+    }
+    return mask;
+}
+
+inline uint32_t convex_blocks(const ConvexItem& c) {
+    constexpr float h = 0.5f * (kBlock - 1);
+    uint32_t mask = 0;
+    for (int k = 0; k < kVectors; ++k) {
+        const Float x = load(kBlockX + k * kWidth), y = load(kBlockY + k * kWidth);
+        Float worst = set1(-3e38f);
+        for (int i = 0; i < c.n; ++i) {
+            const float reach = h * (__builtin_fabsf(c.a[i]) + __builtin_fabsf(c.b[i]));
+            worst = max(worst, fma(set1(c.a[i]), x, fma(set1(c.b[i]), y, set1(c.c[i] - reach))));
+        }
+        mask |= bits(set1(c.limit) >= worst) << (k * kWidth);
+    }
+    return mask;
+}
+
+// Before the cap; `counted` where it is at least 1/255, garbage elsewhere.
+inline Float gaussian_alpha(const Item& g, Float X, Float Y, Float& u, Float& v, Mask& counted) {
+    u = fma(set1(g.f0), X, fma(set1(g.f1), Y, set1(g.u)));
+    v = fma(set1(g.f2), Y, set1(g.v));
+    const Float e = fnma(u, u, fnma(v, v, set1(g.exponent)));
+    counted = e >= set1(-kLog2Of255);
+    return exp2<false>(e);
+}
+
+struct ConvexValue {
+    Float edge[kMaxPoints];  // 2^(L_i - max)
+    Float sum, lse;          // of edge; log2 sum 2^L_i
+    Float inside;            // M
+    Float outside;           // 1 - M
+};
+
+inline Float convex_alpha(const ConvexItem& c, Float X, Float Y, ConvexValue& value, Mask& counted) {
+    Float top = set1(-3e38f);
+    for (int i = 0; i < c.n; ++i) {
+        value.edge[i] = fma(set1(c.a[i]), X, fma(set1(c.b[i]), Y, set1(c.c[i])));
+        top = max(top, value.edge[i]);
+    }
+    value.sum = zero();
+    for (int i = 0; i < c.n; ++i) {
+        value.edge[i] = exp2(value.edge[i] - top);
+        value.sum = value.sum + value.edge[i];
+    }
+    value.lse = top + log2(value.sum);
+    // Beyond 2^30 on either side M is 0 or 1 as far as alpha goes.
+    const Float E = exp2(min(max(set1(c.rho) * value.lse, set1(-60.0f)), set1(30.0f)));
+    value.inside = reciprocal(set1(1.0f) + E);
+    value.outside = E * value.inside;
+    const Float alpha = set1(c.opacity) * value.inside;
+    counted = alpha >= set1(kMinAlpha);
+    return alpha;
+}

@@ -1,0 +1,50 @@
+// The blending of one tile, compiled once for each instruction set. Plain data only: nothing here may instantiate a template
+// that other translation units share, or the linker could keep the copy that older processors cannot run.
+#pragma once
+#include <cstdint>
+
+#include "records.h"
+
+namespace e4dgs {
+
+struct TileJob {
+    int width, height, tiles_x;
+    uint32_t n_gaussians;
+    const GaussianRecord* gaussians;
+    const ConvexRecord* convexes;
+    const float *gaussian_extras, *convex_extras;  // [n, extras] or null
+    int extras;
+    const uint64_t* tile_begin;
+    const Entry* entries;
+    uint16_t* masks;
+    float background[3];
+    float* transmittance;  // [H, W], may be null in the forward pass
+    int32_t* last;
+};
+
+struct ForwardJob : TileJob {
+    float *color, *alpha, *depth, *extra;  // the frame
+    uint8_t *visible_gaussians, *visible_convexes;
+};
+
+struct BackwardJob : TileJob {
+    const float *grad_color, *grad_alpha, *grad_depth, *grad_extras;  // of the frame, each may be null
+    const float *alpha, *depth;                                      // the frame's, read where grad_depth is given
+    float* slots;        // gradients a (tile, primitive) pair
+    uint8_t* touched;    // [units] 1 at the first unit of every slot that was written
+    double* grad_background;  // [tiles, 3] gradient, may be null
+};
+
+// How many floats of scratch, aligned to 64 bytes, a tile wants for its extras.
+inline int64_t scratch_floats(int extras) { return int64_t(extras) * (kTile * kTile + 16) + 16; }
+
+struct Kernels {
+    const char* name;
+    void (*forward)(const ForwardJob&, int tile, float* scratch);
+    void (*backward)(const BackwardJob&, int tile, float* scratch);
+};
+
+const Kernels& kernels();  // the best that this processor runs
+bool select_kernels(const char* name);  // for tests and benchmarks; false where the processor lacks it
+
+}  // namespace e4dgs

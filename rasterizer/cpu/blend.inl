@@ -1,0 +1,19 @@
+// The blending of one tile, forward and backward, for one instruction set: a blend_*.cpp defines E4DGS_ISA, includes its
+// simd_*.h and then this. Blocks of 4 x 4 pixels are the unit of skipping and stopping.
+#include "blend.h"
+
+namespace E4DGS_ISA {
+namespace {
+
+using namespace e4dgs;
+
+#include "alpha.inl"
+#include "forward.inl"
+#include "backward.inl"
+
+}  // namespace
+
+extern const Kernels kKernels;
+const Kernels kKernels = {E4DGS_ISA_NAME, &forward_tile, &backward_tile};
+
+}  // namespace E4DGS_ISA

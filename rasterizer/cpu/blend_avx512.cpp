@@ -1,0 +1,5 @@
+#define E4DGS_ISA e4dgs_avx512
+#define E4DGS_ISA_NAME "avx512"
+#include "simd_avx512.h"
+//
+#include "blend.inl"

@@ -1,0 +1,42 @@
+// Projected primitives and their places in the tiles: plain data, shared by all stages and by the kernels of every instruction set.
+#pragma once
+#include <cstdint>
+
+#include "constants.h"
+
+namespace e4dgs {
+
+constexpr int kTile = 16;    // px, a tile's side
+constexpr int kBlock = 4;    // px, a block's side; a tile has 16 blocks, one bit each in a mask
+constexpr int kShift = 4;    // slots are counted in units of 4 floats
+
+// One projected Gaussian: a cache line. alpha = 2^(exponent - u^2 - v^2), see exponent_factor().
+struct alignas(64) GaussianRecord {
+    double x, y;         // mean, px
+    double f[3];         // triangular factor
+    float exponent;      // log2(opacity)
+    float radius;        // sqrt(exponent + log2 255), the support in the (u, v) plane, slightly enlarged
+    float color[3], z;
+};
+
+// One projected convex: alpha = opacity / (1 + 2^(rho log2 sum_i 2^L_i)), L_i = A_i (px - x0) + B_i (py - y0) + C_i.
+struct ConvexRecord {
+    double x0, y0;                                       // the centroid's projection, px
+    double A[kMaxPoints], B[kMaxPoints], C[kMaxPoints];
+    float opacity, rho;                                  // rho = kappa / tau
+    float limit;                                         // alpha >= 1/255 only where every L_i <= limit
+    float color[3], z;
+    int n;
+};
+
+// Primitives are numbered through: Gaussians 0..N-1, convexes N..N+M-1.
+struct Entry {
+    uint32_t primitive;
+    uint32_t slot;  // where this (tile, primitive) pair's gradients go, in units of 4 floats
+};
+
+constexpr int kSlotShape = 4;      // where a slot's shape gradients begin, after color 3 and z 1
+constexpr int kGaussianShape = 6;  // sum g (1, u, v, uu, uv, vv), g = dL/dalpha alpha, of uncapped pixels
+inline int convex_shape(int points) { return 2 + 3 * points; }  // sum g, sum h lse, then a (A, B, C) for each edge
+
+}  // namespace e4dgs

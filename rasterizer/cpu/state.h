@@ -1,0 +1,41 @@
+// What a frame's forward pass computes and its backward pass needs again.
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include "buffer.h"
+#include "records.h"
+#include "scene.h"
+
+namespace e4dgs {
+
+// Floats a (tile, primitive) pair's gradients: color 3, z 1, shape, extras E; rounded up to whole units.
+inline int slot_units(int shape, int extras) { return (4 + shape + extras + 3) / 4; }
+
+struct State {
+    SceneInput scene;
+    int tiles_x = 0, tiles_y = 0;
+    Buffer<GaussianRecord> gaussians;
+    Buffer<ConvexRecord> convexes;
+    Buffer<double> depth;         // [N+M], z; NaN where culled
+    Buffer<uint32_t> order;       // surviving primitives, front to back
+    Buffer<uint32_t> slot_begin;  // [order + 1], in units of 4 floats
+    Buffer<uint64_t> tile_begin;  // [tiles + 1]
+    Buffer<Entry> entries;        // by tile, front to back
+    Buffer<uint16_t> masks;       // [entries] which blocks of the tile the entry may touch
+    Buffer<float> transmittance;  // [H, W] behind the last layer
+    Buffer<int32_t> last;         // [H, W] the last entry of its tile that may have been blended, -1 if none
+
+    int tiles() const { return tiles_x * tiles_y; }
+    int gaussian_units() const { return slot_units(kGaussianShape, scene.extras); }
+    int convex_units() const { return slot_units(convex_shape(scene.convexes.points_each), scene.extras); }
+};
+
+void preprocess(State& state, int threads);              // records, depth
+void sort_by_depth(State& state);                        // order
+void distribute(State& state, int threads);              // tile_begin, entries, slot_begin
+void blend_forward(State& state, const FrameOutput& out, bool keep, int threads);
+void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background, int threads);
+void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, int threads);
+
+}  // namespace e4dgs

@@ -1,0 +1,56 @@
+// A pinhole camera (OpenCV axes, pixel centres at +0.5) and the gradient that a primitive hands back to it.
+#pragma once
+#include "constants.h"
+
+namespace e4dgs {
+
+template <class T>
+struct Camera {
+    T fx, fy, cx, cy;
+    T R[9], t[3];    // camera = R world + t, row-major
+    T centre[3];     // -R^T t
+    T near_z;
+    int width, height;
+};
+
+template <class T>
+struct CameraGrad {
+    T fx, fy, cx, cy;
+    T R[9], t[3];
+};
+
+template <class T>
+E4DGS_HD void set_centre(Camera<T>& cam) {
+    for (int j = 0; j < 3; ++j)
+        cam.centre[j] = -(cam.R[j] * cam.t[0] + cam.R[3 + j] * cam.t[1] + cam.R[6 + j] * cam.t[2]);
+}
+
+template <class T, class S>
+E4DGS_HD void to_camera(const Camera<T>& cam, const S* world, T* p) {
+    for (int i = 0; i < 3; ++i)
+        p[i] = cam.R[3 * i] * T(world[0]) + cam.R[3 * i + 1] * T(world[1]) + cam.R[3 * i + 2] * T(world[2]) + cam.t[i];
+}
+
+// dworld += R^T dp; the camera's share goes to grad.
+template <class T, class S>
+E4DGS_HD void to_camera_backward(const Camera<T>& cam, const S* world, const T* dp, T* dworld, CameraGrad<T>& grad) {
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            dworld[j] += cam.R[3 * i + j] * dp[i];
+            grad.R[3 * i + j] += dp[i] * T(world[j]);
+        }
+        grad.t[i] += dp[i];
+    }
+}
+
+// centre = -R^T t
+template <class T>
+E4DGS_HD void centre_backward(const Camera<T>& cam, const T* dcentre, CameraGrad<T>& grad) {
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            grad.R[3 * i + j] -= cam.t[i] * dcentre[j];
+            grad.t[i] -= cam.R[3 * i + j] * dcentre[j];
+        }
+}
+
+}  // namespace e4dgs

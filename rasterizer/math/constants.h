@@ -1,0 +1,24 @@
+// The rules of blending that every backend shares, and what makes these headers usable from CUDA unchanged.
+#pragma once
+
+#if defined(__CUDACC__) || defined(__CUDACC_RTC__)
+#define E4DGS_HD __host__ __device__ inline
+#else
+#include <math.h>
+#define E4DGS_HD inline
+#endif
+
+namespace e4dgs {
+
+constexpr float kMinAlpha = 1.0f / 255.0f;        // a layer below it is skipped at that pixel
+constexpr float kMaxAlpha = 0.99f;                // alpha is capped here, without gradient
+constexpr float kMinTransmittance = 0.99e-4f;     // the layer that would take a pixel below it ends the pixel, not blended
+constexpr double kDilation = 0.3;                 // px^2, added to a Gaussian's 2D covariance
+constexpr double kDegenerateHull = 1e-5;          // area / squared extent at and below which a hull is culled
+constexpr int kMaxPoints = 8;                     // points of a convex
+
+constexpr double kLn2 = 0.6931471805599453;
+constexpr double kLog2E = 1.4426950408889634;
+constexpr float kLog2Of255 = 7.994353436858858f;  // exponents below its negative are alphas below 1/255
+
+}  // namespace e4dgs

@@ -1,0 +1,156 @@
+// A 3D Gaussian seen by a pinhole camera: EWA splatting as in 3DGS (Kerbl et al. 2023), forward and backward.
+#pragma once
+#include "camera.h"
+
+namespace e4dgs {
+
+template <class T>
+struct GaussianView {
+    T p[3];           // centre, camera frame
+    T mean[2];        // px
+    T cov[3];         // xx, xy, yy of the 2D covariance, px^2, dilation included
+    T det;            // its determinant
+    T q[4], q_scale;  // unit quaternion; q = q_scale * quat
+    T rot[9];         // of the quaternion
+    T m[9];           // rot * diag(scale)
+    T slope[2];       // x/z, y/z as the Jacobian uses them
+    bool clamped[2];
+    T tm[6];          // Jacobian * R, 2x3
+    T b[6];           // tm * m, 2x3; cov = b b^T + 0.3 I
+};
+
+template <class T>
+E4DGS_HD void clamp_slope(T slope, int size, T focal, T principal, T& value, bool& clamped) {
+    const T margin = T(0.3) * T(size) / (2 * focal);
+    const T low = -principal / focal - margin, high = (T(size) - principal) / focal + margin;
+    clamped = slope < low || slope > high;
+    value = slope < low ? low : slope > high ? high : slope;
+}
+
+// False: culled (centre nearer than near_z, zero quaternion).
+template <class T, class S>
+E4DGS_HD bool project_gaussian(const Camera<T>& cam, const S* mean, const S* quat, const S* scale, GaussianView<T>& v) {
+    to_camera(cam, mean, v.p);
+    const T z = v.p[2];
+    if (!(z >= cam.near_z)) return false;
+
+    // Divided by the largest component first, so that tiny and huge quaternions stay in range.
+    T largest = T(0);
+    for (int i = 0; i < 4; ++i) largest = fmax(largest, fabs(T(quat[i])));
+    if (!(largest > T(0))) return false;
+    T norm2 = T(0);
+    for (int i = 0; i < 4; ++i) v.q[i] = T(quat[i]) / largest, norm2 += v.q[i] * v.q[i];
+    const T inverse = T(1) / sqrt(norm2);
+    for (int i = 0; i < 4; ++i) v.q[i] *= inverse;
+    v.q_scale = inverse / largest;
+    const T qw = v.q[0], qx = v.q[1], qy = v.q[2], qz = v.q[3];
+    v.rot[0] = 1 - 2 * (qy * qy + qz * qz), v.rot[1] = 2 * (qx * qy - qw * qz), v.rot[2] = 2 * (qx * qz + qw * qy);
+    v.rot[3] = 2 * (qx * qy + qw * qz), v.rot[4] = 1 - 2 * (qx * qx + qz * qz), v.rot[5] = 2 * (qy * qz - qw * qx);
+    v.rot[6] = 2 * (qx * qz - qw * qy), v.rot[7] = 2 * (qy * qz + qw * qx), v.rot[8] = 1 - 2 * (qx * qx + qy * qy);
+    for (int k = 0; k < 3; ++k)
+        for (int j = 0; j < 3; ++j) v.m[3 * k + j] = v.rot[3 * k + j] * T(scale[j]);
+
+    const T x = v.p[0] / z, y = v.p[1] / z;
+    v.mean[0] = cam.fx * x + cam.cx, v.mean[1] = cam.fy * y + cam.cy;
+    clamp_slope(x, cam.width, cam.fx, cam.cx, v.slope[0], v.clamped[0]);
+    clamp_slope(y, cam.height, cam.fy, cam.cy, v.slope[1], v.clamped[1]);
+    const T ax = cam.fx / z, ay = cam.fy / z;
+    for (int j = 0; j < 3; ++j) {
+        v.tm[j] = ax * (cam.R[j] - v.slope[0] * cam.R[6 + j]);
+        v.tm[3 + j] = ay * (cam.R[3 + j] - v.slope[1] * cam.R[6 + j]);
+    }
+    for (int i = 0; i < 2; ++i)
+        for (int j = 0; j < 3; ++j)
+            v.b[3 * i + j] = v.tm[3 * i] * v.m[j] + v.tm[3 * i + 1] * v.m[3 + j] + v.tm[3 * i + 2] * v.m[6 + j];
+
+    const T *b0 = v.b, *b1 = v.b + 3;
+    const T xx = b0[0] * b0[0] + b0[1] * b0[1] + b0[2] * b0[2], yy = b1[0] * b1[0] + b1[1] * b1[1] + b1[2] * b1[2];
+    const T k0 = b0[1] * b1[2] - b0[2] * b1[1], k1 = b0[2] * b1[0] - b0[0] * b1[2], k2 = b0[0] * b1[1] - b0[1] * b1[0];
+    const T dilation = T(kDilation);
+    v.cov[0] = xx + dilation;
+    v.cov[1] = b0[0] * b1[0] + b0[1] * b1[1] + b0[2] * b1[2];
+    v.cov[2] = yy + dilation;
+    // |b0 x b1|^2 + 0.3 trace + 0.09: a sum of squares, which loses nothing to cancellation on needles.
+    v.det = k0 * k0 + k1 * k1 + k2 * k2 + dilation * (xx + yy) + dilation * dilation;
+    return true;
+}
+
+// The exponent of alpha = 2^(log2(opacity) - u^2 - v^2) with u = f[0] dx + f[1] dy, v = f[2] dy, (dx, dy) = pixel - mean:
+// a triangular factor of the inverse covariance. Again no cancellation: the squares are only ever added.
+template <class T>
+E4DGS_HD void exponent_factor(const GaussianView<T>& v, T* f) {
+    const T half = sqrt(T(0.5 * kLog2E));
+    const T sy = sqrt(v.cov[2]), inverse = T(1) / sqrt(v.det);
+    f[0] = half * sy * inverse;
+    f[1] = -half * v.cov[1] / sy * inverse;
+    f[2] = half / sy;
+}
+
+// From the moments of the exponent's gradient over pixels, moments = sum g * (u, v, uu, uv, vv), to the gradients of the 2D
+// mean [2] and covariance [3] (xx, xy counted once, yy).
+template <class T>
+E4DGS_HD void moments_backward(const T* f, const T* moments, T* dmean, T* dcov) {
+    dmean[0] = 2 * f[0] * moments[0];
+    dmean[1] = 2 * (f[1] * moments[0] + f[2] * moments[1]);
+    const T c = T(2 / kLog2E), uu = moments[2], uv = moments[3], vv = moments[4];
+    const T a0 = f[0] * uu, a1 = f[0] * uv;                              // F^T M, first row, with F = [[f0 f1] [0 f2]]
+    const T b0 = f[1] * uu + f[2] * uv, b1 = f[1] * uv + f[2] * vv;
+    dcov[0] = c * a0 * f[0];
+    dcov[1] = c * (a0 * f[1] + a1 * f[2]);
+    dcov[2] = c * (b0 * f[1] + b1 * f[2]);
+}
+
+// dmean2 [2] px, dcov [3] with dL = dcov0 dxx + 2 dcov1 dxy + dcov2 dyy, dz: gradient of the centre's depth.
+// dmean, dquat, dscale are added to.
+template <class T, class S>
+E4DGS_HD void project_gaussian_backward(const Camera<T>& cam, const GaussianView<T>& v, const S* mean, const S* scale, const T* dmean2,
+                                        const T* dcov, T dz, T* dmean, T* dquat, T* dscale, CameraGrad<T>& grad) {
+    const T z = v.p[2], iz = T(1) / z, x = v.p[0] * iz, y = v.p[1] * iz;
+    T db[6];
+    for (int j = 0; j < 3; ++j) {
+        db[j] = 2 * (dcov[0] * v.b[j] + dcov[1] * v.b[3 + j]);
+        db[3 + j] = 2 * (dcov[1] * v.b[j] + dcov[2] * v.b[3 + j]);
+    }
+    T drot[9], dtm[6];
+    for (int k = 0; k < 3; ++k)
+        for (int j = 0; j < 3; ++j) {
+            const T dm = v.tm[k] * db[j] + v.tm[3 + k] * db[3 + j];
+            drot[3 * k + j] = dm * T(scale[j]);
+            dscale[j] += dm * v.rot[3 * k + j];
+        }
+    for (int i = 0; i < 2; ++i)
+        for (int k = 0; k < 3; ++k)
+            dtm[3 * i + k] = db[3 * i] * v.m[3 * k] + db[3 * i + 1] * v.m[3 * k + 1] + db[3 * i + 2] * v.m[3 * k + 2];
+
+    // tm = (f/z) (R_row - slope R_2)
+    const T ax = cam.fx * iz, ay = cam.fy * iz;
+    T dax = T(0), day = T(0), dsx = T(0), dsy = T(0);
+    for (int j = 0; j < 3; ++j) {
+        dax += dtm[j] * (cam.R[j] - v.slope[0] * cam.R[6 + j]);
+        day += dtm[3 + j] * (cam.R[3 + j] - v.slope[1] * cam.R[6 + j]);
+        dsx -= ax * dtm[j] * cam.R[6 + j];
+        dsy -= ay * dtm[3 + j] * cam.R[6 + j];
+        grad.R[j] += ax * dtm[j];
+        grad.R[3 + j] += ay * dtm[3 + j];
+        grad.R[6 + j] -= ax * v.slope[0] * dtm[j] + ay * v.slope[1] * dtm[3 + j];
+    }
+    const T dx = cam.fx * dmean2[0] + (v.clamped[0] ? T(0) : dsx);  // of x/z
+    const T dy = cam.fy * dmean2[1] + (v.clamped[1] ? T(0) : dsy);
+    grad.fx += dax * iz + x * dmean2[0], grad.cx += dmean2[0];
+    grad.fy += day * iz + y * dmean2[1], grad.cy += dmean2[1];
+    const T dp[3] = {dx * iz, dy * iz, dz - (dx * x + dy * y) * iz - (dax * ax + day * ay) * iz};
+    to_camera_backward(cam, mean, dp, dmean, grad);
+
+    const T w = v.q[0], qx = v.q[1], qy = v.q[2], qz = v.q[3];
+    const T* g = drot;
+    const T dq[4] = {
+        2 * (qz * (g[3] - g[1]) + qy * (g[2] - g[6]) + qx * (g[7] - g[5])),
+        2 * (qy * (g[1] + g[3]) + qz * (g[2] + g[6]) + w * (g[7] - g[5]) - 2 * qx * (g[4] + g[8])),
+        2 * (qx * (g[1] + g[3]) + qz * (g[5] + g[7]) + w * (g[2] - g[6]) - 2 * qy * (g[0] + g[8])),
+        2 * (qx * (g[2] + g[6]) + qy * (g[5] + g[7]) + w * (g[3] - g[1]) - 2 * qz * (g[0] + g[4])),
+    };
+    const T along = v.q[0] * dq[0] + v.q[1] * dq[1] + v.q[2] * dq[2] + v.q[3] * dq[3];
+    for (int i = 0; i < 4; ++i) dquat[i] += (dq[i] - along * v.q[i]) * v.q_scale;
+}
+
+}  // namespace e4dgs
