@@ -81,7 +81,9 @@ def rasterize(
             ) from cause
         single = torch.float32
         camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
-        return rasterize_cpu(_cast(camera, single), _cast(gaussians, single), _cast(convexes, single), background.to(single).contiguous())
+        # The camera stays in float64: it is small, and every primitive's position goes through it.
+        camera = _cast(camera, torch.float64)
+        return rasterize_cpu(camera, _cast(gaussians, single), _cast(convexes, single), background.to(single).contiguous())
     if backend == "cuda":
         raise RuntimeError("backend 'cuda' is not built in this version; use backend='cpu' or backend='reference'")
     raise ValueError(f"backend must be 'auto', 'cpu', 'cuda' or 'reference', got {backend!r}")

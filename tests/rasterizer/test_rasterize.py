@@ -74,7 +74,7 @@ def test_a_kind_without_extras_counts_as_zeros() -> None:
         absent = replace(some, **{kind: replace(owner, extras=None)}).render()
         zeros = replace(some, **{kind: replace(owner, extras=torch.zeros_like(owner.extras))}).render()
         assert torch.equal(absent.extras, zeros.extras)
-        alone = replace(some, **{kind: None}).render()
+        alone = replace(some, **{kind: None}).render()  # type: ignore[arg-type]
         assert alone.extras.shape[-1] == 2
 
 
@@ -105,7 +105,7 @@ def test_visible_is_what_some_pixel_blends() -> None:
     assert bool(visible[[0, 3, 4]].all())
 
 
-def broken(**change: torch.Tensor | None) -> Callable[[Scene], Scene]:
+def broken(**change: object) -> Callable[[Scene], Scene]:
     def apply(some: Scene) -> Scene:
         for name, value in change.items():
             kind, field = name.split("_", 1)
