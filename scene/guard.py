@@ -21,7 +21,7 @@ class NonFiniteGuard:
 
     def accepts(self, loss: Tensor, parameters: dict[str, Tensor], iteration: int, frame: int) -> bool:
         """True if the step may be taken. Raises `TrainingDiverged` after too many refusals in a row, naming step, frame and field."""
-        gradients = {name: p.grad for name, p in parameters.items() if p.grad is not None}
+        gradients = {name: p.grad for name, p in parameters.items() if p.grad is not None and p.numel()}
         norms = torch._foreach_norm(list(gradients.values()), float("inf")) if gradients else []
         bad = [name for name, norm in zip(gradients, norms) if not torch.isfinite(norm)]
         if bool(torch.isfinite(loss)) and not bad:

@@ -41,7 +41,7 @@ def carve(
     """
     centre, radius = common_volume(views)
     rng = np.random.default_rng(seed)
-    candidates = centre + rng.uniform(-radius, radius, (max(40 * count, 100_000), 3))
+    candidates = centre + rng.uniform(-radius, radius, (max(12 * count, 50_000), 3))
     hits, seen = np.zeros(len(candidates)), np.zeros(len(candidates))
     for mask, i in zip(foreground, frames):
         x, y, inside = _pixels(views, int(i), candidates)
