@@ -45,11 +45,11 @@ def decided_by_threshold(
 ) -> Tensor:
     """[H, W] bool: pixels where some primitive is within a band of a threshold, so that rounding may decide."""
     raw, depths = raw_alphas(scene)
-    alphas, blended = effective_alphas(raw)
-    behind = torch.cumprod(1 - alphas, dim=1)
-    before = torch.cat([torch.ones_like(behind[:, :1]), behind], 1)[:, :-1]
-    reached = before >= MIN_TRANSMITTANCE  # layers behind the stop decide nothing
-    after = before * (1 - raw.clamp(max=MAX_ALPHA))
+    _, blended = effective_alphas(raw)
+    capped = raw.clamp(max=MAX_ALPHA)
+    after = torch.cumprod(1 - torch.where(raw >= MIN_ALPHA, capped, 0.0), dim=1)  # as if no pixel ever stopped
+    before = torch.cat([torch.ones_like(after[:, :1]), after], 1)[:, :-1]
+    reached = before >= MIN_TRANSMITTANCE * (1 - stop_band)  # layers behind the stop decide nothing
     near = ((raw - MIN_ALPHA).abs() < alpha_band) | ((raw - MAX_ALPHA).abs() < alpha_band)
     near |= (raw >= MIN_ALPHA) & ((after / MIN_TRANSMITTANCE - 1).abs() < stop_band)
     undecided = (near & reached).any(1)

@@ -15,11 +15,11 @@ SCENES = {
     "gaussians sh2": {"gaussians": 60, "degree": 2},
     "gaussians sh3": {"gaussians": 60, "degree": 3},
     "gaussians colors extras": {"gaussians": 60, "degree": None, "extras": 3},
-    "many small gaussians": {"gaussians": 400, "degree": 1, "size": 0.08, "width": 64, "height": 48},
+    "many small gaussians": {"gaussians": 250, "degree": 1, "size": 0.08, "width": 50, "height": 36},
     "large gaussians": {"gaussians": 20, "degree": 1, "size": 3.0},
     **{f"convexes K={k}": {"convexes": 25, "points": k, "degree": 1} for k in range(3, 9)},
     "convexes sh3 extras": {"convexes": 25, "degree": 3, "extras": 2},
-    "small convexes": {"convexes": 120, "degree": 0, "size": 0.06, "width": 64, "height": 48},
+    "small convexes": {"convexes": 90, "degree": 0, "size": 0.06, "width": 50, "height": 36},
     "both colors": {"gaussians": 40, "convexes": 20, "degree": None},
     "both sh3 extras": {"gaussians": 40, "convexes": 20, "degree": 3, "extras": 5},
     "both, one pixel": {"gaussians": 10, "convexes": 10, "degree": 2, "extras": 1, "width": 1, "height": 1},
@@ -66,7 +66,7 @@ def test_opaque_layers_that_stop_pixels() -> None:
     assert scene.gaussians is not None and scene.convexes is not None
     scene.gaussians.opacities[:] = scene.gaussians.opacities**0.05
     scene.convexes.opacities[:] = 1.0
-    check(scene, max_decided=0.2)
+    check(scene)
 
 
 def test_needles_and_plates() -> None:
@@ -107,10 +107,16 @@ def test_auto_is_the_cpu_kernels_for_tensors_on_the_cpu() -> None:
     assert torch.equal(scene.render("auto").color, scene.render("cpu").color)
 
 
-def test_two_runs_are_bit_equal() -> None:
+def test_two_runs_and_any_number_of_threads_are_bit_equal() -> None:
     scene = random_scene(9, gaussians=100, convexes=50, degree=2, extras=2, width=64, height=48).to(torch.float32)
     weights = cotangents(scene.render("cpu"))
-    runs = [(scene.render("cpu"), gradients(scene, "cpu", weights)) for _ in range(3)]
+    threads, runs = torch.get_num_threads(), []
+    try:
+        for count in (1, 1, 2, 4):
+            torch.set_num_threads(count)
+            runs.append((scene.render("cpu"), gradients(scene, "cpu", weights)))
+    finally:
+        torch.set_num_threads(threads)
     for frame, found in runs[1:]:
         for output in ("color", "alpha", "depth", "extras", "visible_gaussians", "visible_convexes"):
             assert torch.equal(getattr(frame, output), getattr(runs[0][0], output))

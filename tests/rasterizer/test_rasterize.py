@@ -1,5 +1,6 @@
 """The contract of `rasterize`: shapes, kinds that are absent, extras, dtypes, and errors that name what is wrong."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -241,3 +242,10 @@ def test_empty_kinds_carry_gradients_for_the_camera() -> None:
     frame = rasterize(camera, empty, none, backend="reference")
     (frame.color.sum() + frame.depth.sum()).backward()
     assert K.grad is None or not K.grad.any()
+
+
+def test_kernels_that_cannot_be_loaded_give_one_error_with_the_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "e4dgs.rasterizer.cpu_backend", None)
+    for backend in ("cpu", "auto"):
+        with pytest.raises(RuntimeError, match=r"CPU kernels .* cannot be loaded \(.*cpu_backend.*reinstall"):
+            scene().render(backend)
