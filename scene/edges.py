@@ -31,8 +31,8 @@ def edge_weights(image: np.ndarray) -> np.ndarray:
         edges = cv2.Canny(grey, low, high, L2gradient=True)
         if not edges.any():
             continue  # the distance to nothing is not defined
-        distance = cv2.distanceTransform(255 - edges, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        np.maximum(weight, strength * np.exp(-0.5 * np.square(distance / FALLOFF)), out=weight)
+        distance = cv2.distanceTransform(255 - edges, cv2.DIST_L2, cv2.DIST_MASK_5)  # 2 % off, three times quicker than exact
+        np.maximum(weight, strength * np.exp(distance * distance * (-0.5 / FALLOFF**2)), out=weight)
     return np.rint(255.0 * weight).astype(np.uint8)
 
 
