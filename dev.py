@@ -1,0 +1,174 @@
+#!/usr/bin/env python3
+"""Everything a fresh clone needs, in one command each:
+
+    python3 dev.py sample     set up, then reconstruct the capture in samples/ and say where its report is
+    python3 dev.py test       set up, then run the tests; further arguments go to pytest
+    python3 dev.py lint       set up, then ruff and mypy
+    python3 dev.py setup      set up only
+
+It needs Python 3.11 or newer and a C++20 compiler. The environment is .venv beside this file (or the folder in E4DGS_VENV). It is
+an editable install: edits of Python files count at once; a changed pin or C++ file makes the next call install again.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+
+# Old Pythons must come as far as the message that says so: no syntax newer than 3.6 in this file.
+ROOT = Path(__file__).resolve().parent
+VENV = Path(os.environ.get("E4DGS_VENV") or str(ROOT / ".venv")).resolve()
+STAMP = VENV / "e4dgs-installed.json"
+SAMPLE = "samples/cube_and_ball"
+FOLDERS = ("pipeline", "rasterizer", "scene", "stages", "workflows")
+BUILD_INPUTS = ("constraints.txt", "pyproject.toml", "CMakeLists.txt", "__init__.py")
+BUILD_SUFFIXES = {".cpp", ".h", ".hpp", ".inc", ".cmake", ".txt"}
+
+
+def main():
+    commands = {"setup": lambda _: None, "sample": sample, "test": test, "lint": lint}
+    if len(sys.argv) < 2 or sys.argv[1] not in commands:
+        print(__doc__.strip())
+        return 0 if set(sys.argv[1:]) & {"-h", "--help", "help"} else 2
+    command, arguments = sys.argv[1], sys.argv[2:]
+    set_up(dev=command != "sample")
+    return commands[command](arguments) or 0
+
+
+def sample(arguments):
+    """Run the whole reconstruction on the shipped capture."""
+    workspace = ROOT / "e4dgs-workspace"
+    status = run([script("e4dgs"), "run", "all", str(ROOT / SAMPLE), "--workspace", str(workspace), *arguments])
+    report = workspace / "scenes" / Path(SAMPLE).name / "report.html"
+    if status == 0 and report.is_file():
+        print(f"\nreport: {report}")
+    return status
+
+
+def test(arguments):
+    """Run the tests against this checkout."""
+    return run([python(), "-m", "pytest", *arguments])
+
+
+def lint(_):
+    """ruff (rules and format) on everything, mypy on the package."""
+    results = [
+        run([python(), "-m", "ruff", "check", "."]),
+        run([python(), "-m", "ruff", "format", "--check", "."]),
+    ]
+    # The repository's root is the package, so mypy is shown it under its name: a link called `e4dgs`.
+    with tempfile.TemporaryDirectory() as folder:
+        os.symlink(str(ROOT), str(Path(folder) / "e4dgs"), target_is_directory=True)
+        packages = [word for name in FOLDERS for word in ("-p", "e4dgs." + name)]
+        cache = ["--cache-dir", os.environ.get("MYPY_CACHE_DIR") or str(ROOT / ".mypy_cache")]
+        config = ["--config-file", str(ROOT / "pyproject.toml")]
+        results.append(run([python(), "-m", "mypy", *config, *cache, *packages], dict(os.environ, MYPYPATH=folder)))
+    return max(results)
+
+
+def set_up(dev):
+    """Create the environment and install into it, unless that was done already with the same inputs."""
+    check_python()
+    wanted = {"inputs": build_digest(), "python": sys.version.split()[0], "dev": dev}
+    if Path(python()).exists() and is_installed(wanted):
+        return
+    check_compiler()
+    if not usable(python()):
+        print(f"Creating {VENV}", flush=True)
+        create_venv()
+    if STAMP.exists():
+        STAMP.unlink()
+    print("Installing e4dgs and what it needs (the first time takes some minutes)", flush=True)
+    # pip reads both variables, the second one in the isolated environment that builds the C++ part (pip >= 25.3; older ones take
+    # the first there too). The path is relative because pip splits them at spaces.
+    environment = dict(os.environ, PIP_CONSTRAINT="constraints.txt", PIP_BUILD_CONSTRAINT="constraints.txt")
+    target = ".[dev]" if dev else "."
+    if run([python(), "-m", "pip", "install", "--quiet", "--editable", target], environment) != 0:
+        stop("The installation failed; the lines above say at which step. A second call of the same command takes up from here.")
+    STAMP.write_text(json.dumps(wanted))
+
+
+def is_installed(wanted):
+    """Whether the environment was completed with the same inputs; one with the dev extras serves every command."""
+    try:
+        found = json.loads(STAMP.read_text())
+    except (OSError, ValueError):
+        return False
+    return {**found, "dev": None} == {**wanted, "dev": None} and (found["dev"] or not wanted["dev"])
+
+
+def build_digest():
+    """Digest of all that an install depends on: pins, project file, and the native sources."""
+    native = [path for name in FOLDERS for path in (ROOT / name).rglob("*") if path.suffix in BUILD_SUFFIXES]
+    digest = hashlib.sha256(str(ROOT).encode())
+    for path in [ROOT / name for name in BUILD_INPUTS] + sorted(native):
+        digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def check_python():
+    if sys.version_info < (3, 11):  # noqa: UP036  (this file is what an older Python is given)
+        here = ".".join(map(str, sys.version_info[:2]))
+        stop(f"e4dgs needs Python 3.11 or newer, and this is {here}. Run dev.py with a newer one, e.g. python3.11 dev.py ...")
+
+
+def check_compiler():
+    named = os.environ.get("CXX", "").split()
+    if not any(shutil.which(name) for name in [*named[:1], "c++", "g++", "clang++"]):
+        stop(
+            "No C++ compiler was found (looked for $CXX, c++, g++, clang++). Install one: `apt install g++` (Debian, Ubuntu), "
+            "`dnf install gcc-c++` (Fedora), `xcode-select --install` (macOS)."
+        )
+    if not (Path(sysconfig.get_path("include")) / "Python.h").exists():
+        stop(
+            "Python's C headers are missing. Install them: `apt install python3-dev`, `dnf install python3-devel`."
+        )
+
+
+def create_venv():
+    try:
+        import ensurepip  # noqa: F401  (Debian splits it off, and venv without it fails half-way)
+        import venv  # noqa: F401
+    except ImportError:
+        stop("Python's venv module is incomplete here. Install it: `apt install python3-venv` (Debian, Ubuntu).")
+    if VENV.is_dir() and any(VENV.iterdir()) and not (VENV / "pyvenv.cfg").exists():
+        stop(f"{VENV} holds files and is no Python environment. Move it away, or set E4DGS_VENV to another folder.")
+    if run([sys.executable, "-m", "venv", "--clear", str(VENV)]) != 0:
+        stop(f"Could not create the environment {VENV}. Is the folder writable?")
+
+
+def usable(interpreter):
+    """Whether this interpreter starts and has pip; an environment whose Python has gone, or half of one, is made anew."""
+    try:
+        return subprocess.run([interpreter, "-m", "pip", "--version"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode == 0
+    except OSError:
+        return False
+
+
+def python():
+    return script("python")
+
+
+def script(name):
+    return str(VENV / ("Scripts" if os.name == "nt" else "bin") / name)
+
+
+def run(command, environment=None):
+    sys.stdout.flush()
+    return subprocess.call(command, cwd=str(ROOT), env=environment)
+
+
+def stop(message):
+    sys.exit("dev.py: " + message)
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)
