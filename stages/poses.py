@@ -1,0 +1,241 @@
+"""Stage `poses`: structure from motion for captures that bring no cameras. Arrays and attrs: docs/artifacts.md."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field
+
+from ..pipeline import Applies, Context, Settings, Stage, StageError
+from .sfm.pairs import OVERLAP, choose, image_pairs
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..pipeline import Progress
+    from .frameset import FrameSet
+    from .sfm.coverage import Coverage
+
+MEDIAN_DISTANCE = 4.0  # world units from the cameras to the scene, after normalisation
+POINT_ERROR = 2.0  # px; points beyond are outliers
+FAR = 30.0  # times the median distance of points from their middle; beyond lies what triangulated under no angle
+INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
+LABELS = {"features": "poses: features", "matches": "poses: matching", "mapping": "poses: registering"}
+
+
+class PosesSettings(Settings):
+    matcher: Literal["auto", "sequential", "exhaustive"] = Field(
+        "auto", description="which images are matched; auto: all pairs up to 40 images or with --static, else neighbours and keyframes"
+    )
+    overlap: int = Field(OVERLAP, ge=2, le=100, description="following frames that each is matched with (sequential)")
+    camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = Field(
+        "SIMPLE_RADIAL", description="lens that is fitted; OPENCV for wide lenses with many images"
+    )
+    max_features: int = Field(8192, ge=256, le=65_536, description="SIFT features an image")
+    mapper: Literal["incremental", "global"] = Field("incremental", description="COLMAP's incremental mapper or the global one (GLOMAP)")
+    seed: int = Field(0, ge=0, le=2**31 - 1, description="of the random sampling")
+
+
+class Poses(Stage):
+    """Intrinsics and a pose for every frame that registers, sparse points, and a report of what did not register and why."""
+
+    name = "poses"
+    version = 1
+    inputs = ("frames",)
+    settings = PosesSettings
+    reads_capture = True
+
+    def applies(self, facts: Mapping[str, Any], settings: PosesSettings) -> Applies:
+        if facts["poses"]:
+            return Applies.no("the files hold poses")
+        return Applies.yes(f"structure from motion on {facts['frames']} frames")
+
+    def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
+        """Two cores, measured: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image."""
+        frames = facts["frames"]
+        pairs = len(image_pairs(choose(settings.matcher, frames, facts["static"]), frames, settings.overlap))
+        return 2 + frames * (1.0 + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
+
+    def run(self, ctx: Context) -> None:
+        import numpy as np
+
+        from .frameset import FrameSet
+        from .sfm.coverage import cover
+        from .sfm.runner import WorkerError, run_worker
+
+        settings = ctx.settings
+        artifact = ctx.inputs["frames"]
+        assert artifact is not None
+        frames = FrameSet(artifact, ctx.capture.root)
+        matcher = choose(settings.matcher, len(frames), bool(ctx.facts["static"]))
+        hint = frames.attrs.get("K_hint")
+        request = {
+            "task": "reconstruct",
+            "root": str(ctx.checkpoints / "images"),
+            "names": write_images(ctx, frames),
+            "cameras": [int(c) for c in frames.camera],
+            "K_hint": None if hint is None else np.asarray(hint, np.float64).reshape(3, 3).tolist(),
+            "width": frames.width,
+            "height": frames.height,
+            "camera_model": settings.camera_model,
+            "max_features": settings.max_features,
+            "pairs": image_pairs(matcher, len(frames), settings.overlap),
+            "mapper": settings.mapper,
+            "init_angles": INIT_ANGLES,
+            "seed": settings.seed,
+        }
+        bars = _Bars(ctx)
+        try:
+            arrays, facts = run_worker(request, ctx.checkpoints / "colmap", bars)
+        except WorkerError as error:
+            raise StageError(f"poses: {error}") from error
+        finally:
+            bars.close()
+
+        errors = arrays["errors"]
+        mean_error = float(errors.mean()) if len(errors) else 0.0
+        coverage = cover(arrays["registered"], facts["features"], facts["models"], matcher, mean_error)
+        if coverage.registered < min(3, len(frames)) or not len(errors):
+            raise StageError(nothing_registered(frames, facts["features"], matcher))
+        ctx.log(f"poses: {coverage.summary()}, mean reprojection error {mean_error:.2f} px")
+        for sentence in coverage.advice:
+            ctx.log(f"poses: {sentence}")
+        _write(ctx, frames, arrays, coverage, matcher, mean_error)
+
+
+def write_images(ctx: Context, frames: FrameSet) -> list[str]:
+    """Pictures for COLMAP under plain names: links to the capture's own files, or files decoded from what the store holds."""
+    from PIL import Image
+
+    from .pictures import composite
+
+    folder = ctx.checkpoints / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+    names = []
+    linked = frames.files is not None and not frames.alpha
+    with ctx.progress(len(frames), "poses: pictures") as progress:
+        for i in range(len(frames)):
+            suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
+            names.append(f"{i:06d}{suffix}")
+            target = folder / names[-1]
+            if not target.exists():
+                target.unlink(missing_ok=True)  # a link to what has moved
+                partial = folder / f"partial{suffix}"
+                partial.unlink(missing_ok=True)
+                if linked and frames.files is not None:
+                    _link(frames.root / frames.files[i], partial)
+                else:
+                    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1)
+                partial.replace(target)
+            progress.advance()
+    return names
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        os.symlink(source.resolve(), target)
+    except OSError:  # a file system without links
+        shutil.copyfile(source, target)
+
+
+def nothing_registered(frames: FrameSet, features: list[int], matcher: str) -> str:
+    """What to say, and to do, when there is no reconstruction."""
+    import numpy as np
+
+    median = int(np.median(features)) if len(features) else 0
+    return (
+        f"poses: structure from motion found no cameras for the {len(frames)} frames (median of {median} features an image, {matcher} matching). "
+        "It needs a camera that moves sideways before a textured background that stands still, with most of each picture seen again in the next. "
+        "Try --set poses.matcher=exhaustive, or more frames (--set frames.every=1 or frames.max_frames=N); a camera that only turns or stands "
+        "still cannot be reconstructed: bring poses in the files (transforms.json, a COLMAP model) instead"
+    )
+
+
+def keep_points(points: np.ndarray, errors: np.ndarray, tracks: np.ndarray) -> np.ndarray:
+    """[P] bool: points with a small error, not absurdly far, and seen by three views where enough of those exist."""
+    import numpy as np
+
+    keep = np.isfinite(points).all(axis=1) & (errors <= POINT_ERROR)
+    if (keep & (tracks >= 3)).sum() >= 100:
+        keep &= tracks >= 3
+    if keep.any():
+        distance = np.linalg.norm(points - np.median(points[keep], axis=0), axis=1)
+        keep &= distance <= FAR * np.median(distance[keep])
+    return keep
+
+
+def normalise(cam_from_world: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses [N,4,4] and points [P,3] scaled so that the median distance of the cameras to the median point is 4."""
+    import numpy as np
+
+    from .sfm.alignment import camera_centres
+
+    distance = float(np.median(np.linalg.norm(camera_centres(cam_from_world) - np.median(points, axis=0), axis=1)))
+    scale = MEDIAN_DISTANCE / distance
+    poses = cam_from_world.copy()
+    poses[:, :3, 3] *= scale
+    return poses, points * scale
+
+
+def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage, matcher: str, mean_error: float) -> None:
+    import numpy as np
+
+    registered = arrays["registered"]
+    keep = keep_points(arrays["points"], arrays["errors"], arrays["tracks"])
+    if not keep.any():
+        raise StageError(
+            f"poses: every triangulated point has a reprojection error above {POINT_ERROR} px; try --set poses.camera_model=OPENCV"
+        )
+    K, cam_from_world = arrays["K"], arrays["cam_from_world"]
+    # COLMAP saw the files, which may be larger than the frames; pixel centres lie at +0.5 in both, so K scales without an offset
+    size = np.array([frames.width, frames.height]) / np.maximum(arrays["size"], 1)
+    K[:, 0] *= size[:, :1]
+    K[:, 1] *= size[:, 1:]
+    cam_from_world[registered], points = normalise(cam_from_world[registered], arrays["points"][keep])
+
+    out = ctx.out
+    out.write("K", K, unit="px", doc="intrinsics, pixel centres at +0.5; NaN where not registered")
+    out.write("cam_from_world", cam_from_world, unit="world", doc="OpenCV pose of the camera; NaN where not registered")
+    out.write("distortion", arrays["distortion"], doc="k1 k2 p1 p2")
+    out.write("registered", registered, doc="the frame has a pose")
+    out.write("points", points, unit="world", doc="triangulated points")
+    out.write("point_colors", arrays["colors"][keep], doc="RGB of points")
+    out.write("point_errors", arrays["errors"][keep], unit="px", doc="mean reprojection error of each point")
+    out.attrs.update(
+        registered=coverage.registered,
+        total=coverage.total,
+        gaps=[list(gap) for gap in coverage.gaps],
+        mean_reprojection_error=mean_error,
+        mean_track_length=float(arrays["tracks"].mean()),
+        camera_model=ctx.settings.camera_model,
+        matcher=matcher,
+        mapper=ctx.settings.mapper,
+        advice=list(coverage.advice),
+    )
+
+
+class _Bars:
+    """One progress bar for each phase of the worker."""
+
+    def __init__(self, ctx: Context) -> None:
+        self.ctx, self.phase, self.done = ctx, "", 0
+        self.bar: Progress | None = None
+
+    def __call__(self, phase: str, done: int, total: int) -> None:
+        if phase != self.phase or done < self.done:
+            self.close()
+            self.phase, self.done = phase, 0
+            self.bar = self.ctx.progress(total, LABELS.get(phase, phase))
+            self.bar.__enter__()
+        if self.bar is not None:
+            self.bar.advance(done - self.done)
+        self.done = done
+
+    def close(self) -> None:
+        if self.bar is not None:
+            self.bar.__exit__(None, None, None)
+            self.bar = None

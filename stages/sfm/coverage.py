@@ -1,0 +1,69 @@
+"""What a reconstruction covers, in sentences for people: who is missing, and what may help."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+FEW_FEATURES = 200  # an image with fewer is dark, blurred or plain
+HIGH_ERROR = 1.5  # px; a good reconstruction stays below 1
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """`registered` of `total` images have a pose; `gaps` are runs (first, last) of frames without one; `advice` are sentences."""
+
+    registered: int
+    total: int
+    gaps: tuple[tuple[int, int], ...]
+    advice: tuple[str, ...]
+
+    def summary(self) -> str:
+        """One line: `80 of 90 frames registered; without a pose: 40-49`."""
+        missing = "" if not self.gaps else f"; without a pose: {spans(self.gaps)}"
+        return f"{self.registered} of {self.total} frames registered{missing}"
+
+
+def runs(missing: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """Maximal runs (first, last) of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    return tuple((int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2]))
+
+
+def spans(gaps: Sequence[tuple[int, int]], most: int = 8) -> str:
+    """`3, 7-9, 12 and 4 more`."""
+    text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in gaps[:most])
+    return text + (f" and {len(gaps) - most} more" if len(gaps) > most else "")
+
+
+def cover(registered: np.ndarray, features: Sequence[int], models: Sequence[int], matcher: str, error: float) -> Coverage:
+    """registered [F] bool; features of each image; images of each separate model; mean reprojection error in px."""
+    missing = ~np.asarray(registered, bool)
+    gaps = runs(missing)
+    counts = np.asarray(features)
+    advice = []
+    if gaps:
+        other = "--set poses.matcher=exhaustive" if matcher != "exhaustive" else "--set poses.max_features=16384"
+        noun = "frame" if missing.sum() == 1 else "frames"
+        poor = missing & (counts < FEW_FEATURES)
+        why = (
+            f"{int(poor.sum())} of them show fewer than {FEW_FEATURES} features (dark, blurred or plain)"
+            if poor.any()
+            else "motion blur, too little overlap with the others, or mostly moving things in view"
+        )
+        advice.append(
+            f"{noun} {spans(gaps)} did not register: {why}; try {other}, or take more frames there (frames.every, frames.max_frames)"
+        )
+    if len(models) > 1 and models[1] >= 3:
+        advice.append(
+            f"the images fell into {len(models)} parts that share too little ({', '.join(map(str, models[:5]))} images); the largest is kept: "
+            "add views between them or try --set poses.matcher=exhaustive"
+        )
+    if error > HIGH_ERROR:
+        advice.append(
+            f"the mean reprojection error is {error:.2f} px, a good one is below 1: try --set poses.camera_model=OPENCV for a strong lens, "
+            "and check for a rolling shutter or a zoom during the capture"
+        )
+    return Coverage(int((~missing).sum()), len(missing), gaps, tuple(advice))

@@ -1,0 +1,27 @@
+"""Which images are matched with which."""
+
+from __future__ import annotations
+
+EXHAUSTIVE_LIMIT = 40  # images; 780 pairs
+OVERLAP = 10  # neighbours, each also at 2, 4, 8, ... times the distance as far as LONGEST
+LONGEST = 64
+KEYFRAMES = 24  # images spread over a sequence that are all matched with one another: closes loops without a vocabulary
+
+
+def choose(matcher: str, images: int, static: bool) -> str:
+    """`auto` -> `exhaustive` for few or unordered images, else `sequential`."""
+    if matcher != "auto":
+        return matcher
+    return "exhaustive" if images <= EXHAUSTIVE_LIMIT or static else "sequential"
+
+
+def image_pairs(matcher: str, images: int, overlap: int = OVERLAP) -> list[tuple[int, int]]:
+    """Pairs (a, b), a < b, sorted. `sequential` takes the next `overlap` images, powers of two beyond, and keyframes."""
+    if matcher == "exhaustive":
+        return [(a, b) for a in range(images) for b in range(a + 1, images)]
+    steps = {*range(1, overlap + 1), *(2**k for k in range(20) if 2**k <= LONGEST)}
+    pairs = {(a, a + step) for a in range(images) for step in steps if a + step < images}
+    stride = max(1, -(-images // KEYFRAMES))
+    keys = range(0, images, stride)
+    pairs |= {(a, b) for a in keys for b in keys if a < b}
+    return sorted(pairs)

@@ -1,0 +1,75 @@
+"""`run_worker`: one COLMAP task in a subprocess, so that a crash in native code is one clear error and nothing leaks."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Progress = Callable[[str, int, int], None]  # phase ("features", "matches", "mapping", "points"), done, total
+
+LOG_LINES = 12  # of COLMAP's log that go into an error
+
+
+class WorkerError(RuntimeError):
+    """The worker ended without a result; the message holds how it ended and the end of its log."""
+
+
+def run_worker(request: Mapping[str, Any], folder: Path, progress: Progress | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Run `request` (JSON, with `task`) with `folder` for its database, log and results. Returns the arrays and facts of the task.
+
+    The parent never imports pycolmap. Raises WorkerError.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("result.json", "result.npz"):
+        (folder / name).unlink(missing_ok=True)
+    file, log = folder / "request.json", folder / "colmap.log"
+    file.write_text(json.dumps({**request, "folder": str(folder)}), encoding="utf-8")
+    command = [sys.executable, "-m", __name__.rpartition(".")[0] + ".worker", str(file)]
+    with log.open("wb") as stderr:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, text=True, errors="replace")
+        try:
+            assert process.stdout is not None
+            for line in process.stdout:
+                step = _step(line)
+                if step is not None and progress is not None:
+                    progress(*step)
+            code = process.wait()
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    pipe.close()
+    if code != 0 or not (folder / "result.json").is_file():
+        raise WorkerError(_story(code, log))
+    with np.load(folder / "result.npz", allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}, json.loads((folder / "result.json").read_text(encoding="utf-8"))
+
+
+def _step(line: str) -> tuple[str, int, int] | None:
+    """A line of progress; None for anything that a library printed."""
+    try:
+        step = json.loads(line)
+        return str(step["phase"]), int(step["done"]), int(step["total"])
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _story(code: int, log: Path) -> str:
+    if code < 0:
+        try:
+            how = f"was ended by {signal.Signals(-code).name}" + (" (out of memory?)" if -code == signal.SIGKILL else "")
+        except ValueError:
+            how = f"was ended by signal {-code}"
+    else:
+        how = f"ended with exit code {code}"
+    tail = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
+    return f"COLMAP {how}. The end of {log}:\n  " + "\n  ".join(tail or ["(empty)"])
