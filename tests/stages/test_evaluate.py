@@ -1,0 +1,287 @@
+"""The evaluate stage: metrics of a model with a known error, missing views, LPIPS with and without weights, pictures."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from blake3 import blake3
+from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
+from e4dgs.rasterizer import Camera
+from e4dgs.scene.field import DeformationField
+from e4dgs.scene.metrics.lpips import expected_shapes
+from e4dgs.scene.model import Model
+from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, Judge, choose_views, means, spread
+from e4dgs.stages.evaluation_pictures import depth_picture, error_picture, read_pictures
+from safetensors.torch import save_file
+
+SIZE = (48, 40)  # width, height
+
+
+def small_model(moving: bool = False) -> Model:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.6, 0.6, (40, 3)).astype(np.float32)
+    colors = rng.uniform(0.1, 0.8, (40, 3)).astype(np.float32)
+    field = (
+        DeformationField(torch.tensor([-1.0] * 3), torch.tensor([1.0] * 3), times=4, resolutions=(4,), channels=4, width=8)
+        if moving
+        else None
+    )
+    hulls = rng.uniform(-0.3, 0.3, (2, 6, 3)).astype(np.float32)
+    return Model(
+        GaussianSet.from_points(points, colors, 1), ConvexSet.from_hulls(hulls, rng.random((2, 3)).astype(np.float32), 1), field, 1
+    )
+
+
+def cameras(count: int) -> tuple[np.ndarray, np.ndarray]:
+    K = np.tile(np.array([[50.0, 0, 24], [0, 50, 20], [0, 0, 1]]), (count, 1, 1))
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, 2, 3] = 4.0
+    poses[:, 0, 3] = np.linspace(-0.3, 0.3, count)
+    return K, poses
+
+
+def scene(folder: Path, split: list[int], model: Model, offset: float = 0.0, fixed: bool = False, lost: tuple[int, ...] = ()):
+    """A capture whose pictures are the model's own renders plus ``offset``, and the context to evaluate it in."""
+    count = len(split)
+    K, poses = cameras(count)
+    if fixed:
+        poses[:] = poses[0]
+    time = np.linspace(0, 1, count)
+    images = np.empty((count, SIZE[1], SIZE[0], 3), np.uint8)
+    for i in range(count):
+        camera = Camera(torch.tensor(K[i]).float(), torch.tensor(poses[i]).float(), *SIZE)
+        color = model.render(camera, float(time[i])).color.clamp(0, 1).numpy()
+        images[i] = np.rint(np.clip(color + offset, 0, 1) * 255)
+    for i in lost:
+        poses[i] = np.nan
+    out = ArtifactWriter(folder / "frames")
+    (folder / "frames").mkdir(parents=True)
+    values = {
+        "camera": np.zeros(count, np.int32),
+        "time": time,
+        "seconds": time,
+        "split": np.array(split, np.uint8),
+        "next": np.full(count, -1, np.int32),
+        "K": K,
+        "cam_from_world": poses,
+        "distortion": np.zeros((count, 4)),
+        "images": images,
+    }
+    for name, value in values.items():
+        out.write(name, value)
+    out.attrs.update(width=SIZE[0], height=SIZE[1], background="black", alpha=False, names=[f"frame {i}" for i in range(count)])
+    out.finish({})
+    return Artifact(folder / "frames")
+
+
+def trained(folder: Path, model: Model) -> Artifact:
+    folder.mkdir(parents=True)
+    out = ArtifactWriter(folder)
+    for name, value in model.to_arrays().items():
+        out.write(name, value)
+    out.attrs["model"] = model.config
+    out.finish({})
+    return Artifact(folder)
+
+
+class Progress:
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+    def advance(self, n=1, note=""):
+        pass
+
+
+def evaluate(folder: Path, frames: Artifact, coarse=None, fine=None, fixed: bool = False, **settings) -> tuple[Artifact, list[str]]:
+    (folder / "out").mkdir(parents=True)
+    lines: list[str] = []
+    context = SimpleNamespace(
+        capture=SimpleNamespace(root=folder),
+        facts={"fixed_cameras": fixed},
+        settings=EvaluateSettings(**settings),
+        inputs={"frames": frames, "poses": None, "coarse": coarse, "fine": fine},
+        out=ArtifactWriter(folder / "out"),
+        log=lines.append,
+        progress=lambda total, label: Progress(),
+    )
+    Evaluate().run(context)
+    context.out.finish({})
+    return Artifact(folder / "out"), lines
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """Six frames, two of them test and one val, each 0.1 brighter than the model's render."""
+    folder = tmp_path_factory.mktemp("evaluate")
+    model = small_model()
+    frames = scene(folder, [0, 2, 0, 1, 0, 2], model, offset=0.1)
+    return evaluate(folder, frames, fine=trained(folder / "fine", model))
+
+
+def test_metrics_of_a_known_error(result):
+    artifact, _ = result
+    metrics = artifact.attrs["metrics"]
+    assert set(metrics) == {"protocol", "splits", "primitives"}
+    assert metrics["primitives"] == {"gaussians": 40, "convexes": 2}
+    test = metrics["splits"]["test"]
+    assert test["psnr"] == pytest.approx(20.0, abs=0.2)  # 8-bit rounding and a few saturated pixels
+    assert 0.2 < test["ssim"] < 1
+    assert [row["frame"] for row in test["per_view"]] == [1, 5] and len(metrics["splits"]["val"]["per_view"]) == 1
+    assert set(test["per_view"][0]) == {"name", "frame", "camera", "time", "psnr", "ssim", "edge_psnr", "lpips"}
+    assert test["psnr"] == pytest.approx(np.mean([row["psnr"] for row in test["per_view"]]))
+    protocol = metrics["protocol"]
+    assert (protocol["resolution"], protocol["background"], protocol["lpips_net"]) == ("48x40", "black", None)
+    assert "test (2 views)" in protocol["split"]
+
+
+def test_without_weights_lpips_is_null_with_a_reason(result):
+    test = result[0].attrs["metrics"]["splits"]["test"]
+    assert test["lpips"] is None and "evaluate.lpips_weights" in test["lpips_reason"]
+
+
+def test_timings_are_not_content(result):
+    artifact, _ = result
+    assert artifact.info["metrics"]["render_fps"] > 0
+    assert "fps" not in json.dumps(artifact.attrs)
+
+
+def test_pictures_are_png_files_of_what_they_are_called(result):
+    artifact, _ = result
+    pictures = read_pictures(artifact)
+    assert {f"test/1/{kind}" for kind in ("truth", "render", "error", "depth")} <= set(pictures)
+    truth, render = (cv2.imdecode(np.frombuffer(pictures[f"test/1/{k}"], np.uint8), cv2.IMREAD_COLOR) for k in ("truth", "render"))
+    assert truth.shape == (40, 48, 3)
+    assert np.median(truth.astype(int) - render) == pytest.approx(25.5, abs=1)
+    assert [view["stem"] for view in artifact.attrs["views"]] == ["val/3", "test/1", "test/5"]
+
+
+def test_a_perfect_model_reaches_the_limit_of_eight_bits(tmp_path):
+    model = small_model()
+    artifact, _ = evaluate(tmp_path, scene(tmp_path, [0, 2], model), coarse=trained(tmp_path / "coarse", model), max_views=0)
+    test = artifact.attrs["metrics"]["splits"]["test"]
+    assert test["psnr"] > 55 and test["ssim"] > 0.999
+    assert read_pictures(artifact) == {} and artifact.attrs["views"] == []
+
+
+def test_fine_wins_over_coarse_and_one_of_them_is_needed(tmp_path):
+    model, empty = small_model(), small_model()
+    for kind in (empty.gaussians, empty.convexes):
+        kind.opacity_logits.data.fill_(-20.0)
+    frames = scene(tmp_path, [0, 2], model)
+    good, bad = trained(tmp_path / "good", model), trained(tmp_path / "bad", empty)
+    first, _ = evaluate(tmp_path / "1", frames, coarse=bad, fine=good)
+    second, _ = evaluate(tmp_path / "2", frames, coarse=bad)
+    assert first.attrs["metrics"]["splits"]["test"]["psnr"] > second.attrs["metrics"]["splits"]["test"]["psnr"] + 10
+    with pytest.raises(StageError, match="coarse and fine were skipped"):
+        evaluate(tmp_path / "3", frames)
+
+
+def test_nothing_held_out_measures_training_views_and_says_so(tmp_path):
+    model = small_model()
+    artifact, lines = evaluate(tmp_path, scene(tmp_path, [0, 0, 0], model), fine=trained(tmp_path / "fine", model))
+    assert set(artifact.attrs["metrics"]["splits"]) == {"train"}
+    assert any("training views are measured" in line for line in lines)
+    assert artifact.attrs["metrics"]["protocol"]["notes"] == lines
+
+
+def test_frames_without_a_pose_are_counted_and_left_out(tmp_path):
+    model = small_model()
+    frames = scene(tmp_path, [0, 2, 2], model, lost=(2,))
+    artifact, lines = evaluate(tmp_path, frames, fine=trained(tmp_path / "fine", model))
+    assert lines == ["1 of 2 test frames have no pose and are not measured"]
+    assert artifact.attrs["metrics"]["splits"]["test"]["frames"] == 1
+    with pytest.raises(StageError, match="no frame has a pose"):
+        evaluate(tmp_path / "all", scene(tmp_path / "lost", [0, 2], model, lost=(0, 1)), fine=trained(tmp_path / "fine2", model))
+
+
+def test_fixed_cameras_are_also_measured_after_an_affine_fit(tmp_path):
+    model = small_model()
+    frames = scene(tmp_path, [0, 2, 2, 2, 0], model, offset=0.08, fixed=True)
+    artifact, _ = evaluate(tmp_path, frames, fine=trained(tmp_path / "fine", model), fixed=True)
+    test = artifact.attrs["metrics"]["splits"]["test"]
+    assert test["psnr_affine"] > test["psnr"] + 10 and test["ssim_affine"] >= test["ssim"]
+    assert artifact.attrs["strip"]["times"] == [0.25, 0.5, 0.75]
+    assert "strip/0/truth" in read_pictures(artifact)
+
+
+def test_a_moving_model_gets_a_strip_from_one_standing_camera(tmp_path):
+    model = small_model(moving=True)
+    artifact, _ = evaluate(tmp_path, scene(tmp_path, [0, 2], model), fine=trained(tmp_path / "fine", model))
+    assert len(artifact.attrs["strip"]["times"]) == 8
+    assert "strip/7/render" in read_pictures(artifact) and "strip/7/truth" not in read_pictures(artifact)
+
+
+def test_lpips_with_weights_names_net_and_file(tmp_path):
+    generator = torch.Generator().manual_seed(0)
+    state = {
+        name: torch.randn(shape, generator=generator).abs() * 0.1 if "lin" in name else torch.randn(shape, generator=generator) * 0.1
+        for name, shape in expected_shapes("alex").items()
+    }
+    weights = tmp_path / "alex.safetensors"
+    save_file(state, weights)
+    model = small_model()
+    frames, fine = scene(tmp_path, [0, 2], model, offset=0.1), trained(tmp_path / "fine", model)
+    artifact, _ = evaluate(tmp_path, frames, fine=fine, lpips_weights=weights)
+    metrics = artifact.attrs["metrics"]
+    assert metrics["splits"]["test"]["lpips"] > 0 and "lpips_reason" not in metrics["splits"]["test"]
+    assert metrics["protocol"]["lpips_net"] == "alex"
+    assert metrics["protocol"]["lpips_weights_blake3"] == blake3(weights.read_bytes()).hexdigest()
+    with pytest.raises(StageError, match=r"lpips_weights.*alex\.safetensors.*vgg"):
+        evaluate(tmp_path / "vgg", frames, fine=fine, lpips_weights=weights, lpips_net="vgg")
+
+
+def test_same_model_same_content(tmp_path):
+    model = small_model()
+    frames, fine = scene(tmp_path, [0, 2], model), trained(tmp_path / "fine", model)
+    digests = [evaluate(tmp_path / str(k), frames, fine=fine)[0].digest for k in range(2)]
+    assert digests[0] == digests[1]
+
+
+def test_a_damaged_model_is_an_error_that_names_the_frame():
+    frame = SimpleNamespace(color=torch.full((40, 48, 3), torch.nan))
+    K, poses = cameras(1)
+    frames = SimpleNamespace(K=K, cam_from_world=poses, width=48, height=40, time=[0.0], names=["r_007"], background=None)
+    judge = Judge(SimpleNamespace(render=lambda *a: frame), frames, None, False)  # type: ignore[arg-type]
+    with pytest.raises(StageError, match=r"'r_007'.*non-finite"):
+        judge.render(0)
+
+
+def test_means_leave_out_what_a_view_does_not_have():
+    rows = [{"psnr": 20.0, "ssim": 0.5, "edge_psnr": None, "lpips": None}, {"psnr": 30.0, "ssim": 0.7, "edge_psnr": 18.0, "lpips": None}]
+    assert means(rows) == {"psnr": 25.0, "ssim": pytest.approx(0.6), "edge_psnr": 18.0, "lpips": None}
+
+
+def test_chosen_views_and_spread():
+    frames = SimpleNamespace(split=np.array([0, 1, 2, 2]), registered=np.ones(4, bool))
+    assert choose_views(frames, ("test",)) == ({"test": [2, 3]}, [])
+    assert spread(range(10), 4) == [0, 3, 6, 9] and spread([5], 8) == [5] and spread(range(3), 0) == []
+
+
+def test_the_plan_says_what_is_measured():
+    facts = {"splits": {"train": 50, "val": 11, "test": 20}, "width": 400, "height": 400}
+    assert Evaluate().applies(facts, EvaluateSettings()).reason == "11 val views, 20 test views"
+    assert "training views" in Evaluate().applies({**facts, "splits": {"train": 5}}, EvaluateSettings()).reason
+    assert Evaluate().estimate(facts, EvaluateSettings()) > 3
+
+
+def test_error_and_depth_pictures():
+    truth = np.zeros((8, 8, 3), np.uint8)
+    color = np.zeros((8, 8, 3), np.float32)
+    color[4:] = 0.3
+    error = error_picture(color, truth).astype(int).sum(-1)
+    assert error[0, 0] < 20 < error[7, 7]
+    depth = np.full((8, 8), 2.0)
+    depth[:, 4:] = 6.0
+    alpha = np.ones((8, 8))
+    alpha[0] = 0
+    picture = depth_picture(depth, alpha)
+    assert (picture[0] == 0).all() and (picture[3, 0] != picture[3, 7]).any()
+    assert not depth_picture(depth, np.zeros((8, 8))).any()
