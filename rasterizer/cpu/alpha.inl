@@ -54,6 +54,14 @@ struct ConvexItem {
     int n;
 };
 
+// Records lie in the order of the input, a tile visits them in order of depth.
+// Inlined by force: the compiler takes a function that only prefetches for one without effect, and drops its calls.
+__attribute__((always_inline)) inline void prefetch(const TileJob& job, uint32_t id) {
+    if (id < job.n_gaussians) return __builtin_prefetch(&job.gaussians[id]);
+    const char* record = reinterpret_cast<const char*>(&job.convexes[id - job.n_gaussians]);
+    for (int at = 0; at < int(sizeof(ConvexRecord)); at += 64) __builtin_prefetch(record + at);
+}
+
 inline float bounded(double x) { return x > 1e30 ? 1e30f : x < -1e30 ? -1e30f : float(x); }
 
 inline void gather(const TileJob& job, uint32_t id, double ox, double oy, Item& item, ConvexItem* convexes, int& n_convexes) {

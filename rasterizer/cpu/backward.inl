@@ -86,6 +86,7 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             active = 0;
             for (int b = 0; b < 16; ++b) active |= uint32_t(block_last[b] >= (index & ~31)) << b;
         }
+        if (index >= 8 && job.masks[begin + index - 8]) prefetch(job, job.entries[begin + index - 8].primitive);
         uint32_t mask = job.masks[begin + index] & active;
         if (!mask) continue;
         const Entry entry = job.entries[begin + index];

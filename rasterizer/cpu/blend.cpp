@@ -80,7 +80,7 @@ void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& sl
     fill_job(state, job);
     job.grad_color = grad.color, job.grad_alpha = grad.alpha, job.grad_depth = grad.depth, job.grad_extras = grad.extras;
     job.alpha = grad.alpha_image, job.depth = grad.depth_image;
-    const size_t units = state.slot_begin[state.order.size()];
+    const size_t units = state.slot_begin[state.depth.size()];
     slots.resize(units * 4);
     touched.resize(units);
     std::fill(touched.begin(), touched.end(), uint8_t(0));

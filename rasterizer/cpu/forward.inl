@@ -108,6 +108,7 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
         const int n = end - at < kChunk ? int(end - at) : kChunk;
         int counts[16] = {}, n_convexes = 0;
         for (int j = 0; j < n; ++j) {
+            if (at + j + 8 < end) prefetch(job, job.entries[at + j + 8].primitive);
             const uint32_t id = job.entries[at + j].primitive;
             gather(job, id, x0 + 0.5, y0 + 0.5, items[j], convexes, n_convexes);
             const uint32_t mask = id < job.n_gaussians ? gaussian_blocks(items[j], job.gaussians[id].radius) : convex_blocks(convexes[items[j].convex]);

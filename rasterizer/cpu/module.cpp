@@ -154,6 +154,13 @@ NB_MODULE(_cpu, m) {
     m.def("forward", &forward, nb::arg("camera"), nb::arg("gaussians"), nb::arg("convexes"), nb::arg("frame"), nb::arg("keep"), nb::arg("threads"));
     m.def("backward", &backward_frame, nb::arg("frame"), nb::arg("grad"), nb::arg("camera"), nb::arg("gaussians"), nb::arg("convexes"),
           nb::arg("threads"));
+    m.def(
+        "count_pairs",
+        [](const Frame& f, int threads) {
+            const PairCount count = count_pairs(f.state, threads);
+            return nb::make_tuple(count.visible, count.blended);
+        },
+        nb::arg("frame"), nb::arg("threads"), "(pixel, primitive) pairs of a frame: all with alpha >= 1/255, and those in front of their pixel's stop.");
     m.def("kernels", [] { return std::string(kernels().name); }, "The instruction set in use: avx512, avx2 or baseline.");
     m.def("select_kernels", [](const std::string& name) { return select_kernels(name.c_str()); }, nb::arg("name"),
           "Use another instruction set; False where the processor or the build lacks it.");

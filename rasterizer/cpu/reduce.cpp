@@ -63,7 +63,7 @@ struct Reducer {
     }
 
     void gaussian(int64_t k, CameraGrad<double>& camera) const {
-        const int64_t i = state.order[k];
+        const int64_t i = k;
         const uint32_t units = uint32_t(state.gaussian_units());
         double s[10];
         if (!sum(k, units, 10, s)) return;
@@ -88,7 +88,7 @@ struct Reducer {
     }
 
     void convex(int64_t k, CameraGrad<double>& camera) const {
-        const int64_t i = state.order[k] - state.scene.gaussians.n;
+        const int64_t i = k - state.scene.gaussians.n;
         const uint32_t units = uint32_t(state.convex_units());
         const ConvexRecord& record = state.convexes[i];
         const ConvexInput& in = state.scene.convexes;
@@ -126,12 +126,15 @@ void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, i
     Buffer<uint8_t> touched;
     blend_backward(state, grad, slots, touched, out.background, threads);
 
-    const int64_t n = int64_t(state.order.size());
+    const int64_t n = int64_t(state.depth.size());
     const Reducer reducer{state, out, slots.data(), touched.data(), grad.extras != nullptr};
     std::vector<CameraGrad<double>> parts((n + kGrain - 1) / kGrain);
     parallel_blocks(n, kGrain, threads, [&](int64_t first, int64_t last, int64_t block) {
         CameraGrad<double> camera{};
-        for (int64_t k = first; k < last; ++k) state.order[k] < state.scene.gaussians.n ? reducer.gaussian(k, camera) : reducer.convex(k, camera);
+        for (int64_t k = first; k < last; ++k) {
+            if (state.slot_begin[k] == state.slot_begin[k + 1]) continue;  // culled, or in no tile: its record may be empty
+            k < state.scene.gaussians.n ? reducer.gaussian(k, camera) : reducer.convex(k, camera);
+        }
         parts[block] = camera;
     });
     if (!out.camera) return;

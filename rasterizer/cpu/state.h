@@ -19,7 +19,7 @@ struct State {
     Buffer<ConvexRecord> convexes;
     Buffer<double> depth;         // [N+M], z; NaN where culled
     Buffer<uint32_t> order;       // surviving primitives, front to back
-    Buffer<uint32_t> slot_begin;  // [order + 1], in units of 4 floats
+    Buffer<uint32_t> slot_begin;  // [N+M+1], in units of 4 floats
     Buffer<uint64_t> tile_begin;  // [tiles + 1]
     Buffer<Entry> entries;        // by tile, front to back
     Buffer<uint16_t> masks;       // [entries] which blocks of the tile the entry may touch
@@ -31,11 +31,17 @@ struct State {
     int convex_units() const { return slot_units(convex_shape(scene.convexes.points_each), scene.extras); }
 };
 
+struct PairCount {
+    uint64_t visible;  // (pixel, primitive) pairs with alpha >= 1/255
+    uint64_t blended;  // those in front of their pixel's stop
+};
+
 void preprocess(State& state, int threads);              // records, depth
 void sort_by_depth(State& state);                        // order
 void distribute(State& state, int threads);              // tile_begin, entries, slot_begin
 void blend_forward(State& state, const FrameOutput& out, bool keep, int threads);
 void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background, int threads);
+PairCount count_pairs(const State& state, int threads);
 void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, int threads);
 
 }  // namespace e4dgs

@@ -21,8 +21,17 @@ struct Rows {
 struct Range {  // of the order
     std::vector<Rows> rows;
     std::vector<Span> spans;
-    uint64_t units = 0;
 };
+
+constexpr int kAhead = 12;  // records are visited in order of depth, which is no order in memory
+
+// Inlined by force: the compiler takes a function that only prefetches for one without effect, and drops its calls.
+__attribute__((always_inline)) inline void prefetch(const State& state, uint32_t id) {
+    const size_t n = state.gaussians.size();
+    if (id < n) return __builtin_prefetch(&state.gaussians[id]);
+    const char* record = reinterpret_cast<const char*>(&state.convexes[id - n]);
+    for (size_t at = 0; at < sizeof(ConvexRecord); at += 64) __builtin_prefetch(record + at);
+}
 
 template <class Bounds>
 uint32_t find_spans(const State& state, const Bounds& bounds, Range& range) {
@@ -65,13 +74,16 @@ void distribute(State& state, int threads) {
     std::vector<Range> parts(ranges);
     Buffer<uint64_t> at(size_t(ranges) * tiles);  // first counts, then where each range's next entry of a tile goes
     std::fill(at.begin(), at.end(), 0);
-    state.slot_begin.resize(n + 1);
+    const size_t total = state.depth.size();
+    state.slot_begin.resize(total + 1);
+    std::fill(state.slot_begin.begin(), state.slot_begin.end(), 0u);
 
     parallel_blocks(ranges, 1, threads, [&](int64_t r, int64_t, int64_t) {
         Range& part = parts[r];
         uint64_t* count = at.data() + r * tiles;
         part.rows.reserve(limit(r + 1) - limit(r));
         for (int64_t k = limit(r); k < limit(r + 1); ++k) {
+            if (k + kAhead < n) prefetch(state, state.order[k + kAhead]);
             const uint32_t id = state.order[k];
             const size_t first_span = part.spans.size();
             uint32_t found;
@@ -79,8 +91,7 @@ void distribute(State& state, int threads) {
                 found = find_spans(state, GaussianBounds(state.gaussians[id]), part);
             else
                 found = find_spans(state, ConvexBounds(state.convexes[id - n_gaussians], state.scene.camera.width, state.scene.camera.height), part);
-            state.slot_begin[k] = found * uint32_t(id < n_gaussians ? state.gaussian_units() : state.convex_units());
-            part.units += state.slot_begin[k];
+            state.slot_begin[id] = found * uint32_t(id < n_gaussians ? state.gaussian_units() : state.convex_units());
             const Rows rows = part.rows.back();
             for (int ty = rows.first; ty < rows.last; ++ty) {
                 const Span span = part.spans[first_span + ty - rows.first];
@@ -100,9 +111,10 @@ void distribute(State& state, int threads) {
         }
     }
     state.tile_begin[tiles] = entries;
-    for (Range& part : parts) {
-        const uint64_t here = part.units;
-        part.units = units, units += here;
+    for (size_t id = 0; id <= total; ++id) {
+        const uint32_t here = state.slot_begin[id];
+        state.slot_begin[id] = uint32_t(units);
+        units += here;
     }
     if (units > 0xffffffffull)
         throw std::runtime_error("the primitives cover too many tiles (" + std::to_string(entries) + " pairs); render fewer or a smaller image");
@@ -112,12 +124,11 @@ void distribute(State& state, int threads) {
     parallel_blocks(ranges, 1, threads, [&](int64_t r, int64_t, int64_t) {
         const Range& part = parts[r];
         uint64_t* next = at.data() + r * tiles;
-        uint32_t slot = uint32_t(part.units);
         const Span* span = part.spans.data();
         for (int64_t k = limit(r); k < limit(r + 1); ++k) {
             const uint32_t id = state.order[k];
             const uint32_t units_each = uint32_t(id < n_gaussians ? state.gaussian_units() : state.convex_units());
-            state.slot_begin[k] = slot;
+            uint32_t slot = state.slot_begin[id];
             const Rows rows = part.rows[k - limit(r)];
             for (int ty = rows.first; ty < rows.last; ++ty, ++span)
                 for (int tx = span->first; tx < span->last; ++tx) {
@@ -126,7 +137,6 @@ void distribute(State& state, int threads) {
                 }
         }
     });
-    state.slot_begin[n] = uint32_t(units);
 }
 
 }  // namespace e4dgs

@@ -21,4 +21,14 @@ constexpr double kLn2 = 0.6931471805599453;
 constexpr double kLog2E = 1.4426950408889634;
 constexpr float kLog2Of255 = 7.994353436858858f;  // exponents below its negative are alphas below 1/255
 
+template <class T>
+E4DGS_HD T larger(T a, T b) {
+    return a > b ? a : b;
+}
+
+template <class T>
+E4DGS_HD T smaller(T a, T b) {
+    return a < b ? a : b;
+}
+
 }  // namespace e4dgs

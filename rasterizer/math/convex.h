@@ -69,11 +69,11 @@ E4DGS_HD bool project_convex(const Camera<T>& cam, const S* points, int count, C
 
     T low_x = v.x[0], high_x = v.x[0], low_y = v.y[0], high_y = v.y[0], area = T(0);
     for (int i = 1; i < count; ++i) {
-        low_x = fmin(low_x, v.x[i]), high_x = fmax(high_x, v.x[i]);
-        low_y = fmin(low_y, v.y[i]), high_y = fmax(high_y, v.y[i]);
+        low_x = smaller(low_x, v.x[i]), high_x = larger(high_x, v.x[i]);
+        low_y = smaller(low_y, v.y[i]), high_y = larger(high_y, v.y[i]);
     }
     for (int k = 1; k + 1 < v.n; ++k) area += T(0.5) * turn(v, v.corner[0], v.corner[k], v.corner[k + 1]);
-    const T extent = fmax(high_x - low_x, high_y - low_y);
+    const T extent = larger(high_x - low_x, high_y - low_y);
     if (!(area > T(kDegenerateHull) * extent * extent)) return false;
 
     v.perimeter = T(0);

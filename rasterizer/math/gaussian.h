@@ -36,7 +36,7 @@ E4DGS_HD bool project_gaussian(const Camera<T>& cam, const S* mean, const S* qua
 
     // Divided by the largest component first, so that tiny and huge quaternions stay in range.
     T largest = T(0);
-    for (int i = 0; i < 4; ++i) largest = fmax(largest, fabs(T(quat[i])));
+    for (int i = 0; i < 4; ++i) largest = larger(largest, fabs(T(quat[i])));
     if (!(largest > T(0))) return false;
     T norm2 = T(0);
     for (int i = 0; i < 4; ++i) v.q[i] = T(quat[i]) / largest, norm2 += v.q[i] * v.q[i];
