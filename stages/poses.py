@@ -24,7 +24,7 @@ MEDIAN_DISTANCE = 4.0  # world units from the cameras to the scene, after normal
 POINT_ERROR = 2.0  # px; points beyond are outliers
 FAR = 30.0  # times the median distance of points from their middle; beyond lies what triangulated under no angle
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
-LABELS = {"features": "poses: features", "matches": "poses: matching", "mapping": "poses: registering"}
+LABELS = {"features": "features", "matches": "matching", "mapping": "registering"}
 
 
 class PosesSettings(Settings):
@@ -92,7 +92,9 @@ class Poses(Stage):
         try:
             arrays, facts = run_worker(request, ctx.checkpoints / "colmap", bars)
         except WorkerError as error:
-            raise StageError(f"poses: {error}") from error
+            # not gone on with next time: the database may be what it failed on
+            (ctx.checkpoints / "colmap" / "database.db").unlink(missing_ok=True)
+            raise StageError(str(error)) from error
         finally:
             bars.close()
 
@@ -101,9 +103,9 @@ class Poses(Stage):
         coverage = cover(arrays["registered"], facts["features"], facts["models"], matcher, mean_error)
         if coverage.registered < min(3, len(frames)) or not len(errors):
             raise StageError(nothing_registered(frames, facts["features"], matcher))
-        ctx.log(f"poses: {coverage.summary()}, mean reprojection error {mean_error:.2f} px")
+        ctx.log(f"{coverage.summary()}, mean reprojection error {mean_error:.2f} px")
         for sentence in coverage.advice:
-            ctx.log(f"poses: {sentence}")
+            ctx.log(sentence)
         _write(ctx, frames, arrays, coverage, matcher, mean_error)
 
 
@@ -117,7 +119,7 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     folder.mkdir(parents=True, exist_ok=True)
     names = []
     linked = frames.files is not None and not frames.alpha
-    with ctx.progress(len(frames), "poses: pictures") as progress:
+    with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):
             suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
             names.append(f"{i:06d}{suffix}")
@@ -148,10 +150,12 @@ def nothing_registered(frames: FrameSet, features: list[int], matcher: str) -> s
 
     median = int(np.median(features)) if len(features) else 0
     return (
-        f"poses: structure from motion found no cameras for the {len(frames)} frames (median of {median} features an image, {matcher} matching). "
-        "It needs a camera that moves sideways before a textured background that stands still, with most of each picture seen again in the next. "
-        "Try --set poses.matcher=exhaustive, or more frames (--set frames.every=1 or frames.max_frames=N); a camera that only turns or stands "
-        "still cannot be reconstructed: bring poses in the files (transforms.json, a COLMAP model) instead"
+        f"structure from motion found no cameras for the {len(frames)} frames (median of {median} features an image, "
+        f"{matcher} matching). "
+        "It needs a camera that moves sideways before a textured background that stands still, with most of each picture "
+        "seen again in the next. "
+        "Try --set poses.matcher=exhaustive, or more frames (--set frames.every=1 or frames.max_frames=N); a camera that only "
+        "turns or stands still cannot be reconstructed: bring poses in the files (transforms.json, a COLMAP model) instead"
     )
 
 
@@ -187,9 +191,7 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
     registered = arrays["registered"]
     keep = keep_points(arrays["points"], arrays["errors"], arrays["tracks"])
     if not keep.any():
-        raise StageError(
-            f"poses: every triangulated point has a reprojection error above {POINT_ERROR} px; try --set poses.camera_model=OPENCV"
-        )
+        raise StageError(f"every triangulated point has a reprojection error above {POINT_ERROR} px; try another poses.camera_model")
     K, cam_from_world = arrays["K"], arrays["cam_from_world"]
     # COLMAP saw the files, which may be larger than the frames; pixel centres lie at +0.5 in both, so K scales without an offset
     size = np.array([frames.width, frames.height]) / np.maximum(arrays["size"], 1)

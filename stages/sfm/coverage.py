@@ -58,8 +58,8 @@ def cover(registered: np.ndarray, features: Sequence[int], models: Sequence[int]
         )
     if len(models) > 1 and models[1] >= 3:
         advice.append(
-            f"the images fell into {len(models)} parts that share too little ({', '.join(map(str, models[:5]))} images); the largest is kept: "
-            "add views between them or try --set poses.matcher=exhaustive"
+            f"the images fell into {len(models)} parts that share too little ({', '.join(map(str, models[:5]))} images); "
+            "the largest is kept: add views between them or try --set poses.matcher=exhaustive"
         )
     if error > HIGH_ERROR:
         advice.append(

@@ -60,8 +60,8 @@ def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], se
         report("matches", start + len(chunk), len(pairs))
 
 
-def image_ids(path: Path, names: Sequence[str]) -> list[int | None]:
-    """The database's id of every image, None for one that could not be read."""
+def image_ids(path: Path, names: Sequence[str]) -> list[int]:
+    """The database's id of every image. Raises KeyError with the name of one that could not be read."""
     with pycolmap.Database.open(path) as database:
         known = {image.name: image.image_id for image in database.read_all_images()}
-    return [known.get(name) for name in names]
+    return [known[name] for name in names]
