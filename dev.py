@@ -74,12 +74,11 @@ def lint(_):
 def set_up(dev):
     """Create the environment and install into it, unless that was done already with the same inputs."""
     check_python()
-    wanted = {"inputs": build_digest(), "python": sys.version.split()[0], "dev": dev}
-    if Path(python()).exists() and is_installed(wanted):
+    inputs = build_digest()
+    if is_installed(inputs, dev) and works("-c", "import e4dgs"):
         return
     check_compiler()
-    if not usable(python()):
-        print(f"Creating {VENV}", flush=True)
+    if not works("-m", "pip", "--version"):
         create_venv()
     if STAMP.exists():
         STAMP.unlink()
@@ -90,16 +89,16 @@ def set_up(dev):
     target = ".[dev]" if dev else "."
     if run([python(), "-m", "pip", "install", "--quiet", "--editable", target], environment) != 0:
         stop("The installation failed; the lines above say at which step. A second call of the same command takes up from here.")
-    STAMP.write_text(json.dumps(wanted))
+    STAMP.write_text(json.dumps({"inputs": inputs, "dev": dev}))
 
 
-def is_installed(wanted):
+def is_installed(inputs, dev):
     """Whether the environment was completed with the same inputs; one with the dev extras serves every command."""
     try:
         found = json.loads(STAMP.read_text())
     except (OSError, ValueError):
         return False
-    return {**found, "dev": None} == {**wanted, "dev": None} and (found["dev"] or not wanted["dev"])
+    return found.get("inputs") == inputs and bool(found.get("dev") or not dev)
 
 
 def build_digest():
@@ -125,9 +124,7 @@ def check_compiler():
             "`dnf install gcc-c++` (Fedora), `xcode-select --install` (macOS)."
         )
     if not (Path(sysconfig.get_path("include")) / "Python.h").exists():
-        stop(
-            "Python's C headers are missing. Install them: `apt install python3-dev`, `dnf install python3-devel`."
-        )
+        stop("Python's C headers are missing. Install them: `apt install python3-dev`, `dnf install python3-devel`.")
 
 
 def create_venv():
@@ -138,14 +135,15 @@ def create_venv():
         stop("Python's venv module is incomplete here. Install it: `apt install python3-venv` (Debian, Ubuntu).")
     if VENV.is_dir() and any(VENV.iterdir()) and not (VENV / "pyvenv.cfg").exists():
         stop(f"{VENV} holds files and is no Python environment. Move it away, or set E4DGS_VENV to another folder.")
+    print(f"Creating {VENV}", flush=True)
     if run([sys.executable, "-m", "venv", "--clear", str(VENV)]) != 0:
         stop(f"Could not create the environment {VENV}. Is the folder writable?")
 
 
-def usable(interpreter):
-    """Whether this interpreter starts and has pip; an environment whose Python has gone, or half of one, is made anew."""
+def works(*arguments):
+    """Whether the environment's Python runs this; it does not when there is none, or when its base has gone or changed."""
     try:
-        return subprocess.run([interpreter, "-m", "pip", "--version"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode == 0
+        return subprocess.run([python(), *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode == 0
     except OSError:
         return False
 

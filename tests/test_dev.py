@@ -1,0 +1,106 @@
+"""The developer entry point: messages a newcomer can act on, and no work where nothing changed. Nothing is installed here."""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def dev(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
+    """dev.py as a module, with its environment in a temporary folder."""
+    monkeypatch.setenv("E4DGS_VENV", str(tmp_path / "venv"))
+    spec = importlib.util.spec_from_file_location("dev", ROOT / "dev.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def call(*arguments: str, **environment: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, str(ROOT / "dev.py"), *arguments]
+    return subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("arguments", [(), ("smaple",)])
+def test_without_a_command_it_says_what_there_is(arguments):
+    result = call(*arguments)
+    assert result.returncode == 2
+    assert "dev.py sample" in result.stdout and "dev.py test" in result.stdout
+
+
+def test_without_a_compiler_it_says_which_package_to_install(tmp_path):
+    result = call("setup", PATH=str(tmp_path), CXX="", E4DGS_VENV=str(tmp_path / "venv"))
+    assert result.returncode == 1
+    assert "apt install g++" in result.stderr and "Traceback" not in result.stderr
+    assert not (tmp_path / "venv").exists()
+
+
+def test_it_never_clears_a_folder_that_is_no_environment(dev, tmp_path):
+    (tmp_path / "venv").mkdir()
+    (tmp_path / "venv" / "thesis.tex").write_text("years of work")
+    with pytest.raises(SystemExit, match="no Python environment"):
+        dev.create_venv()
+    assert (tmp_path / "venv" / "thesis.tex").exists()
+
+
+def test_an_old_python_is_told_so(dev, monkeypatch):
+    monkeypatch.setattr(dev.sys, "version_info", (3, 9, 2))
+    with pytest.raises(SystemExit, match=r"3\.11 or newer, and this is 3\.9"):
+        dev.check_python()
+
+
+def test_an_environment_is_reused_only_with_the_same_inputs_and_extras(dev, tmp_path):
+    assert not dev.is_installed("a", dev=False)
+    (tmp_path / "venv").mkdir()
+    dev.STAMP.write_text(json.dumps({"inputs": "a", "dev": False}))
+    assert dev.is_installed("a", dev=False)
+    assert not dev.is_installed("b", dev=False)
+    assert not dev.is_installed("a", dev=True)
+    dev.STAMP.write_text(json.dumps({"inputs": "a", "dev": True}))
+    assert dev.is_installed("a", dev=False) and dev.is_installed("a", dev=True)
+    dev.STAMP.write_text('{"inputs": "a", "d')
+    assert not dev.is_installed("a", dev=False)
+
+
+def test_pins_and_native_sources_decide_about_a_new_install_and_python_files_do_not(dev, monkeypatch, tmp_path):
+    checkout = tmp_path / "checkout"
+    (checkout / "rasterizer" / "cpu").mkdir(parents=True)
+    for name in dev.BUILD_INPUTS:
+        (checkout / name).write_text("x")
+    kernel, module = checkout / "rasterizer" / "cpu" / "blend.cpp", checkout / "rasterizer" / "types.py"
+    kernel.write_text("1")
+    module.write_text("1")
+    monkeypatch.setattr(dev, "ROOT", checkout)
+    before = dev.build_digest()
+    module.write_text("2")
+    assert dev.build_digest() == before
+    kernel.write_text("2")
+    changed = dev.build_digest()
+    assert changed != before
+    (checkout / "constraints.txt").write_text("y")
+    assert dev.build_digest() != changed
+
+
+def test_every_direct_dependency_is_pinned():
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    wanted = [
+        *project["project"]["dependencies"],
+        *project["project"]["optional-dependencies"]["dev"],
+        *project["build-system"]["requires"],
+    ]
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = {line.split("==")[0].lower().replace("_", "-") for line in lines if "==" in line}
+    for requirement in wanted:
+        name = requirement.split(";")[0].split(">")[0].strip().lower().replace("_", "-")
+        assert name in pinned, f"constraints.txt lacks {name}"
+    assert all("/" not in line and not line.startswith("-") for line in lines if not line.startswith("#"))
