@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-
 from e4dgs.rasterizer import Camera, Convexes, Gaussians, _cpu, cpu_backend
 
 GARDEN = Path(__file__).resolve().parents[2] / "shared" / "bench" / "test_garden.npz"

@@ -52,6 +52,8 @@ struct ConvexItem {
     float a[kMaxPoints], b[kMaxPoints], c[kMaxPoints];  // L_i = a_i X + b_i Y + c_i
     float opacity, rho, limit;
     int n;
+    uint16_t edges[kMaxPoints];  // blocks in which the edge matters
+    uint16_t inside;             // blocks that lie inside: M is 1 there, to rounding
 };
 
 // Records lie in the order of the input, a tile visits them in order of depth.
@@ -110,18 +112,31 @@ inline uint32_t gaussian_blocks(const Item& g, float radius) {
     return mask;
 }
 
-inline uint32_t convex_blocks(const ConvexItem& c) {
-    constexpr float h = 0.5f * (kBlock - 1);
-    uint32_t mask = 0;
+// Also finds what of the convex matters in which block. An edge 2^-22 / max(rho, 1) below another one at every pixel does not:
+// all of them together change ln E = rho ln 2 lse by less than 2e-6.
+inline uint32_t convex_blocks(ConvexItem& c) {
+    constexpr float h = 0.5f * (kBlock - 1), kInside = 26.0f;
+    const float negligible = 22.0f + (c.rho > 1.0f ? __builtin_log2f(c.rho) : 0.0f);
+    uint32_t mask = 0, inside = 0, edges[kMaxPoints] = {};
+    float reach[kMaxPoints];
+    for (int i = 0; i < c.n; ++i) reach[i] = h * (__builtin_fabsf(c.a[i]) + __builtin_fabsf(c.b[i]));
     for (int k = 0; k < kVectors; ++k) {
         const Float x = load(kBlockX + k * kWidth), y = load(kBlockY + k * kWidth);
-        Float worst = set1(-3e38f);
+        Float high[kMaxPoints], low_top = set1(-3e38f), high_top = set1(-3e38f);
         for (int i = 0; i < c.n; ++i) {
-            const float reach = h * (__builtin_fabsf(c.a[i]) + __builtin_fabsf(c.b[i]));
-            worst = max(worst, fma(set1(c.a[i]), x, fma(set1(c.b[i]), y, set1(c.c[i] - reach))));
+            const Float line = fma(set1(c.a[i]), x, fma(set1(c.b[i]), y, set1(c.c[i])));
+            high[i] = line + set1(reach[i]);
+            low_top = max(low_top, line - set1(reach[i]));
+            high_top = max(high_top, high[i]);
         }
-        mask |= bits(set1(c.limit) >= worst) << (k * kWidth);
+        mask |= bits(set1(c.limit) >= low_top) << (k * kWidth);
+        const Float least = low_top - set1(negligible);
+        for (int i = 0; i < c.n; ++i) edges[i] |= bits(high[i] >= least) << (k * kWidth);
+        // log2 sum <= top + 3 for up to 8 edges
+        inside |= bits(set1(-kInside) >= set1(c.rho) * (high_top + set1(3.0f))) << (k * kWidth);
     }
+    for (int i = 0; i < c.n; ++i) c.edges[i] = uint16_t(edges[i]);
+    c.inside = uint16_t(inside);
     return mask;
 }
 
@@ -135,29 +150,50 @@ inline Float gaussian_alpha(const Item& g, Float X, Float Y, Float& u, Float& v,
 }
 
 struct ConvexValue {
+    int n;                   // edges that matter in this block
+    int index[kMaxPoints];   // which
     Float edge[kMaxPoints];  // 2^(L_i - max)
     Float sum, lse;          // of edge; log2 sum 2^L_i
-    Float inside;            // M
     Float outside;           // 1 - M
 };
 
+inline void select_edges(const ConvexItem& c, int block, ConvexValue& value) {
+    value.n = 0;
+    for (int i = 0; i < c.n; ++i) {
+        value.index[value.n] = i;
+        value.n += (c.edges[i] >> block) & 1;
+    }
+}
+
+// Wants select_edges() for the block.
 inline Float convex_alpha(const ConvexItem& c, Float X, Float Y, ConvexValue& value, Mask& counted) {
-    Float top = set1(-3e38f);
-    for (int i = 0; i < c.n; ++i) {
-        value.edge[i] = fma(set1(c.a[i]), X, fma(set1(c.b[i]), Y, set1(c.c[i])));
-        top = max(top, value.edge[i]);
+    const auto line = [&](int k) {
+        const int i = value.index[k];
+        return fma(set1(c.a[i]), X, fma(set1(c.b[i]), Y, set1(c.c[i])));
+    };
+    if (value.n == 1) {
+        value.lse = line(0);
+        value.edge[0] = value.sum = set1(1.0f);
+    } else {
+        Float top = set1(-3e38f);
+        for (int k = 0; k < value.n; ++k) {
+            value.edge[k] = line(k);
+            top = max(top, value.edge[k]);
+        }
+        value.sum = zero();
+        for (int k = 0; k < value.n; ++k) {
+            value.edge[k] = exp2(value.edge[k] - top);
+            value.sum = value.sum + value.edge[k];
+        }
+        value.lse = top + log2(value.sum);
     }
-    value.sum = zero();
-    for (int i = 0; i < c.n; ++i) {
-        value.edge[i] = exp2(value.edge[i] - top);
-        value.sum = value.sum + value.edge[i];
-    }
-    value.lse = top + log2(value.sum);
     // Beyond 2^30 on either side M is 0 or 1 as far as alpha goes.
     const Float E = exp2(min(max(set1(c.rho) * value.lse, set1(-60.0f)), set1(30.0f)));
-    value.inside = reciprocal(set1(1.0f) + E);
-    value.outside = E * value.inside;
-    const Float alpha = set1(c.opacity) * value.inside;
+    const Float inside = reciprocal(set1(1.0f) + E);
+    value.outside = E * inside;
+    const Float alpha = set1(c.opacity) * inside;
     counted = alpha >= set1(kMinAlpha);
     return alpha;
 }
+
+inline Mask all() { return zero() >= zero(); }

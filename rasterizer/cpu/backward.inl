@@ -128,24 +128,34 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             const ConvexRecord& record = job.convexes[entry.primitive - job.n_gaussians];
             Float sums[32];
             for (Float& s : sums) s = zero();
+            convex_blocks(convex);
+            ConvexValue value;
             for (; mask; mask &= mask - 1) {
                 const int b = __builtin_ctz(mask);
+                const bool inside = convex.inside >> b & 1;
+                if (!inside) select_edges(convex, b, value);
                 for (int k = 0; k < kVectors; ++k) {
+                    const int at = 16 * b + k * kWidth;
+                    if (inside) {
+                        const Float raw = set1(convex.opacity);
+                        sums[4] = sums[4] + layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, at, item, index, raw, all(), sums);
+                        continue;
+                    }
                     const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
                     const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
                     Mask counted;
-                    ConvexValue value;
                     const Float raw = convex_alpha(convex, X, Y, value, counted);
-                    const Float g = layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index, raw, counted, sums);
+                    const Float g = layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, at, item, index, raw, counted, sums);
                     const Float h = g * value.outside;  // -dL/d(ln E), E = 2^(rho lse)
                     sums[4] = sums[4] + g;
                     sums[5] = fma(h, value.lse, sums[5]);
                     const Float share = h * reciprocal(value.sum);
-                    for (int i = 0; i < n; ++i) {
-                        const Float p = share * value.edge[i];
-                        sums[6 + 3 * i] = fma(p, X, sums[6 + 3 * i]);
-                        sums[7 + 3 * i] = fma(p, Y, sums[7 + 3 * i]);
-                        sums[8 + 3 * i] = sums[8 + 3 * i] + p;
+                    for (int e = 0; e < value.n; ++e) {
+                        const Float p = share * value.edge[e];
+                        Float* sum = sums + 6 + 3 * value.index[e];
+                        sum[0] = fma(p, X, sum[0]);
+                        sum[1] = fma(p, Y, sum[1]);
+                        sum[2] = sum[2] + p;
                     }
                 }
             }

@@ -13,9 +13,12 @@ class GaussianBounds {
 public:
     explicit GaussianBounds(const GaussianRecord& r) : r_(r), radius2_(double(r.radius) * r.radius) {
         const double h = std::sqrt(r.f[1] * r.f[1] + r.f[2] * r.f[2]);
+        high_x_ = r.radius * h / (r.f[0] * r.f[2]);
         high_y_ = r.radius / r.f[2];
         rightmost_y_ = -r.radius * r.f[1] / h / r.f[2];
     }
+    double low_x() const { return r_.x - high_x_; }
+    double high_x() const { return r_.x + high_x_; }
     double low_y() const { return r_.y - high_y_; }
     double high_y() const { return r_.y + high_y_; }
 
@@ -35,7 +38,7 @@ private:
         return std::sqrt(std::max(0.0, radius2_ - v * v));
     }
     const GaussianRecord& r_;
-    double radius2_, high_y_, rightmost_y_;
+    double radius2_, high_x_, high_y_, rightmost_y_;
 };
 
 // The image, clipped by L_i <= limit for every edge.
@@ -48,8 +51,11 @@ public:
         for (int k = 0; k < 4; ++k) x_[k] = corners[k][0], y_[k] = corners[k][1];
         for (int i = 0; i < r.n && n_ > 0; ++i) clip(r, i);
         if (n_ == 0) return;
+        low_x_ = *std::min_element(x_, x_ + n_), high_x_ = *std::max_element(x_, x_ + n_);
         low_y_ = *std::min_element(y_, y_ + n_), high_y_ = *std::max_element(y_, y_ + n_);
     }
+    double low_x() const { return low_x_ - 1e-6; }
+    double high_x() const { return high_x_ + 1e-6; }
     double low_y() const { return low_y_; }
     double high_y() const { return high_y_; }
 
@@ -89,7 +95,8 @@ private:
     }
     static constexpr int kCapacity = 32;  // a clip adds one corner at most; rounding on slivers might add more
     int n_ = 0;
-    double x_[kCapacity], y_[kCapacity], low_y_ = INFINITY, high_y_ = -INFINITY;
+    double x_[kCapacity], y_[kCapacity];
+    double low_x_ = INFINITY, high_x_ = -INFINITY, low_y_ = INFINITY, high_y_ = -INFINITY;
 };
 
 }  // namespace e4dgs

@@ -28,14 +28,18 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, const
         const Item& item = items[j];
         seen[j] = 1;
         alive = false;
+        ConvexValue value;
+        const bool inside = item.convex >= 0 && (convexes[item.convex].inside >> b & 1);
+        if (item.convex >= 0 && !inside) select_edges(convexes[item.convex], b, value);
         for (int k = 0; k < kVectors; ++k) {
             Mask counted;
             Float raw;
             if (item.convex < 0) {
                 Float u, v;
                 raw = gaussian_alpha(item, X[k], Y[k], u, v, counted);
+            } else if (inside) {
+                raw = set1(convexes[item.convex].opacity), counted = all();
             } else {
-                ConvexValue value;
                 raw = convex_alpha(convexes[item.convex], X[k], Y[k], value, counted);
             }
             const Float alpha = keep(counted, min(raw, set1(kMaxAlpha)));

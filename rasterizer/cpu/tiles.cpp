@@ -40,14 +40,24 @@ uint32_t find_spans(const State& state, const Bounds& bounds, Range& range) {
     const auto first_tile = [](double low) { return int(std::ceil((low - (kTile - 0.5)) / kTile)); };
     const auto last_tile = [](double high) { return int(std::floor((high - 0.5) / kTile)); };
     const double low_y = std::max(bounds.low_y(), 0.5), high_y = std::min(bounds.high_y(), height - 0.5);
+    const double low_x = std::max(bounds.low_x(), 0.5), high_x = std::min(bounds.high_x(), width - 0.5);
     uint32_t tiles = 0;
     Rows rows{0, 0};
-    if (low_y <= high_y) {
+    Span box{0, 0};
+    if (low_y <= high_y && low_x <= high_x) {
+        box = {uint16_t(first_tile(low_x)), uint16_t(last_tile(high_x) + 1)};
+
         rows.first = uint16_t(std::max(first_tile(low_y), 0));
         rows.last = uint16_t(std::min(last_tile(high_y), state.tiles_y - 1) + 1);
         if (rows.last < rows.first) rows.last = rows.first;
     }
     for (int ty = rows.first; ty < rows.last; ++ty) {
+        if (box.last <= box.first + 1) {  // nothing to gain from looking closer
+            if (box.last < box.first) box.last = box.first;
+            tiles += box.last - box.first;
+            range.spans.push_back(box);
+            continue;
+        }
         double low, high;
         const double ya = ty * kTile + 0.5, yb = std::min(ya + kTile - 1, height - 0.5);
         Span span{0, 0};

@@ -1,0 +1,135 @@
+"""What only the C++ kernels have: several instruction sets, chunks and blocks of a tile, gradients computed on demand, kept state."""
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from .compare import assert_gradients_close, assert_images_close, cotangents, decided_by_threshold, gradients
+from .kernels import needs_cpu
+from .scenes import Scene, generator, random_scene, uniform
+
+pytestmark = needs_cpu
+
+
+@pytest.fixture(params=["avx512", "avx2", "baseline"])
+def instruction_set(request: pytest.FixtureRequest) -> Iterator[str]:
+    from e4dgs.rasterizer import _cpu
+
+    best = _cpu.kernels()
+    if not _cpu.select_kernels(request.param):
+        pytest.skip(f"this processor or build has no {request.param}")
+    yield request.param
+    assert _cpu.select_kernels(best)
+
+
+def check(scene: Scene, max_decided: float = 0.05) -> None:
+    single = scene.to(torch.float32)
+    want, decided = single.render("reference"), decided_by_threshold(single)
+    assert_images_close(single.render("cpu"), want, decided, max_decided=max_decided)
+    weights = cotangents(want, ignore=decided)
+    assert_gradients_close(gradients(single, "cpu", weights), gradients(single, "reference", weights), relative=1e-4)
+
+
+@pytest.mark.parametrize("points", [3, 6, 8])
+def test_every_instruction_set_agrees_with_the_reference(instruction_set: str, points: int) -> None:
+    check(random_scene(11, gaussians=50, convexes=25, points=points, degree=2, extras=3, width=43, height=29))
+
+
+def test_an_unknown_instruction_set_is_refused() -> None:
+    from e4dgs.rasterizer import _cpu
+
+    before = _cpu.kernels()
+    assert not _cpu.select_kernels("mmx")
+    assert _cpu.kernels() == before
+
+
+def test_a_tile_with_more_layers_than_a_chunk(instruction_set: str) -> None:
+    """A tile gathers 128 primitives at a time; here some 300 faint ones lie on each, of both kinds."""
+    scene = random_scene(12, gaussians=200, convexes=100, degree=0, width=20, height=18, size=1.5, spread=0.5)
+    assert scene.gaussians is not None and scene.convexes is not None
+    scene.gaussians.opacities.mul_(0.08)
+    scene.convexes.opacities.mul_(0.08)
+    check(scene, max_decided=1.0)  # faint layers cross 1/255 everywhere; flips are bounded all the same
+
+
+def test_a_pixel_that_stops_in_a_later_chunk() -> None:
+    scene = random_scene(13, gaussians=400, degree=0, width=20, height=18, size=1.5, spread=0.5)
+    assert scene.gaussians is not None
+    scene.gaussians.opacities[:] = uniform(generator(1), 0.02, 0.12, 400)
+    single = scene.to(torch.float32)
+    assert float(single.render("cpu").alpha.max()) > 0.999
+    check(scene, max_decided=1.0)
+
+
+@pytest.mark.parametrize("kind", ["gaussians", "convexes"])
+@pytest.mark.parametrize("seed", range(6))
+def test_bounds_cut_no_visible_tail(kind: str, seed: int) -> None:
+    """One primitive a picture, most of them faint or thin: every pixel that the reference blends is blended."""
+    for k in range(8):
+        scene = random_scene(100 * seed + k, **{kind: 1}, degree=None, width=53, height=38, size=1.2)
+        owner = getattr(scene, kind)
+        owner.opacities[:] = float(uniform(generator(seed), 0.004, 0.03, 8)[k])
+        if kind == "gaussians":
+            owner.scales[:, k % 3] *= 1e-3
+        single = scene.to(torch.float32)
+        got, want, decided = single.render("cpu"), single.render("reference"), decided_by_threshold(single)
+        assert torch.equal((got.alpha > 0)[~decided], (want.alpha > 0)[~decided])
+
+
+def test_only_what_requires_gradients_gets_them_and_the_rest_does_not_change() -> None:
+    scene = random_scene(14, gaussians=30, convexes=15, degree=1, extras=2).to(torch.float32)
+    weights = cotangents(scene.render("cpu"))
+    full = gradients(scene, "cpu", weights)
+    for name in scene.tensors():
+        leaves = {other: value.detach().clone() for other, value in scene.tensors().items()}
+        leaves[name].requires_grad_()
+        frame = scene.having(leaves).render("cpu")
+        torch.stack([(getattr(frame, key) * w.float()).sum() for key, w in weights.items()]).sum().backward()
+        assert torch.equal(leaves[name].grad, full[name]), name
+        assert all(value.grad is None for other, value in leaves.items() if other != name)
+
+
+def test_without_gradients_nothing_is_kept() -> None:
+    frame = random_scene(0, gaussians=5, degree=None).to(torch.float32).render("cpu")
+    assert frame.color.grad_fn is None
+    scene = random_scene(0, gaussians=5, degree=None).to(torch.float32)
+    with torch.no_grad():
+        assert scene.having(scene.leaves()).render("cpu").color.grad_fn is None
+
+
+def test_a_kept_graph_gives_the_same_gradients_again() -> None:
+    scene = random_scene(15, gaussians=20, convexes=10, degree=1).to(torch.float32)
+    leaves = scene.leaves()
+    loss = scene.having(leaves).render("cpu").color.square().sum()
+    first = torch.autograd.grad(loss, list(leaves.values()), retain_graph=True)
+    again = torch.autograd.grad(loss, list(leaves.values()))
+    assert all(torch.equal(a, b) for a, b in zip(first, again))
+
+
+def test_inputs_changed_in_place_before_backward_are_an_error() -> None:
+    scene = random_scene(16, gaussians=5, degree=None).to(torch.float32)
+    leaves = scene.leaves()
+    loss = scene.having(leaves).render("cpu").color.sum()
+    with torch.no_grad():
+        leaves["gaussians.means"].add_(1)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+
+
+def test_second_derivatives_are_a_clear_error() -> None:
+    scene = random_scene(17, gaussians=5, degree=None).to(torch.float32)
+    leaves = scene.leaves()
+    loss = scene.having(leaves).render("cpu").color.square().sum()
+    (grad,) = torch.autograd.grad(loss, [leaves["gaussians.means"]], create_graph=True)
+    with pytest.raises(RuntimeError, match=r"once_differentiable|differentiate twice"):
+        grad.sum().backward()
+
+
+def test_the_order_of_primitives_without_ties_does_not_matter() -> None:
+    scene = random_scene(18, gaussians=80, convexes=40, degree=1, width=50, height=40).to(torch.float32)
+    turned = {
+        name: value.flip(0).contiguous() if name.split(".")[0] in ("gaussians", "convexes") else value
+        for name, value in scene.tensors().items()
+    }
+    assert torch.equal(scene.render("cpu").color, scene.having(turned).render("cpu").color)
