@@ -39,13 +39,13 @@ def render_report(
     `coarse` and `fine` among them. plan_rows: `stage`, `state`, `reason`, `seconds`, `peak_rss_mb`. metrics: the content of metrics.json.
     A key that is missing leaves its part of the page out. All text is escaped.
     """
-    from jinja2 import Environment, StrictUndefined
+    from jinja2 import Environment
     from markupsafe import Markup
 
     flat = {name: flatten(info) for name, info in infos.items()}
     training = {name: flat[name].get("training") or {} for name in TRAINED if name in flat}
     pictures = {name: "data:image/png;base64," + base64.b64encode(data).decode() for name, data in _pictures(evaluate).items()}
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"number": number, "duration": lambda s: duration(float(s)) if is_number(s) else "–"}
     attrs, protocol = evaluate.attrs, metrics.get("protocol") or {}
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
