@@ -26,6 +26,7 @@ def write_cameras(path: Path, cameras: Sequence[pycolmap.Camera]) -> list[int]:
 
 def extract(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int], max_features: int, report: Report) -> None:
     """SIFT features of every image, `camera_ids[i]` being the camera of `names[i]`. Images that have features are left alone."""
+    _register(path, root, names, camera_ids)
     with pycolmap.Database.open(path) as database:
         have = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
     options = pycolmap.FeatureExtractionOptions()
@@ -41,6 +42,17 @@ def extract(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[i
             pycolmap.extract_features(path, root, chunk, pycolmap.CameraMode.SINGLE, reader, options)
             done += len(chunk)
             report("features", done, len(names))
+
+
+def _register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int]) -> None:
+    """Images in the order of `names`: extraction alone would number them as its threads finish, and results would follow."""
+    with pycolmap.Database.open(path) as database:
+        known = {image.name for image in database.read_all_images()}
+    for name, camera in zip(names, camera_ids, strict=True):
+        if name not in known:
+            reader = pycolmap.ImageReaderOptions()
+            reader.existing_camera_id = camera
+            pycolmap.import_images(path, root, pycolmap.CameraMode.SINGLE, [name], reader)
 
 
 def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, verify: bool, report: Report) -> None:

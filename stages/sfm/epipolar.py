@@ -37,7 +37,7 @@ def guided_matches(
         _back(by_column, _second(columns[by_column], cosine[by_column], best_of_column[by_column], xy1[rows[by_column]])),
     )
     distance = _distance(cosine)
-    keep = mutual & (distance <= MAX_DISTANCE) & (distance <= MAX_RATIO * _distance(second))
+    keep = mutual & (distance <= MAX_DISTANCE) & (distance < MAX_RATIO * _distance(second))
     return np.column_stack([rows[keep], columns[keep]]).astype(np.uint32)
 
 

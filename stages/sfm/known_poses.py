@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -58,17 +60,22 @@ def _match(
             data = database.read_descriptors(image_ids[n]).data.astype(np.float32)
             unit = data / np.maximum(np.linalg.norm(data, axis=1, keepdims=True), 1e-6)
             features[n] = np.asarray(database.read_keypoints(image_ids[n]), np.float64)[:, :2], unit
-        for done, (a, b) in enumerate(pairs, 1):
+
+        def match(pair: list[int]) -> tuple[np.ndarray, np.ndarray]:
+            a, b = pair
             F = fundamental(K[a], K[b], poses[a], poses[b])
-            matches = guided_matches(*features[a], *features[b], F, error)
-            geometry = pycolmap.TwoViewGeometry()
-            geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
-            geometry.inlier_matches = matches
-            geometry.F = F
-            database.write_matches(image_ids[a], image_ids[b], matches)
-            database.write_two_view_geometry(image_ids[a], image_ids[b], geometry)
-            if done % 16 == 0 or done == len(pairs):
-                report("matches", done, len(pairs))
+            return F, guided_matches(*features[a], *features[b], F, error)
+
+        with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+            for done, ((a, b), (F, matches)) in enumerate(zip(pairs, pool.map(match, pairs)), 1):
+                geometry = pycolmap.TwoViewGeometry()
+                geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+                geometry.inlier_matches = matches
+                geometry.F = F
+                database.write_matches(image_ids[a], image_ids[b], matches)
+                database.write_two_view_geometry(image_ids[a], image_ids[b], geometry)
+                if done % 16 == 0 or done == len(pairs):
+                    report("matches", done, len(pairs))
 
 
 def _posed(database: pycolmap.Database, image_ids: list[int], poses: np.ndarray) -> pycolmap.Reconstruction:

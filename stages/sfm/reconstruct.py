@@ -76,6 +76,7 @@ def _map(path: Path, root: Path, folder: Path, request: dict[str, Any], report: 
 
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = int(request["seed"])
+    options.num_threads = options.mapper.num_threads = 1
     # a full adjustment after a third more of frames or points: as accurate as after a tenth, and it is most of the time
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
     options.ba_global_max_refinements = 3

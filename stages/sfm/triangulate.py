@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 MAX_ERROR = 2.0  # px, in every view of a point
 MIN_ANGLE = 1.0  # degrees between the outermost rays of a point
 MIN_TRACK = 3  # views: on an epipolar line any two features meet, a third view tells
-MAX_FEATURES = 4096
+MAX_FEATURES = 3072
+ERROR_SPREAD = 1.75  # times the median error; of what passed by chance on an epipolar line, four in five lie beyond
 NEIGHBOURS = 8  # cameras nearest to each that it is matched with
-STEPS = (1, 2, 3, 5, 8, 13)  # chosen frames of one moving camera that are matched
+STEPS = (1, 2, 4, 8)  # chosen frames of one moving camera that are matched
 MAX_TURN = 75.0  # degrees between viewing directions
 
 
@@ -66,7 +67,13 @@ def triangulate(
             arrays, _ = run_worker(request, folder, progress)
         except WorkerError as error:
             raise StageError(f"triangulating points with known poses failed. {error}") from error
-    return arrays["points"], arrays["colors"], arrays["errors"]
+    keep = keep_precise(arrays["errors"])
+    return arrays["points"][keep], arrays["colors"][keep], arrays["errors"][keep]
+
+
+def keep_precise(errors: np.ndarray) -> np.ndarray:
+    """[P] bool: points whose error is near the median, which is what the poses and features of this capture allow."""
+    return errors <= ERROR_SPREAD * np.median(errors) if len(errors) else np.zeros(0, bool)
 
 
 def choose_frames(train: np.ndarray, time: np.ndarray, max_frames: int) -> np.ndarray:
