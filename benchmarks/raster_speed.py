@@ -100,9 +100,8 @@ def main() -> None:
     print(f"{arguments.scene}: {camera.width}x{camera.height}, {arguments.threads} threads, {_cpu.kernels()} kernels")
     print(f"pairs {visible / 1e6:.1f} M, blended {blended / 1e6:.1f} M, (tile, primitive) {entries / 1e6:.2f} M")
     for name, seconds in (("forward", forward_s), ("forward + backward", both_s), ("backward", both_s - forward_s)):
-        print(
-            f"{name:20} {1e3 * seconds:8.1f} ms   {1e9 * seconds / visible:6.2f} ns a pair   {1e9 * seconds / blended:6.2f} ns a blended pair"
-        )
+        each = [1e9 * seconds / count for count in (visible, blended)]
+        print(f"{name:20} {1e3 * seconds:8.1f} ms   {each[0]:6.2f} ns a pair   {each[1]:6.2f} ns a blended pair")
 
 
 def timed(function) -> float:

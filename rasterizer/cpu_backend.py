@@ -33,7 +33,7 @@ def rasterize_cpu(camera: Camera, gaussians: Gaussians, convexes: Convexes, back
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, width: int, height: int, near: float, *tensors: Tensor | None) -> tuple[Tensor, ...]:
-        plain = [None if t is None else t.detach().contiguous() for t in tensors]
+        plain: list[Any] = [None if t is None else t.detach().contiguous() for t in tensors]
         K, cam_from_world, background = plain[:LEADING]
         gaussians = dict(zip(GAUSSIAN_FIELDS, plain[LEADING:]))
         convexes = dict(zip(CONVEX_FIELDS, plain[LEADING + len(GAUSSIAN_FIELDS) :]))
@@ -73,7 +73,7 @@ class _Rasterize(torch.autograd.Function):
         grad |= {"alpha_image": alpha.detach(), "depth_image": depth.detach()}
         wanted = ctx.needs_input_grad[3:]
         out = [torch.zeros_like(t) if need and t is not None else None for need, t in zip(wanted, tensors)]
-        camera = {
+        camera: dict[str, Any] = {
             "camera": torch.zeros(16, dtype=torch.float64) if wanted[0] or wanted[1] else None,
             "background": torch.zeros(3, dtype=torch.float64) if wanted[2] else None,
         }
@@ -87,5 +87,5 @@ class _Rasterize(torch.autograd.Function):
             if out[1] is not None:
                 out[1] = intrinsics[4:].reshape(3, 4)
         if out[2] is not None:
-            out[2] = camera["background"].float()
+            out[2] = camera["background"].to(torch.float32)
         return None, None, None, *out

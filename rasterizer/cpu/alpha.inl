@@ -149,51 +149,73 @@ inline Float gaussian_alpha(const Item& g, Float X, Float Y, Float& u, Float& v,
     return exp2<false>(e);
 }
 
-struct ConvexValue {
-    int n;                   // edges that matter in this block
-    int index[kMaxPoints];   // which
-    Float edge[kMaxPoints];  // 2^(L_i - max)
-    Float sum, lse;          // of edge; log2 sum 2^L_i
-    Float outside;           // 1 - M
+// The edges of a convex that matter in one block.
+struct Edges {
+    int n, index[kMaxPoints];
+    float a[kMaxPoints], b[kMaxPoints], c[kMaxPoints];
 };
 
-inline void select_edges(const ConvexItem& c, int block, ConvexValue& value) {
-    value.n = 0;
-    for (int i = 0; i < c.n; ++i) {
-        value.index[value.n] = i;
-        value.n += (c.edges[i] >> block) & 1;
+inline void select_edges(const ConvexItem& item, int block, Edges& edges) {
+    int n = 0;
+    for (int i = 0; i < item.n; ++i) {
+        edges.index[n] = i;
+        edges.a[n] = item.a[i], edges.b[n] = item.b[i], edges.c[n] = item.c[i];
+        n += (item.edges[i] >> block) & 1;
     }
+    edges.n = n;
 }
 
-// Wants select_edges() for the block.
-inline Float convex_alpha(const ConvexItem& c, Float X, Float Y, ConvexValue& value, Mask& counted) {
-    const auto line = [&](int k) {
-        const int i = value.index[k];
-        return fma(set1(c.a[i]), X, fma(set1(c.b[i]), Y, set1(c.c[i])));
-    };
-    if (value.n == 1) {
-        value.lse = line(0);
+template <int N>
+struct ConvexValue {
+    Float edge[N];   // 2^(L_i - max)
+    Float sum, lse;  // of edge; log2 sum 2^L_i
+    Float outside;   // 1 - M
+};
+
+template <int N>
+inline Float convex_alpha(const ConvexItem& item, const Edges& edges, Float X, Float Y, ConvexValue<N>& value, Mask& counted) {
+    Float line[N];
+    for (int k = 0; k < N; ++k) line[k] = fma(set1(edges.a[k]), X, fma(set1(edges.b[k]), Y, set1(edges.c[k])));
+    if constexpr (N == 1) {
+        value.lse = line[0];
         value.edge[0] = value.sum = set1(1.0f);
     } else {
-        Float top = set1(-3e38f);
-        for (int k = 0; k < value.n; ++k) {
-            value.edge[k] = line(k);
-            top = max(top, value.edge[k]);
-        }
+        Float top = line[0];
+        for (int k = 1; k < N; ++k) top = max(top, line[k]);
         value.sum = zero();
-        for (int k = 0; k < value.n; ++k) {
-            value.edge[k] = exp2(value.edge[k] - top);
+        for (int k = 0; k < N; ++k) {
+            value.edge[k] = exp2(line[k] - top);
             value.sum = value.sum + value.edge[k];
         }
         value.lse = top + log2(value.sum);
     }
     // Beyond 2^30 on either side M is 0 or 1 as far as alpha goes.
-    const Float E = exp2(min(max(set1(c.rho) * value.lse, set1(-60.0f)), set1(30.0f)));
+    const Float E = exp2(min(max(set1(item.rho) * value.lse, set1(-60.0f)), set1(30.0f)));
     const Float inside = reciprocal(set1(1.0f) + E);
     value.outside = E * inside;
-    const Float alpha = set1(c.opacity) * inside;
+    const Float alpha = set1(item.opacity) * inside;
     counted = alpha >= set1(kMinAlpha);
     return alpha;
+}
+
+template <int N>
+struct Count {
+    static constexpr int value = N;
+};
+
+// f(Count<n>()): loops over edges are unrolled for each number of them.
+template <class F>
+__attribute__((always_inline)) inline void for_count(int n, F&& f) {
+    switch (n) {
+        case 1: return f(Count<1>());
+        case 2: return f(Count<2>());
+        case 3: return f(Count<3>());
+        case 4: return f(Count<4>());
+        case 5: return f(Count<5>());
+        case 6: return f(Count<6>());
+        case 7: return f(Count<7>());
+        default: return f(Count<8>());
+    }
 }
 
 inline Mask all() { return zero() >= zero(); }

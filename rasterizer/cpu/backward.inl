@@ -129,35 +129,39 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             Float sums[32];
             for (Float& s : sums) s = zero();
             convex_blocks(convex);
-            ConvexValue value;
+            Edges edges;
             for (; mask; mask &= mask - 1) {
                 const int b = __builtin_ctz(mask);
                 const bool inside = convex.inside >> b & 1;
-                if (!inside) select_edges(convex, b, value);
-                for (int k = 0; k < kVectors; ++k) {
-                    const int at = 16 * b + k * kWidth;
-                    if (inside) {
-                        const Float raw = set1(convex.opacity);
-                        sums[4] = sums[4] + layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, at, item, index, raw, all(), sums);
-                        continue;
-                    }
-                    const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
-                    const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
-                    Mask counted;
-                    const Float raw = convex_alpha(convex, X, Y, value, counted);
-                    const Float g = layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, at, item, index, raw, counted, sums);
-                    const Float h = g * value.outside;  // -dL/d(ln E), E = 2^(rho lse)
-                    sums[4] = sums[4] + g;
-                    sums[5] = fma(h, value.lse, sums[5]);
-                    const Float share = h * reciprocal(value.sum);
-                    for (int e = 0; e < value.n; ++e) {
-                        const Float p = share * value.edge[e];
-                        Float* sum = sums + 6 + 3 * value.index[e];
-                        sum[0] = fma(p, X, sum[0]);
-                        sum[1] = fma(p, Y, sum[1]);
-                        sum[2] = sum[2] + p;
-                    }
+                if (inside) {
+                    for (int k = 0; k < kVectors; ++k)
+                        sums[4] = sums[4] + layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index,
+                                                                          set1(convex.opacity), all(), sums);
+                    continue;
                 }
+                select_edges(convex, b, edges);
+                for_count(edges.n, [&](auto count) {
+                    for (int k = 0; k < kVectors; ++k) {
+                        const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
+                        const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
+                        Mask counted;
+                        ConvexValue<count.value> value;
+                        const Float raw = convex_alpha(convex, edges, X, Y, value, counted);
+                        const Float g =
+                            layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index, raw, counted, sums);
+                        const Float h = g * value.outside;  // -dL/d(ln E), E = 2^(rho lse)
+                        sums[4] = sums[4] + g;
+                        sums[5] = fma(h, value.lse, sums[5]);
+                        const Float share = h * reciprocal(value.sum);
+                        for (int e = 0; e < count.value; ++e) {
+                            const Float p = share * value.edge[e];
+                            Float* sum = sums + 6 + 3 * edges.index[e];
+                            sum[0] = fma(p, X, sum[0]);
+                            sum[1] = fma(p, Y, sum[1]);
+                            sum[2] = sum[2] + p;
+                        }
+                    }
+                });
             }
             sum_lanes<16>(sums, out);
             if (6 + 3 * n > 16) sum_lanes<16>(sums + 16, out + 16);

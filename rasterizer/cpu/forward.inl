@@ -28,21 +28,23 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, const
         const Item& item = items[j];
         seen[j] = 1;
         alive = false;
-        ConvexValue value;
-        const bool inside = item.convex >= 0 && (convexes[item.convex].inside >> b & 1);
-        if (item.convex >= 0 && !inside) select_edges(convexes[item.convex], b, value);
+        Float raws[kVectors];
+        Mask counts[kVectors];
+        if (item.convex < 0) {
+            Float u, v;
+            for (int k = 0; k < kVectors; ++k) raws[k] = gaussian_alpha(item, X[k], Y[k], u, v, counts[k]);
+        } else if (const ConvexItem& convex = convexes[item.convex]; convex.inside >> b & 1) {
+            for (int k = 0; k < kVectors; ++k) raws[k] = set1(convex.opacity), counts[k] = all();
+        } else {
+            Edges edges;
+            select_edges(convex, b, edges);
+            for_count(edges.n, [&](auto count) {
+                ConvexValue<count.value> value;
+                for (int k = 0; k < kVectors; ++k) raws[k] = convex_alpha(convex, edges, X[k], Y[k], value, counts[k]);
+            });
+        }
         for (int k = 0; k < kVectors; ++k) {
-            Mask counted;
-            Float raw;
-            if (item.convex < 0) {
-                Float u, v;
-                raw = gaussian_alpha(item, X[k], Y[k], u, v, counted);
-            } else if (inside) {
-                raw = set1(convexes[item.convex].opacity), counted = all();
-            } else {
-                raw = convex_alpha(convexes[item.convex], X[k], Y[k], value, counted);
-            }
-            const Float alpha = keep(counted, min(raw, set1(kMaxAlpha)));
+            const Float alpha = keep(counts[k], min(raws[k], set1(kMaxAlpha)));
             const Float before = falling[k];
             falling[k] = fnma(before, alpha, before);
             const Mask on = falling[k] >= set1(kMinTransmittance);

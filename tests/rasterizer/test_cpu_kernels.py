@@ -86,7 +86,8 @@ def test_only_what_requires_gradients_gets_them_and_the_rest_does_not_change() -
         leaves[name].requires_grad_()
         frame = scene.having(leaves).render("cpu")
         torch.stack([(getattr(frame, key) * w.float()).sum() for key, w in weights.items()]).sum().backward()
-        assert torch.equal(leaves[name].grad, full[name]), name
+        found = leaves[name].grad
+        assert found is not None and torch.equal(found, full[name]), name
         assert all(value.grad is None for other, value in leaves.items() if other != name)
 
 
