@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Everything a fresh clone needs, in one command each:
 
-    python3 dev.py sample     set up, then reconstruct the capture in samples/ and say where its report is
+    python3 dev.py sample     set up, then reconstruct the capture in samples/ with --preset fast and say where its report is;
+                              further arguments go to `e4dgs run all`
     python3 dev.py test       set up, then run the tests; further arguments go to pytest
     python3 dev.py lint       set up, then ruff and mypy
     python3 dev.py setup      set up only
@@ -43,7 +44,8 @@ def main():
 def sample(arguments):
     """Run the whole reconstruction on the shipped capture; its last line is the report's path."""
     workspace = ROOT / "e4dgs-workspace"
-    return run([script("e4dgs"), "run", "all", str(ROOT / SAMPLE), "--workspace", str(workspace), *arguments])
+    preset = [] if "--preset" in arguments else ["--preset", "fast"]
+    return run([script("e4dgs"), "run", "all", str(ROOT / SAMPLE), "--workspace", str(workspace), *preset, *arguments])
 
 
 def test(arguments):

@@ -1,6 +1,6 @@
 """Make the capture that the repository ships: `python tests/factory/make_sample.py [FOLDER]` (default: samples/cube_and_ball).
 
-A checkered cube turns and slides while a striped ball bounces, on a tiled slab; D-NeRF layout. The result is a function of this
+A checkered cube turns and slides while a striped ball hops over, on a tiled slab; D-NeRF layout. The result is a function of this
 file and the factory alone, and tests/test_sample.py holds the shipped files to it.
 """
 
@@ -30,10 +30,10 @@ RADIUS = 4.0  # of the dome on which all cameras stand
 def sample() -> Synthetic:
     """The scene and its 60 views. Nothing is random: cameras follow golden-angle spirals."""
     slab = Object("slab", Box((1.0, 1.0, 0.08)), Checker(0.5, (0.80, 0.78, 0.73), (0.50, 0.56, 0.60), tint=0.12), Motion((0.0, 0.0, -0.08)))
-    cube_motion = Motion((-0.36, 0.1, 0.36), slide=(0.0, -0.55, 0.0), turn=1.3, rest_angle=0.25)
-    cube = Object("cube", Box((0.36, 0.36, 0.36)), Checker(0.18, tint=0.5), cube_motion)
-    ball_motion = Motion((0.48, 0.0, 0.30), slide=(0.0, 0.5, 0.0), axis=(1.0, 0.0, 0.0), turn=-0.9, bounce=0.45, bounces=2)
-    ball = Object("ball", Sphere(0.30), Stripes(0.135, ((0.88, 0.20, 0.14), (0.97, 0.94, 0.86))), ball_motion)
+    cube_motion = Motion((-0.36, 0.1, 0.36), slide=(0.0, -0.3, 0.0), turn=0.6, rest_angle=0.25)
+    cube = Object("cube", Box((0.36, 0.36, 0.36)), Checker(0.24, tint=0.5, shift=0.5), cube_motion)
+    ball_motion = Motion((0.48, 0.0, 0.30), slide=(0.0, 0.35, 0.0), axis=(1.0, 0.0, 0.0), turn=-0.5, bounce=0.35, bounces=1)
+    ball = Object("ball", Sphere(0.30), Stripes(0.19, ((0.88, 0.20, 0.14), (0.97, 0.94, 0.86))), ball_motion)
     scene = Scene((slab, cube, ball), light=0.45)
 
     views = []

@@ -19,9 +19,10 @@ class Checker:
     light: Colour = (0.92, 0.90, 0.84)
     dark: Colour = (0.16, 0.22, 0.34)
     tint: float = 0.35
+    shift: float = 0.0  # of the lattice, in cells
 
     def __call__(self, uv: Array, face: NDArray[np.int64]) -> Array:
-        parity = np.floor(uv / self.cell).astype(np.int64).sum(axis=-1) & 1
+        parity = np.floor(uv / self.cell + self.shift).astype(np.int64).sum(axis=-1) & 1
         base = np.where(parity[:, None] == 0, np.asarray(self.light), np.asarray(self.dark))
         tints = np.array([[1.0, 0.55, 0.45], [0.5, 0.85, 1.0], [1.0, 0.85, 0.4], [0.55, 1.0, 0.6], [0.8, 0.6, 1.0], [1.0, 1.0, 1.0]])
         return base * (1.0 - self.tint + self.tint * tints[face % 6])
