@@ -65,7 +65,7 @@ def lint(_):
         packages = [word for name in FOLDERS for word in ("-p", "e4dgs." + name)]
         cache = ["--cache-dir", os.environ.get("MYPY_CACHE_DIR") or str(ROOT / ".mypy_cache")]
         config = ["--config-file", str(ROOT / "pyproject.toml")]
-        results.append(run([python(), "-m", "mypy", *config, *cache, *packages], dict(os.environ, MYPYPATH=folder)))
+        results.append(run([python(), "-m", "mypy", *config, *cache, *packages], dict(os.environ, MYPYPATH=folder), folder))
     return max(results)
 
 
@@ -154,9 +154,9 @@ def script(name):
     return str(VENV / ("Scripts" if os.name == "nt" else "bin") / name)
 
 
-def run(command, environment=None):
+def run(command, environment=None, folder=ROOT):
     sys.stdout.flush()
-    return subprocess.call(command, cwd=str(ROOT), env=environment)
+    return subprocess.call(command, cwd=str(folder), env=environment)
 
 
 def stop(message):
