@@ -61,9 +61,10 @@ def table(results: dict[str, dict]) -> str:
         for split, s in m["splits"].items():
             if not s or s.get("psnr") is None:
                 continue
+            minutes = f"{r['wall_seconds'] / 60:.1f} min | {m['train_seconds'] / 60:.1f} min"
             rows.append(
-                f"| {name} {' '.join(r['options'])} | {r['wall_seconds'] / 60:.1f} min | {m['train_seconds'] / 60:.1f} min | {r['cached_seconds']:.1f} s "
-                f"| {split} | {s['psnr']:.2f} | {s['ssim']:.4f} | {s['edge_psnr']:.2f} | {count['gaussians']} + {count['convexes']} "
+                f"| {name} {' '.join(r['options'])} | {minutes} | {r['cached_seconds']:.1f} s | {split} "
+                f"| {s['psnr']:.2f} | {s['ssim']:.4f} | {s['edge_psnr']:.2f} | {count['gaussians']} + {count['convexes']} "
                 f"| {m['render_fps']:.1f} fps |"
             )
     return "\n".join(rows)

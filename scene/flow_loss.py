@@ -7,12 +7,15 @@ are held fixed and only primitives that move receive gradients: these terms stee
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from ..rasterizer import Camera, Convexes, Gaussians, rasterize
 from .model import Model
+
+Kind = TypeVar("Kind", Gaussians, Convexes)
 
 
 def project(camera: Camera, points: Tensor) -> Tensor:
@@ -30,10 +33,10 @@ def _centres(model: Model, gaussians: Gaussians, convexes: Convexes) -> tuple[Te
     return centres[0] - rest[0] + rest[0].detach(), centres[1] - rest[1] + rest[1].detach()
 
 
-def _detached(kind: Gaussians | Convexes, extras: Tensor):
-    fixed = {name: value.detach() for name, value in vars(kind).items() if isinstance(value, Tensor)}
-    fixed.pop("sh")
-    return replace(kind, **fixed, sh=None, colors=torch.zeros(extras.shape[0], 3), extras=extras)
+def _detached(kind: Kind, extras: Tensor) -> Kind:
+    fixed: dict[str, Any] = {name: value.detach() for name, value in vars(kind).items() if isinstance(value, Tensor)}
+    fixed |= {"sh": None, "colors": torch.zeros(extras.shape[0], 3), "extras": extras}
+    return replace(kind, **fixed)
 
 
 def _blend(camera: Camera, gaussians: Gaussians, convexes: Convexes, extras: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:

@@ -83,6 +83,7 @@ class Trainer:
         self.unit = views.viewing_distance(model.gaussians.means.detach().numpy())
         self.optimiser = self._make_optimiser()
         self._froze_still = False
+        self._ema = 0.0  # smoothed image loss
 
     # -- set-up -------------------------------------------------------------------------------------------------------------------
 
@@ -184,7 +185,7 @@ class Trainer:
         else:
             self.optimiser.zero_grad()
             self._event(f"step {self.iteration}: not finite, rolled back")
-        self._ema = image_loss if self.iteration == 0 or not hasattr(self, "_ema") else 0.98 * self._ema + 0.02 * image_loss
+        self._ema = image_loss if self.iteration == 0 else 0.98 * self._ema + 0.02 * image_loss
         if self.iteration % 20 == 0:
             self.log.loss.append([self.iteration, self._ema])
 

@@ -64,9 +64,8 @@ def measured_flow(flow: Artifact | None, views: Views):
         if p is None or int(views.next[i]) not in trained:
             return None
         size = views.size(0.5)
-        field = np.asarray(forward[p]).astype(np.float32)
-        field = cv2.resize(field, size, interpolation=cv2.INTER_AREA)
-        field *= np.array([size[0] / views.width, size[1] / views.height], np.float32)
+        shrink = np.array([size[0] / views.width, size[1] / views.height], np.float32)
+        field = cv2.resize(np.asarray(forward[p]).astype(np.float32), size, interpolation=cv2.INTER_AREA) * shrink
         weight = cv2.resize(np.asarray(confidence[p]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
         return torch.from_numpy(np.ascontiguousarray(field)), torch.from_numpy(weight)
 

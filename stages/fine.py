@@ -45,11 +45,11 @@ class Fine(Stage):
         from ..scene.trainer import Trainer
         from .coarse import auto_budget
         from .dataset import load_frameset, load_views, measured_flow
-        from .training_artifact import read_model, write_training
+        from .training_artifact import read_model, required, write_training
 
         settings = ctx.settings
         torch.manual_seed(settings.seed)
-        coarse, hulls = ctx.inputs["coarse"], ctx.inputs["hulls"]
+        coarse, hulls = required(ctx.inputs["coarse"]), ctx.inputs["hulls"]
         model = read_model(coarse)
         views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"])
         if hulls is not None and hulls.array("points").shape[0]:

@@ -42,10 +42,10 @@ class Hulls(Stage):
         from ..scene.fibonacci import fibonacci_hulls, neighbour_radius
         from ..scene.primitives import SH_C0
         from .dataset import load_frameset, load_views
-        from .training_artifact import read_model
+        from .training_artifact import read_model, required
 
         settings = ctx.settings
-        model = read_model(ctx.inputs["coarse"])
+        model = read_model(required(ctx.inputs["coarse"]))
         views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"])
         chosen = views.train[np.linspace(0, len(views.train) - 1, min(settings.views, len(views.train))).round().astype(int)]
         density, weight = edge_density(model, views, [int(i) for i in chosen])

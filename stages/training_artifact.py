@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..pipeline import Artifact, ArtifactWriter
+from ..pipeline import Artifact, ArtifactWriter, StageError
 
 if TYPE_CHECKING:
     from ..scene.model import Model
@@ -20,6 +20,13 @@ def write_training(out: ArtifactWriter, model: Model, log: TrainingLog) -> None:
     out.attrs["model"] = model.config
     out.attrs["primitives"] = {"gaussians": len(model.gaussians), "convexes": len(model.convexes)}
     out.info["training"] = dict(vars(log))
+
+
+def required(coarse: Artifact | None) -> Artifact:
+    """The artifact of `coarse`; raises StageError where that was skipped."""
+    if coarse is None:
+        raise StageError("there is no coarse model to build on; set coarse.iterations above 0")
+    return coarse
 
 
 def read_model(artifact: Artifact) -> Model:
