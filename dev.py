@@ -28,7 +28,7 @@ STAMP = VENV / "e4dgs-installed.json"
 SAMPLE = "samples/cube_and_ball"
 FOLDERS = ("pipeline", "rasterizer", "scene", "stages", "workflows")
 BUILD_INPUTS = ("constraints.txt", "pyproject.toml", "CMakeLists.txt", "__init__.py")
-BUILD_SUFFIXES = {".cpp", ".h", ".hpp", ".inc", ".cmake", ".txt"}
+BUILD_SUFFIXES = {".cpp", ".h", ".inl", ".cmake", ".txt"}
 
 
 def main():

@@ -16,7 +16,7 @@ class HexPlanes(nn.Module):
     Features are multiplied across the six planes of a level and concatenated across levels. Layout is channels-last, so that one
     look-up reads whole cache lines: ``space[l]`` is [3, R_l, R_l, C] (xy, xz, yz; the first coordinate varies fastest), ``time[l]``
     is [3, T, R_l, C]. Time planes start at one, so that the field begins independent of time; space planes start uniform in
-    [0.1, 0.5].
+    [0.5, 1.5]: products of six stay of order one, so the MLP sees features that it can use.
 
     Args:
         resolutions: R of each level.
@@ -28,7 +28,7 @@ class HexPlanes(nn.Module):
     def __init__(self, resolutions: tuple[int, ...] = (64, 128), times: int = 50, channels: int = 16, seed: int = 0) -> None:
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
-        self.space = nn.ParameterList([nn.Parameter(torch.rand(3, r, r, channels, generator=generator) * 0.4 + 0.1) for r in resolutions])
+        self.space = nn.ParameterList([nn.Parameter(torch.rand(3, r, r, channels, generator=generator) + 0.5) for r in resolutions])
         self.time = nn.ParameterList([nn.Parameter(torch.ones(3, max(times, 1), r, channels)) for r in resolutions])
         self.channels = channels
 

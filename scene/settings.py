@@ -24,6 +24,7 @@ class TrainingSettings(Settings):
     l1: float = Field(0.8, ge=0, description="lambda_1 of Eq. 9")
     ssim: float = Field(0.2, ge=0, description="lambda_2 of Eq. 9")
     tv: float = Field(1e-2, ge=0, description="lambda_3 of Eq. 9, smoothness of the planes")
+    still: float = Field(0.05, ge=0, description="weight of the mean displacement, in viewing distances: nothing moves without a reason")
     interval: float = Field(1e-3, ge=0, description="weight of L_interval (Eq. 8), flow in px; 0 turns it off")
     data_flow: float = Field(1e-3, ge=0, description="weight of rendered against measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="the two flow terms are evaluated at every n-th step")

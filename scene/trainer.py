@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..rasterizer import rasterize
+from ..rasterizer import Gaussians, rasterize
 from .checkpoint import load_checkpoint, save_checkpoint
 from .colour import CameraAffine
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
@@ -177,7 +177,7 @@ class Trainer:
             self.log.psnr.append([self.iteration, -10 * float(np.log10(max(mse, 1e-10)))])
         image_loss = float(loss.detach())
         if phase.move and model.field is not None:
-            loss = loss + self._motion_terms(i, t, phase)
+            loss = loss + self._motion_terms(i, t, phase) + self._stillness(gaussians)
         loss.backward()
         parameters = self.optimiser.parameters()
         if self.guard.accepts(loss.detach(), parameters, self.iteration, i):
@@ -188,6 +188,12 @@ class Trainer:
         self._ema = image_loss if self.iteration == 0 else 0.98 * self._ema + 0.02 * image_loss
         if self.iteration % 20 == 0:
             self.log.loss.append([self.iteration, self._ema])
+
+    def _stillness(self, moved: Gaussians) -> Tensor:
+        """A sparse prior: what a monocular capture leaves open is resolved towards rest."""
+        rest = self.model.gaussians
+        count = rest.dynamic.sum().clamp(min=1)
+        return self.settings.still * (moved.means - rest.means).norm(dim=1).sum() / (count * self.unit)
 
     def _motion_terms(self, i: int, t: float, phase: Phase) -> Tensor:
         s, model, views = self.settings, self.model, self.views
