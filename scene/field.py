@@ -29,7 +29,7 @@ class DeformationField(nn.Module):
         low: Tensor,
         high: Tensor,
         times: int,
-        resolutions: tuple[int, ...] = (32, 64),
+        resolutions: tuple[int, ...] = (16, 32),
         channels: int = 16,
         width: int = 64,
         seed: int = 0,

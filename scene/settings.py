@@ -14,17 +14,17 @@ Strategy = Literal["two-stage", "joint", "alternating", "progressive"]
 class TrainingSettings(Settings):
     """Settings that both training stages share. Learning rates of positions are in fractions of the viewing distance."""
 
-    iterations: int = Field(4000, ge=0, le=1_000_000, description="optimiser steps of this stage")
+    iterations: int = Field(5000, ge=0, le=1_000_000, description="optimiser steps of this stage")
     seed: int = Field(0, ge=0, description="order of the views, initial planes, sampling of new primitives")
     sh_degree: int = Field(2, ge=0, le=3, description="highest spherical harmonic of the colours")
     budget: int = Field(0, ge=0, description="most Gaussians allowed; 0 chooses by the capture")
     lr_means: float = Field(4e-4, gt=0, description="first learning rate of positions, decays to a fiftieth")
-    lr_field: float = Field(5e-3, gt=0, description="first learning rate of the planes, decays to a tenth")
-    lr_mlp: float = Field(1.5e-3, gt=0, description="first learning rate of the deformation MLP, decays to a tenth")
+    lr_field: float = Field(1e-2, gt=0, description="first learning rate of the planes, decays to a tenth")
+    lr_mlp: float = Field(3e-3, gt=0, description="first learning rate of the deformation MLP, decays to a tenth")
     l1: float = Field(0.8, ge=0, description="lambda_1 of Eq. 9")
     ssim: float = Field(0.2, ge=0, description="lambda_2 of Eq. 9")
     tv: float = Field(1e-2, ge=0, description="lambda_3 of Eq. 9, smoothness of the planes")
-    still: float = Field(0.05, ge=0, description="weight of the mean displacement, in viewing distances: nothing moves without a reason")
+    still: float = Field(0.02, ge=0, description="weight of the mean displacement, in viewing distances: nothing moves without a reason")
     interval: float = Field(1e-3, ge=0, description="weight of L_interval (Eq. 8), flow in px; 0 turns it off")
     data_flow: float = Field(1e-3, ge=0, description="weight of rendered against measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="the two flow terms are evaluated at every n-th step")
