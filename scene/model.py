@@ -55,16 +55,8 @@ class Model:
         """Indices [m] of the primitives that move and whose rest position lies in the camera's view, widened by ``margin`` of its size."""
         moving = primitives.dynamic
         if camera is not None and len(primitives):
-            with torch.no_grad():
-                centre = primitives.rest_points().reshape(len(primitives), -1, 3).mean(1)
-                R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
-                x, y, z = (centre @ R.T.to(centre) + T.to(centre)).unbind(1)
-                fx, fy, cx, cy = (float(camera.K[r, col]) for r, col in ((0, 0), (1, 1), (0, 2), (1, 2)))
-                depth = z.clamp(min=1e-6)
-                px, py = fx * x / depth + cx, fy * y / depth + cy
-                wide, high = margin * camera.width, margin * camera.height
-                inside = (px > -wide) & (px < camera.width + wide) & (py > -high) & (py < camera.height + high)
-                moving = moving & (z > camera.near) & inside
+            centres = primitives.rest_points().reshape(len(primitives), -1, 3).mean(1)
+            moving = moving & inside_image(camera, centres, margin)
         return moving.nonzero()[:, 0]
 
     def render(self, camera: Camera, time: float, background: Tensor | None = None, backend: str = "auto") -> Frame:
@@ -102,3 +94,15 @@ class Model:
             names = {name: "field_" + name.replace(".", "_") for name in field.state_dict()}
             field.load_state_dict({name: torch.tensor(np.asarray(arrays[array])) for name, array in names.items()})
         return cls(GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays), field, int(config["sh_degree"]))
+
+
+@torch.no_grad()
+def inside_image(camera: Camera, points: Tensor, margin: float = 0.0) -> Tensor:
+    """Which of ``points`` [N, 3] (world units) project into the image, widened on each side by ``margin`` of its size: [N] bool."""
+    R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
+    x, y, z = (points @ R.T.to(points) + T.to(points)).unbind(1)
+    fx, fy, cx, cy = (float(camera.K[row, column]) for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    depth = z.clamp(min=1e-6)
+    px, py = fx * x / depth + cx, fy * y / depth + cy
+    wide, high = margin * camera.width, margin * camera.height
+    return (z > camera.near) & (px > -wide) & (px < camera.width + wide) & (py > -high) & (py < camera.height + high)

@@ -31,6 +31,7 @@ class TrainingSettings(Settings):
     densify_every: int = Field(150, ge=1, description="steps between two rounds of density control")
     densify_until: float = Field(0.7, ge=0, le=1, description="last round of growth, as a fraction of the steps")
     min_opacity: float = Field(0.01, ge=0, lt=1, description="primitives below are pruned")
+    min_weight: float = Field(0.25, ge=0, description="px a view; primitives that are blended into less, on average, are pruned")
     affine: bool = Field(True, description="one colour affine a camera, for captures of several cameras")
     patience: int = Field(1000, ge=100, description="stop when the loss has not improved over this many steps")
     checkpoint_seconds: float = Field(20.0, gt=0, description="time between two checkpoints")

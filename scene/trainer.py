@@ -29,7 +29,7 @@ from .views import Views
 
 MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
-PROBE_VIEWS = 12
+PROBE_VIEWS = 16
 
 
 @dataclass
@@ -250,8 +250,8 @@ class Trainer:
         model = self.model
         probed = self._probe(PROBE_VIEWS)
         measured = measure_responsibility(model, self.views, probed, phase.move, phase.scale)
-        whole = len(probed) == len(self.views.train)
-        keep = survivors(model.gaussians, measured.weight_gaussians if whole else None, self.settings.min_opacity)
+        s = self.settings
+        keep = survivors(model.gaussians, measured.weight_gaussians, s.min_opacity, s.min_weight)
         self._replace(model.gaussians.select(keep), keep)
         error = measured.error_gaussians[keep]
         room = self.budget - len(model.gaussians)
@@ -261,19 +261,19 @@ class Trainer:
             chosen = choose_to_split(model.gaussians, error, min(room, max(room // rounds_left, len(model.gaussians) // 8)))
             self._replace(*split_along_longest_axis(model.gaussians, chosen))
         if len(model.convexes):
-            keep = survivors(model.convexes, None, self.settings.min_opacity)
+            keep = survivors(model.convexes, measured.weight_convexes, s.min_opacity, s.min_weight)
             self._replace(model.convexes.select(keep), keep)
 
     def _final_prune(self) -> None:
-        """What no training view blends is removed at the end."""
+        """What the training views hardly blend is removed at the end."""
         move = self.phases[-1].move if self.phases else False
         measured = measure_responsibility(self.model, self.views, self._probe(min(len(self.views.train), 120)), move, 0.5)
         before = len(self.model.gaussians), len(self.model.convexes)
         for primitives, weight in ((self.model.gaussians, measured.weight_gaussians), (self.model.convexes, measured.weight_convexes)):
-            keep = survivors(primitives, weight * 4, self.settings.min_opacity)
+            keep = survivors(primitives, weight, self.settings.min_opacity, self.settings.min_weight)
             self._replace(primitives.select(keep), keep)
         self._event(
-            f"removed at the end, blended by no training view: {before[0] - len(self.model.gaussians)} Gaussians, "
+            f"removed at the end, hardly blended by any training view: {before[0] - len(self.model.gaussians)} Gaussians, "
             f"{before[1] - len(self.model.convexes)} convexes"
         )
 
