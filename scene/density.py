@@ -14,6 +14,7 @@ from torch import Tensor
 from ..rasterizer import rasterize
 from .model import Model, inside_image
 from .primitives import GaussianSet, PrimitiveSet
+from .rotation import quats_to_matrices
 from .views import Views
 
 
@@ -101,14 +102,3 @@ def choose_to_split(gaussians: GaussianSet, error: Tensor, count: int) -> Tensor
     """The ``count`` Gaussians with the largest attributed ``error`` [N]; those that no probed pixel saw are never chosen."""
     count = min(count, int((error > 0).sum()))
     return error.topk(count).indices.sort().values if count > 0 else torch.zeros(0, dtype=torch.long)
-
-
-def quats_to_matrices(quats: Tensor) -> Tensor:
-    """Rotations [N, 3, 3] of quaternions [N, 4] (w x y z, any norm but zero)."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, 1).view(-1, 3, 3)

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from .hexplane import HexPlanes
 from .motion import Displacement
+from .rotation import rotate
 
 
 class DeformationField(nn.Module):
@@ -59,10 +60,21 @@ class DeformationField(nn.Module):
         """World units that one unit of the displacement head means: a quarter of the box's diagonal."""
         return 0.25 * float((self.high - self.low).norm())
 
-    def forward(self, rest: Tensor, t: float) -> Displacement:
+    def _heads(self, rest: Tensor, t: float) -> Tensor:
         u = (rest.detach() - self.low) / (self.high - self.low)
-        out = self.head(self.trunk(self.planes(u, t)))
-        return Displacement(out[:, :3] * self.reach, out[:, 3:7], out[:, 7:10])
+        return self.head(self.trunk(self.planes(u, t)))
+
+    def forward(self, rest: Tensor, t: float) -> Displacement:
+        """The heads give each place a rotation about the box's centre and a translation: the points of a rigid part share both, however
+        it turns, and the gradient of a rest position is turned along with it."""
+        out = self._heads(rest, t)
+        turn = torch.cat([1 + out[:, 3:4], out[:, 4:7]], 1)
+        turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-6)
+        arm = rest - 0.5 * (self.low + self.high)
+        return Displacement(rotate(turn, arm) - arm + out[:, :3] * self.reach, turn, out[:, 7:10])
+
+    def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
+        return self._heads(rest, t)[:, :7]
 
     def regulariser(self) -> Tensor:
         return self.planes.total_variation()

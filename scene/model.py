@@ -12,6 +12,7 @@ from torch import Tensor
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .field import DeformationField
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
+from .rotation import compose
 
 
 class Model:
@@ -43,7 +44,7 @@ class Model:
                 dx, dr, ds = self.field(rest, t)
                 n = len(index)
                 means = means.index_add(0, index, dx[:n])
-                quats = quats.index_add(0, index, dr[:n])
+                quats = quats.index_copy(0, index, compose(dr[:n], quats[index]))
                 log_scales = log_scales.index_add(0, index, ds[:n])
                 if len(hulls):
                     points = points.index_add(0, hulls, dx[n:].reshape(-1, corners, 3))

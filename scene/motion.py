@@ -10,7 +10,7 @@ from torch import Tensor
 class Displacement(NamedTuple):
     """What one time does to N rest positions.
 
-    dx: [N, 3] world units, added to the position. dr: [N, 4] added to the (unnormalised, w x y z) quaternion.
+    dx: [N, 3] world units, added to the position. dr: [N, 4] unit quaternion (w x y z) that turns the primitive further.
     ds: [N, 3] added to the logarithm of the scales.
     """
 
@@ -24,6 +24,10 @@ class Motion(Protocol):
 
     def __call__(self, rest: Tensor, t: float) -> Displacement:
         """Displacement of ``rest`` [N, 3] (world units; enters detached) at time ``t`` in [0, 1]."""
+        ...
+
+    def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
+        """[N, 7] numbers of order one that are equal for positions that move as one rigid body."""
         ...
 
     def regulariser(self) -> Tensor:

@@ -12,14 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..rasterizer import Gaussians, rasterize
+from ..rasterizer import rasterize
 from .checkpoint import load_checkpoint, save_checkpoint
 from .colour import CameraAffine
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .dynamics import freeze_still_gaussians
-from .flow_loss import data_flow_loss, interval_loss
 from .guard import NonFiniteGuard
 from .model import Model
+from .motion_terms import MeasuredFlow, MotionTerms
 from .optimiser import RowAdam, exponential
 from .photometric import photometric_loss
 from .primitives import ConvexSet, GaussianSet
@@ -27,7 +27,6 @@ from .schedule import Phase
 from .settings import TrainingSettings
 from .views import Views
 
-MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
 
@@ -71,7 +70,7 @@ class Trainer:
     ) -> None:
         self.model, self.views, self.phases, self.settings = model, views, phases, settings
         self.budget, self.checkpoints, self.lr_scale, self.grow = budget, checkpoints, lr_scale, grow
-        self.measured_flow, self.advance, self._say = measured_flow, advance, log
+        self.advance, self._say = advance, log
         self.total = sum(phase.iterations for phase in phases)
         self.log = TrainingLog()
         self.guard = NonFiniteGuard()
@@ -79,8 +78,8 @@ class Trainer:
         self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
         several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
         self.affine = CameraAffine(len(self.camera_numbers)) if settings.affine and several else None
-        self.times = np.unique(views.time)
         self.unit = views.viewing_distance(model.gaussians.means.detach().numpy())
+        self.motion_terms = MotionTerms(views, settings, self.unit, len(np.unique(views.time)), measured_flow)
         self.optimiser = self._make_optimiser()
         self._froze_still = False
         self._ema = 0.0  # smoothed image loss
@@ -176,8 +175,9 @@ class Trainer:
             mse = float((color.detach() - target).square().mean())
             self.log.psnr.append([self.iteration, -10 * float(np.log10(max(mse, 1e-10)))])
         image_loss = float(loss.detach())
+        loss = loss + s.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
-            loss = loss + self._motion_terms(i, t, phase) + self._stillness(gaussians)
+            loss = loss + self.motion_terms(model, gaussians, i, phase.scale, self.iteration, self.total)
         loss.backward()
         parameters = self.optimiser.parameters()
         if self.guard.accepts(loss.detach(), parameters, self.iteration, i):
@@ -188,37 +188,6 @@ class Trainer:
         self._ema = image_loss if self.iteration == 0 else 0.98 * self._ema + 0.02 * image_loss
         if self.iteration % 20 == 0:
             self.log.loss.append([self.iteration, self._ema])
-
-    def _stillness(self, moved: Gaussians) -> Tensor:
-        """A sparse prior: what a monocular capture leaves open is resolved towards rest."""
-        rest = self.model.gaussians
-        count = rest.dynamic.sum().clamp(min=1)
-        return self.settings.still * (moved.means - rest.means).norm(dim=1).sum() / (count * self.unit)
-
-    def _motion_terms(self, i: int, t: float, phase: Phase) -> Tensor:
-        s, model, views = self.settings, self.model, self.views
-        total = torch.zeros(())
-        if s.tv and self.iteration % 4 == 0:
-            assert model.field is not None
-            total = total + 4 * s.tv * model.field.regulariser()
-        if self.iteration % s.flow_every or self.iteration < 0.3 * self.total:
-            return total
-        if not bool(model.gaussians.dynamic.any() | model.convexes.dynamic.any()):
-            return total
-        dt = 1.0 / max(len(self.times) - 1, 1)
-        if s.interval and len(self.times) >= 3:
-            start = min(t, 1 - 2 * dt)
-            camera = views.rasterizer_camera(i, phase.scale * 0.5)
-            total = total + s.flow_every * s.interval * interval_loss(model, camera, start, dt, views.edges(i, phase.scale * 0.5))
-        measured = self.measured_flow(i) if self.measured_flow is not None and s.data_flow else None
-        if measured is not None:
-            flow, weight = measured
-            nxt = int(views.next[i])
-            camera, next_camera = views.rasterizer_camera(i, 0.5), views.rasterizer_camera(nxt, 0.5)
-            total = total + s.flow_every * s.data_flow * data_flow_loss(
-                model, camera, t, next_camera, float(views.time[nxt]), flow, weight * views.edges(i, 0.5)
-            )
-        return total
 
     def _frozen(self, phase: Phase, step: int) -> frozenset[str]:
         if not phase.alternation or not len(self.model.convexes):

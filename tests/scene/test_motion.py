@@ -8,7 +8,9 @@ from e4dgs.scene.dynamics import dynamic_from_masks, freeze_still_gaussians
 from e4dgs.scene.field import DeformationField
 from e4dgs.scene.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion_terms import rigidity_and_inertia
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.views import Views
 
 WIDTH, HEIGHT = 48, 32
@@ -26,7 +28,7 @@ class Path(torch.nn.Module):
         from e4dgs.scene.motion import Displacement
 
         dx = (self.velocity * t + self.acceleration * t * t).expand(len(rest), 3)
-        return Displacement(dx, torch.zeros(len(rest), 4), torch.zeros(len(rest), 3))
+        return Displacement(dx, torch.tensor([1.0, 0, 0, 0]).expand(len(rest), 4), torch.zeros(len(rest), 3))
 
 
 def camera():
@@ -191,3 +193,50 @@ def test_fixed_cameras_tell_what_moves():
     mask[:, WIDTH // 2 :] = 255
     points = np.array([[-0.5, 0, 0], [0.5, 0, 0], [0, 0, -100.0]])
     assert dynamic_from_masks(points, views(), {0: mask}).tolist() == [False, True, True]
+
+
+def turning_field(quats, centre_shift):
+    """A field whose heads are constant: everything turns by ``quats`` about the box's centre and shifts."""
+    field = DeformationField(torch.tensor([-1.0, -1, -1]), torch.tensor([1.0, 1, 3]), times=5, resolutions=(4,), channels=4, width=8)
+    with torch.no_grad():
+        field.head.bias[:3] = torch.tensor(centre_shift) / field.reach
+        field.head.bias[3:7] = torch.tensor(quats) - torch.tensor([1.0, 0, 0, 0])
+    return field
+
+
+def test_the_field_moves_a_body_rigidly():
+    half = 0.5**0.5
+    field = turning_field([half, 0, 0, half], [0.1, 0.2, 0.3])  # a quarter turn about z through (0, 0, 1)
+    rest = torch.tensor([[0.5, 0.0, 1.0], [0.0, 0.0, 2.0]])
+    dx, dr, ds = field(rest, 0.3)
+    assert torch.allclose(rest + dx, torch.tensor([[0.1, 0.7, 1.3], [0.1, 0.2, 2.3]]), atol=1e-6)
+    assert torch.allclose(dr, torch.tensor([half, 0, 0, half]).expand(2, 4)) and not ds.any()
+    R = quats_to_matrices(dr)
+    m = model(field)
+    turned = quats_to_matrices(m.at(0.3)[0].quats).detach()
+    assert torch.allclose(turned, R[:1] @ quats_to_matrices(m.gaussians.quats).detach(), atol=1e-6)
+
+
+def test_gradients_of_rest_positions_turn_with_the_body():
+    half = 0.5**0.5
+    m = model(turning_field([half, 0, 0, half], [0.0, 0, 0]))
+    m.at(0.3)[0].means[:, 1].sum().backward()  # what is y now was x at rest
+    assert torch.allclose(m.gaussians.means.grad, torch.tensor([1.0, 0, 0]).expand(3, 3), atol=1e-6)
+
+
+class Swirl(Path):
+    """Rigid motion numbers that grow with x, and with the square of time."""
+
+    def rigid_motion(self, rest, t):
+        out = torch.zeros(len(rest), 7)
+        out[:, 0], out[:, 1] = rest[:, 0], 3 * t * t
+        return out
+
+
+def test_rigidity_is_zero_for_neighbours_that_move_alike_and_inertia_measures_acceleration():
+    rest = torch.rand(64, 3, generator=torch.Generator().manual_seed(0))
+    beside, along = rest + torch.tensor([0.0, 0.3, 0]), rest + torch.tensor([0.3, 0, 0])
+    rigidity, inertia = rigidity_and_inertia(Swirl(), rest, beside, 0.5, 0.1)
+    assert float(rigidity) == 0 and float(inertia) == pytest.approx(3 * 2 * 0.1**2, rel=1e-4)
+    assert float(rigidity_and_inertia(Swirl(), rest, along, 0.0, 0.1)[0]) == pytest.approx(0.3, rel=1e-5)
+    assert float(rigidity_and_inertia(Swirl(), rest, along, 0.0, 1.0)[1]) == 0  # one step spans the capture: nothing to compare

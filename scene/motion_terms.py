@@ -1,0 +1,100 @@
+"""What training asks of the motion besides the images: L_4DEdge and the planes' smoothness of Eq. 9, and three priors.
+
+One camera at one time says little about motion: depth, what is hidden, and times between frames stay open. The priors close them
+towards rest, towards rigid parts and towards steady motion. All three are norms, not squares, so that a joint or a start costs no
+more than it moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from ..rasterizer import Gaussians
+from .flow_loss import data_flow_loss, interval_loss
+from .model import Model
+from .motion import Motion
+from .settings import TrainingSettings
+from .views import Views
+
+MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
+PRIOR_EVERY = 4  # steps between two evaluations of the priors and of the planes' smoothness, whose weight makes up for it
+PRIOR_SAMPLES = 1024
+NEIGHBOURHOOD = 0.1  # of the viewing distance: how far apart two places are that are asked to move alike
+
+
+def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
+    """Mean displacement, world units, of those of ``rest`` [N, 3] that are ``dynamic`` [N]."""
+    return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
+
+
+def rigidity_and_inertia(motion: Motion, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
+    """How differently ``rest`` and ``neighbours`` [n, 3] move at ``t``, and how much the motion of ``rest`` changes over two steps of
+    ``dt``: mean norms of the difference and of the second difference of `Motion.rigid_motion`."""
+    now = motion.rigid_motion(torch.cat([rest, neighbours]), t)
+    here, there = now.chunk(2)
+    rigidity = (here - there).norm(dim=1).mean()
+    middle = min(max(t, dt), 1 - dt)
+    if dt > 0.5 or dt <= 0:
+        return rigidity, torch.zeros(())
+    if middle != t:
+        here = motion.rigid_motion(rest, middle)
+    change = motion.rigid_motion(rest, middle - dt) - 2 * here + motion.rigid_motion(rest, middle + dt)
+    return rigidity, change.norm(dim=1).mean()
+
+
+class MotionTerms:
+    """The terms of one training run, with the rhythm in which each is evaluated.
+
+    unit: the viewing distance, world units. times: number of distinct times in the capture. measured_flow: see `Trainer`.
+    """
+
+    def __init__(self, views: Views, settings: TrainingSettings, unit: float, times: int, measured_flow: MeasuredFlow | None) -> None:
+        self.views, self.settings, self.unit, self.measured_flow = views, settings, unit, measured_flow
+        self.times = times
+        self.dt = 1.0 / max(times - 1, 1)
+
+    def __call__(self, model: Model, moved: Gaussians, i: int, scale: float, iteration: int, total: int) -> Tensor:
+        """Their weighted sum for training frame ``i`` whose Gaussians have been ``moved``. ``scale``: of the image in this phase."""
+        s, t = self.settings, float(self.views.time[i])
+        assert model.field is not None
+        dynamic = model.gaussians.dynamic
+        loss = s.still / self.unit * stillness(moved, model.gaussians.means, dynamic)
+        if iteration % PRIOR_EVERY == 0:
+            if s.tv:
+                loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()
+            if s.rigid or s.inertia:
+                loss = loss + PRIOR_EVERY * self._priors(model, t, iteration)
+        if iteration % s.flow_every == 0 and iteration >= 0.3 * total and bool(dynamic.any() | model.convexes.dynamic.any()):
+            loss = loss + s.flow_every * self._flow(model, i, t, scale)
+        return loss
+
+    def _priors(self, model: Model, t: float, iteration: int) -> Tensor:
+        s = self.settings
+        assert model.field is not None
+        generator = torch.Generator().manual_seed(s.seed * 1_000_003 + iteration)
+        moving = model.gaussians.dynamic.nonzero()[:, 0]
+        if not len(moving):
+            return torch.zeros(())
+        rest = model.gaussians.means.detach()[moving[torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator)]]
+        neighbours = rest + NEIGHBOURHOOD * self.unit * torch.randn(rest.shape, generator=generator)
+        rigidity, inertia = rigidity_and_inertia(model.field, rest, neighbours, t, self.dt)
+        return s.rigid * rigidity + s.inertia * inertia
+
+    def _flow(self, model: Model, i: int, t: float, scale: float) -> Tensor:
+        s, views = self.settings, self.views
+        total = torch.zeros(())
+        if s.interval and self.times >= 3:
+            start = min(t, 1 - 2 * self.dt)
+            camera = views.rasterizer_camera(i, scale * 0.5)
+            total = total + s.interval * interval_loss(model, camera, start, self.dt, views.edges(i, scale * 0.5))
+        measured = self.measured_flow(i) if self.measured_flow is not None and s.data_flow else None
+        if measured is not None:
+            flow, weight = measured
+            later = int(views.next[i])
+            camera, next_camera = views.rasterizer_camera(i, 0.5), views.rasterizer_camera(later, 0.5)
+            edges = weight * views.edges(i, 0.5)
+            total = total + s.data_flow * data_flow_loss(model, camera, t, next_camera, float(views.time[later]), flow, edges)
+        return total
