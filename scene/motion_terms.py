@@ -22,7 +22,7 @@ from .views import Views
 MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
 PRIOR_EVERY = 4  # steps between two evaluations of the priors and of the planes' smoothness, whose weight makes up for it
 PRIOR_SAMPLES = 1024
-NEIGHBOURHOOD = 0.1  # of the viewing distance: how far apart two places are that are asked to move alike
+NEIGHBOURHOOD = 0.025  # of the viewing distance: how far apart two places are that are asked to move alike
 
 
 def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
