@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 from .settings import Strategy
 
-WARM_UP = 0.12  # of the coarse stage: the rest state is learned first, without motion
+WARM_UP = 0.1  # of the coarse stage: the rest state is learned first, without motion
 ALTERNATION = 100  # steps for which one kind is refined while the other waits
 HALF_RESOLUTION = 0.5
+QUARTER_RESOLUTION = 0.25
 
 
 @dataclass(frozen=True)
@@ -26,16 +27,27 @@ class Phase:
     alternation: int = 0
 
 
-def coarse_phases(strategy: Strategy, iterations: int, static: bool) -> list[Phase]:
-    """Gaussians alone: a static warm-up, then deformation. ``joint`` ends after the warm-up, ``progressive`` works at half resolution."""
-    scale = HALF_RESOLUTION if strategy == "progressive" else 1.0
+def coarse_phases(strategy: Strategy, iterations: int, static: bool, full_from: float = 0.0) -> list[Phase]:
+    """Gaussians alone: a static warm-up, then deformation. Images have half their size up to the fraction ``full_from`` of the steps, then
+    their full size; ``progressive`` goes from a quarter to a half instead and leaves the full size to `fine`. ``joint`` ends after the
+    warm-up.
+    """
+    first, last = (QUARTER_RESOLUTION, HALF_RESOLUTION) if strategy == "progressive" else (HALF_RESOLUTION, 1.0)
+    change = round(iterations * (0.5 if strategy == "progressive" else full_from))
     if static:
-        return [Phase("static", iterations, move=False, scale=scale)]
+        return _split("static", False, 0, iterations, change, first, last)
     warm_up = round(iterations * WARM_UP)
-    phases = [Phase("warm-up", warm_up, move=False, scale=scale)]
+    phases = _split("warm-up", False, 0, warm_up, change, first, last)
     if strategy != "joint":
-        phases.append(Phase("deformation", iterations - warm_up, scale=scale))
+        phases += _split("deformation", True, warm_up, iterations, change, first, last)
     return phases
+
+
+def _split(name: str, move: bool, start: int, end: int, change: int, first: float, last: float) -> list[Phase]:
+    """Steps ``start`` to ``end``, at the size ``first`` before step ``change`` and ``last`` from there on."""
+    change = min(max(change, start), end)
+    halves = [Phase(name, change - start, move, first), Phase(name, end - change, move, last)]
+    return [phase for phase in halves if phase.iterations]
 
 
 def fine_phases(strategy: Strategy, coarse_iterations: int, iterations: int, static: bool) -> list[Phase]:

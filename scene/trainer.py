@@ -15,6 +15,7 @@ from torch import Tensor
 from ..rasterizer import rasterize
 from .checkpoint import load_checkpoint, save_checkpoint
 from .colour import CameraAffine
+from .curriculum import Curriculum
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .dynamics import freeze_still_gaussians
 from .guard import NonFiniteGuard
@@ -29,6 +30,7 @@ from .views import Views
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
+FREEZE_AT = 0.45  # of the coarse stage: what has not moved by then does not move
 
 
 @dataclass
@@ -75,6 +77,10 @@ class Trainer:
         self.log = TrainingLog()
         self.guard = NonFiniteGuard()
         self.iteration = 0
+        moving = grow and model.field is not None and any(phase.move for phase in phases)
+        still = sum(phase.iterations for phase in phases if not phase.move)
+        opened = round(settings.open_until * self.total) if moving else 0
+        self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, still, opened)
         self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
         several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
         self.affine = CameraAffine(len(self.camera_numbers)) if settings.affine and several else None
@@ -151,15 +157,9 @@ class Trainer:
         self.log.nonfinite_steps = self.guard.count
         return self.log
 
-    def _frame(self) -> int:
-        """Views are visited in shuffled rounds; the order depends on seed and step alone, so a resumed run sees what it would have seen."""
-        train = self.views.train
-        epoch, position = divmod(self.iteration, len(train))
-        return int(np.random.default_rng((self.settings.seed, epoch)).permutation(train)[position])
-
     def _step(self, phase: Phase, step: int) -> None:
         views, model, s = self.views, self.model, self.settings
-        i = self._frame()
+        i = self.curriculum.frame(self.iteration)
         t = float(views.time[i])
         camera = views.rasterizer_camera(i, phase.scale)
         degree = min(s.sh_degree, self.iteration * 6 // max(self.total, 1)) if self.grow else s.sh_degree
@@ -202,7 +202,7 @@ class Trainer:
         progress = self.iteration / max(self.total, 1)
         if self.iteration % 50 == 0:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
-        if phase.move and self.grow and not self._froze_still and progress >= 0.45:
+        if phase.move and self.grow and not self._froze_still and progress >= FREEZE_AT and self.curriculum.complete(self.iteration):
             self._froze_still = True
             count = freeze_still_gaussians(self.model, self.views)
             self.log.skipped["still Gaussians taken out of the field"] = count
@@ -210,14 +210,9 @@ class Trainer:
         if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= s.densify_until:
             self._control(phase, grow=self.grow)
 
-    def _probe(self, count: int) -> list[int]:
-        train = self.views.train
-        rng = np.random.default_rng((self.settings.seed, 1, self.iteration))
-        return [int(i) for i in rng.permutation(train)[: min(count, len(train))]]
-
     def _control(self, phase: Phase, grow: bool) -> None:
         model = self.model
-        probed = self._probe(PROBE_VIEWS)
+        probed = self.curriculum.probe(self.iteration, PROBE_VIEWS)
         measured = measure_responsibility(model, self.views, probed, phase.move, phase.scale)
         s = self.settings
         keep = survivors(model.gaussians, measured.weight_gaussians, s.min_opacity, s.min_weight)
@@ -236,7 +231,7 @@ class Trainer:
     def _final_prune(self) -> None:
         """What the training views hardly blend is removed at the end."""
         move = self.phases[-1].move if self.phases else False
-        measured = measure_responsibility(self.model, self.views, self._probe(min(len(self.views.train), 120)), move, 0.5)
+        measured = measure_responsibility(self.model, self.views, self.curriculum.probe(self.total, 120), move, 0.5)
         before = len(self.model.gaussians), len(self.model.convexes)
         for primitives, weight in ((self.model.gaussians, measured.weight_gaussians), (self.model.convexes, measured.weight_convexes)):
             keep = survivors(primitives, weight, self.settings.min_opacity, self.settings.min_weight)
@@ -260,6 +255,8 @@ class Trainer:
         rows = self.settings.patience // 20
         progress = self.iteration / max(self.total, 1)
         if self.iteration % 100 or progress < max(0.5, self.settings.densify_until) or len(self.log.loss) < 2 * rows:
+            return False
+        if not self.curriculum.complete(self.iteration - 2 * self.settings.patience):
             return False
         values = [value for _, value in self.log.loss]
         before, now = float(np.mean(values[-2 * rows : -rows])), float(np.mean(values[-rows:]))

@@ -16,9 +16,12 @@ if TYPE_CHECKING:
     from ..scene.views import Views
     from .frameset import FrameSet
 
+SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
+
 
 class CoarseSettings(TrainingSettings):
     strategy: Strategy = Field("two-stage", description="one of the four trainings of Table 3; `fine` follows it")
+    full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps on images of half the size, before those of full size")
     seeds: int = Field(8000, ge=100, le=2_000_000, description="Gaussians to begin with where the capture brings no points")
 
 
@@ -60,12 +63,15 @@ class Coarse(Stage):
 
         points, colors = load_seeds(ctx, frames, views)
         gaussians = GaussianSet.from_points(points, colors, settings.sh_degree, max_scale=0.05 * views.viewing_distance(points))
-        field = None if static else make_field(points, views, settings)
-        if field is not None:
+        field = None
+        if not static:
             gaussians.dynamic = initial_dynamic(ctx, points, views)
+            moving = gaussians.dynamic.numpy()
+            field = make_field(points[moving] if moving.sum() >= 50 else points, views, settings)
         model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree)
 
-        phases = coarse_phases(settings.strategy, settings.iterations, static)
+        small = views.width * views.height < SMALL_IMAGE
+        phases = coarse_phases(settings.strategy, settings.iterations, static, 0.0 if small else settings.full_from)
         total = sum(phase.iterations for phase in phases)
         with ctx.progress(total, "coarse") as bar:
             trainer = Trainer(
@@ -92,7 +98,7 @@ def auto_budget(views: Views, plain: bool) -> int:
 
 
 def make_field(points: np.ndarray, views: Views, settings: TrainingSettings):
-    """A field over the seeds' box, widened by a fifth; outliers beyond the 1st and 99th percentile do not stretch it."""
+    """A field over the box of ``points``, widened by a fifth; outliers beyond the 1st and 99th percentile do not stretch it."""
     import numpy as np
     import torch
 

@@ -55,10 +55,24 @@ def test_every_strategy_spends_the_same_steps(strategy):
 
 def test_what_each_strategy_is():
     assert [p.name for p in coarse_phases("joint", 1000, False)] == ["warm-up"]
-    assert {p.scale for p in coarse_phases("progressive", 1000, False)} == {0.5}
+    assert {p.scale for p in coarse_phases("progressive", 1000, False)} == {0.25, 0.5}
     assert fine_phases("progressive", 1000, 300, False)[0].scale == 1.0
     assert fine_phases("alternating", 1000, 300, False)[0].alternation > 0
     assert fine_phases("two-stage", 1000, 300, False)[0].alternation == 0
+
+
+@pytest.mark.parametrize(
+    ("full_from", "expected"),
+    [
+        (0.0, [("warm-up", 100, 1.0), ("deformation", 900, 1.0)]),
+        (0.05, [("warm-up", 50, 0.5), ("warm-up", 50, 1.0), ("deformation", 900, 1.0)]),
+        (0.75, [("warm-up", 100, 0.5), ("deformation", 650, 0.5), ("deformation", 250, 1.0)]),
+        (1.0, [("warm-up", 100, 0.5), ("deformation", 900, 0.5)]),
+    ],
+)
+def test_images_grow_to_full_size_during_coarse(full_from, expected):
+    assert [(p.name, p.iterations, p.scale) for p in coarse_phases("two-stage", 1000, False, full_from)] == expected
+    assert sum(p.iterations for p in coarse_phases("two-stage", 777, True, full_from)) == 777
 
 
 def test_static_scenes_never_move():
