@@ -29,7 +29,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 1
+    version = 2
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
@@ -79,7 +79,7 @@ class Coarse(Stage):
                 views,
                 phases,
                 settings,
-                budget=settings.budget or auto_budget(views, plain=bool(ctx.facts.get("alpha"))),
+                budget=settings.budget or auto_budget(views),
                 checkpoints=ctx.checkpoints,
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
                 advance=lambda n, note: bar.advance(n, note),
@@ -91,10 +91,10 @@ class Coarse(Stage):
         write_training(ctx.out, model, log)
 
 
-def auto_budget(views: Views, plain: bool) -> int:
-    """One Gaussian for eight pixels of one view on a plain background, for four in a whole room; 12,000 to 120,000."""
-    pixels = views.width * views.height
-    return int(min(max(pixels // (8 if plain else 4), 12_000), 120_000))
+def auto_budget(views: Views) -> int:
+    """One Gaussian for eight pixels of one view; 12,000 to 120,000. On a rendered rig of six cameras 12,000 and 32,000 came out equal on a
+    held-out one (20.87 and 20.88 dB), at twice the time."""
+    return int(min(max(views.width * views.height // 8, 12_000), 120_000))
 
 
 def make_field(points: np.ndarray, views: Views, settings: TrainingSettings):

@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 1
+    version = 2
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True
@@ -66,7 +66,7 @@ class Fine(Stage):
                 views,
                 phases,
                 settings,
-                budget=settings.budget or auto_budget(views, plain=bool(ctx.facts.get("alpha"))),
+                budget=settings.budget or auto_budget(views),
                 checkpoints=ctx.checkpoints,
                 lr_scale=1.0 if strategy == "joint" else settings.lr_scale,
                 grow=strategy == "joint",
