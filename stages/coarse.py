@@ -19,7 +19,13 @@ if TYPE_CHECKING:
 SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
 
 
+ITERATIONS = 6000
+ITERATIONS_A_TIME = 200  # of a rig, whose times come in one after another
+MOST_ITERATIONS = 30_000
+
+
 class CoarseSettings(TrainingSettings):
+    iterations: int = Field(0, ge=0, le=1_000_000, description="optimiser steps of this stage; 0 chooses by the capture")
     strategy: Strategy = Field("two-stage", description="one of the four trainings of Table 3; `fine` follows it")
     full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps on images of half the size, before those of full size")
     seeds: int = Field(8000, ge=100, le=2_000_000, description="Gaussians to begin with where the capture brings no points")
@@ -43,7 +49,10 @@ class Coarse(Stage):
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
         from .estimates import training_seconds
 
-        return training_seconds(facts, settings.iterations, static=bool(facts.get("static")))
+        static = bool(facts.get("static"))
+        steps = settings.iterations or auto_iterations(facts.get("frames", 0), facts.get("times", 1), static)
+        half = settings.full_from * 0.7  # a step on images of half the size takes some 30 % of one on full images
+        return (1 - half) * training_seconds(facts, steps, static)
 
     def run(self, ctx: Context) -> None:
         import torch
@@ -71,7 +80,8 @@ class Coarse(Stage):
         model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree)
 
         small = views.width * views.height < SMALL_IMAGE
-        phases = coarse_phases(settings.strategy, settings.iterations, static, 0.0 if small else settings.full_from)
+        steps = settings.iterations or auto_iterations(ctx.facts["frames"], ctx.facts["times"], static)
+        phases = coarse_phases(settings.strategy, steps, static, 0.0 if small else settings.full_from)
         total = sum(phase.iterations for phase in phases)
         with ctx.progress(total, "coarse") as bar:
             trainer = Trainer(
@@ -87,7 +97,7 @@ class Coarse(Stage):
             )
             log = trainer.run()
         ctx.out.attrs["strategy"] = settings.strategy
-        ctx.out.attrs["iterations"] = settings.iterations
+        ctx.out.attrs["iterations"] = steps
         write_training(ctx.out, model, log)
 
 
@@ -95,6 +105,14 @@ def auto_budget(views: Views) -> int:
     """One Gaussian for eight pixels of one view; 12,000 to 120,000. On a rendered rig of six cameras 12,000 and 32,000 came out equal on a
     held-out one (20.87 and 20.88 dB), at twice the time."""
     return int(min(max(views.width * views.height // 8, 12_000), 120_000))
+
+
+def auto_iterations(frames: int, times: int, static: bool) -> int:
+    """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000."""
+    from ..scene.curriculum import MIN_CAMERAS
+
+    rig = not static and frames >= MIN_CAMERAS * times
+    return min(max(ITERATIONS, ITERATIONS_A_TIME * times if rig else 0), MOST_ITERATIONS)
 
 
 def make_field(points: np.ndarray, views: Views, settings: TrainingSettings):
