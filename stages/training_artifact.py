@@ -25,7 +25,7 @@ def write_training(out: ArtifactWriter, model: Model, log: TrainingLog) -> None:
 def required(coarse: Artifact | None) -> Artifact:
     """The artifact of `coarse`; raises StageError where that was skipped."""
     if coarse is None:
-        raise StageError("there is no coarse model to build on; set coarse.iterations above 0")
+        raise StageError("there is no coarse model to build on; run the stage `coarse` first")
     return coarse
 
 
