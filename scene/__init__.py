@@ -11,6 +11,7 @@ _PUBLIC = {
     "GaussianSet": ".primitives",
     "ConvexSet": ".primitives",
     "DeformationField": ".field",
+    "ControlNodes": ".nodes",
     "Motion": ".motion",
     "Trainer": ".trainer",
     "Views": ".views",

@@ -10,32 +10,40 @@ from __future__ import annotations
 import numpy as np
 
 MIN_CAMERAS = 4  # cameras at one time that show its shape without help from other times
-FRONT = 3  # newest times on either side
+FRONT = 3  # newest times on either side, or
+FRONT_OF_ALL = 0.06  # this share of all times
 FRONT_SHARE = 0.5  # of the steps while the window opens
 
 
 class Curriculum:
     """The frame of each step, from seed and step alone, so that a resumed run sees what it would have seen.
 
-    train [n]: indices of the training frames. time [n] in [0, 1]: theirs. first: steps on the middle time alone. last: step at which all
-    times are in. With fewer than `MIN_CAMERAS` frames at the middle time, or last <= first, every frame is in from the start.
+    train [n]: indices of the training frames. time [n] in [0, 1]: theirs. first: steps on the first window. last: step at which all times
+    are in. start: times to either side of the middle one that the first window holds. With fewer than `MIN_CAMERAS` frames in the first
+    window, or last <= first, every frame is in from the start.
     """
 
-    def __init__(self, train: np.ndarray, time: np.ndarray, seed: int, first: int, last: int) -> None:
-        self.train, self.seed, self.first, self.last = train, seed, first, last
-        times = np.unique(time)
-        middle = len(times) // 2
-        self.distance = np.abs(np.searchsorted(times, time) - middle)  # times away from the middle one
+    def __init__(self, train: np.ndarray, time: np.ndarray, seed: int, first: int, last: int, start: int = 0) -> None:
+        self.train, self.seed, self.first, self.last, self.start = train, seed, first, last, start
+        self.times = np.unique(time)
+        self.middle = len(self.times) // 2
+        self.distance = np.abs(np.searchsorted(self.times, time) - self.middle)  # times away from the middle one
         self.farthest = int(self.distance.max())
-        enough = int((self.distance == 0).sum()) >= MIN_CAMERAS
-        self.opens = enough and self.farthest > 0 and last > first
+        self.front = max(FRONT, round(FRONT_OF_ALL * len(self.times)))
+        enough = int((self.distance <= start).sum()) >= MIN_CAMERAS
+        self.opens = enough and self.farthest > start and last > first
 
     def window(self, step: int) -> int:
         """How many times away from the middle one the frames of this step may lie."""
         if not self.opens:
             return self.farthest
         share = (step - self.first) / (self.last - self.first)
-        return int(np.clip(np.ceil(share * self.farthest), 0, self.farthest))
+        return int(np.clip(self.start + np.ceil(share * (self.farthest - self.start)), self.start, self.farthest))
+
+    def span(self, step: int) -> tuple[float, float]:
+        """First and last time in [0, 1] of the frames that ``step`` may look at."""
+        window = self.window(step)
+        return float(self.times[max(self.middle - window, 0)]), float(self.times[min(self.middle + window, len(self.times) - 1)])
 
     def complete(self, step: int) -> bool:
         """All times have been in for this and all later steps."""
@@ -50,7 +58,7 @@ class Curriculum:
         rng = np.random.default_rng((self.seed, 2, step))
         eligible = self.distance <= window
         if rng.random() < FRONT_SHARE:
-            eligible &= self.distance > window - FRONT
+            eligible &= self.distance > window - self.front
         return int(rng.choice(self.train[eligible]))
 
     def probe(self, step: int, count: int) -> list[int]:

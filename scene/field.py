@@ -53,7 +53,16 @@ class DeformationField(nn.Module):
                 layer.bias.zero_()
             self.head.weight.zero_()
             self.head.bias.zero_()
-        self.config = {"times": times, "resolutions": list(resolutions), "channels": channels, "width": width}
+        self.config = {"kind": "planes", "times": times, "resolutions": list(resolutions), "channels": channels, "width": width}
+
+    @classmethod
+    def from_state(cls, state: dict[str, Tensor], config: dict) -> DeformationField:
+        """Inverse of `state_dict` and `config`."""
+        field = cls(
+            state["low"], state["high"], config["times"], tuple(config["resolutions"]), channels=config["channels"], width=config["width"]
+        )
+        field.load_state_dict(state)
+        return field
 
     @property
     def reach(self) -> float:
@@ -74,7 +83,24 @@ class DeformationField(nn.Module):
         return Displacement(rotate(turn, arm) - arm + out[:, :3] * self.reach, turn, out[:, 7:10])
 
     def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
+        """[N, 7] numbers of order one that are equal for positions that move as one rigid body."""
         return self._heads(rest, t)[:, :7]
+
+    def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
+        """Mean norms of the difference between ``rest`` and ``neighbours``, and of the second difference in time, of `rigid_motion`."""
+        now = self.rigid_motion(torch.cat([rest, neighbours]), t)
+        here, there = now.chunk(2)
+        rigidity = (here - there).norm(dim=1).mean()
+        middle = min(max(t, dt), 1 - dt)
+        if dt > 0.5 or dt <= 0:
+            return rigidity, torch.zeros(())
+        if middle != t:
+            here = self.rigid_motion(rest, middle)
+        change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)
+        return rigidity, change.norm(dim=1).mean()
+
+    def extend(self, low: float, high: float) -> None:
+        """Planes reach over all times from the start."""
 
     def regulariser(self) -> Tensor:
         return self.planes.total_variation()

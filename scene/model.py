@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .field import DeformationField
+from .nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 from .rotation import compose
 
@@ -18,10 +19,10 @@ from .rotation import compose
 class Model:
     """Edge4DGS = {G, C} (Eq. 1) with an optional deformation field.
 
-    gaussians, convexes: the two sets at rest. field: None where nothing moves. sh_degree: highest degree that is rendered.
+    gaussians, convexes: the two sets at rest. field: the motion, None where nothing moves. sh_degree: highest degree that is rendered.
     """
 
-    def __init__(self, gaussians: GaussianSet, convexes: ConvexSet, field: DeformationField | None, sh_degree: int) -> None:
+    def __init__(self, gaussians: GaussianSet, convexes: ConvexSet, field: DeformationField | ControlNodes | None, sh_degree: int) -> None:
         self.gaussians = gaussians
         self.convexes = convexes
         self.field = field
@@ -76,7 +77,7 @@ class Model:
         """Every tensor of the model by name; with `config` all that `from_arrays` needs."""
         arrays = {**self.gaussians.to_arrays(), **self.convexes.to_arrays()}
         if self.field is not None:
-            arrays |= {"field_" + name.replace(".", "_"): p.numpy() for name, p in self.field.state_dict().items()}
+            arrays |= {"field_" + name: p.numpy() for name, p in self.field.state_dict().items()}
         return arrays
 
     @property
@@ -89,12 +90,15 @@ class Model:
         """Inverse of `to_arrays` and `config`. Raises KeyError where an array is missing."""
         field = None
         if config["field"] is not None:
-            options = dict(config["field"])
-            low, high = (torch.tensor(np.asarray(arrays[f"field_{k}"])) for k in ("low", "high"))
-            field = DeformationField(low, high, options.pop("times"), tuple(options.pop("resolutions")), **options)
-            names = {name: "field_" + name.replace(".", "_") for name in field.state_dict()}
-            field.load_state_dict({name: torch.tensor(np.asarray(arrays[array])) for name, array in names.items()})
+            state = {name.removeprefix("field_"): torch.tensor(np.asarray(arrays[name])) for name in arrays if name.startswith("field_")}
+            field = motion_from_state(state, config["field"])
         return cls(GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays), field, int(config["sh_degree"]))
+
+
+def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes:
+    """The motion of which `state_dict` and ``config`` are given. Raises KeyError where something is missing."""
+    kind = DeformationField if config["kind"] == "planes" else ControlNodes
+    return kind.from_state(dict(state), dict(config))
 
 
 @torch.no_grad()

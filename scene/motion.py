@@ -20,16 +20,21 @@ class Displacement(NamedTuple):
 
 
 class Motion(Protocol):
-    """A motion model. The six-plane field is one; nodes that drive their nearest primitives can be another."""
+    """A motion model: the six-plane field, or nodes that drive their nearest primitives."""
 
     def __call__(self, rest: Tensor, t: float) -> Displacement:
         """Displacement of ``rest`` [N, 3] (world units; enters detached) at time ``t`` in [0, 1]."""
         ...
 
-    def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
-        """[N, 7] numbers of order one that are equal for positions that move as one rigid body."""
+    def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
+        """How far the motion at ``t`` is from rigid, judged by ``rest`` and ``neighbours`` [n, 3] a little beside them, and how much it
+        changes over two steps of ``dt``: two scalars of order one."""
         ...
 
     def regulariser(self) -> Tensor:
         """Scalar, lambda_3's term in Eq. 9."""
+        ...
+
+    def extend(self, low: float, high: float) -> None:
+        """Training is about to see the times from ``low`` to ``high``."""
         ...

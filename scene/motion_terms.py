@@ -15,7 +15,6 @@ from torch import Tensor
 from ..rasterizer import Gaussians
 from .flow_loss import data_flow_loss, interval_loss
 from .model import Model
-from .motion import Motion
 from .settings import TrainingSettings
 from .views import Views
 
@@ -28,21 +27,6 @@ NEIGHBOURHOOD = 0.025  # of the viewing distance: how far apart two places are t
 def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
     """Mean displacement, world units, of those of ``rest`` [N, 3] that are ``dynamic`` [N]."""
     return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
-
-
-def rigidity_and_inertia(motion: Motion, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
-    """How differently ``rest`` and ``neighbours`` [n, 3] move at ``t``, and how much the motion of ``rest`` changes over two steps of
-    ``dt``: mean norms of the difference and of the second difference of `Motion.rigid_motion`."""
-    now = motion.rigid_motion(torch.cat([rest, neighbours]), t)
-    here, there = now.chunk(2)
-    rigidity = (here - there).norm(dim=1).mean()
-    middle = min(max(t, dt), 1 - dt)
-    if dt > 0.5 or dt <= 0:
-        return rigidity, torch.zeros(())
-    if middle != t:
-        here = motion.rigid_motion(rest, middle)
-    change = motion.rigid_motion(rest, middle - dt) - 2 * here + motion.rigid_motion(rest, middle + dt)
-    return rigidity, change.norm(dim=1).mean()
 
 
 class MotionTerms:
@@ -80,7 +64,7 @@ class MotionTerms:
             return torch.zeros(())
         rest = model.gaussians.means.detach()[moving[torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator)]]
         neighbours = rest + NEIGHBOURHOOD * self.unit * torch.randn(rest.shape, generator=generator)
-        rigidity, inertia = rigidity_and_inertia(model.field, rest, neighbours, t, self.dt)
+        rigidity, inertia = model.field.priors(rest, neighbours, t, self.dt)
         return s.rigid * rigidity + s.inertia * inertia
 
     def _flow(self, model: Model, i: int, t: float, scale: float) -> Tensor:

@@ -48,7 +48,8 @@ class RowAdam:
                 kept = source >= 0
                 for moment in ("exp_avg", "exp_avg_sq"):
                     rows = torch.zeros_like(new)
-                    rows[kept] = state[moment][source[kept]]
+                    if kept.any():  # with none kept, the other dimensions may differ as well
+                        rows[kept] = state[moment][source[kept]]
                     state[moment] = rows
                 self._adam.state[new] = state
 
@@ -66,8 +67,3 @@ class RowAdam:
             keys = ("step", "exp_avg", "exp_avg_sq")
             if f"{name}/step" in tensors:
                 self._adam.state[p] = {key: tensors[f"{name}/{key}"].clone() for key in keys}
-
-
-def exponential(first: float, last: float) -> Callable[[float], float]:
-    """A rate that decays from ``first`` to ``last`` by a constant factor a step."""
-    return lambda progress: first * (last / first) ** min(max(progress, 0.0), 1.0)

@@ -10,6 +10,9 @@ WARM_UP = 0.1  # of the coarse stage: the rest state is learned first, without m
 ALTERNATION = 100  # steps for which one kind is refined while the other waits
 HALF_RESOLUTION = 0.5
 QUARTER_RESOLUTION = 0.25
+# Fractions of the steps at which nodes go on to the next image size. Small images first: what they show is moved by few numbers.
+PYRAMID = ((0.125, 0.42), (0.25, 0.58), (0.5, 0.83), (1.0, 1.0))
+PYRAMID_WARM_UP = 0.05
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,18 @@ def _split(name: str, move: bool, start: int, end: int, change: int, first: floa
     change = min(max(change, start), end)
     halves = [Phase(name, change - start, move, first), Phase(name, end - change, move, last)]
     return [phase for phase in halves if phase.iterations]
+
+
+def pyramid_phases(iterations: int, smallest: float) -> list[Phase]:
+    """For control nodes: a short static warm-up, then motion on images from an eighth (or ``smallest``) of their size to the whole."""
+    warm_up = round(iterations * PYRAMID_WARM_UP)
+    phases = [Phase("warm-up", warm_up, False, max(PYRAMID[0][0], smallest))]
+    start = warm_up
+    for scale, until in PYRAMID:
+        end = round(until * iterations)
+        phases.append(Phase("deformation", end - start, True, max(scale, smallest)))
+        start = end
+    return [phase for phase in phases if phase.iterations > 0]
 
 
 def fine_phases(strategy: Strategy, coarse_iterations: int, iterations: int, static: bool) -> list[Phase]:

@@ -19,18 +19,26 @@ from .curriculum import Curriculum
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .dynamics import freeze_still_gaussians
 from .guard import NonFiniteGuard
-from .model import Model
+from .model import Model, motion_from_state
 from .motion_terms import MeasuredFlow, MotionTerms
-from .optimiser import RowAdam, exponential
+from .nodes import ControlNodes
+from .optimiser import RowAdam
 from .photometric import photometric_loss
 from .primitives import ConvexSet, GaussianSet
+from .rates import learning_rates
 from .schedule import Phase
 from .settings import TrainingSettings
+from .turning import bodies_for_turning_parts
 from .views import Views
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
 FREEZE_AT = 0.45  # of the coarse stage: what has not moved by then does not move
+GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
+NODES_OPEN = 0.21  # of the coarse stage: control nodes have seen all times by then
+NODES_START = 0.04  # of the times, to either side of the middle one: where control nodes begin
+SETTLE = 0.02  # of the coarse stage between the last time's coming in and the search for turning parts
+HOLD = 0.07  # of the coarse stage: motion waits while a new body takes its colours
 
 
 @dataclass
@@ -79,8 +87,11 @@ class Trainer:
         self.iteration = 0
         moving = grow and model.field is not None and any(phase.move for phase in phases)
         still = sum(phase.iterations for phase in phases if not phase.move)
-        opened = round(settings.open_until * self.total) if moving else 0
-        self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, still, opened)
+        self.nodes = moving and isinstance(model.field, ControlNodes)
+        opened = round((min(settings.open_until, NODES_OPEN) if self.nodes else settings.open_until) * self.total) if moving else 0
+        times = views.time[views.train]
+        start = max(2, round(NODES_START * len(np.unique(times)))) if self.nodes else 0
+        self.curriculum = Curriculum(views.train, times, settings.seed, still, opened, start)
         self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
         several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
         self.affine = CameraAffine(len(self.camera_numbers)) if settings.affine and several else None
@@ -88,6 +99,8 @@ class Trainer:
         self.motion_terms = MotionTerms(views, settings, self.unit, len(np.unique(views.time)), measured_flow)
         self.optimiser = self._make_optimiser()
         self._froze_still = False
+        self._searched = not self.nodes  # for turning parts
+        self._hold_until = 0
         self._ema = 0.0  # smoothed image loss
 
     # -- set-up -------------------------------------------------------------------------------------------------------------------
@@ -101,30 +114,8 @@ class Trainer:
         return named
 
     def _make_optimiser(self) -> RowAdam:
-        s, k = self.settings, self.lr_scale
-        position = exponential(s.lr_means * self.unit * k, s.lr_means * self.unit / 50)
-        planes, mlp = exponential(s.lr_field * k, s.lr_field / 10), exponential(s.lr_mlp * k, s.lr_mlp / 10)
-        rates: dict[str, Callable[[float], float]] = {
-            "means": position,
-            "points": exponential(s.lr_means * self.unit, s.lr_means * self.unit / 50),
-            "quats": exponential(4e-3 * k, 1e-3),
-            "log_scales": exponential(1e-2 * k, 2e-3),
-            "opacity_logits": exponential(5e-2 * k, 1e-2),
-            "sh_dc": exponential(1e-2 * k, 1e-3),
-            "sh_rest": exponential(1e-3 * k, 1e-4),
-            "log_tau": exponential(5e-3, 1e-3),
-            "log_kappa": exponential(1e-2, 1e-3),
-            "log_gain": exponential(2e-3, 2e-4),
-            "offset": exponential(2e-3, 2e-4),
-        }
         named = self._named()
-
-        def rate(name: str) -> Callable[[float], float]:
-            if name.startswith("field."):
-                return planes if ".planes." in name else mlp
-            return rates[name.split(".")[1]]
-
-        return RowAdam(named, {name: rate(name) for name in named})
+        return RowAdam(named, learning_rates(named, self.settings, self.unit, self.lr_scale))
 
     # -- the loop -----------------------------------------------------------------------------------------------------------------
 
@@ -164,6 +155,8 @@ class Trainer:
         camera = views.rasterizer_camera(i, phase.scale)
         degree = min(s.sh_degree, self.iteration * 6 // max(self.total, 1)) if self.grow else s.sh_degree
         background = torch.tensor(views.background)
+        if phase.move and model.field is not None:
+            model.field.extend(*self.curriculum.span(self.iteration))
         gaussians, convexes = model.at(t, camera, phase.move, degree)
         frame = rasterize(camera, gaussians, convexes, background)
         color = frame.color
@@ -190,6 +183,8 @@ class Trainer:
             self.log.loss.append([self.iteration, self._ema])
 
     def _frozen(self, phase: Phase, step: int) -> frozenset[str]:
+        if self.iteration < self._hold_until:
+            return frozenset({"field"})
         if not phase.alternation or not len(self.model.convexes):
             return frozenset()
         turn = (step // phase.alternation) % 2
@@ -202,6 +197,9 @@ class Trainer:
         progress = self.iteration / max(self.total, 1)
         if self.iteration % 50 == 0:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
+        if not self._searched and self.curriculum.complete(self.iteration - round(SETTLE * self.total)):
+            self._searched = True
+            self._search_for_turning_parts(phase)
         if phase.move and self.grow and not self._froze_still and progress >= FREEZE_AT and self.curriculum.complete(self.iteration):
             self._froze_still = True
             count = freeze_still_gaussians(self.model, self.views)
@@ -209,6 +207,20 @@ class Trainer:
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
         if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= s.densify_until:
             self._control(phase, grow=self.grow)
+
+    def _search_for_turning_parts(self, phase: Phase) -> None:
+        """Nodes have seen all times: they get twice the keys, and bodies where a part turns that they could not follow."""
+        model = self.model
+        assert isinstance(model.field, ControlNodes)
+        model.field = model.field.with_keys(2 * model.field.keys - 1)
+        error = measure_responsibility(model, self.views, self.curriculum.probe(self.iteration, 120), True, phase.scale).error_gaussians
+        self._say("looking for parts that turn")
+        source = bodies_for_turning_parts(model, self.views, error, self.settings.seed, self._event)
+        for name, parameter in model.field.named_parameters():
+            self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1))
+        if source is not None:
+            self._replace(model.gaussians, source)
+            self._hold_until = self.iteration + round(HOLD * self.total)
 
     def _control(self, phase: Phase, grow: bool) -> None:
         model = self.model
@@ -218,7 +230,8 @@ class Trainer:
         keep = survivors(model.gaussians, measured.weight_gaussians, s.min_opacity, s.min_weight)
         self._replace(model.gaussians.select(keep), keep)
         error = measured.error_gaussians[keep]
-        room = self.budget - len(model.gaussians)
+        width, height = self.views.size(phase.scale)
+        room = min(self.budget, round(GAUSSIANS_PER_PIXEL * width * height) if phase.scale < 1 else self.budget) - len(model.gaussians)
         if grow and room > 0:
             progress = self.iteration / max(self.total, 1)
             rounds_left = max(1, round((self.settings.densify_until - progress) * self.total / self.settings.densify_every))
@@ -276,10 +289,15 @@ class Trainer:
         tensors = {f"parameter/{name}": p for name, p in self._named().items()}
         tensors |= {f"optimiser/{name}": value for name, value in self.optimiser.state().items()}
         tensors |= {f"dynamic/{p.KIND}": p.dynamic for p in (self.model.gaussians, self.model.convexes)}
+        if self.model.field is not None:
+            tensors |= {f"motion/{name}": value for name, value in self.model.field.state_dict().items()}
         state = {
             "iteration": self.iteration,
             "ema": self._ema,
             "froze": self._froze_still,
+            "searched": self._searched,
+            "hold": self._hold_until,
+            "field": None if self.model.field is None else self.model.field.config,
             "nonfinite": self.guard.count,
             "log": vars(self.log),
         }
@@ -293,14 +311,17 @@ class Trainer:
         for kind, name in ((GaussianSet, "gaussians"), (ConvexSet, "convexes")):
             parameters = {f: tensors[f"parameter/{name}.{f}"] for f in kind.FIELDS}
             setattr(self.model, name, kind(parameters, tensors[f"dynamic/{name}"]))
-        with torch.no_grad():
-            for module, prefix in ((self.model.field, "field"), (self.affine, "affine")):
-                if module is not None:
-                    for name, p in module.named_parameters():
-                        p.copy_(tensors[f"parameter/{prefix}.{name}"])
+        if state["field"] is not None:
+            motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
+            self.model.field = motion_from_state(motion, state["field"])
+        if self.affine is not None:
+            with torch.no_grad():
+                for name, p in self.affine.named_parameters():
+                    p.copy_(tensors[f"parameter/affine.{name}"])
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
         self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]
+        self._searched, self._hold_until = state["searched"], state["hold"]
         self.guard.count = state["nonfinite"]
         self.log = TrainingLog(**state["log"])
         self._event(f"continued from the checkpoint at step {self.iteration} of {self.total}")

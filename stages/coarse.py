@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -20,10 +20,17 @@ SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
 ITERATIONS = 6000
 ITERATIONS_A_TIME = 200  # of a rig, whose times come in one after another
 MOST_ITERATIONS = 30_000
+ITERATIONS_NODES = 8400  # most of them on small images
+NODES = 64
+FRAMES_PER_KEY = 4  # while control nodes see one time after another; half as many from there on
+SMALLEST_PYRAMID_IMAGE = 1500  # px
 
 
 class CoarseSettings(TrainingSettings):
     iterations: int = Field(0, ge=0, le=1_000_000, description="optimiser steps of this stage; 0 chooses by the capture")
+    motion: Literal["auto", "planes", "nodes"] = Field(
+        "auto", description="what moves primitives: the six-plane field, or control nodes (auto: where each frame is from another side)"
+    )
     strategy: Strategy = Field("two-stage", description="one of the four trainings of Table 3; `fine` follows it")
     full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps on images of half the size, before those of full size")
     seeds: int = Field(8000, ge=100, le=2_000_000, description="Gaussians to begin with where the capture brings no points")
@@ -33,7 +40,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 2
+    version = 3
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
@@ -42,23 +49,26 @@ class Coarse(Stage):
     def applies(self, facts: Mapping[str, Any], settings: CoarseSettings) -> Applies:
         if facts.get("static"):
             return Applies.yes("nothing moves: Gaussians without a deformation field")
-        return Applies.yes("Gaussians and their motion")
+        return Applies.yes(f"Gaussians and their motion by {'control nodes' if use_nodes(facts, settings) else 'the six-plane field'}")
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
         from .estimates import training_seconds
 
         static = bool(facts.get("static"))
-        steps = settings.iterations or auto_iterations(facts.get("frames", 0), facts.get("times", 1), static)
+        steps = settings.iterations or auto_iterations(facts, settings)
+        if use_nodes(facts, settings):
+            return 30 + 0.35 * training_seconds(facts, steps, static)
         half = settings.full_from * 0.5  # a step on images of half the size takes about half as long: the field does not shrink
         return (1 - half) * training_seconds(facts, steps, static)
 
     def run(self, ctx: Context) -> None:
+        import numpy as np
         import torch
 
         from ..scene.model import Model
         from ..scene.primitives import ConvexSet, GaussianSet
-        from ..scene.schedule import coarse_phases
-        from ..scene.trainer import Trainer
+        from ..scene.schedule import PYRAMID, coarse_phases, pyramid_phases
+        from ..scene.trainer import GAUSSIANS_PER_PIXEL, Trainer
         from .dataset import load_frameset, load_views, measured_flow
         from .training_artifact import write_training
 
@@ -69,17 +79,27 @@ class Coarse(Stage):
         static = bool(ctx.facts.get("static"))
 
         points, colors = load_seeds(ctx, frames, views)
+        pixels = views.width * views.height
+        smallest = min(1.0, (SMALLEST_PYRAMID_IMAGE / pixels) ** 0.5)
+        nodes = use_nodes(ctx.facts, settings)
+        if nodes:
+            few = max(500, int(GAUSSIANS_PER_PIXEL * pixels * max(smallest, PYRAMID[0][0]) ** 2))
+            chosen = np.random.default_rng(settings.seed).permutation(len(points))[:few]
+            points, colors = points[chosen], colors[chosen]
         gaussians = GaussianSet.from_points(points, colors, settings.sh_degree, max_scale=0.05 * views.viewing_distance(points))
         field = None
         if not static:
             gaussians.dynamic = initial_dynamic(ctx, points, views)
             moving = gaussians.dynamic.numpy()
-            field = make_field(points[moving] if moving.sum() >= 50 else points, views, settings)
+            make = make_nodes if nodes else make_field
+            field = make(points[moving] if moving.sum() >= 50 else points, views, settings)
         model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree)
 
-        small = views.width * views.height < SMALL_IMAGE
-        steps = settings.iterations or auto_iterations(ctx.facts["frames"], ctx.facts["times"], static)
-        phases = coarse_phases(settings.strategy, steps, static, 0.0 if small else settings.full_from)
+        steps = settings.iterations or auto_iterations(ctx.facts, settings)
+        if nodes and settings.strategy in ("two-stage", "alternating"):
+            phases = pyramid_phases(steps, smallest)
+        else:
+            phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from)
         total = sum(phase.iterations for phase in phases)
         with ctx.progress(total, "coarse") as bar:
             trainer = Trainer(
@@ -105,12 +125,36 @@ def auto_budget(views: Views) -> int:
     return int(min(max(views.width * views.height // 8, 12_000), 120_000))
 
 
-def auto_iterations(frames: int, times: int, static: bool) -> int:
-    """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000."""
+def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
+    """Control nodes move the scene where it moves and each frame is a camera of its own: one view a time says too little for planes."""
+    if facts.get("static") or settings.motion != "auto":
+        return settings.motion == "nodes" and not facts.get("static")
+    return facts.get("cameras", 1) == facts.get("frames", 0) and facts.get("pairs", 0) == 0 and facts.get("times", 1) > 2 * FRAMES_PER_KEY
+
+
+def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
+    """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; 8400 for control nodes."""
     from ..scene.curriculum import MIN_CAMERAS
 
-    rig = not static and frames >= MIN_CAMERAS * times
+    if use_nodes(facts, settings):
+        return ITERATIONS_NODES
+    frames, times = facts.get("frames", 0), facts.get("times", 1)
+    rig = not facts.get("static") and frames >= MIN_CAMERAS * times
     return min(max(ITERATIONS, ITERATIONS_A_TIME * times if rig else 0), MOST_ITERATIONS)
+
+
+def make_nodes(points: np.ndarray, views: Views, settings: TrainingSettings):
+    """Control nodes spread over ``points``, with a key for every fourth training frame."""
+    import numpy as np
+    import torch
+
+    from ..scene.nodes import ControlNodes, farthest_points
+
+    low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
+    inside = points[((points >= low) & (points <= high)).all(1)]
+    keys = max(3, round(len(np.unique(views.time[views.train])) / FRAMES_PER_KEY))
+    positions = farthest_points(inside if len(inside) else points, NODES)
+    return ControlNodes(torch.tensor(positions), keys, reach=views.viewing_distance(points) / 16)
 
 
 def make_field(points: np.ndarray, views: Views, settings: TrainingSettings):

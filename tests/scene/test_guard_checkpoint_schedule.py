@@ -4,7 +4,7 @@ import pytest
 import torch
 from e4dgs.scene.checkpoint import FILE, load_checkpoint, save_checkpoint
 from e4dgs.scene.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
-from e4dgs.scene.schedule import coarse_phases, fine_phases
+from e4dgs.scene.schedule import coarse_phases, fine_phases, pyramid_phases
 
 
 def parameter(gradient):
@@ -78,3 +78,11 @@ def test_images_grow_to_full_size_during_coarse(full_from, expected):
 def test_static_scenes_never_move():
     assert not any(p.move for p in coarse_phases("two-stage", 1000, True) + fine_phases("two-stage", 1000, 300, True))
     assert sum(p.iterations for p in fine_phases("joint", 1000, 300, True)) == 300
+
+
+@pytest.mark.parametrize("smallest", [0.0, 0.3, 1.0])
+def test_the_pyramid_spends_all_steps_and_never_shrinks(smallest):
+    phases = pyramid_phases(1000, smallest)
+    scales = [p.scale for p in phases]
+    assert sum(p.iterations for p in phases) == 1000 and scales == sorted(scales) and scales[-1] == 1.0
+    assert min(scales) == max(0.125, smallest) and [p.move for p in phases] == [False] + [True] * (len(phases) - 1)

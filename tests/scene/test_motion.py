@@ -8,7 +8,6 @@ from e4dgs.scene.dynamics import dynamic_from_masks, freeze_still_gaussians
 from e4dgs.scene.field import DeformationField
 from e4dgs.scene.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion_terms import rigidity_and_inertia
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.views import Views
@@ -236,7 +235,7 @@ class Swirl(Path):
 def test_rigidity_is_zero_for_neighbours_that_move_alike_and_inertia_measures_acceleration():
     rest = torch.rand(64, 3, generator=torch.Generator().manual_seed(0))
     beside, along = rest + torch.tensor([0.0, 0.3, 0]), rest + torch.tensor([0.3, 0, 0])
-    rigidity, inertia = rigidity_and_inertia(Swirl(), rest, beside, 0.5, 0.1)
+    rigidity, inertia = DeformationField.priors(Swirl(), rest, beside, 0.5, 0.1)
     assert float(rigidity) == 0 and float(inertia) == pytest.approx(3 * 2 * 0.1**2, rel=1e-4)
-    assert float(rigidity_and_inertia(Swirl(), rest, along, 0.0, 0.1)[0]) == pytest.approx(0.3, rel=1e-5)
-    assert float(rigidity_and_inertia(Swirl(), rest, along, 0.0, 1.0)[1]) == 0  # one step spans the capture: nothing to compare
+    assert float(DeformationField.priors(Swirl(), rest, along, 0.0, 0.1)[0]) == pytest.approx(0.3, rel=1e-5)
+    assert float(DeformationField.priors(Swirl(), rest, along, 0.0, 1.0)[1]) == 0  # one step spans the capture: nothing to compare

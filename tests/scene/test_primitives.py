@@ -5,8 +5,9 @@ import pytest
 import torch
 from e4dgs.scene.density import choose_to_split, split_along_longest_axis, survivors
 from e4dgs.scene.fibonacci import fibonacci_hulls, fibonacci_sphere, neighbour_radius
-from e4dgs.scene.optimiser import RowAdam, exponential
+from e4dgs.scene.optimiser import RowAdam
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.rates import exponential
 from e4dgs.scene.rotation import quats_to_matrices
 
 

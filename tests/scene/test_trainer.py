@@ -6,11 +6,11 @@ import torch
 from e4dgs.scene.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.schedule import Phase, coarse_phases, fine_phases
+from e4dgs.scene.schedule import Phase, coarse_phases, fine_phases, pyramid_phases
 from e4dgs.scene.settings import TrainingSettings
-from e4dgs.scene.trainer import Trainer
+from e4dgs.scene.trainer import GAUSSIANS_PER_PIXEL, Trainer
 from e4dgs.scene.views import Views
-from e4dgs.stages.coarse import make_field
+from e4dgs.stages.coarse import make_field, make_nodes
 
 SIZE = 32
 SETTINGS = TrainingSettings(
@@ -159,3 +159,54 @@ def test_a_training_that_no_longer_improves_stops(views):
     model, _, _ = train(views)
     _, log, _ = train(views, model, settings, grow=False, phases=[Phase("rest", 5000, move=False)])
     assert log.stopped.startswith("converged") and log.iterations < 5000
+
+
+def wandering_views(frames=26):
+    """One camera a time, each on another side of the scene."""
+    source = make_views(cameras=3, times=frames)
+    chosen = np.array([(t % 3) * frames + t for t in range(frames)])
+    return Views(
+        source.K[chosen], source.cam_from_world[chosen], source.time[chosen], np.arange(frames), np.full(frames, -1), np.arange(frames),
+        SIZE, SIZE, lambda i: source.load(int(chosen[i])),
+    )  # fmt: skip
+
+
+def test_control_nodes_open_their_times_gain_keys_and_survive_a_kill(tmp_path):
+    views = wandering_views()
+    settings = SETTINGS.model_copy(update={"iterations": 240})
+
+    def nodes_model():
+        model = fresh(views, static=True)
+        model.gaussians.dynamic[:] = True
+        model.field = make_nodes(model.gaussians.means.detach().numpy(), views, settings)
+        return model
+
+    phases = pyramid_phases(240, smallest=0.5)
+    first_keys = nodes_model().field.keys
+    whole, log, trainer = train(views, nodes_model(), settings, phases=phases, checkpoints=tmp_path / "whole")
+    assert trainer.curriculum.opens and not trainer.curriculum.complete(40) and trainer.curriculum.complete(51)
+    assert whole.field.keys == 2 * first_keys - 1 and whole.field.opened.tolist() == [0, whole.field.keys - 1]
+    assert log.loss[-1][1] < 0.7 * log.loss[0][1]
+
+    class Killed(Exception):
+        pass
+
+    for stop in (40, 150):  # before and after the nodes got their new keys
+        seen = [0]
+
+        def kill(n, note, seen=seen, stop=stop):
+            seen[0] += n
+            if seen[0] == stop:
+                raise Killed
+
+        with pytest.raises(Killed):
+            train(views, nodes_model(), settings, phases=phases, checkpoints=tmp_path / f"cut{stop}", advance=kill)
+        again, log, _ = train(views, nodes_model(), settings, phases=phases, checkpoints=tmp_path / f"cut{stop}")
+        assert any("continued from the checkpoint" in event for event in log.events)
+        for name, array in whole.to_arrays().items():
+            assert np.array_equal(array, again.to_arrays()[name]), (stop, name)
+
+
+def test_small_images_hold_few_gaussians(views):
+    _, log, _ = train(views, budget=500, phases=[Phase("quarter", 400, move=False, scale=0.25)])
+    assert max(n for _, n, _ in log.primitives) <= max(60, round(GAUSSIANS_PER_PIXEL * (SIZE // 4) ** 2))

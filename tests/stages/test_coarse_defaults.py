@@ -1,20 +1,38 @@
 """What `coarse` chooses by itself."""
 
 import pytest
-from e4dgs.stages.coarse import auto_iterations
+from e4dgs.stages.coarse import ITERATIONS_NODES, CoarseSettings, auto_iterations, use_nodes
 
 
 @pytest.mark.parametrize(
-    ("frames", "times", "static", "expected"),
+    ("frames", "times", "cameras", "static", "expected"),
     [
-        (81, 67, False, 6000),  # a new camera at every time
-        (90, 90, False, 6000),  # one camera over time
-        (372, 12, False, 6000),  # a rig over few times
-        (4 * 45, 45, False, 9000),
-        (4 * 45 - 1, 45, False, 6000),
-        (8 * 45, 45, True, 6000),
-        (20 * 300, 300, False, 30_000),
+        (81, 67, 81, False, ITERATIONS_NODES),  # a new camera at every time
+        (90, 90, 1, False, 6000),  # one camera over time
+        (372, 12, 31, False, 6000),  # a rig over few times
+        (4 * 45, 45, 4, False, 9000),
+        (4 * 45 - 1, 45, 4, False, 6000),
+        (8 * 45, 45, 8, True, 6000),
+        (20 * 300, 300, 20, False, 30_000),
     ],
 )
-def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, times, static, expected):
-    assert auto_iterations(frames, times, static) == expected
+def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, times, cameras, static, expected):
+    facts = {"frames": frames, "times": times, "cameras": cameras, "static": static, "pairs": 0}
+    assert auto_iterations(facts, CoarseSettings()) == expected
+
+
+@pytest.mark.parametrize(
+    ("facts", "motion", "nodes"),
+    [
+        ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0}, "auto", True),
+        ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0}, "planes", False),
+        ({"frames": 81, "cameras": 81, "times": 8, "pairs": 0}, "auto", False),  # two keys are no path
+        ({"frames": 90, "cameras": 1, "times": 90, "pairs": 89}, "auto", False),
+        ({"frames": 90, "cameras": 1, "times": 90, "pairs": 89}, "nodes", True),
+        ({"frames": 360, "cameras": 8, "times": 45, "pairs": 352}, "auto", False),
+        ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0, "static": True}, "auto", False),
+        ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0, "static": True}, "nodes", False),
+    ],
+)
+def test_nodes_move_captures_of_which_each_frame_is_from_another_side(facts, motion, nodes):
+    assert use_nodes(facts, CoarseSettings(motion=motion)) is nodes

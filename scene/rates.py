@@ -1,0 +1,48 @@
+"""Learning rates: what each kind of parameter begins and ends with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from .settings import TrainingSettings
+
+Rate = Callable[[float], float]
+
+
+def exponential(first: float, last: float) -> Rate:
+    """A rate that decays from ``first`` to ``last`` by a constant factor a step, as a function of progress in [0, 1]."""
+    return lambda progress: first * (last / first) ** min(max(progress, 0.0), 1.0)
+
+
+def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float, scale: float) -> dict[str, Rate]:
+    """A rate for each parameter of ``names`` ("gaussians.means", "field.planes.space.0", "affine.offset", ...).
+
+    unit: the viewing distance, world units. scale: on the first rates of what a stage before has already trained.
+    """
+    s, k = settings, scale
+    primitives: dict[str, Rate] = {
+        "means": exponential(s.lr_means * unit * k, s.lr_means * unit / 50),
+        "points": exponential(s.lr_means * unit, s.lr_means * unit / 50),
+        "quats": exponential(4e-3 * k, 1e-3),
+        "log_scales": exponential(1e-2 * k, 2e-3),
+        "opacity_logits": exponential(5e-2 * k, 1e-2),
+        "sh_dc": exponential(1e-2 * k, 1e-3),
+        "sh_rest": exponential(1e-3 * k, 1e-4),
+        "log_tau": exponential(5e-3, 1e-3),
+        "log_kappa": exponential(1e-2, 1e-3),
+        "log_gain": exponential(2e-3, 2e-4),
+        "offset": exponential(2e-3, 2e-4),
+    }
+    planes, mlp = exponential(s.lr_field * k, s.lr_field / 10), exponential(s.lr_mlp * k, s.lr_mlp / 10)
+    # Nodes end at a fiftieth: each of their numbers moves hundreds of primitives, and the last jitter would blur them all.
+    nodes = exponential(s.lr_field * k if k == 1 else s.lr_field / 50, s.lr_field / 50)
+
+    def rate(name: str) -> Rate:
+        owner, last = name.split(".", 1)
+        if owner != "field":
+            return primitives[last]
+        if last in ("quats", "shifts"):
+            return nodes
+        return planes if last.startswith("planes.") else mlp
+
+    return {name: rate(name) for name in names}
