@@ -23,8 +23,8 @@ def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
     return mean, (paths - mean).norm(dim=2).amax(0)
 
 
-def freeze_still_gaussians(model: Model, views: Views) -> int:
-    """Take Gaussians that travel less than `STILL_PIXELS` out of the field, at their mean position. Returns how many."""
+def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIXELS) -> int:
+    """Take Gaussians that travel less than ``pixels`` out of the field, at their mean position. Returns how many."""
     index = model.gaussians.dynamic.nonzero()[:, 0]
     if model.field is None or not len(index):
         return 0
@@ -33,7 +33,7 @@ def freeze_still_gaussians(model: Model, views: Views) -> int:
     with torch.no_grad():
         nearest = torch.cdist(model.gaussians.means[index], centres).amin(1)
     focal = float(views.K[views.train, 0, 0].max())
-    still = travel * focal / nearest.clamp(min=views.near) < STILL_PIXELS
+    still = travel * focal / nearest.clamp(min=views.near) < pixels
     model.bake(mean[still], index[still])
     return int(still.sum())
 

@@ -158,12 +158,12 @@ class ControlNodes(nn.Module):
         self.shifts[k] = 2 * self.shifts[before] - self.shifts[earlier]
 
     @torch.no_grad()
-    def with_keys(self, keys: int) -> ControlNodes:
-        """The same trajectories sampled at another number of keys, all of them open."""
-        nodes = ControlNodes(self.positions, keys, self.reach, self.exclusive)
-        poses = [self.pose(k / max(keys - 1, 1)) for k in range(keys)]
-        nodes.quats.copy_(aligned(torch.stack([q for q, _ in poses])))
-        nodes.shifts.copy_(torch.stack([s for _, s in poses]) / self.reach)
+    def resampled(self, positions: Tensor, keys: int) -> ControlNodes:
+        """Other nodes at ``positions`` [B', 3] at rest with other ``keys``, which go where these would carry them. All keys are open."""
+        nodes = ControlNodes(positions, keys, self.reach)
+        poses = [self(nodes.positions, k / max(keys - 1, 1)) for k in range(keys)]
+        nodes.quats.copy_(aligned(torch.stack([pose.dr for pose in poses])))
+        nodes.shifts.copy_(torch.stack([pose.dx for pose in poses]) / self.reach)
         nodes.opened.copy_(torch.tensor([0, keys - 1]))
         return nodes
 

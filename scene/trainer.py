@@ -17,11 +17,11 @@ from .checkpoint import load_checkpoint, save_checkpoint
 from .colour import CameraAffine
 from .curriculum import Curriculum
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
-from .dynamics import freeze_still_gaussians
+from .dynamics import STILL_PIXELS, freeze_still_gaussians
 from .guard import NonFiniteGuard
 from .model import Model, motion_from_state
 from .motion_terms import MeasuredFlow, MotionTerms
-from .nodes import ControlNodes
+from .nodes import ControlNodes, farthest_points
 from .optimiser import RowAdam
 from .photometric import photometric_loss
 from .primitives import ConvexSet, GaussianSet
@@ -34,9 +34,12 @@ from .views import Views
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
 FREEZE_AT = 0.45  # of the coarse stage: what has not moved by then does not move
+FREEZE_NODES_AT = 0.57  # likewise for what nodes carry, which by then has been seen at a quarter of the size
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
 NODES_OPEN = 0.21  # of the coarse stage: control nodes have seen all times by then
 NODES_START = 0.04  # of the times, to either side of the middle one: where control nodes begin
+NODES_LATER = 128  # once all times are in
+SOLID = 0.2  # opacity of Gaussians among which nodes are spread then
 SETTLE = 0.02  # of the coarse stage between the last time's coming in and the search for turning parts
 HOLD = 0.07  # of the coarse stage: motion waits while a new body takes its colours
 
@@ -195,24 +198,29 @@ class Trainer:
     def _after_step(self, phase: Phase) -> None:
         s = self.settings
         progress = self.iteration / max(self.total, 1)
+        freeze_at = FREEZE_NODES_AT if self.nodes else FREEZE_AT
         if self.iteration % 50 == 0:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
         if not self._searched and self.curriculum.complete(self.iteration - round(SETTLE * self.total)):
             self._searched = True
             self._search_for_turning_parts(phase)
-        if phase.move and self.grow and not self._froze_still and progress >= FREEZE_AT and self.curriculum.complete(self.iteration):
+        if phase.move and self.grow and not self._froze_still and progress >= freeze_at and self.curriculum.complete(self.iteration):
             self._froze_still = True
-            count = freeze_still_gaussians(self.model, self.views)
+            # Nodes tremble by what the images in use cannot tell from rest; planes have seen larger ones.
+            count = freeze_still_gaussians(self.model, self.views, STILL_PIXELS / phase.scale if self.nodes else STILL_PIXELS)
             self.log.skipped["still Gaussians taken out of the field"] = count
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
         if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= s.densify_until:
             self._control(phase, grow=self.grow)
 
     def _search_for_turning_parts(self, phase: Phase) -> None:
-        """Nodes have seen all times: they get twice the keys, and bodies where a part turns that they could not follow."""
+        """Nodes have seen all times: they spread over what is there by now, get twice the keys, and bodies where a part turns that they
+        could not follow."""
         model = self.model
         assert isinstance(model.field, ControlNodes)
-        model.field = model.field.with_keys(2 * model.field.keys - 1)
+        solid = model.gaussians.means.detach()[model.gaussians.opacities.detach() > SOLID].numpy()
+        positions = farthest_points(solid, NODES_LATER) if len(solid) else model.field.positions.numpy()
+        model.field = model.field.resampled(torch.tensor(positions), 2 * model.field.keys - 1)
         error = measure_responsibility(model, self.views, self.curriculum.probe(self.iteration, 120), True, phase.scale).error_gaussians
         self._say("looking for parts that turn")
         source = bodies_for_turning_parts(model, self.views, error, self.settings.seed, self._event)

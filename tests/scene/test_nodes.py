@@ -136,16 +136,21 @@ def test_keys_that_come_in_go_on_at_the_speed_of_those_before_them():
     assert nodes.opened.tolist() == [0, 8]
 
 
-def test_more_keys_keep_the_path():
+def test_other_nodes_and_keys_keep_the_path():
     nodes = some(keys=4)
     with torch.no_grad():
-        nodes.shifts += torch.randn(nodes.shifts.shape, generator=torch.Generator().manual_seed(0))
-        nodes.quats += 0.2 * torch.randn(nodes.quats.shape, generator=torch.Generator().manual_seed(1))
-    finer = nodes.with_keys(7)
-    assert finer.keys == 7 and finer.opened.tolist() == [0, 6]
+        nodes.shifts += 0.3 * torch.randn((4, 1, 3), generator=torch.Generator().manual_seed(0))  # all nodes alike
+    finer = nodes.resampled(points(25, seed=9), 7)
+    assert finer.keys == 7 and finer.opened.tolist() == [0, 6] and len(finer.positions) == 25
     for k in range(7):
         for a, b in zip(nodes(points(), k / 6), finer(points(), k / 6)):
             assert torch.allclose(a, b, atol=1e-5)
+    with torch.no_grad():
+        nodes.quats += 0.2 * torch.randn(nodes.quats.shape, generator=torch.Generator().manual_seed(1))
+    assert torch.allclose(nodes.resampled(points(25), 4)(points(25), 1.0).dr.norm(dim=1), torch.ones(25))
+    here = nodes(points(25), 1 / 3)
+    moved = nodes.resampled(points(25), 4).pose(1 / 3)[1]
+    assert torch.allclose(moved, here.dx, atol=1e-5)
 
 
 def test_a_body_alone_moves_what_lies_within_it_and_nothing_else():
