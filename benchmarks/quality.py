@@ -24,9 +24,9 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "robot": ("robot", []),
     "basketball": ("basketball", []),
     "stage": ("stage", []),
-    "balloon1-images": ("balloon1/images", []),
+    "balloon1-images": ("balloon1/images", ["--preset", "fast"]),
     "room-video": ("room_video/room.mp4", []),
-    "sceaux-static": ("sceaux/images", ["--static"]),
+    "sceaux-static": ("sceaux/images", ["--static", "--preset", "fast"]),
 }
 
 
