@@ -21,27 +21,21 @@ from .dynamics import STILL_PIXELS, freeze_still_gaussians
 from .guard import NonFiniteGuard
 from .model import Model, motion_from_state
 from .motion_terms import MeasuredFlow, MotionTerms
-from .nodes import ControlNodes, farthest_points
+from .node_training import FREEZE_AT as FREEZE_NODES_AT
+from .node_training import NodeTraining
+from .nodes import ControlNodes
 from .optimiser import RowAdam
 from .photometric import photometric_loss
 from .primitives import ConvexSet, GaussianSet
 from .rates import learning_rates
 from .schedule import Phase
 from .settings import TrainingSettings
-from .turning import bodies_for_turning_parts
 from .views import Views
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
 FREEZE_AT = 0.45  # of the coarse stage: what has not moved by then does not move
-FREEZE_NODES_AT = 0.57  # likewise for what nodes carry, which by then has been seen at a quarter of the size
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
-NODES_OPEN = 0.21  # of the coarse stage: control nodes have seen all times by then
-NODES_START = 0.04  # of the times, to either side of the middle one: where control nodes begin
-NODES_LATER = 128  # once all times are in
-SOLID = 0.2  # opacity of Gaussians among which nodes are spread then
-SETTLE = 0.02  # of the coarse stage between the last time's coming in and the search for turning parts
-HOLD = 0.07  # of the coarse stage: motion waits while a new body takes its colours
 
 
 @dataclass
@@ -90,11 +84,11 @@ class Trainer:
         self.iteration = 0
         moving = grow and model.field is not None and any(phase.move for phase in phases)
         still = sum(phase.iterations for phase in phases if not phase.move)
-        self.nodes = moving and isinstance(model.field, ControlNodes)
-        opened = round((min(settings.open_until, NODES_OPEN) if self.nodes else settings.open_until) * self.total) if moving else 0
         times = views.time[views.train]
-        start = max(2, round(NODES_START * len(np.unique(times)))) if self.nodes else 0
-        self.curriculum = Curriculum(views.train, times, settings.seed, still, opened, start)
+        with_nodes = moving and isinstance(model.field, ControlNodes)
+        self.nodes = NodeTraining(self.total, times, settings.seed) if with_nodes else None
+        opened = 0 if not moving else self.nodes.opened if self.nodes else round(settings.open_until * self.total)
+        self.curriculum = Curriculum(views.train, times, settings.seed, still, opened, self.nodes.start if self.nodes else 0)
         self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
         several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
         self.affine = CameraAffine(len(self.camera_numbers)) if settings.affine and several else None
@@ -102,8 +96,6 @@ class Trainer:
         self.motion_terms = MotionTerms(views, settings, self.unit, len(np.unique(views.time)), measured_flow)
         self.optimiser = self._make_optimiser()
         self._froze_still = False
-        self._searched = not self.nodes  # for turning parts
-        self._hold_until = 0
         self._ema = 0.0  # smoothed image loss
 
     # -- set-up -------------------------------------------------------------------------------------------------------------------
@@ -186,7 +178,7 @@ class Trainer:
             self.log.loss.append([self.iteration, self._ema])
 
     def _frozen(self, phase: Phase, step: int) -> frozenset[str]:
-        if self.iteration < self._hold_until:
+        if self.nodes and self.nodes.holds(self.iteration):
             return frozenset({"field"})
         if not phase.alternation or not len(self.model.convexes):
             return frozenset()
@@ -201,9 +193,8 @@ class Trainer:
         freeze_at = FREEZE_NODES_AT if self.nodes else FREEZE_AT
         if self.iteration % 50 == 0:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
-        if not self._searched and self.curriculum.complete(self.iteration - round(SETTLE * self.total)):
-            self._searched = True
-            self._search_for_turning_parts(phase)
+        if self.nodes and self.nodes.due(self.iteration):
+            self._renew_nodes(self.nodes, phase)
         if phase.move and self.grow and not self._froze_still and progress >= freeze_at and self.curriculum.complete(self.iteration):
             self._froze_still = True
             # Nodes tremble by what the images in use cannot tell from rest; planes have seen larger ones.
@@ -213,22 +204,15 @@ class Trainer:
         if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= s.densify_until:
             self._control(phase, grow=self.grow)
 
-    def _search_for_turning_parts(self, phase: Phase) -> None:
-        """Nodes have seen all times: they spread over what is there by now, get twice the keys, and bodies where a part turns that they
-        could not follow."""
-        model = self.model
-        assert isinstance(model.field, ControlNodes)
-        solid = model.gaussians.means.detach()[model.gaussians.opacities.detach() > SOLID].numpy()
-        positions = farthest_points(solid, NODES_LATER) if len(solid) else model.field.positions.numpy()
-        model.field = model.field.resampled(torch.tensor(positions), 2 * model.field.keys - 1)
-        error = measure_responsibility(model, self.views, self.curriculum.probe(self.iteration, 120), True, phase.scale).error_gaussians
-        self._say("looking for parts that turn")
-        source = bodies_for_turning_parts(model, self.views, error, self.settings.seed, self._event)
-        for name, parameter in model.field.named_parameters():
+    def _renew_nodes(self, nodes: NodeTraining, phase: Phase) -> None:
+        self._say("nodes spread again; looking for parts that turn")
+        frames = self.curriculum.probe(self.iteration, 120)
+        source = nodes.renew(self.model, self.views, frames, phase.scale, self.iteration, self._event)
+        assert self.model.field is not None
+        for name, parameter in self.model.field.named_parameters():
             self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1))
         if source is not None:
-            self._replace(model.gaussians, source)
-            self._hold_until = self.iteration + round(HOLD * self.total)
+            self._replace(self.model.gaussians, source)
 
     def _control(self, phase: Phase, grow: bool) -> None:
         model = self.model
@@ -303,8 +287,7 @@ class Trainer:
             "iteration": self.iteration,
             "ema": self._ema,
             "froze": self._froze_still,
-            "searched": self._searched,
-            "hold": self._hold_until,
+            "nodes": None if self.nodes is None else [self.nodes.searched, self.nodes.hold_until],
             "field": None if self.model.field is None else self.model.field.config,
             "nonfinite": self.guard.count,
             "log": vars(self.log),
@@ -329,7 +312,8 @@ class Trainer:
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
         self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]
-        self._searched, self._hold_until = state["searched"], state["hold"]
+        if self.nodes is not None:
+            self.nodes.searched, self.nodes.hold_until = state["nodes"]
         self.guard.count = state["nonfinite"]
         self.log = TrainingLog(**state["log"])
         self._event(f"continued from the checkpoint at step {self.iteration} of {self.total}")

@@ -21,6 +21,7 @@ ITERATIONS = 6000
 ITERATIONS_A_TIME = 200  # of a rig, whose times come in one after another
 MOST_ITERATIONS = 30_000
 ITERATIONS_NODES = 8400  # most of them on small images
+SEARCH_SECONDS = 30  # for parts that turn
 NODES = 64
 FRAMES_PER_KEY = 4  # while control nodes see one time after another; half as many from there on
 SMALLEST_PYRAMID_IMAGE = 1500  # px
@@ -57,9 +58,8 @@ class Coarse(Stage):
         static = bool(facts.get("static"))
         steps = settings.iterations or auto_iterations(facts, settings)
         if use_nodes(facts, settings):
-            return 30 + 0.35 * training_seconds(facts, steps, static)
-        half = settings.full_from * 0.5  # a step on images of half the size takes about half as long: the field does not shrink
-        return (1 - half) * training_seconds(facts, steps, static)
+            return SEARCH_SECONDS + training_seconds(facts, steps, static, area=0.25)
+        return training_seconds(facts, steps, static, area=1 - 0.75 * settings.full_from)
 
     def run(self, ctx: Context) -> None:
         import numpy as np

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-SECONDS_PER_MEGAPIXEL_STEP = 0.6  # one training step on two cores, measured on the captures of benchmarks/results
-MOTION_FACTOR = 1.5
+# One training step on two cores, fitted to the captures of benchmarks/results; the motion costs the same at any image size.
+SECONDS_PER_MEGAPIXEL_STEP = 0.35
+SECONDS_PER_STEP = 0.03
+SECONDS_PER_STATIC_STEP = 0.01
 
 
-def training_seconds(facts: Mapping[str, Any], iterations: int, static: bool) -> float:
-    """Seconds that ``iterations`` steps take on two cores."""
+def training_seconds(facts: Mapping[str, Any], iterations: int, static: bool, area: float = 1.0) -> float:
+    """Seconds that ``iterations`` steps take on two cores. area: of the images in use, as a mean share of the full ones."""
     megapixels = facts.get("width", 0) * facts.get("height", 0) / 1e6
-    return iterations * (0.02 + SECONDS_PER_MEGAPIXEL_STEP * megapixels) * (1.0 if static else MOTION_FACTOR)
+    return iterations * ((SECONDS_PER_STATIC_STEP if static else SECONDS_PER_STEP) + SECONDS_PER_MEGAPIXEL_STEP * megapixels * area)

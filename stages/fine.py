@@ -35,7 +35,7 @@ class Fine(Stage):
     def estimate(self, facts: Mapping[str, Any], settings: FineSettings) -> float | None:
         from .estimates import training_seconds
 
-        return 1.3 * training_seconds(facts, settings.iterations, static=bool(facts.get("static")))
+        return training_seconds(facts, settings.iterations, static=bool(facts.get("static")))
 
     def run(self, ctx: Context) -> None:
         import torch
