@@ -26,7 +26,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "stage": ("stage", []),
     "balloon1-images": ("balloon1/images", ["--preset", "fast"]),
     "room-video": ("room_video/room.mp4", []),
-    "sceaux-static": ("sceaux/images", ["--static", "--preset", "fast"]),
+    "sceaux-static": ("sceaux/images", ["--static", "--preset", "fast", "--set", "frames.max_size=708"]),
 }
 
 
