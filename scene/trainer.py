@@ -278,7 +278,7 @@ class Trainer:
 
     def _save(self) -> None:
         assert self.checkpoints is not None
-        tensors = {f"parameter/{name}": p for name, p in self._named().items()}
+        tensors = {f"parameter/{name}": p for name, p in self._named().items() if not name.startswith("field.")}
         tensors |= {f"optimiser/{name}": value for name, value in self.optimiser.state().items()}
         tensors |= {f"dynamic/{p.KIND}": p.dynamic for p in (self.model.gaussians, self.model.convexes)}
         if self.model.field is not None:
