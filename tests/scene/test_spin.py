@@ -80,7 +80,7 @@ def test_a_capture_of_few_frames_is_left_alone():
     assert search(turning_ball(MIN_FRAMES - 1, OMEGA)).find() is None
 
 
-def test_the_variance_is_lowest_at_the_true_turn_and_its_gradient_vanishes_nowhere_else_nearby():
+def test_the_variance_is_lowest_at_the_true_turn_and_its_gradient_agrees_with_central_differences():
     s = search(turning_ball(24, OMEGA))
     true = torch.tensor(OMEGA).float()[None]
     around = torch.cat([true, true + np.radians(4) * torch.cat([torch.eye(3), -torch.eye(3)])])
