@@ -42,6 +42,7 @@ struct Kernels {
     const char* name;
     void (*forward)(const ForwardJob&, int tile, float* scratch);
     void (*backward)(const BackwardJob&, int tile, float* scratch);
+    void (*limit)(int64_t pairs, bool backward);
 };
 
 const Kernels& kernels();  // the best that this processor runs

@@ -10,10 +10,11 @@ using namespace e4dgs;
 #include "alpha.inl"
 #include "forward.inl"
 #include "backward.inl"
+#include "limit.inl"
 
 }  // namespace
 
 extern const Kernels kKernels;
-const Kernels kKernels = {E4DGS_ISA_NAME, &forward_tile, &backward_tile};
+const Kernels kKernels = {E4DGS_ISA_NAME, &forward_tile, &backward_tile, &blend_limit_run};
 
 }  // namespace E4DGS_ISA

@@ -124,7 +124,9 @@ struct Reducer {
 void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, int threads) {
     Buffer<float> slots;
     Buffer<uint8_t> touched;
+    Clock clock;
     blend_backward(state, grad, slots, touched, out.background, threads);
+    clock(state.seconds.blend_backward);
 
     const int64_t n = int64_t(state.depth.size());
     const Reducer reducer{state, out, slots.data(), touched.data(), grad.extras != nullptr};
@@ -137,6 +139,7 @@ void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, i
         }
         parts[block] = camera;
     });
+    clock(state.seconds.reduce);
     if (!out.camera) return;
     for (int i = 0; i < 16; ++i) out.camera[i] = 0;
     for (const CameraGrad<double>& p : parts) {
