@@ -41,7 +41,7 @@ inline Float log2(Float a) {
 inline Float abs(Float a) { return max(a, zero() - a); }
 
 // A primitive in the coordinates of its tile: (0, 0) is the centre of the tile's first pixel.
-struct Item {
+struct alignas(64) Item {
     float f0, f1, f2, u, v, exponent;  // Gaussians: u = f0 X + f1 Y + u0, v = f2 Y + v0
     float color[3], z;
     int32_t convex;                    // index into the chunk's convexes, -1 for a Gaussian

@@ -1,10 +1,10 @@
 // Memory without the zeroing of std::vector: most of what a frame allocates is written before it is read.
 #pragma once
 #include <cstddef>
-#include <cstdlib>
-#include <new>
 #include <type_traits>
 #include <utility>
+
+#include "pool.h"
 
 namespace e4dgs {
 
@@ -17,26 +17,24 @@ public:
     explicit Buffer(size_t n) { resize(n); }
     Buffer(Buffer&& other) noexcept { swap(other); }
     Buffer& operator=(Buffer&& other) noexcept { return swap(other), *this; }
-    ~Buffer() { std::free(data_); }
+    ~Buffer() { give_memory(memory_); }
 
     void resize(size_t n) {  // the old content is lost
-        std::free(data_);
-        data_ = nullptr, size_ = n;
-        if (n == 0) return;
-        data_ = static_cast<T*>(std::aligned_alloc(64, (n * sizeof(T) + 63) / 64 * 64));
-        if (!data_) throw std::bad_alloc();
+        give_memory(memory_);
+        memory_ = {}, size_ = n;
+        if (n) memory_ = take_memory((n * sizeof(T) + 63) / 64 * 64);
     }
-    T* data() { return data_; }
-    const T* data() const { return data_; }
+    T* data() { return static_cast<T*>(memory_.data); }
+    const T* data() const { return static_cast<const T*>(memory_.data); }
     size_t size() const { return size_; }
-    T& operator[](size_t i) { return data_[i]; }
-    const T& operator[](size_t i) const { return data_[i]; }
-    T* begin() { return data_; }
-    T* end() { return data_ + size_; }
+    T& operator[](size_t i) { return data()[i]; }
+    const T& operator[](size_t i) const { return data()[i]; }
+    T* begin() { return data(); }
+    T* end() { return data() + size_; }
 
 private:
-    void swap(Buffer& other) noexcept { std::swap(data_, other.data_), std::swap(size_, other.size_); }
-    T* data_ = nullptr;
+    void swap(Buffer& other) noexcept { std::swap(memory_, other.memory_), std::swap(size_, other.size_); }
+    Memory memory_;
     size_t size_ = 0;
 };
 

@@ -1,93 +1,164 @@
-// Forward: a chunk of the tile's primitives is gathered and sorted into lists, one a block; then each block that still lets
-// light through walks its list with its pixels in registers. Included by blend.inl.
+// Forward: a chunk of the tile's primitives is gathered and tested against its blocks; then each block that still lets light
+// through walks the primitives that may touch it with its pixels in registers. Included by blend.inl.
 
 struct TilePixels {  // lane l of block b is pixel (4 (b % 4) + l % 4, 4 (b / 4) + l / 4)
     alignas(64) float falling[256];        // transmittance as if nothing stopped: below the line, the pixel has stopped
-    alignas(64) float transmittance[256];  // behind the last blended layer
-    alignas(64) float red[256], green[256], blue[256], z[256], weight[256];
-    alignas(64) int32_t last[256];
+    alignas(64) float transmittance[256];  // of stopped pixels, behind their last blended layer
+    alignas(64) float red[256], green[256], blue[256], z[256];
+    alignas(64) int32_t last[256];         // of stopped pixels, the entry before the one that stopped them
 };
 
-template <bool EXTRAS>
-inline bool forward_block(TilePixels& px, float* extra, int extras, int b, const Item* items, const ConvexItem* convexes,
-                          const uint8_t* list, int n, int32_t first, uint8_t* seen) {
-    Float falling[kVectors], transmittance[kVectors], red[kVectors], green[kVectors], blue[kVectors], z[kVectors], weight[kVectors];
-    Int last[kVectors];
-    Float X[kVectors], Y[kVectors];
+struct Chunk {
+    alignas(64) Item items[kChunk];
+    ConvexItem convexes[kChunk];
+    alignas(64) uint16_t masks[kChunk];
+    uint64_t lists[16][kChunk / 64];  // by block, a bit for each item that may touch it
+    uint64_t seen[kChunk / 64];       // items that a block has walked past
+    int n_convexes;
+};
+
+// A pixel has stopped where `falling` went below the line: seldom, so it costs the walk one comparison.
+__attribute__((noinline)) void stop_pixels(float* transmittance, int32_t* last, Float before, Float falling, int32_t index) {
+    const Float line = set1(kMinTransmittance);
+    const Mask fresh = (before >= line) & (falling < line);
+    store(transmittance, select(fresh, before, load(transmittance)));
+    store(last, select(fresh, set1(index), load(last)));
+}
+
+// False once all of the block's pixels have stopped. first: index in the tile of the chunk's first item.
+template <bool EXTRAS, bool CONVEXES>
+inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk& chunk, int32_t first) {
+    Float falling[kVectors], red[kVectors], green[kVectors], blue[kVectors], z[kVectors], X[kVectors], Y[kVectors];
+    uint32_t open[kVectors], alive = 0;
+    const Float line = set1(kMinTransmittance);
     for (int k = 0; k < kVectors; ++k) {
         const int at = 16 * b + k * kWidth;
-        falling[k] = load(px.falling + at), transmittance[k] = load(px.transmittance + at), last[k] = load(px.last + at);
-        red[k] = load(px.red + at), green[k] = load(px.green + at), blue[k] = load(px.blue + at);
-        z[k] = load(px.z + at), weight[k] = load(px.weight + at);
+        falling[k] = load(px.falling + at);
+        red[k] = load(px.red + at), green[k] = load(px.green + at), blue[k] = load(px.blue + at), z[k] = load(px.z + at);
         X[k] = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
         Y[k] = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
+        open[k] = bits(falling[k] >= line);
     }
-    bool alive = true;
-    for (int i = 0; i < n && alive; ++i) {
-        const int j = list[i];
-        const Item& item = items[j];
-        seen[j] = 1;
-        alive = false;
-        Float raws[kVectors];
-        Mask counts[kVectors];
-        if (item.convex < 0) {
-            Float u, v;
-            for (int k = 0; k < kVectors; ++k) raws[k] = gaussian_alpha(item, X[k], Y[k], u, v, counts[k]);
-        } else if (const ConvexItem& convex = convexes[item.convex]; convex.inside >> b & 1) {
-            for (int k = 0; k < kVectors; ++k) raws[k] = set1(convex.opacity), counts[k] = all();
-        } else {
-            Edges edges;
-            select_edges(convex, b, edges);
-            for_count(edges.n, [&](auto count) {
-                ConvexValue<count.value> value;
-                for (int k = 0; k < kVectors; ++k) raws[k] = convex_alpha(convex, edges, X[k], Y[k], value, counts[k]);
-            });
-        }
-        for (int k = 0; k < kVectors; ++k) {
-            const Float alpha = keep(counts[k], min(raws[k], set1(kMaxAlpha)));
-            const Float before = falling[k];
-            falling[k] = fnma(before, alpha, before);
-            const Mask on = falling[k] >= set1(kMinTransmittance);
-            const Float w = keep(on, before * alpha);
-            transmittance[k] = select(on, falling[k], transmittance[k]);
-            last[k] = select(on, set1(first + j), last[k]);
-            red[k] = fma(w, set1(item.color[0]), red[k]);
-            green[k] = fma(w, set1(item.color[1]), green[k]);
-            blue[k] = fma(w, set1(item.color[2]), blue[k]);
-            z[k] = fma(w, set1(item.z), z[k]);
-            weight[k] = weight[k] + w;
-            if (EXTRAS && item.extras)
-                for (int e = 0; e < extras; ++e) {
-                    float* p = extra + 256 * e + 16 * b + k * kWidth;
-                    store(p, fma(w, set1(item.extras[e]), load(p)));
+    for (int word = 0; word < kChunk / 64; ++word) {
+        const uint64_t list = chunk.lists[b][word];
+        uint64_t left = list;
+        for (; left; left &= left - 1) {
+            const int j = 64 * word + __builtin_ctzll(left);
+            const Item& item = chunk.items[j];
+            Float raws[kVectors];
+            Mask counts[kVectors];
+            if (!CONVEXES || item.convex < 0) {
+                Float u, v;
+                for (int k = 0; k < kVectors; ++k) raws[k] = gaussian_alpha(item, X[k], Y[k], u, v, counts[k]);
+            } else if (const ConvexItem& convex = chunk.convexes[item.convex]; convex.inside >> b & 1) {
+                for (int k = 0; k < kVectors; ++k) raws[k] = set1(convex.opacity), counts[k] = all();
+            } else {
+                Edges edges;
+                select_edges(convex, b, edges);
+                for_count(edges.n, [&](auto count) {
+                    ConvexValue<count.value> value;
+                    for (int k = 0; k < kVectors; ++k) raws[k] = convex_alpha(convex, edges, X[k], Y[k], value, counts[k]);
+                });
+            }
+            bool stops = false;
+            Float before[kVectors];
+            for (int k = 0; k < kVectors; ++k) {
+                const Float alpha = keep(counts[k], min(raws[k], set1(kMaxAlpha)));
+                before[k] = falling[k];
+                falling[k] = fnma(before[k], alpha, before[k]);
+                const Mask on = falling[k] >= line;
+                const Float w = keep(on, before[k] * alpha);
+                red[k] = fma(w, set1(item.color[0]), red[k]);
+                green[k] = fma(w, set1(item.color[1]), green[k]);
+                blue[k] = fma(w, set1(item.color[2]), blue[k]);
+                z[k] = fma(w, set1(item.z), z[k]);
+                if (EXTRAS && item.extras)
+                    for (int e = 0; e < extras; ++e) {
+                        float* p = extra + 256 * e + 16 * b + k * kWidth;
+                        store(p, fma(w, set1(item.extras[e]), load(p)));
+                    }
+                stops |= bits(on) != open[k];
+            }
+            if (__builtin_expect(stops, 0)) {
+                alive = 0;
+                for (int k = 0; k < kVectors; ++k) {
+                    const int at = 16 * b + k * kWidth;
+                    stop_pixels(px.transmittance + at, px.last + at, before[k], falling[k], first + j - 1);
+                    open[k] = bits(falling[k] >= line);
+                    alive |= open[k];
                 }
-            alive |= any(on);
+                if (!alive) {
+                    chunk.seen[word] |= list & (~uint64_t(0) >> (63 - j % 64));
+                    goto done;
+                }
+            }
         }
+        chunk.seen[word] |= list;
     }
+    alive = 1;
+done:
     for (int k = 0; k < kVectors; ++k) {
         const int at = 16 * b + k * kWidth;
-        store(px.falling + at, falling[k]), store(px.transmittance + at, transmittance[k]), store(px.last + at, last[k]);
-        store(px.red + at, red[k]), store(px.green + at, green[k]), store(px.blue + at, blue[k]);
-        store(px.z + at, z[k]), store(px.weight + at, weight[k]);
+        store(px.falling + at, falling[k]);
+        store(px.red + at, red[k]), store(px.green + at, green[k]), store(px.blue + at, blue[k]), store(px.z + at, z[k]);
     }
     return alive;
 }
 
-inline void write_pixels(const ForwardJob& job, const TilePixels& px, const float* extra, int x0, int y0) {
+// From planes in the order of blocks to `count` <= 4 pixels of a row of the image.
+inline void copy_lanes(const float* from, float* to, int count) {
+    if (count == 4) return void(__builtin_memcpy(to, from, 16));
+    for (int i = 0; i < count; ++i) to[i] = from[i];
+}
+
+inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* extra, int x0, int y0, int32_t entries) {
     const int w = job.width - x0 < kTile ? job.width - x0 : kTile, h = job.height - y0 < kTile ? job.height - y0 : kTile;
+    alignas(64) float alpha[256];
+    const Float line = set1(kMinTransmittance), one = set1(1.0f);
+    for (int at = 0; at < 256; at += kWidth) {
+        const Float falling = load(px.falling + at);
+        const Mask open = falling >= line;
+        const Float t = select(open, falling, load(px.transmittance + at)), a = one - t;
+        store(px.transmittance + at, t);
+        store(px.last + at, select(open, set1(entries - 1), load(px.last + at)));
+        store(alpha + at, a);
+        store(px.red + at, fma(t, set1(job.background[0]), load(px.red + at)));
+        store(px.green + at, fma(t, set1(job.background[1]), load(px.green + at)));
+        store(px.blue + at, fma(t, set1(job.background[2]), load(px.blue + at)));
+        store(px.z + at, load(px.z + at) * reciprocal(max(a, set1(1e-30f))));  // 0 where nothing was blended
+    }
     for (int y = 0; y < h; ++y)
-        for (int x = 0; x < w; ++x) {
-            const int at = 16 * (y / 4 * 4 + x / 4) + y % 4 * 4 + x % 4;
+        for (int x = 0; x < w; x += 4) {
+            const int at = 16 * (y / 4 * 4 + x / 4) + y % 4 * 4, count = w - x < 4 ? w - x : 4;
             const int64_t to = int64_t(y0 + y) * job.width + x0 + x;
-            const float t = px.transmittance[at], a = px.weight[at];
-            job.color[3 * to] = px.red[at] + t * job.background[0];
-            job.color[3 * to + 1] = px.green[at] + t * job.background[1];
-            job.color[3 * to + 2] = px.blue[at] + t * job.background[2];
-            job.alpha[to] = a;
-            job.depth[to] = a > 0.0f ? px.z[at] / a : 0.0f;
-            for (int e = 0; e < job.extras; ++e) job.extra[to * job.extras + e] = extra[256 * e + at];
-            if (job.transmittance) job.transmittance[to] = t, job.last[to] = px.last[at];
+            float* color = job.color + 3 * to;
+            for (int i = 0; i < count; ++i) {
+                color[3 * i] = px.red[at + i], color[3 * i + 1] = px.green[at + i], color[3 * i + 2] = px.blue[at + i];
+                for (int e = 0; e < job.extras; ++e) job.extra[(to + i) * job.extras + e] = extra[256 * e + at + i];
+            }
+            copy_lanes(alpha + at, job.alpha + to, count);
+            copy_lanes(px.z + at, job.depth + to, count);
+            if (!job.transmittance) continue;
+            copy_lanes(px.transmittance + at, job.transmittance + to, count);
+            for (int i = 0; i < count; ++i) job.last[to + i] = px.last[at + i];
         }
+}
+
+// Gathers n items from entry `at` on, and which blocks each may touch.
+inline void gather_chunk(const ForwardJob& job, uint64_t at, int n, int ahead, int x0, int y0, Chunk& chunk) {
+    chunk.n_convexes = 0;
+    for (int j = 0; j < n; ++j) {
+        if (j + 8 < ahead) prefetch(job, job.entries[at + j + 8].primitive);
+        const uint32_t id = job.entries[at + j].primitive;
+        Item& item = chunk.items[j];
+        gather(job, id, x0 + 0.5, y0 + 0.5, item, chunk.convexes, chunk.n_convexes);
+        const uint32_t mask = id < job.n_gaussians ? gaussian_blocks(item, job.gaussians[id].radius) : convex_blocks(chunk.convexes[item.convex]);
+        chunk.masks[j] = uint16_t(mask);
+    }
+    __builtin_memcpy(job.masks + at, chunk.masks, sizeof(uint16_t) * size_t(n));
+    for (int j = n; j < kChunk; ++j) chunk.masks[j] = 0;
+    lists_of_bits(chunk.masks, chunk.lists);
+    for (uint64_t& word : chunk.seen) word = 0;
 }
 
 template <bool EXTRAS>
@@ -95,50 +166,42 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
     const int x0 = tile % job.tiles_x * kTile, y0 = tile / job.tiles_x * kTile;
     TilePixels px;
     uint32_t alive = 0;
-    for (int i = 0; i < 256; ++i) {
+    const bool whole = x0 + kTile <= job.width && y0 + kTile <= job.height;
+    for (int at = 0; at < 256; at += kWidth) {
+        store(px.falling + at, set1(1.0f)), store(px.transmittance + at, set1(1.0f));
+        store(px.red + at, zero()), store(px.green + at, zero()), store(px.blue + at, zero()), store(px.z + at, zero());
+        store(px.last + at, set1(-1));
+    }
+    for (int i = 0; !whole && i < 256; ++i) {
         const int b = i / 16, x = x0 + b % 4 * 4 + i % 4, y = y0 + b / 4 * 4 + i % 16 / 4;
         const bool inside = x < job.width && y < job.height;
-        px.falling[i] = inside ? 1.0f : 0.0f;
-        px.transmittance[i] = 1.0f;
-        px.red[i] = px.green[i] = px.blue[i] = px.z[i] = px.weight[i] = 0.0f;
-        px.last[i] = -1;
+        if (!inside) px.falling[i] = 0.0f;
         alive |= uint32_t(inside) << b;
     }
-    if (EXTRAS) __builtin_memset(extra, 0, sizeof(float) * 256 * job.extras);
+    if (whole) alive = 0xffff;
+    if (EXTRAS) __builtin_memset(extra, 0, sizeof(float) * 256 * size_t(job.extras));
 
-    Item items[kChunk];
-    ConvexItem convexes[kChunk];
-    uint8_t lists[16][kChunk], seen[kChunk];
+    Chunk chunk;
     const uint64_t begin = job.tile_begin[tile], end = job.tile_begin[tile + 1];
     for (uint64_t at = begin; at < end && alive; at += kChunk) {
-        const int n = end - at < kChunk ? int(end - at) : kChunk;
-        int counts[16] = {}, n_convexes = 0;
-        for (int j = 0; j < n; ++j) {
-            if (at + j + 8 < end) prefetch(job, job.entries[at + j + 8].primitive);
-            const uint32_t id = job.entries[at + j].primitive;
-            gather(job, id, x0 + 0.5, y0 + 0.5, items[j], convexes, n_convexes);
-            const uint32_t mask = id < job.n_gaussians ? gaussian_blocks(items[j], job.gaussians[id].radius) : convex_blocks(convexes[items[j].convex]);
-            job.masks[at + j] = uint16_t(mask);
-            seen[j] = 0;
-            for (uint32_t m = mask & alive; m; m &= m - 1) {
-                const int b = __builtin_ctz(m);
-                lists[b][counts[b]++] = uint8_t(j);
-            }
-        }
+        const int ahead = end - at < kChunk + 8 ? int(end - at) : kChunk + 8, n = ahead < kChunk ? ahead : kChunk;
+        gather_chunk(job, at, n, ahead, x0, y0, chunk);
         for (uint32_t m = alive; m; m &= m - 1) {
             const int b = __builtin_ctz(m);
-            if (counts[b] && !forward_block<EXTRAS>(px, extra, job.extras, b, items, convexes, lists[b], counts[b], int32_t(at - begin), seen))
-                alive &= ~(1u << b);
+            const int32_t first = int32_t(at - begin);
+            const bool open = chunk.n_convexes ? forward_block<EXTRAS, true>(px, extra, job.extras, b, chunk, first)
+                                               : forward_block<EXTRAS, false>(px, extra, job.extras, b, chunk, first);
+            if (!open) alive &= ~(1u << b);
         }
-        for (int j = 0; j < n; ++j) {
-            if (!seen[j]) continue;
-            const uint32_t id = job.entries[at + j].primitive;
-            // Several tiles may write the same 1.
-            uint8_t* flag = id < job.n_gaussians ? job.visible_gaussians + id : job.visible_convexes + (id - job.n_gaussians);
-            __atomic_store_n(flag, uint8_t(1), __ATOMIC_RELAXED);
-        }
+        for (int word = 0; word < kChunk / 64; ++word)
+            for (uint64_t m = chunk.seen[word]; m; m &= m - 1) {
+                const uint32_t id = job.entries[at + 64 * word + __builtin_ctzll(m)].primitive;
+                // Several tiles may write the same 1.
+                uint8_t* flag = id < job.n_gaussians ? job.visible_gaussians + id : job.visible_convexes + (id - job.n_gaussians);
+                __atomic_store_n(flag, uint8_t(1), __ATOMIC_RELAXED);
+            }
     }
-    write_pixels(job, px, extra, x0, y0);
+    write_pixels(job, px, extra, x0, y0, int32_t(end - begin));
 }
 
 void forward_tile(const ForwardJob& job, int tile, float* scratch) {

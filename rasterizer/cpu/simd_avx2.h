@@ -63,4 +63,21 @@ inline void sum_lanes(const Float* v, float* out) {
     }
 }
 
+inline void lists_of_bits(const uint16_t* masks, uint64_t (*lists)[2]) {
+    const auto part = [masks](int p) { return _mm256_load_si256(reinterpret_cast<const __m256i*>(masks + 16 * p)); };
+    for (int b = 0; b < 16; ++b) {
+        const __m128i up = _mm_cvtsi32_si128(15 - b);
+        for (int w = 0; w < 2; ++w) {
+            uint64_t list = 0;
+            for (int half = 0; half < 2; ++half) {
+                const __m256i low = _mm256_srai_epi16(_mm256_sll_epi16(part(4 * w + 2 * half), up), 15);
+                const __m256i high = _mm256_srai_epi16(_mm256_sll_epi16(part(4 * w + 2 * half + 1), up), 15);
+                const __m256i bytes = _mm256_permute4x64_epi64(_mm256_packs_epi16(low, high), 0xd8);
+                list |= uint64_t(uint32_t(_mm256_movemask_epi8(bytes))) << (32 * half);
+            }
+            lists[b][w] = list;
+        }
+    }
+}
+
 }  // namespace E4DGS_ISA

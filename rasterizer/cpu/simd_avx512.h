@@ -74,4 +74,15 @@ inline void sum_lanes(const Float* v, float* out) {
     _mm512_storeu_ps(out, single(pairs(column[0], column[1]), pairs(column[2], column[3])));
 }
 
+// lists[b] = which of the 128 masks have bit b.
+inline void lists_of_bits(const uint16_t* masks, uint64_t (*lists)[2]) {
+    __m512i part[4];
+    for (int p = 0; p < 4; ++p) part[p] = _mm512_load_si512(masks + 32 * p);
+    for (int b = 0; b < 16; ++b) {
+        const __m512i bit = _mm512_set1_epi16(short(1 << b));
+        for (int w = 0; w < 2; ++w)
+            lists[b][w] = uint64_t(_mm512_test_epi16_mask(part[2 * w], bit)) | uint64_t(_mm512_test_epi16_mask(part[2 * w + 1], bit)) << 32;
+    }
+}
+
 }  // namespace E4DGS_ISA

@@ -57,4 +57,10 @@ inline void sum_lanes(const Float* v, float* out) {
     for (int k = 0; k < N; ++k) out[k] = (v[k].v[0] + v[k].v[2]) + (v[k].v[1] + v[k].v[3]);
 }
 
+inline void lists_of_bits(const uint16_t* masks, uint64_t (*lists)[2]) {
+    std::memset(lists, 0, 16 * sizeof(*lists));
+    for (int j = 0; j < 128; ++j)
+        for (uint32_t m = masks[j]; m; m &= m - 1) lists[__builtin_ctz(m)][j / 64] |= uint64_t(1) << (j % 64);
+}
+
 }  // namespace E4DGS_ISA

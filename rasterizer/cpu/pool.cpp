@@ -1,0 +1,78 @@
+#include "pool.h"
+
+#include <cstdint>
+#include <cstdlib>
+#include <mutex>
+#include <new>
+#include <vector>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
+namespace e4dgs {
+namespace {
+
+constexpr size_t kSmall = size_t(1) << 18;       // smaller ones are malloc's business
+constexpr size_t kHugePage = size_t(1) << 21;
+constexpr size_t kMostKept = size_t(512) << 20;  // bytes; the rest goes back at once
+
+std::mutex mutex;
+std::vector<Memory> kept;
+size_t kept_bytes = 0;
+
+Memory allocate(size_t bytes) {
+    const size_t alignment = bytes >= kHugePage ? kHugePage : 64;
+    const size_t capacity = (bytes + alignment - 1) / alignment * alignment;
+    void* data = std::aligned_alloc(alignment, capacity);
+    if (!data) throw std::bad_alloc();
+#if defined(__linux__) && defined(MADV_HUGEPAGE)
+    if (alignment == kHugePage) madvise(data, capacity, MADV_HUGEPAGE);  // a wish: without it all still works
+#endif
+    return {data, capacity};
+}
+
+}  // namespace
+
+Memory take_memory(size_t bytes) {
+    if (bytes >= kSmall) {
+        const std::lock_guard<std::mutex> lock(mutex);
+        size_t best = kept.size();
+        for (size_t i = 0; i < kept.size(); ++i)
+            if (kept[i].capacity >= bytes && kept[i].capacity <= 2 * bytes && (best == kept.size() || kept[i].capacity < kept[best].capacity)) best = i;
+        if (best < kept.size()) {
+            const Memory found = kept[best];
+            kept_bytes -= found.capacity;
+            kept.erase(kept.begin() + std::ptrdiff_t(best));
+            return found;
+        }
+    }
+    return allocate(bytes);
+}
+
+void give_memory(Memory memory) {
+    if (!memory.data) return;
+    if (memory.capacity >= kSmall) {
+        const std::lock_guard<std::mutex> lock(mutex);
+        if (kept_bytes + memory.capacity <= kMostKept) {
+            try {
+                kept.push_back(memory);
+                kept_bytes += memory.capacity;
+                return;
+            } catch (const std::bad_alloc&) {  // then it goes back
+            }
+        }
+    }
+    std::free(memory.data);
+}
+
+size_t release_memory() {
+    const std::lock_guard<std::mutex> lock(mutex);
+    const size_t bytes = kept_bytes;
+    for (const Memory& memory : kept) std::free(memory.data);
+    kept.clear();
+    kept_bytes = 0;
+    return bytes;
+}
+
+}  // namespace e4dgs
