@@ -72,7 +72,9 @@ class _Rasterize(torch.autograd.Function):
         grad: dict[str, Any] = {name: None if g is None else g.float().contiguous() for name, g in zip(IMAGES, grads)}
         grad |= {"alpha_image": alpha.detach(), "depth_image": depth.detach()}
         wanted = ctx.needs_input_grad[3:]
-        out = [torch.zeros_like(t) if need and t is not None else None for need, t in zip(wanted, tensors)]
+        # The kernels write every row of a primitive's gradient; K has places that nothing reaches.
+        make = [torch.zeros_like] * LEADING + [torch.empty_like] * (len(tensors) - LEADING)
+        out = [new(t) if need and t is not None else None for new, need, t in zip(make, wanted, tensors)]
         camera: dict[str, Any] = {
             "camera": torch.zeros(16, dtype=torch.float64) if wanted[0] or wanted[1] else None,
             "background": torch.zeros(3, dtype=torch.float64) if wanted[2] else None,
@@ -81,7 +83,8 @@ class _Rasterize(torch.autograd.Function):
         convexes = dict(zip(CONVEX_FIELDS, out[LEADING + len(GAUSSIAN_FIELDS) :]))
         _cpu.backward(ctx.kept, grad, camera, gaussians, convexes, torch.get_num_threads())
         if camera["camera"] is not None:
-            intrinsics = camera["camera"]
+            limit = torch.finfo(torch.float32).max  # scales at the end of float32's range would give infinities here
+            intrinsics = camera["camera"].clamp_(-limit, limit)
             if out[0] is not None:
                 out[0][0, 0], out[0][1, 1], out[0][0, 2], out[0][1, 2] = intrinsics[:4]
             if out[1] is not None:

@@ -6,35 +6,50 @@
 #include <vector>
 
 #include "parallel.h"
+#include "project.h"
 #include "state.h"
 
 #if defined(E4DGS_X86)
-namespace e4dgs_avx2 { extern const e4dgs::Kernels kKernels; }
-namespace e4dgs_avx512 { extern const e4dgs::Kernels kKernels; }
+namespace e4dgs_avx2 {
+extern const e4dgs::Kernels kKernels;
+extern const e4dgs::ProjectKernels kProjectKernels;
+}
+namespace e4dgs_avx512 {
+extern const e4dgs::Kernels kKernels;
+extern const e4dgs::ProjectKernels kProjectKernels;
+}
 #endif
-namespace e4dgs_baseline { extern const e4dgs::Kernels kKernels; }
+namespace e4dgs_baseline {
+extern const e4dgs::Kernels kKernels;
+extern const e4dgs::ProjectKernels kProjectKernels;
+}
 
 namespace e4dgs {
 namespace {
 
+struct Choice {
+    const Kernels* blend;
+    const ProjectKernels* project;
+};
+
 // Best first.
-std::vector<const Kernels*> available() {
-    std::vector<const Kernels*> found;
+std::vector<Choice> available() {
+    std::vector<Choice> found;
 #if defined(E4DGS_X86)
     __builtin_cpu_init();
     const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
     if (avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd") &&
         __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl"))
-        found.push_back(&e4dgs_avx512::kKernels);
-    if (avx2) found.push_back(&e4dgs_avx2::kKernels);
+        found.push_back({&e4dgs_avx512::kKernels, &e4dgs_avx512::kProjectKernels});
+    if (avx2) found.push_back({&e4dgs_avx2::kKernels, &e4dgs_avx2::kProjectKernels});
 #endif
-    found.push_back(&e4dgs_baseline::kKernels);
+    found.push_back({&e4dgs_baseline::kKernels, &e4dgs_baseline::kProjectKernels});
     return found;
 }
 
-const Kernels*& chosen() {
-    static const Kernels* kernels = available().front();
-    return kernels;
+Choice& chosen() {
+    static Choice choice = available().front();
+    return choice;
 }
 
 void fill_job(const State& state, TileJob& job) {
@@ -53,11 +68,12 @@ void fill_job(const State& state, TileJob& job) {
 
 }  // namespace
 
-const Kernels& kernels() { return *chosen(); }
+const Kernels& kernels() { return *chosen().blend; }
+const ProjectKernels& project_kernels() { return *chosen().project; }
 
 bool select_kernels(const char* name) {
-    for (const Kernels* k : available())
-        if (std::string_view(k->name) == name) return chosen() = k, true;
+    for (const Choice& choice : available())
+        if (std::string_view(choice.blend->name) == name) return chosen() = choice, true;
     return false;
 }
 

@@ -7,6 +7,7 @@ namespace {
 
 using namespace e4dgs;
 
+#include "elementary.inl"
 #include "alpha.inl"
 #include "forward.inl"
 #include "backward.inl"

@@ -8,20 +8,28 @@
 
 namespace e4dgs {
 
+// Tile t holds the pixel centres kTile t + 0.5 ... kTile t + kTile - 0.5.
+inline int first_tile(double low) { return int(std::ceil((low - (kTile - 0.5)) / kTile)); }
+inline int last_tile(double high) { return int(std::floor((high - 0.5) / kTile)); }
+
+// The tiles that the bounding box of `bounds` meets; false: none.
+template <class Bounds>
+bool tile_box(const Bounds& bounds, int width, int height, TileBox& box) {
+    const double low_x = std::max(bounds.low_x(), 0.5), high_x = std::min(bounds.high_x(), width - 0.5);
+    const double low_y = std::max(bounds.low_y(), 0.5), high_y = std::min(bounds.high_y(), height - 0.5);
+    if (!(low_x <= high_x && low_y <= high_y)) return false;
+    box = {uint16_t(first_tile(low_x)), uint16_t(last_tile(high_x) + 1), uint16_t(first_tile(low_y)), uint16_t(last_tile(high_y) + 1)};
+    return box.x0 < box.x1 && box.y0 < box.y1;
+}
+
 // The ellipse u^2 + v^2 <= radius^2.
 class GaussianBounds {
 public:
     explicit GaussianBounds(const GaussianRecord& r) : r_(r), radius2_(double(r.radius) * r.radius) {
         const double h = std::sqrt(r.f[1] * r.f[1] + r.f[2] * r.f[2]);
-        high_x_ = r.radius * h / (r.f[0] * r.f[2]);
         high_y_ = r.radius / r.f[2];
         rightmost_y_ = -r.radius * r.f[1] / h / r.f[2];
     }
-    double low_x() const { return r_.x - high_x_; }
-    double high_x() const { return r_.x + high_x_; }
-    double low_y() const { return r_.y - high_y_; }
-    double high_y() const { return r_.y + high_y_; }
-
     // x range over the rows ya..yb (pixel centres); false: none.
     bool x_range(double ya, double yb, double& low, double& high) const {
         const double a = std::max(ya - r_.y, -high_y_), b = std::min(yb - r_.y, high_y_);
@@ -38,7 +46,7 @@ private:
         return std::sqrt(std::max(0.0, radius2_ - v * v));
     }
     const GaussianRecord& r_;
-    double radius2_, high_x_, high_y_, rightmost_y_;
+    double radius2_, high_y_, rightmost_y_;
 };
 
 // The image, clipped by L_i <= limit for every edge.

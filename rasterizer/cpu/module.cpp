@@ -104,7 +104,7 @@ std::unique_ptr<Frame> forward(const nb::dict& camera, const nb::dict& gaussians
         Clock clock;
         preprocess(state, threads);
         clock(state.seconds.preprocess);
-        sort_by_depth(state);
+        sort_by_depth(state, threads);
         clock(state.seconds.sort);
         distribute(state, threads);
         clock(state.seconds.distribute);

@@ -1,18 +1,18 @@
-// Every primitive on its own: cull, project, colour. A primitive with a non-finite or out-of-range value is culled alone.
+// Every primitive on its own: cull, project, colour. A primitive with a non-finite or out-of-range value is culled alone. Gaussians
+// go through project.inl, many at a time; convexes one by one here.
 #include <bit>
 #include <cmath>
 #include <limits>
 
+#include "bounds.h"
 #include "convex.h"
-#include "gaussian.h"
 #include "parallel.h"
+#include "project.h"
 #include "sh.h"
 #include "state.h"
 
 namespace e4dgs {
 namespace {
-
-constexpr double kSlack = 1e-4;  // supports are enlarged by this much (in exponents) so that rounding never cuts a visible pixel
 
 constexpr double kLargest = std::numeric_limits<float>::max();
 
@@ -53,35 +53,7 @@ void colour(const Looks& in, int64_t i, const Camera<double>& camera, const doub
     for (int k = 0; k < 3; ++k) out[k] = float(c[k]);
 }
 
-bool gaussian(const State& state, int64_t i, GaussianRecord& record, double& z) {
-    const SceneInput& scene = state.scene;
-    const GaussianInput& in = scene.gaussians;
-    const float* mean = in.means + 3 * i;
-    if (!finite(mean, 3) || !finite(in.quats + 4 * i, 4) || !positive(in.scales + 3 * i, 3)) return false;
-    const float opacity = in.opacities[i];
-    if (!(opacity >= kMinAlpha && opacity <= 1.0f)) return false;  // fainter ones never reach the cut
-
-    GaussianView<double> view;
-    if (!project_gaussian(scene.camera, mean, in.quats + 4 * i, in.scales + 3 * i, view)) return false;
-    if (!std::isfinite(view.det) || !std::isfinite(view.cov[0] + view.cov[2])) return false;
-    const double exponent = std::log2(double(opacity)), radius2 = exponent + kLog2Of255 + kSlack;
-    const double reach = radius2 * 2 / kLog2E, rx = std::sqrt(reach * view.cov[0]), ry = std::sqrt(reach * view.cov[2]);
-    const double x = view.mean[0], y = view.mean[1];
-    if (!(x + rx >= 0.5 && x - rx <= scene.camera.width - 0.5 && y + ry >= 0.5 && y - ry <= scene.camera.height - 0.5)) return false;
-    if (!usable(in, i, scene.extras) || !(view.p[2] <= kLargest)) return false;
-
-    z = view.p[2];
-    record.x = x, record.y = y;
-    exponent_factor(view, record.f);
-    record.exponent = float(exponent);
-    record.radius = float(std::sqrt(radius2)) * 1.00001f;
-    record.z = float(z);
-    const double position[3] = {mean[0], mean[1], mean[2]};
-    colour(in, i, scene.camera, position, record.color);
-    return true;
-}
-
-bool convex(const State& state, int64_t i, ConvexRecord& record, double& z) {
+bool convex(const State& state, int64_t i, ConvexRecord& record, TileBox& box, double& z) {
     const SceneInput& scene = state.scene;
     const ConvexInput& in = scene.convexes;
     const int points = in.points_each;
@@ -108,6 +80,7 @@ bool convex(const State& state, int64_t i, ConvexRecord& record, double& z) {
     double sum = record.limit;
     for (int k = 0; k < view.n; ++k) sum += record.A[k] + record.B[k] + record.C[k];
     if (!std::isfinite(sum) || !std::isfinite(record.rho) || !(view.zc <= kLargest)) return false;
+    if (!tile_box(ConvexBounds(record, scene.camera.width, scene.camera.height), scene.camera.width, scene.camera.height, box)) return false;
     z = view.zc;
     record.z = float(z);
     colour(in, i, scene.camera, centre, record.color);
@@ -122,13 +95,13 @@ void preprocess(State& state, int threads) {
     state.convexes.resize(m);
     state.depth.resize(n + m);
     constexpr double culled = std::numeric_limits<double>::quiet_NaN();
-    parallel_blocks(n, 256, threads, [&](int64_t first, int64_t last, int64_t) {
+    state.boxes.resize(n + m);
+    const ProjectJob job{&state.scene, state.gaussians.data(), state.depth.data(), state.boxes.data()};
+    const auto project = project_kernels().project;
+    parallel_blocks(n, kProjectBlock, threads, [&](int64_t first, int64_t last, int64_t) { project(job, first, last); });
+    parallel_blocks(m, 64, threads, [&](int64_t first, int64_t last, int64_t) {
         for (int64_t i = first; i < last; ++i)
-            if (!gaussian(state, i, state.gaussians[i], state.depth[i])) state.depth[i] = culled;
-    });
-    parallel_blocks(m, 128, threads, [&](int64_t first, int64_t last, int64_t) {
-        for (int64_t i = first; i < last; ++i)
-            if (!convex(state, i, state.convexes[i], state.depth[n + i])) state.depth[n + i] = culled;
+            if (!convex(state, i, state.convexes[i], state.boxes[n + i], state.depth[n + i])) state.depth[n + i] = culled;
     });
 }
 

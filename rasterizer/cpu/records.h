@@ -29,6 +29,12 @@ struct ConvexRecord {
     int n;
 };
 
+// The tiles that a primitive's bounding box meets, last excluded.
+struct TileBox {
+    uint16_t x0, x1, y0, y1;
+    bool wide() const { return x1 - x0 > 1 && y1 - y0 > 1; }  // there is something to gain from looking closer
+};
+
 // Primitives are numbered through: Gaussians 0..N-1, convexes N..N+M-1.
 struct Entry {
     uint32_t primitive;

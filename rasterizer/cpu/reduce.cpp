@@ -1,10 +1,13 @@
 // The backward pass behind the tiles: sum every primitive's slots in the order of its tiles, then back through projection,
-// hull and colour to the inputs. Sums run in a fixed order in double, so threads do not change a bit.
+// hull and colour to the inputs. Sums run in a fixed order in double, so threads do not change a bit. Gaussians go through project.inl,
+// many at a time; convexes one by one here.
+#include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "convex.h"
-#include "gaussian.h"
 #include "parallel.h"
+#include "project.h"
 #include "sh.h"
 #include "state.h"
 
@@ -36,7 +39,7 @@ struct Reducer {
     void sum_extras(int64_t k, uint32_t units, int at, float* grad) const {
         for (int e = 0; e < state.scene.extras; ++e) {
             double total = 0;
-            for (uint64_t s = state.slot_begin[k]; s < state.slot_begin[k + 1]; s += units)
+            for (uint64_t s = state.slot_begin[k]; extras && s < state.slot_begin[k + 1]; s += units)
                 if (touched[s]) total += slots[4 * s + at + e];
             grad[e] = float(total);
         }
@@ -62,41 +65,27 @@ struct Reducer {
         }
     }
 
-    void gaussian(int64_t k, CameraGrad<double>& camera) const {
-        const int64_t i = k;
-        const uint32_t units = uint32_t(state.gaussian_units());
-        double s[10];
-        if (!sum(k, units, 10, s)) return;
-        const GaussianInput& in = state.scene.gaussians;
-        const GaussianGrad& grad = out.gaussians;
-        if (extras && grad.extras) sum_extras(k, units, 10, grad.extras + i * state.scene.extras);
-        if (grad.opacities) grad.opacities[i] = float(s[4] / in.opacities[i]);
-
-        GaussianView<double> view;
-        project_gaussian(state.scene.camera, in.means + 3 * i, in.quats + 4 * i, in.scales + 3 * i, view);
-        double dmean2[2], dcov[3], dmean[3] = {}, dquat[4] = {}, dscale[3] = {}, moments[5];
-        for (int j = 0; j < 5; ++j) moments[j] = s[5 + j] * kLn2;  // alpha = 2^e
-        moments_backward(state.gaussians[i].f, moments, dmean2, dcov);
-        project_gaussian_backward(state.scene.camera, view, in.means + 3 * i, in.scales + 3 * i, dmean2, dcov, s[3], dmean, dquat, dscale, camera);
-        const double position[3] = {in.means[3 * i], in.means[3 * i + 1], in.means[3 * i + 2]};
-        colour(in, grad, i, position, s, dmean, camera);
-        for (int j = 0; j < 3; ++j) {
-            if (grad.means) grad.means[3 * i + j] = float(dmean[j]);
-            if (grad.scales) grad.scales[3 * i + j] = float(dscale[j]);
-        }
-        for (int j = 0; grad.quats && j < 4; ++j) grad.quats[4 * i + j] = float(dquat[j]);
+    void zero_row(int64_t i) const {
+        const ConvexInput& in = state.scene.convexes;
+        const ConvexGrad& grad = out.convexes;
+        const auto clear = [i](float* to, int width) {
+            if (to) std::fill_n(to + i * width, width, 0.0f);
+        };
+        clear(grad.points, 3 * in.points_each), clear(grad.tau, 1), clear(grad.kappa, 1), clear(grad.opacities, 1);
+        clear(grad.colors, 3), clear(grad.sh, (in.degree + 1) * (in.degree + 1) * 3), clear(grad.extras, state.scene.extras);
     }
 
     void convex(int64_t k, CameraGrad<double>& camera) const {
         const int64_t i = k - state.scene.gaussians.n;
         const uint32_t units = uint32_t(state.convex_units());
+        if (state.slot_begin[k] == state.slot_begin[k + 1]) return zero_row(i);  // culled: its record may be empty
         const ConvexRecord& record = state.convexes[i];
         const ConvexInput& in = state.scene.convexes;
         const ConvexGrad& grad = out.convexes;
         const int points = in.points_each, shape = 6 + 3 * record.n;
         double s[kMost];
-        if (!sum(k, units, shape, s)) return;
-        if (extras && grad.extras) sum_extras(k, units, shape, grad.extras + i * state.scene.extras);
+        if (!sum(k, units, shape, s)) return zero_row(i);
+        if (grad.extras) sum_extras(k, units, shape, grad.extras + i * state.scene.extras);
         if (grad.opacities) grad.opacities[i] = float(s[4] / in.opacities[i]);
 
         ConvexView<double> view;
@@ -119,6 +108,15 @@ struct Reducer {
     }
 };
 
+// fx fy cx cy, then the 3x4 of cam_from_world.
+void write_camera(const CameraGrad<double>& grad, double* out) {
+    out[0] = grad.fx, out[1] = grad.fy, out[2] = grad.cx, out[3] = grad.cy;
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) out[4 + 4 * i + j] = grad.R[3 * i + j];
+        out[4 + 4 * i + 3] = grad.t[i];
+    }
+}
+
 }  // namespace
 
 void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, int threads) {
@@ -128,27 +126,25 @@ void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, i
     blend_backward(state, grad, slots, touched, out.background, threads);
     clock(state.seconds.blend_backward);
 
-    const int64_t n = int64_t(state.depth.size());
+    const int64_t n = state.scene.gaussians.n, m = state.scene.convexes.n;
+    const int64_t blocks = (n + kProjectBlock - 1) / kProjectBlock;
+    std::vector<double> parts(16 * size_t(blocks + (m + kGrain - 1) / kGrain));
+    const BackprojectJob job{&state.scene,   state.gaussians.data(), state.slot_begin.data(), slots.data(), touched.data(),
+                             uint32_t(state.gaussian_units()), grad.extras != nullptr, out.gaussians};
+    const auto backproject = project_kernels().backproject;
+    parallel_blocks(n, kProjectBlock, threads, [&](int64_t first, int64_t last, int64_t block) {
+        backproject(job, first, last, out.camera ? parts.data() + 16 * block : nullptr);
+    });
     const Reducer reducer{state, out, slots.data(), touched.data(), grad.extras != nullptr};
-    std::vector<CameraGrad<double>> parts((n + kGrain - 1) / kGrain);
-    parallel_blocks(n, kGrain, threads, [&](int64_t first, int64_t last, int64_t block) {
+    parallel_blocks(m, kGrain, threads, [&](int64_t first, int64_t last, int64_t block) {
         CameraGrad<double> camera{};
-        for (int64_t k = first; k < last; ++k) {
-            if (state.slot_begin[k] == state.slot_begin[k + 1]) continue;  // culled, or in no tile: its record may be empty
-            k < state.scene.gaussians.n ? reducer.gaussian(k, camera) : reducer.convex(k, camera);
-        }
-        parts[block] = camera;
+        for (int64_t i = first; i < last; ++i) reducer.convex(n + i, camera);
+        write_camera(camera, parts.data() + 16 * (blocks + block));
     });
     clock(state.seconds.reduce);
     if (!out.camera) return;
     for (int i = 0; i < 16; ++i) out.camera[i] = 0;
-    for (const CameraGrad<double>& p : parts) {
-        out.camera[0] += p.fx, out.camera[1] += p.fy, out.camera[2] += p.cx, out.camera[3] += p.cy;
-        for (int i = 0; i < 3; ++i) {
-            for (int j = 0; j < 3; ++j) out.camera[4 + 4 * i + j] += p.R[3 * i + j];
-            out.camera[4 + 4 * i + 3] += p.t[i];
-        }
-    }
+    for (size_t at = 0; at < parts.size(); ++at) out.camera[at % 16] += parts[at];
 }
 
 }  // namespace e4dgs

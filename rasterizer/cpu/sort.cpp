@@ -1,10 +1,11 @@
 // Depth order: a radix sort of the depths as floats, then runs of equal floats put right by their full precision. Stable, so
-// ties keep the order of the input, Gaussians before convexes.
+// ties keep the order of the input, Gaussians before convexes; a stable order is the same for any number of threads.
 #include <algorithm>
 #include <bit>
 #include <cmath>
-#include <cstring>
+#include <vector>
 
+#include "parallel.h"
 #include "state.h"
 
 namespace e4dgs {
@@ -14,35 +15,74 @@ struct Key {
     uint32_t bits, primitive;
 };
 
-// Positive floats sort like their bits.
-void radix_sort(Buffer<Key>& keys, size_t n) {
-    constexpr int kBits = 11, kBuckets = 1 << kBits;
-    Buffer<Key> other(n);
-    for (int shift = 0; shift < 32; shift += kBits) {
-        size_t count[kBuckets] = {};
-        for (size_t i = 0; i < n; ++i) ++count[(keys[i].bits >> shift) & (kBuckets - 1)];
-        size_t sum = 0;
-        for (size_t& c : count) {
-            const size_t here = c;
-            c = sum, sum += here;
+constexpr int kMostBits = 11;  // of a digit
+
+struct Ranges {  // contiguous shares of n things
+    int64_t n, count;
+    Ranges(int64_t size, int threads) : n(size), count(std::max<int64_t>(1, std::min<int64_t>(threads, size / 8192))) {}
+    int64_t begin(int64_t r) const { return n * r / count; }
+};
+
+// By the digit of `width` bits from `shift` on: each range counts, then fills its own places.
+void scatter(const Buffer<Key>& from, Buffer<Key>& to, int64_t n, int shift, int width, int threads) {
+    const Ranges ranges(n, threads);
+    const uint32_t buckets = 1u << width, mask = buckets - 1;
+    std::vector<uint32_t> at(size_t(ranges.count) * buckets, 0u);
+    parallel_blocks(ranges.count, 1, threads, [&](int64_t r, int64_t, int64_t) {
+        uint32_t* count = at.data() + r * buckets;
+        for (int64_t i = ranges.begin(r); i < ranges.begin(r + 1); ++i) ++count[(from[i].bits >> shift) & mask];
+    });
+    uint32_t sum = 0;
+    for (uint32_t b = 0; b < buckets; ++b)
+        for (int64_t r = 0; r < ranges.count; ++r) {
+            const uint32_t here = at[r * buckets + b];
+            at[r * buckets + b] = sum, sum += here;
         }
-        for (size_t i = 0; i < n; ++i) other[count[(keys[i].bits >> shift) & (kBuckets - 1)]++] = keys[i];
-        std::swap(keys, other);
-    }
+    parallel_blocks(ranges.count, 1, threads, [&](int64_t r, int64_t, int64_t) {
+        uint32_t* next = at.data() + r * buckets;
+        for (int64_t i = ranges.begin(r); i < ranges.begin(r + 1); ++i) to[next[(from[i].bits >> shift) & mask]++] = from[i];
+    });
+}
+
+// The keys of what was not culled, in the order of the input, from the least depth's bits on: positive floats sort like their bits.
+int64_t collect(const State& state, Buffer<Key>& keys, uint32_t& most, int threads) {
+    const int64_t total = int64_t(state.depth.size());
+    const Ranges ranges(total, threads);
+    std::vector<int64_t> first(ranges.count + 1, 0);
+    std::vector<uint32_t> low(ranges.count, ~0u), high(ranges.count, 0u);
+    parallel_blocks(ranges.count, 1, threads, [&](int64_t r, int64_t, int64_t) {
+        for (int64_t i = ranges.begin(r); i < ranges.begin(r + 1); ++i) {
+            if (std::isnan(state.depth[i])) continue;
+            const uint32_t bits = std::bit_cast<uint32_t>(float(state.depth[i]));
+            ++first[r + 1], low[r] = std::min(low[r], bits), high[r] = std::max(high[r], bits);
+        }
+    });
+    for (int64_t r = 0; r < ranges.count; ++r) first[r + 1] += first[r];
+    const uint32_t least = *std::min_element(low.begin(), low.end());
+    most = first.back() ? *std::max_element(high.begin(), high.end()) - least : 0;
+    parallel_blocks(ranges.count, 1, threads, [&](int64_t r, int64_t, int64_t) {
+        int64_t at = first[r];
+        for (int64_t i = ranges.begin(r); i < ranges.begin(r + 1); ++i)
+            if (!std::isnan(state.depth[i])) keys[at++] = {std::bit_cast<uint32_t>(float(state.depth[i])) - least, uint32_t(i)};
+    });
+    return first.back();
 }
 
 }  // namespace
 
-void sort_by_depth(State& state) {
+void sort_by_depth(State& state, int threads) {
     const size_t total = state.depth.size();
-    Buffer<Key> keys(total);
-    size_t n = 0;
-    for (size_t i = 0; i < total; ++i)
-        if (!std::isnan(state.depth[i])) keys[n++] = {std::bit_cast<uint32_t>(float(state.depth[i])), uint32_t(i)};
-    radix_sort(keys, n);
-
-    for (size_t first = 0; first < n;) {
-        size_t last = first + 1;
+    Buffer<Key> keys(total), other(total);
+    uint32_t most;
+    const int64_t n = collect(state, keys, most, threads);
+    const int bits = int(std::bit_width(most)), passes = (bits + kMostBits - 1) / kMostBits;
+    for (int pass = 0; pass < passes; ++pass) {
+        const int from = bits * pass / passes, to = bits * (pass + 1) / passes;
+        scatter(keys, other, n, from, to - from, threads);
+        std::swap(keys, other);
+    }
+    for (int64_t first = 0; first < n;) {
+        int64_t last = first + 1;
         while (last < n && keys[last].bits == keys[first].bits) ++last;
         if (last - first > 1)
             std::stable_sort(keys.data() + first, keys.data() + last,
@@ -50,7 +90,7 @@ void sort_by_depth(State& state) {
         first = last;
     }
     state.order.resize(n);
-    for (size_t i = 0; i < n; ++i) state.order[i] = keys[i].primitive;
+    for (int64_t i = 0; i < n; ++i) state.order[i] = keys[i].primitive;
 }
 
 }  // namespace e4dgs

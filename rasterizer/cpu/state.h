@@ -36,8 +36,9 @@ struct State {
     int tiles_x = 0, tiles_y = 0;
     Buffer<GaussianRecord> gaussians;
     Buffer<ConvexRecord> convexes;
-    Buffer<double> depth;         // [N+M], z; NaN where culled
-    Buffer<uint32_t> order;       // surviving primitives, front to back
+    Buffer<double> depth;         // [N+M], z; NaN where culled or in no tile
+    Buffer<TileBox> boxes;        // [N+M]
+    Buffer<uint32_t> order;       // the others, front to back
     Buffer<uint32_t> slot_begin;  // [N+M+1], in units of 4 floats
     Buffer<uint64_t> tile_begin;  // [tiles + 1]
     Buffer<Entry> entries;        // by tile, front to back
@@ -57,8 +58,8 @@ struct PairCount {
     uint64_t blended;  // those in front of their pixel's stop
 };
 
-void preprocess(State& state, int threads);              // records, depth
-void sort_by_depth(State& state);                        // order
+void preprocess(State& state, int threads);              // records, depth, boxes
+void sort_by_depth(State& state, int threads);           // order
 void distribute(State& state, int threads);              // tile_begin, entries, slot_begin
 void blend_forward(State& state, const FrameOutput& out, bool keep, int threads);
 void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background, int threads);

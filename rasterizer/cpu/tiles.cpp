@@ -2,6 +2,7 @@
 // order are counted and filled separately and put side by side, so the result is the same for any number of ranges.
 #include <cmath>
 #include <stdexcept>
+#include <string>
 
 #include "bounds.h"
 #include "parallel.h"
@@ -14,16 +15,7 @@ struct Span {
     uint16_t first, last;  // tiles of one row, last excluded
 };
 
-struct Rows {
-    uint16_t first, last;  // rows of tiles, last excluded
-};
-
-struct Range {  // of the order
-    std::vector<Rows> rows;
-    std::vector<Span> spans;
-};
-
-constexpr int kAhead = 12;  // records are visited in order of depth, which is no order in memory
+constexpr int kAhead = 16;  // boxes and records are visited in order of depth, which is no order in memory
 
 // Inlined by force: the compiler takes a function that only prefetches for one without effect, and drops its calls.
 __attribute__((always_inline)) inline void prefetch(const State& state, uint32_t id) {
@@ -34,43 +26,42 @@ __attribute__((always_inline)) inline void prefetch(const State& state, uint32_t
 }
 
 template <class Bounds>
-uint32_t find_spans(const State& state, const Bounds& bounds, Range& range) {
+Span span_of_row(const State& state, const Bounds& bounds, int ty) {
     const int width = state.scene.camera.width, height = state.scene.camera.height;
-    // Tile t holds the pixel centres kTile t + 0.5 ... kTile t + kTile - 0.5.
-    const auto first_tile = [](double low) { return int(std::ceil((low - (kTile - 0.5)) / kTile)); };
-    const auto last_tile = [](double high) { return int(std::floor((high - 0.5) / kTile)); };
-    const double low_y = std::max(bounds.low_y(), 0.5), high_y = std::min(bounds.high_y(), height - 0.5);
-    const double low_x = std::max(bounds.low_x(), 0.5), high_x = std::min(bounds.high_x(), width - 0.5);
-    uint32_t tiles = 0;
-    Rows rows{0, 0};
-    Span box{0, 0};
-    if (low_y <= high_y && low_x <= high_x) {
-        box = {uint16_t(first_tile(low_x)), uint16_t(last_tile(high_x) + 1)};
+    double low, high;
+    const double ya = ty * kTile + 0.5, yb = std::min(ya + kTile - 1, height - 0.5);
+    if (!bounds.x_range(ya, yb, low, high)) return {0, 0};
+    low = std::max(low, 0.5), high = std::min(high, width - 0.5);
+    const int a = first_tile(low), b = last_tile(high) + 1;
+    if (!(low <= high && a < b)) return {0, 0};
+    return {uint16_t(a), uint16_t(b)};
+}
 
-        rows.first = uint16_t(std::max(first_tile(low_y), 0));
-        rows.last = uint16_t(std::min(last_tile(high_y), state.tiles_y - 1) + 1);
-        if (rows.last < rows.first) rows.last = rows.first;
+// Spans of the box's rows, appended; where the box is wide in both directions, no longer than the support needs.
+void find_spans(const State& state, uint32_t id, const TileBox& box, std::vector<Span>& spans) {
+    const uint32_t n = uint32_t(state.gaussians.size());
+    const auto each_row = [&](const auto& bounds) {
+        for (int ty = box.y0; ty < box.y1; ++ty) spans.push_back(span_of_row(state, bounds, ty));
+    };
+    if (id < n)
+        each_row(GaussianBounds(state.gaussians[id]));
+    else
+        each_row(ConvexBounds(state.convexes[id - n], state.scene.camera.width, state.scene.camera.height));
+}
+
+// What pass two needs again of the primitives of one range of the order.
+struct Range {
+    std::vector<Span> spans;  // of wide primitives
+};
+
+// f(row, first, last) for each row of tiles of primitive `id`; `span` moves on over the wide ones' spans.
+template <class F>
+inline void for_rows(const TileBox& box, const Span*& span, F&& f) {
+    if (!box.wide()) {
+        for (int ty = box.y0; ty < box.y1; ++ty) f(ty, box.x0, box.x1);
+        return;
     }
-    for (int ty = rows.first; ty < rows.last; ++ty) {
-        if (box.last <= box.first + 1) {  // nothing to gain from looking closer
-            if (box.last < box.first) box.last = box.first;
-            tiles += box.last - box.first;
-            range.spans.push_back(box);
-            continue;
-        }
-        double low, high;
-        const double ya = ty * kTile + 0.5, yb = std::min(ya + kTile - 1, height - 0.5);
-        Span span{0, 0};
-        if (bounds.x_range(ya, yb, low, high)) {
-            low = std::max(low, 0.5), high = std::min(high, width - 0.5);
-            const int a = first_tile(low), b = last_tile(high) + 1;
-            if (low <= high && a < b) span = {uint16_t(a), uint16_t(b)};
-        }
-        tiles += span.last - span.first;
-        range.spans.push_back(span);
-    }
-    range.rows.push_back(rows);
-    return tiles;
+    for (int ty = box.y0; ty < box.y1; ++ty, ++span) f(ty, span->first, span->last);
 }
 
 }  // namespace
@@ -85,28 +76,27 @@ void distribute(State& state, int threads) {
     Buffer<uint64_t> at(size_t(ranges) * tiles);  // first counts, then where each range's next entry of a tile goes
     std::fill(at.begin(), at.end(), 0);
     const size_t total = state.depth.size();
+    const uint32_t gaussian_units = uint32_t(state.gaussian_units()), convex_units = uint32_t(state.convex_units());
     state.slot_begin.resize(total + 1);
     std::fill(state.slot_begin.begin(), state.slot_begin.end(), 0u);
 
     parallel_blocks(ranges, 1, threads, [&](int64_t r, int64_t, int64_t) {
         Range& part = parts[r];
         uint64_t* count = at.data() + r * tiles;
-        part.rows.reserve(limit(r + 1) - limit(r));
         for (int64_t k = limit(r); k < limit(r + 1); ++k) {
-            if (k + kAhead < n) prefetch(state, state.order[k + kAhead]);
+            if (k + 2 * kAhead < n) __builtin_prefetch(&state.boxes[state.order[k + 2 * kAhead]]);
+            if (k + kAhead < n && state.boxes[state.order[k + kAhead]].wide()) prefetch(state, state.order[k + kAhead]);
             const uint32_t id = state.order[k];
+            const TileBox box = state.boxes[id];
             const size_t first_span = part.spans.size();
-            uint32_t found;
-            if (id < n_gaussians)
-                found = find_spans(state, GaussianBounds(state.gaussians[id]), part);
-            else
-                found = find_spans(state, ConvexBounds(state.convexes[id - n_gaussians], state.scene.camera.width, state.scene.camera.height), part);
-            state.slot_begin[id] = found * uint32_t(id < n_gaussians ? state.gaussian_units() : state.convex_units());
-            const Rows rows = part.rows.back();
-            for (int ty = rows.first; ty < rows.last; ++ty) {
-                const Span span = part.spans[first_span + ty - rows.first];
-                for (int tx = span.first; tx < span.last; ++tx) ++count[ty * state.tiles_x + tx];
-            }
+            if (box.wide()) find_spans(state, id, box, part.spans);
+            const Span* span = part.spans.data() + first_span;
+            uint32_t found = 0;
+            for_rows(box, span, [&](int ty, int first, int last) {
+                found += uint32_t(last - first);
+                for (int tx = first; tx < last; ++tx) ++count[ty * state.tiles_x + tx];
+            });
+            state.slot_begin[id] = found * (id < n_gaussians ? gaussian_units : convex_units);
         }
     });
 
@@ -132,19 +122,16 @@ void distribute(State& state, int threads) {
     state.masks.resize(entries);
 
     parallel_blocks(ranges, 1, threads, [&](int64_t r, int64_t, int64_t) {
-        const Range& part = parts[r];
         uint64_t* next = at.data() + r * tiles;
-        const Span* span = part.spans.data();
+        const Span* span = parts[r].spans.data();
         for (int64_t k = limit(r); k < limit(r + 1); ++k) {
+            if (k + kAhead < n) __builtin_prefetch(&state.boxes[state.order[k + kAhead]]), __builtin_prefetch(&state.slot_begin[state.order[k + kAhead]]);
             const uint32_t id = state.order[k];
-            const uint32_t units_each = uint32_t(id < n_gaussians ? state.gaussian_units() : state.convex_units());
+            const uint32_t units_each = id < n_gaussians ? gaussian_units : convex_units;
             uint32_t slot = state.slot_begin[id];
-            const Rows rows = part.rows[k - limit(r)];
-            for (int ty = rows.first; ty < rows.last; ++ty, ++span)
-                for (int tx = span->first; tx < span->last; ++tx) {
-                    state.entries[next[ty * state.tiles_x + tx]++] = {id, slot};
-                    slot += units_each;
-                }
+            for_rows(state.boxes[id], span, [&](int ty, int first, int last) {
+                for (int tx = first; tx < last; ++tx, slot += units_each) state.entries[next[ty * state.tiles_x + tx]++] = {id, slot};
+            });
         }
     });
 }

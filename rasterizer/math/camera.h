@@ -32,8 +32,8 @@ E4DGS_HD void to_camera(const Camera<T>& cam, const S* world, T* p) {
 }
 
 // dworld += R^T dp; the camera's share goes to grad.
-template <class T, class S>
-E4DGS_HD void to_camera_backward(const Camera<T>& cam, const S* world, const T* dp, T* dworld, CameraGrad<T>& grad) {
+template <class T, class S, class G>
+E4DGS_HD void to_camera_backward(const Camera<T>& cam, const S* world, const T* dp, T* dworld, G& grad) {
     for (int i = 0; i < 3; ++i) {
         for (int j = 0; j < 3; ++j) {
             dworld[j] += cam.R[3 * i + j] * dp[i];
@@ -44,8 +44,8 @@ E4DGS_HD void to_camera_backward(const Camera<T>& cam, const S* world, const T* 
 }
 
 // centre = -R^T t
-template <class T>
-E4DGS_HD void centre_backward(const Camera<T>& cam, const T* dcentre, CameraGrad<T>& grad) {
+template <class T, class G>
+E4DGS_HD void centre_backward(const Camera<T>& cam, const T* dcentre, G& grad) {
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) {
             grad.R[3 * i + j] -= cam.t[i] * dcentre[j];

@@ -21,6 +21,20 @@ constexpr double kLn2 = 0.6931471805599453;
 constexpr double kLog2E = 1.4426950408889634;
 constexpr float kLog2Of255 = 7.994353436858858f;  // exponents below its negative are alphas below 1/255
 
+// What a comparison of two T gives: T may be a vector of numbers.
+template <class T>
+struct TruthOf {
+    using type = bool;
+};
+template <class T>
+using Truth = typename TruthOf<T>::type;
+
+template <class T>
+E4DGS_HD T choose(bool condition, T a, T b) {
+    return condition ? a : b;
+}
+E4DGS_HD bool none(bool condition) { return !condition; }
+
 template <class T>
 E4DGS_HD T larger(T a, T b) {
     return a > b ? a : b;

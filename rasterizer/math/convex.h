@@ -104,10 +104,10 @@ E4DGS_HD void edge_lines(const Camera<T>& cam, const ConvexView<T>& v, T tau, T 
 
 // gA, gB, gC: gradients of the lines' coefficients; drho: of kappa / tau; dz: of the centroid's depth. dpoints [K][3], dtau,
 // dkappa are added to. A vanishing edge's gradient is gC_i / l_i with gC_i proportional to w_i: finite.
-template <class T, class S>
+template <class T, class S, class G>
 E4DGS_HD void project_convex_backward(const Camera<T>& cam, const ConvexView<T>& v, const S* points, T tau, T kappa, T x0, T y0,
                                       const T* gA, const T* gB, const T* gC, T drho, T dz, T* dpoints, T& dtau, T& dkappa,
-                                      CameraGrad<T>& grad) {
+                                      G& grad) {
     const T k = tau * v.zc * T(kLog2E), dx0 = (x0 - cam.cx) / cam.fx, dy0 = (y0 - cam.cy) / cam.fy;
     T dx[kMaxPoints] = {}, dy[kMaxPoints] = {}, dk = T(0), total = T(0);
     for (int i = 0; i < v.n; ++i) total += gC[i];

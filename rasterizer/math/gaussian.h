@@ -14,30 +14,32 @@ struct GaussianView {
     T rot[9];         // of the quaternion
     T m[9];           // rot * diag(scale)
     T slope[2];       // x/z, y/z as the Jacobian uses them
-    bool clamped[2];
+    Truth<T> clamped[2];
     T tm[6];          // Jacobian * R, 2x3
     T b[6];           // tm * m, 2x3; cov = b b^T + 0.3 I
 };
 
 template <class T>
-E4DGS_HD void clamp_slope(T slope, int size, T focal, T principal, T& value, bool& clamped) {
+E4DGS_HD void clamp_slope(T slope, int size, T focal, T principal, T& value, Truth<T>& clamped) {
     const T margin = T(0.3) * T(size) / (2 * focal);
     const T low = -principal / focal - margin, high = (T(size) - principal) / focal + margin;
-    clamped = slope < low || slope > high;
-    value = slope < low ? low : slope > high ? high : slope;
+    clamped = (slope < low) | (slope > high);
+    value = choose(slope < low, low, choose(slope > high, high, slope));
 }
 
-// False: culled (centre nearer than near_z, zero quaternion).
+// False: culled (centre nearer than near_z, zero quaternion), the view means nothing.
 template <class T, class S>
-E4DGS_HD bool project_gaussian(const Camera<T>& cam, const S* mean, const S* quat, const S* scale, GaussianView<T>& v) {
+E4DGS_HD Truth<T> project_gaussian(const Camera<T>& cam, const S* mean, const S* quat, const S* scale, GaussianView<T>& v) {
     to_camera(cam, mean, v.p);
     const T z = v.p[2];
-    if (!(z >= cam.near_z)) return false;
+    Truth<T> good = z >= T(cam.near_z);
+    if (none(good)) return good;
 
     // Divided by the largest component first, so that tiny and huge quaternions stay in range.
     T largest = T(0);
     for (int i = 0; i < 4; ++i) largest = larger(largest, fabs(T(quat[i])));
-    if (!(largest > T(0))) return false;
+    good = good & (largest > T(0));
+    if (none(good)) return good;
     T norm2 = T(0);
     for (int i = 0; i < 4; ++i) v.q[i] = T(quat[i]) / largest, norm2 += v.q[i] * v.q[i];
     const T inverse = T(1) / sqrt(norm2);
@@ -72,7 +74,7 @@ E4DGS_HD bool project_gaussian(const Camera<T>& cam, const S* mean, const S* qua
     v.cov[2] = yy + dilation;
     // |b0 x b1|^2 + 0.3 trace + 0.09: a sum of squares, which loses nothing to cancellation on needles.
     v.det = k0 * k0 + k1 * k1 + k2 * k2 + dilation * (xx + yy) + dilation * dilation;
-    return true;
+    return good;
 }
 
 // The exponent of alpha = 2^(log2(opacity) - u^2 - v^2) with u = f[0] dx + f[1] dy, v = f[2] dy, (dx, dy) = pixel - mean:
@@ -100,11 +102,12 @@ E4DGS_HD void moments_backward(const T* f, const T* moments, T* dmean, T* dcov) 
     dcov[2] = c * (b0 * f[1] + b1 * f[2]);
 }
 
+// G is CameraGrad<T>, or something that ignores what is added to it.
 // dmean2 [2] px, dcov [3] with dL = dcov0 dxx + 2 dcov1 dxy + dcov2 dyy, dz: gradient of the centre's depth.
 // dmean, dquat, dscale are added to.
-template <class T, class S>
+template <class T, class S, class G>
 E4DGS_HD void project_gaussian_backward(const Camera<T>& cam, const GaussianView<T>& v, const S* mean, const S* scale, const T* dmean2,
-                                        const T* dcov, T dz, T* dmean, T* dquat, T* dscale, CameraGrad<T>& grad) {
+                                        const T* dcov, T dz, T* dmean, T* dquat, T* dscale, G& grad) {
     const T z = v.p[2], iz = T(1) / z, x = v.p[0] * iz, y = v.p[1] * iz;
     T db[6];
     for (int j = 0; j < 3; ++j) {
@@ -134,8 +137,8 @@ E4DGS_HD void project_gaussian_backward(const Camera<T>& cam, const GaussianView
         grad.R[3 + j] += ay * dtm[3 + j];
         grad.R[6 + j] -= ax * v.slope[0] * dtm[j] + ay * v.slope[1] * dtm[3 + j];
     }
-    const T dx = cam.fx * dmean2[0] + (v.clamped[0] ? T(0) : dsx);  // of x/z
-    const T dy = cam.fy * dmean2[1] + (v.clamped[1] ? T(0) : dsy);
+    const T dx = cam.fx * dmean2[0] + choose(v.clamped[0], T(0), dsx);  // of x/z
+    const T dy = cam.fy * dmean2[1] + choose(v.clamped[1], T(0), dsy);
     grad.fx += dax * iz + x * dmean2[0], grad.cx += dmean2[0];
     grad.fy += day * iz + y * dmean2[1], grad.cy += dmean2[1];
     const T dp[3] = {dx * iz, dy * iz, dz - (dx * x + dy * y) * iz - (dax * ax + day * ay) * iz};

@@ -80,9 +80,9 @@ E4DGS_HD void sh_color(const Camera<T>& cam, const T* position, const S* sh, T* 
 }
 
 // dcolor [3] -> dsh [(D+1)^2][3] (written), dposition (added), camera (added).
-template <int D, class T, class S>
+template <int D, class T, class S, class G>
 E4DGS_HD void sh_color_backward(const Camera<T>& cam, const T* position, const S* sh, const T* dcolor, S* dsh, T* dposition,
-                                CameraGrad<T>& grad) {
+                                G& grad) {
     constexpr int K = (D + 1) * (D + 1);
     T unit[3], inverse_length, B[K], s[K], g[3], d[3];
     view_direction(cam, position, unit, inverse_length);

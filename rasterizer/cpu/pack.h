@@ -1,0 +1,88 @@
+// Several primitives at once: a vector of doubles that math/ takes for its scalar type. One width for each instruction set.
+#pragma once
+#include <cstdint>
+
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+#include "constants.h"
+
+namespace E4DGS_ISA {
+
+#if defined(__AVX512F__)
+constexpr int kLanes = 8;
+#elif defined(__AVX2__)
+constexpr int kLanes = 4;
+#else
+constexpr int kLanes = 2;
+#endif
+
+typedef double Doubles __attribute__((vector_size(8 * kLanes)));
+typedef int64_t Words __attribute__((vector_size(8 * kLanes)));
+
+struct Truths {  // all bits of a lane are set where it holds
+    Words w;
+    friend Truths operator&(Truths a, Truths b) { return {a.w & b.w}; }
+    friend Truths operator|(Truths a, Truths b) { return {a.w | b.w}; }
+};
+
+struct Pack {
+    Doubles v;
+    Pack() = default;
+    Pack(Doubles d) : v(d) {}
+    Pack(double d) : v(d - Doubles{}) {}
+    Pack(int d) : Pack(double(d)) {}
+    friend Pack operator+(Pack a, Pack b) { return a.v + b.v; }
+    friend Pack operator-(Pack a, Pack b) { return a.v - b.v; }
+    friend Pack operator*(Pack a, Pack b) { return a.v * b.v; }
+    friend Pack operator/(Pack a, Pack b) { return a.v / b.v; }
+    friend Pack operator-(Pack a) { return -a.v; }
+    friend Pack& operator+=(Pack& a, Pack b) { return a = a + b; }
+    friend Pack& operator-=(Pack& a, Pack b) { return a = a - b; }
+    friend Pack& operator*=(Pack& a, Pack b) { return a = a * b; }
+    friend Truths operator<(Pack a, Pack b) { return {a.v < b.v}; }
+    friend Truths operator>(Pack a, Pack b) { return {a.v > b.v}; }
+    friend Truths operator<=(Pack a, Pack b) { return {a.v <= b.v}; }
+    friend Truths operator>=(Pack a, Pack b) { return {a.v >= b.v}; }
+    friend Pack choose(Truths t, Pack a, Pack b) { return t.w ? a.v : b.v; }
+    friend Pack larger(Pack a, Pack b) { return a.v > b.v ? a.v : b.v; }
+    friend Pack smaller(Pack a, Pack b) { return a.v < b.v ? a.v : b.v; }
+    friend Pack fabs(Pack a) { return reinterpret_cast<Doubles>(reinterpret_cast<Words>(a.v) & INT64_MAX); }
+    friend Pack sqrt(Pack a) {
+#if defined(__AVX512F__)
+        return Doubles(_mm512_sqrt_pd(__m512d(a.v)));
+#elif defined(__AVX2__)
+        return Doubles(_mm256_sqrt_pd(__m256d(a.v)));
+#else
+        Doubles out;
+        for (int l = 0; l < kLanes; ++l) out[l] = __builtin_sqrt(a.v[l]);
+        return out;
+#endif
+    }
+};
+
+inline bool none(Truths t) {
+    int64_t any = 0;
+    for (int l = 0; l < kLanes; ++l) any |= t.w[l];
+    return any == 0;
+}
+
+// What is asked for and not used: a gradient that nobody wants, at no cost.
+struct Nothing {
+    template <class U> void operator+=(const U&) {}
+    template <class U> void operator-=(const U&) {}
+};
+
+struct NoCameraGrad {
+    Nothing fx, fy, cx, cy, R[9], t[3];
+};
+
+}  // namespace E4DGS_ISA
+
+namespace e4dgs {
+template <>
+struct TruthOf<E4DGS_ISA::Pack> {
+    using type = E4DGS_ISA::Truths;
+};
+}  // namespace e4dgs

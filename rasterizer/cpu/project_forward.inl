@@ -1,0 +1,89 @@
+// Gaussians to records. One with a bad value is culled here and touches nobody else. Included by project.inl.
+
+inline void colours(const SceneInput& scene, const Camera<Pack>& camera, const Pack* position, const int64_t* index, const bool* wanted,
+                    float (*out)[3]) {
+    const GaussianInput& in = scene.gaussians;
+    if (in.colors) {
+        for (int l = 0; l < kLanes; ++l)
+            for (int c = 0; c < 3; ++c) out[l][c] = in.colors[3 * index[l] + c];
+        return;
+    }
+    switch (in.degree) {
+        case 0: return sh_colours<0>(camera, position, in.sh, index, wanted, out);
+        case 1: return sh_colours<1>(camera, position, in.sh, index, wanted, out);
+        case 2: return sh_colours<2>(camera, position, in.sh, index, wanted, out);
+        default: return sh_colours<3>(camera, position, in.sh, index, wanted, out);
+    }
+}
+
+inline bool usable(const SceneInput& scene, int64_t i) {
+    const GaussianInput& in = scene.gaussians;
+    const int64_t sh = int64_t(in.degree + 1) * (in.degree + 1) * 3;
+    if (in.sh ? !finite(in.sh + i * sh, sh) : !finite(in.colors + i * 3, 3)) return false;
+    return !in.extras || finite(in.extras + i * scene.extras, scene.extras);
+}
+
+// logs: log2 of the opacities, garbage where an opacity is bad.
+inline void project_lanes(const ProjectJob& job, const Camera<Pack>& camera, const int64_t* index, int count, const float* logs) {
+    const SceneInput& scene = *job.scene;
+    const GaussianInput& in = scene.gaussians;
+    Pack mean[3], quat[4], scale[3], opacity;
+    load_rows<3>(in.means, index, mean), load_rows<4>(in.quats, index, quat), load_rows<3>(in.scales, index, scale);
+    load_rows<1>(in.opacities, index, &opacity);
+    Truths good = bounded<3>(mean) & bounded<4>(quat) & bounded<3>(scale);
+    for (int j = 0; j < 3; ++j) good = good & (scale[j] > Pack(0));
+    good = good & (opacity >= Pack(double(kMinAlpha))) & (opacity <= Pack(1));  // fainter ones never reach the cut
+    for (int l = 0; l < kLanes; ++l) job.depth[index[l]] = __builtin_nan("");
+    if (none(good)) return;
+
+    GaussianView<Pack> view;
+    good = good & project_gaussian(camera, mean, quat, scale, view);
+    Pack f[3], exponent;
+    alignas(64) double lane[12][kLanes];
+    for (int l = 0; l < kLanes; ++l) lane[0][l] = double(logs[l]);
+    exponent = *reinterpret_cast<const Doubles*>(lane[0]);
+    exponent_factor(view, f);
+    const Pack radius2 = exponent + Pack(double(kLog2Of255) + kSlack), reach = radius2 * Pack(2 / kLog2E);
+    const Pack rx = sqrt(reach * view.cov[0]) * Pack(1.00001), ry = sqrt(reach * view.cov[2]) * Pack(1.00001);
+    const Pack x = view.mean[0], y = view.mean[1], z = view.p[2];
+    const Pack low_x = larger(x - rx, Pack(0.5)), high_x = smaller(x + rx, Pack(camera.width - 0.5));
+    const Pack low_y = larger(y - ry, Pack(0.5)), high_y = smaller(y + ry, Pack(camera.height - 0.5));
+    good = good & (view.det <= Pack(1e300)) & (view.cov[0] + view.cov[2] <= Pack(1e300)) & (z <= Pack(kLargest));
+    good = good & (fabs(x) <= Pack(1e300)) & (fabs(y) <= Pack(1e300)) & (low_x <= high_x) & (low_y <= high_y);
+    if (none(good)) return;
+
+    const Pack radius = sqrt(radius2) * Pack(1.00001);
+    const Pack out[12] = {x, y, f[0], f[1], f[2], radius, z, low_x, high_x, low_y, high_y, exponent};
+    bool wanted[kLanes];
+    for (int i = 0; i < 12; ++i) store_lanes(out[i], lane[i]);
+    for (int l = 0; l < kLanes; ++l) wanted[l] = l < count && good.w[l] != 0 && usable(scene, index[l]);
+    float color[kLanes][3];
+    colours(scene, camera, mean, index, wanted, color);
+    for (int l = 0; l < kLanes; ++l) {
+        if (!wanted[l]) continue;
+        // Tile t holds the pixel centres kTile t + 0.5 ... kTile t + kTile - 0.5.
+        const int x0 = ceil_of((lane[7][l] - (kTile - 0.5)) / kTile), x1 = floor_of((lane[8][l] - 0.5) / kTile) + 1;
+        const int y0 = ceil_of((lane[9][l] - (kTile - 0.5)) / kTile), y1 = floor_of((lane[10][l] - 0.5) / kTile) + 1;
+        if (x0 >= x1 || y0 >= y1) continue;  // between pixel centres
+        const int64_t i = index[l];
+        GaussianRecord& record = job.records[i];
+        record.x = lane[0][l], record.y = lane[1][l];
+        for (int j = 0; j < 3; ++j) record.f[j] = lane[2 + j][l], record.color[j] = color[l][j];
+        record.exponent = float(lane[11][l]), record.radius = float(lane[5][l]), record.z = float(lane[6][l]);
+        job.boxes[i] = {uint16_t(x0), uint16_t(x1), uint16_t(y0), uint16_t(y1)};
+        job.depth[i] = lane[6][l];
+    }
+}
+
+void project_block(const ProjectJob& job, int64_t first, int64_t last) {
+    const Camera<Pack> camera = camera_of(job.scene->camera);
+    alignas(64) float logs[kProjectBlock];
+    const int n = int(last - first);
+    for (int i = 0; i < kProjectBlock; ++i) logs[i] = i < n ? job.scene->gaussians.opacities[first + i] : 1.0f;
+    for (int i = 0; i < kProjectBlock; i += kWidth) store(logs + i, log2(max(load(logs + i), set1(1e-30f))));
+    for (int at = 0; at < n; at += kLanes) {
+        int64_t index[kLanes];
+        for (int l = 0; l < kLanes; ++l) index[l] = first + (at + l < n ? at + l : at);
+        project_lanes(job, camera, index, n - at < kLanes ? n - at : kLanes, logs + at);
+    }
+}
