@@ -73,7 +73,8 @@ void backproject_lanes(const BackprojectJob& job, const Camera<Pack>& camera, co
 
     const auto write = [&](float* to, const Pack* from, int width) {
         if (!to) return;
-        for (int j = 0; j < width; ++j) store_lanes(from[j], lane[j]);
+        // Beyond float32's range (scales at its very end) a gradient is its largest number, not an infinity.
+        for (int j = 0; j < width; ++j) store_lanes(larger(smaller(from[j], Pack(kLargest)), Pack(-kLargest)), lane[j]);
         for (int l = 0; l < kLanes; ++l)
             for (int j = 0; mine[l] && j < width; ++j) to[index[l] * width + j] = float(lane[j][l]);
     };
