@@ -5,9 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from .displace import displace
+from .field_kernel import field_outputs
 from .hexplane import HexPlanes
 from .motion import Displacement
-from .rotation import rotate
 
 
 class DeformationField(nn.Module):
@@ -71,16 +72,14 @@ class DeformationField(nn.Module):
 
     def _heads(self, rest: Tensor, t: float) -> Tensor:
         u = (rest.detach() - self.low) / (self.high - self.low)
-        return self.head(self.trunk(self.planes(u, t)))
+        first, second = self.trunk[0], self.trunk[2]
+        weights = [p for layer in (first, second, self.head) for p in (layer.weight, layer.bias)]
+        return field_outputs(list(self.planes.space), list(self.planes.time), weights, u, t)
 
     def forward(self, rest: Tensor, t: float) -> Displacement:
         """The heads give each place a rotation about the box's centre and a translation: the points of a rigid part share both, however
         it turns, and the gradient of a rest position is turned along with it."""
-        out = self._heads(rest, t)
-        turn = torch.cat([1 + out[:, 3:4], out[:, 4:7]], 1)
-        turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-6)
-        arm = rest - 0.5 * (self.low + self.high)
-        return Displacement(rotate(turn, arm) - arm + out[:, :3] * self.reach, turn, out[:, 7:10])
+        return displace(self._heads(rest, t), rest, 0.5 * (self.low + self.high), self.reach)
 
     def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
         """[N, 7] numbers of order one that are equal for positions that move as one rigid body."""

@@ -1,12 +1,23 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
+#include <array>
+#include <initializer_list>
+#include <optional>
 #include <stdexcept>
+#include <string>
 #include <utility>
+#include <vector>
 
+#include "displacement.h"
+#include "field.h"
+#include "field_run.h"
 #include "photometric.h"
-#include "planes.h"
 
 namespace nb = nanobind;
 using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
@@ -14,42 +25,122 @@ using Out = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
 
 namespace {
 
-e4dgs::PlaneLevel level_of(const In& space, const In& time) {
-    if (space.ndim() != 4 || space.shape(0) != 3 || space.shape(1) != space.shape(2)) throw std::invalid_argument("space must be [3,R,R,C]");
-    if (time.ndim() != 4 || time.shape(0) != 3 || time.shape(2) != space.shape(1) || time.shape(3) != space.shape(3))
-        throw std::invalid_argument("time must be [3,T,R,C] with the R and C of space");
-    if (space.shape(3) > 64) throw std::invalid_argument("at most 64 channels");
-    return {space.data(), time.data(), static_cast<int>(space.shape(1)), static_cast<int>(time.shape(1)), static_cast<int>(space.shape(3))};
+using Ins = std::vector<In>;
+using Outs = std::vector<Out>;
+
+template <class A>
+void check(const A& array, std::initializer_list<size_t> shape, const char* name) {
+    bool good = array.ndim() == shape.size();
+    std::string wanted;
+    size_t axis = 0;
+    for (size_t n : shape) {
+        good = good && array.shape(axis++) == n;
+        wanted.append(wanted.empty() ? "" : ",").append(std::to_string(n));
+    }
+    if (!good) throw std::invalid_argument(std::string(name) + " must be [" + wanted + "]");
 }
 
-void check_rows(const In& u, size_t rows, size_t columns, size_t offset, int channels) {
+// space [3,R,R,C] and time [3,T,R,C] a level; weights w1 b1 w2 b2 w3 b3 as torch keeps them, or none.
+e4dgs::FieldInput field_of(const Ins& space, const Ins& time, const Ins& weights, const In& u, float t) {
+    if (space.empty() || space.size() > size_t(e4dgs::kMaxLevels) || time.size() != space.size())
+        throw std::invalid_argument("space and time must hold the same 1 to " + std::to_string(e4dgs::kMaxLevels) + " levels");
+    e4dgs::FieldInput in;
+    for (size_t l = 0; l < space.size(); ++l) {
+        if (space[l].ndim() != 4 || space[l].shape(0) != 3 || space[l].shape(1) != space[l].shape(2) || space[l].shape(1) < 1)
+            throw std::invalid_argument("space must be [3,R,R,C]");
+        if (time[l].ndim() != 4 || time[l].shape(0) != 3 || time[l].shape(1) < 1 || time[l].shape(2) != space[l].shape(1) ||
+            time[l].shape(3) != space[l].shape(3))
+            throw std::invalid_argument("time must be [3,T,R,C] with the R and C of space");
+        if (space[l].shape(3) != space[0].shape(3) || space[l].shape(3) < 1 || space[l].shape(3) > size_t(e4dgs::kMaxChannels))
+            throw std::invalid_argument("levels must have the same number of channels, 1 to " + std::to_string(e4dgs::kMaxChannels));
+        in.levels.push_back({space[l].data(), time[l].data(), int(space[l].shape(1)), int(time[l].shape(1))});
+    }
+    in.channels = int(space[0].shape(3));
     if (u.ndim() != 2 || u.shape(1) != 3) throw std::invalid_argument("u must be [N,3]");
-    if (rows != u.shape(0) || offset + static_cast<size_t>(channels) > columns) throw std::invalid_argument("features must be [N, >= offset + C]");
+    in.u = u.data(), in.n = int64_t(u.shape(0)), in.t = t;
+    if (weights.empty()) return in;
+    if (weights.size() != 6 || weights[0].ndim() != 2 || weights[4].ndim() != 2) throw std::invalid_argument("weights must be w1, b1, w2, b2, w3, b3");
+    const size_t f = size_t(in.channels) * space.size(), w = weights[0].shape(0), o = weights[4].shape(0);
+    if (w < 1 || w > 4096 || o < 1 || o > 4096) throw std::invalid_argument("layers must be 1 to 4096 wide");
+    check(weights[0], {w, f}, "w1"), check(weights[1], {w}, "b1"), check(weights[2], {w, w}, "w2"), check(weights[3], {w}, "b2");
+    check(weights[4], {o, w}, "w3"), check(weights[5], {o}, "b3");
+    in.mlp = {int(w), int(o), weights[0].data(), weights[1].data(), weights[2].data(), weights[3].data(), weights[4].data(), weights[5].data()};
+    return in;
 }
+
+e4dgs::Displacing displacing_of(const In& heads, const In& rest, std::array<float, 3> centre, float reach) {
+    check(rest, {rest.shape(0), 3}, "rest"), check(heads, {rest.shape(0), 10}, "heads");
+    return {heads.data(), rest.data(), int64_t(rest.shape(0)), {centre[0], centre[1], centre[2]}, reach};
+}
+
+size_t outputs_of(const e4dgs::FieldInput& in) { return in.mlp.outputs ? size_t(in.mlp.outputs) : size_t(in.channels) * in.levels.size(); }
 
 }  // namespace
 
 NB_MODULE(_kernels, m) {
-    m.doc() = "CPU kernels of e4dgs.scene: six-plane look-up, L1 + SSIM.";
+    m.doc() = "CPU kernels of e4dgs.scene: the deformation field, L1 + SSIM.";
 
-    m.def("planes_forward", [](In space, In time, In u, float t, Out out, size_t offset, int threads) {
-        const auto level = level_of(space, time);
-        if (out.ndim() != 2) throw std::invalid_argument("out must be [N,F]");
-        check_rows(u, out.shape(0), out.shape(1), offset, level.channels);
+    m.def("field_forward", [](const Ins& space, const Ins& time, const Ins& weights, const In& u, float t, const Out& out, int threads) {
+        const e4dgs::FieldInput in = field_of(space, time, weights, u, t);
+        check(out, {u.shape(0), outputs_of(in)}, "out");
         nb::gil_scoped_release release;
-        e4dgs::planes_forward(level, u.data(), static_cast<int64_t>(u.shape(0)), t, out.data(), static_cast<int64_t>(out.shape(1)),
-                              static_cast<int64_t>(offset), threads);
+        e4dgs::field_forward(in, out.data(), threads);
     });
 
-    m.def("planes_backward", [](In space, In time, In u, float t, In grad, size_t offset, Out grad_space, Out grad_time, int threads) {
-        const auto level = level_of(space, time);
-        if (grad.ndim() != 2) throw std::invalid_argument("grad must be [N,F]");
-        check_rows(u, grad.shape(0), grad.shape(1), offset, level.channels);
-        if (grad_space.size() != space.size() || grad_time.size() != time.size()) throw std::invalid_argument("gradients must have the planes' shapes");
+    m.def("field_backward", [](const Ins& space, const Ins& time, const Ins& weights, const In& u, float t, const In& grad, const Outs& grad_space,
+                               const Outs& grad_time, const Outs& grad_weights, int threads) {
+        const e4dgs::FieldInput in = field_of(space, time, weights, u, t);
+        check(grad, {u.shape(0), outputs_of(in)}, "grad");
+        e4dgs::FieldGrad out;
+        if (grad_space.size() != space.size() || grad_time.size() != time.size() || grad_weights.size() != weights.size())
+            throw std::invalid_argument("gradients must be as many as their tensors");
+        for (size_t l = 0; l < space.size(); ++l) {
+            if (grad_space[l].size() != space[l].size() || grad_time[l].size() != time[l].size())
+                throw std::invalid_argument("gradients must have the planes' shapes");
+            out.space.push_back(grad_space[l].data()), out.time.push_back(grad_time[l].data());
+        }
+        for (size_t k = 0; k < weights.size(); ++k)
+            if (grad_weights[k].size() != weights[k].size()) throw std::invalid_argument("gradients must have the weights' shapes");
+        if (!weights.empty()) {
+            float** to[6] = {&out.w1, &out.b1, &out.w2, &out.b2, &out.w3, &out.b3};
+            for (int k = 0; k < 6; ++k) *to[k] = grad_weights[size_t(k)].data();
+        }
         nb::gil_scoped_release release;
-        e4dgs::planes_backward(level, u.data(), static_cast<int64_t>(u.shape(0)), t, grad.data(), static_cast<int64_t>(grad.shape(1)),
-                               static_cast<int64_t>(offset), grad_space.data(), grad_time.data(), threads);
+        e4dgs::field_backward(in, grad.data(), out, threads);
     });
+
+    using Maybe = std::optional<In>;
+    m.def("displacement_forward", [](const In& heads, const In& rest, std::array<float, 3> centre, float reach, const Out& dx, const Out& dr,
+                                     const Out& ds, int threads) {
+        const size_t n = rest.shape(0);
+        const e4dgs::Displacing in = displacing_of(heads, rest, centre, reach);
+        check(dx, {n, 3}, "dx"), check(dr, {n, 4}, "dr"), check(ds, {n, 3}, "ds");
+        nb::gil_scoped_release release;
+        e4dgs::displacement_forward(in, dx.data(), dr.data(), ds.data(), threads);
+    });
+    m.def(
+        "displacement_backward",
+        [](const In& heads, const In& rest, std::array<float, 3> centre, float reach, const Maybe& g_dx, const Maybe& g_dr, const Maybe& g_ds,
+           const Out& g_heads, const std::optional<Out>& g_rest, int threads) {
+            const size_t n = rest.shape(0);
+            const e4dgs::Displacing in = displacing_of(heads, rest, centre, reach);
+            const auto pointer = [n](const Maybe& g, size_t width, const char* name) {
+                if (g) check(*g, {n, width}, name);
+                return g ? g->data() : nullptr;
+            };
+            const float *dx = pointer(g_dx, 3, "g_dx"), *dr = pointer(g_dr, 4, "g_dr"), *ds = pointer(g_ds, 3, "g_ds");
+            check(g_heads, {n, 10}, "g_heads");
+            if (g_rest) check(*g_rest, {n, 3}, "g_rest");
+            float* to_rest = g_rest ? g_rest->data() : nullptr;
+            nb::gil_scoped_release release;
+            e4dgs::displacement_backward(in, dx, dr, ds, g_heads.data(), to_rest, threads);
+        },
+        nb::arg("heads"), nb::arg("rest"), nb::arg("centre"), nb::arg("reach"), nb::arg("g_dx").none(), nb::arg("g_dr").none(), nb::arg("g_ds").none(),
+        nb::arg("g_heads"), nb::arg("g_rest").none(), nb::arg("threads"));
+
+    m.def(
+        "select_kernels", [](const std::string& name) { return e4dgs::select_field_kernels(name.c_str()); }, nb::arg("name"),
+        "Use another instruction set for the field; False where the processor or the build lacks it.");
 
     m.def("photometric", [](In x, In y, float w_l1, float w_ssim, Out grad, int threads) {
         if (x.ndim() != 3 || x.shape(2) != 3 || y.size() != x.size() || grad.size() != x.size()) throw std::invalid_argument("x, y, grad must be [H,W,3]");

@@ -71,12 +71,3 @@ def test_gradients_are_bit_equal_for_any_number_of_threads():
         torch.set_num_threads(before)
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other))
-
-
-def test_wrong_shapes_are_refused():
-    from e4dgs.scene import _kernels
-
-    with pytest.raises(ValueError, match=r"\[N,3\]"):
-        _kernels.planes_forward(torch.ones(3, 4, 4, 2), torch.ones(3, 2, 4, 2), torch.ones(5, 2), 0.0, torch.ones(5, 2), 0, 1)
-    with pytest.raises(ValueError, match="time must be"):
-        _kernels.planes_forward(torch.ones(3, 4, 4, 2), torch.ones(3, 2, 5, 2), torch.ones(5, 3), 0.0, torch.ones(5, 2), 0, 1)

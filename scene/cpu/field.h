@@ -1,0 +1,59 @@
+// The deformation field: six-plane look-up at every level, product, concatenation, and a perceptron with two hidden layers, in one
+// pass over blocks of points. Plain data only: this is included by the kernels of every instruction set.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+
+namespace e4dgs {
+
+constexpr int kMaxLevels = 8;
+constexpr int kMaxChannels = 64;
+constexpr int kBlock = 96;         // points that one thread takes through all layers at a time
+constexpr int kGroups = 32;        // each with sums of the weights' gradients of its own
+constexpr int64_t kChunk = int64_t(kBlock) * kGroups;  // points between two scatters to the planes: their gradients stay in the cache
+constexpr int kPad = 16;           // rows of scratch are padded to whole vectors
+
+constexpr int padded(int n) { return (n + kPad - 1) / kPad * kPad; }
+
+// One resolution level at one time. space [3, R, R, C] (xy, xz, yz; the first coordinate varies fastest); lines [3, R, C]: the time
+// planes, interpolated at that time.
+struct Level {
+    const float *space, *lines;
+    int resolution;
+};
+
+// Weights as the kernels read them, padded with zeros. Without a perceptron (outputs == 0) the features are the output.
+struct Field {
+    Level level[kMaxLevels];
+    int levels, channels;
+    int width = 0, outputs = 0;
+    const float *w1_t, *w2_t, *w3_t;  // [F, W], [W, W], [W, O], padded: forward
+    const float *w1, *w2, *w3;        // [W, F], [W, W], [O, W], padded: backward
+    const float *b1, *b2, *b3;        // padded
+
+    int features() const { return levels * channels; }
+    int features_padded() const { return padded(features()); }
+    int width_padded() const { return padded(width); }
+    int outputs_padded() const { return padded(outputs); }
+    int64_t weights() const {  // floats of all layers' gradients, padded
+        return int64_t(width_padded()) * (features_padded() + width_padded() + 2) + int64_t(outputs_padded()) * (width_padded() + 1);
+    }
+    int64_t scratch() const {  // floats that a thread wants, aligned to 64 bytes
+        return int64_t(kBlock) * (6 * features_padded() + 2 * features_padded() + 4 * width_padded() + 2 * outputs_padded()) + kPad;
+    }
+};
+
+struct FieldKernels {
+    // u [n, 3], n <= kBlock; out [n, outputs or features].
+    void (*forward)(const Field&, const float* u, int n, float* out, float* scratch);
+    // grad like out. d_values [levels, 6, kChunk, C] is written from its row 0 on, weights (sums in double, layout of WeightGrads) are
+    // added to.
+    void (*backward)(const Field&, const float* u, int n, const float* grad, float* d_values, double* weights, float* scratch);
+    // Adds the share of plane `plane` (0-2 space, 3-5 lines) of a level: n points in order, d_values [n, C].
+    void (*scatter)(const Field&, int level, int plane, const float* u, int64_t n, const float* d_values, float* grad);
+};
+
+const FieldKernels& field_kernels();            // the best that this processor runs
+bool select_field_kernels(const char* name);     // for tests and benchmarks; false where the processor lacks it
+
+}  // namespace e4dgs

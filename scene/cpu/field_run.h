@@ -1,0 +1,38 @@
+// The deformation field over any number of points, threaded. Bit-equal for any number of threads.
+#pragma once
+#include <cstdint>
+#include <vector>
+
+namespace e4dgs {
+
+// Planes of one level: space [3, R, R, C] (xy, xz, yz; the first coordinate varies fastest), time [3, T, R, C] (xt, yt, zt).
+struct PlaneLevel {
+    const float *space, *time;
+    int resolution, times;
+};
+
+// A perceptron as torch keeps it: weights [out, in]. outputs == 0: none, the features are the output.
+struct Perceptron {
+    int width = 0, outputs = 0;
+    const float *w1 = nullptr, *b1 = nullptr, *w2 = nullptr, *b2 = nullptr, *w3 = nullptr, *b3 = nullptr;
+};
+
+struct FieldInput {
+    std::vector<PlaneLevel> levels;
+    int channels;
+    Perceptron mlp;
+    const float* u;  // [n, 3] in [0, 1], clamped
+    int64_t n;
+    float t;  // in [0, 1], clamped
+};
+
+struct FieldGrad {  // written, shapes of the input's
+    std::vector<float*> space, time;
+    float *w1 = nullptr, *b1 = nullptr, *w2 = nullptr, *b2 = nullptr, *w3 = nullptr, *b3 = nullptr;
+};
+
+// out [n, outputs], or [n, levels * C] without a perceptron; grad likewise.
+void field_forward(const FieldInput& in, float* out, int threads);
+void field_backward(const FieldInput& in, const float* grad, const FieldGrad& out, int threads);
+
+}  // namespace e4dgs

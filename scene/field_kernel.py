@@ -1,0 +1,89 @@
+"""The deformation field's heavy part in one kernel: six-plane look-up, product, concatenation and a perceptron, forward and backward."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from . import _kernels
+
+SPACE_AXES = ((0, 1), (0, 2), (1, 2))  # xy, xz, yz
+
+
+def field_outputs(space: Sequence[Tensor], time: Sequence[Tensor], weights: Sequence[Tensor], u: Tensor, t: float) -> Tensor:
+    """``W3 relu(W2 relu(W1 f + b1) + b2) + b3`` [N, O] of the planes' features f [N, levels * C]; f itself where ``weights`` is empty.
+
+    Args:
+        space: of each level, [3, R, R, C] (xy, xz, yz; the first coordinate varies fastest).
+        time: of each level, [3, T, R, C] (xt, yt, zt).
+        weights: W1 [W, levels * C], b1 [W], W2 [W, W], b2 [W], W3 [O, W], b3 [O].
+        u: [N, 3] positions in [0, 1] (clamped). They carry no gradient.
+        t: time in [0, 1] (clamped), one for all positions.
+
+    float32 on the CPU takes the kernel, whose result and gradients are bit-equal for any number of threads; anything else takes plain
+    torch. Gradients of gradients are not there, and asking for them is an error.
+    """
+    tensors = [*space, *time, *weights]
+    if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (u, *tensors)):
+        return _Field.apply(len(space), u.detach().contiguous(), float(t), *tensors)
+    features = lookup_reference(u.detach(), float(t), *[p for pair in zip(space, time) for p in pair])
+    if not weights:
+        return features
+    w1, b1, w2, b2, w3, b3 = weights
+    return F.linear(F.relu(F.linear(F.relu(F.linear(features, w1, b1)), w2, b2)), w3, b3)
+
+
+class _Field(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, levels: int, u: Tensor, t: float, *tensors: Tensor) -> Tensor:  # type: ignore[override]
+        space, time, weights = _split(levels, [p.detach().contiguous() for p in tensors])
+        out = torch.empty(u.shape[0], weights[4].shape[0] if weights else levels * space[0].shape[3])
+        _kernels.field_forward(space, time, weights, u, t, out, torch.get_num_threads())
+        ctx.save_for_backward(u, *tensors)
+        ctx.t, ctx.levels = t, levels
+        return out
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, grad: Tensor):  # type: ignore[override]
+        u, *tensors = ctx.saved_tensors
+        space, time, weights = _split(ctx.levels, [p.detach().contiguous() for p in tensors])
+        gradients = [torch.empty_like(p) for p in (*space, *time, *weights)]
+        _kernels.field_backward(space, time, weights, u, ctx.t, grad.contiguous(), *_split(ctx.levels, gradients), torch.get_num_threads())
+        return None, None, None, *gradients
+
+
+def _split(levels: int, tensors: list[Tensor]) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+    return tensors[:levels], tensors[levels : 2 * levels], tensors[2 * levels :]
+
+
+def _taps(u: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    x = u.clamp(0, 1) * (count - 1)
+    low = x.long().clamp(max=max(count - 2, 0))
+    return low, (low + 1).clamp(max=count - 1), (x - low).to(u.dtype)
+
+
+def lookup_reference(u: Tensor, t: float, *parameters: Tensor) -> Tensor:
+    """The look-up in plain torch, any float type and device: the oracle of the kernel. ``parameters``: space and time of each level in turn."""
+    out = []
+    for space, time in zip(parameters[0::2], parameters[1::2]):
+        r = space.shape[1]
+        taps = [_taps(u[:, axis], r) for axis in range(3)]
+        low, high, f = _taps(torch.tensor([t], dtype=u.dtype, device=u.device), time.shape[1])
+        lines = time[:, int(low)] * (1 - f) + time[:, int(high)] * f
+        feature = torch.ones(u.shape[0], space.shape[3], dtype=u.dtype, device=u.device)
+        for plane, (a, b) in enumerate(SPACE_AXES):
+            (la, ha, fa), (lb, hb, fb) = taps[a], taps[b]
+            fa, fb = fa[:, None], fb[:, None]
+            grid = space[plane]
+            feature = feature * (
+                grid[lb, la] * (1 - fa) * (1 - fb) + grid[lb, ha] * fa * (1 - fb) + grid[hb, la] * (1 - fa) * fb + grid[hb, ha] * fa * fb
+            )
+        for axis in range(3):
+            la, ha, fa = taps[axis]
+            feature = feature * (lines[axis][la] * (1 - fa[:, None]) + lines[axis][ha] * fa[:, None])
+        out.append(feature)
+    return torch.cat(out, dim=1)
