@@ -67,7 +67,10 @@ def _taps(u: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def lookup_reference(u: Tensor, t: float, *parameters: Tensor) -> Tensor:
-    """The look-up in plain torch, any float type and device: the oracle of the kernel. ``parameters``: space and time of each level in turn."""
+    """The look-up in plain torch, any float type and device: the oracle of the kernel.
+
+    ``parameters``: space and time of each level in turn.
+    """
     out = []
     for space, time in zip(parameters[0::2], parameters[1::2]):
         r = space.shape[1]

@@ -32,8 +32,9 @@ Span span_of_row(const State& state, const Bounds& bounds, int ty) {
     const double ya = ty * kTile + 0.5, yb = std::min(ya + kTile - 1, height - 0.5);
     if (!bounds.x_range(ya, yb, low, high)) return {0, 0};
     low = std::max(low, 0.5), high = std::min(high, width - 0.5);
+    if (!(low <= high)) return {0, 0};  // before anything becomes an integer: it may lie far outside
     const int a = first_tile(low), b = last_tile(high) + 1;
-    if (!(low <= high && a < b)) return {0, 0};
+    if (a >= b) return {0, 0};
     return {uint16_t(a), uint16_t(b)};
 }
 

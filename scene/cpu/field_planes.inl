@@ -9,7 +9,7 @@ struct Taps {  // two neighbouring samples on each axis
     float fraction[3];
 };
 
-// u in [0, 1] (clamped) on lines of `count` samples whose ends are at 0 and 1.
+// u in [0, 1] (clamped; not a number counts as 0) on lines of `count` samples whose ends are at 0 and 1.
 inline Taps taps_of(const float* u, int count) {
     Taps taps;
     for (int axis = 0; axis < 3; ++axis) {

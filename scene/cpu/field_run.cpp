@@ -26,7 +26,7 @@ Array<T> array(int64_t n) {
 }
 
 void time_taps(float t, int count, int64_t& low, int64_t& high, float& fraction) {
-    const float x = std::min(std::max(t, 0.0f), 1.0f) * float(count - 1);
+    const float x = std::min(t > 0.0f ? t : 0.0f, 1.0f) * float(count - 1);  // not a number counts as 0
     low = std::min<int64_t>(int64_t(x), std::max(count - 2, 0));
     high = std::min<int64_t>(low + 1, count - 1);
     fraction = x - float(low);
