@@ -38,7 +38,7 @@ class HexPlanes(nn.Module):
         return self.channels * len(self.space)
 
     def forward(self, u: Tensor, t: float) -> Tensor:
-        """Features [N, C * levels] at positions ``u`` [N, 3] in [0, 1] (clamped) and one time ``t`` in [0, 1] (clamped).
+        """Features [N, C * levels] at positions ``u`` [N, 3] in [0, 1] (clamped, NaN to 0) and one time ``t`` in [0, 1] (likewise).
 
         Gradients reach the planes only: positions enter the field detached (design, section 1).
         """
@@ -62,7 +62,7 @@ class HexPlanes(nn.Module):
 
 
 def _taps(u: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    x = u.clamp(0, 1) * (count - 1)
+    x = u.nan_to_num(0).clamp(0, 1) * (count - 1)
     low = x.long().clamp(max=max(count - 2, 0))
     return low, (low + 1).clamp(max=count - 1), (x - low).to(u.dtype)
 

@@ -19,7 +19,8 @@ struct Tap {
 
 // u in [0,1] -> two neighbouring samples of a line of `count` samples whose ends are at 0 and 1.
 inline void line_taps(float u, int count, int64_t& low, int64_t& high, float& fraction) {
-    const float x = std::min(std::max(u, 0.0f), 1.0f) * static_cast<float>(count - 1);
+    // In this order NaN becomes 0: its index must not lie outside.
+    const float x = std::min(std::max(0.0f, u), 1.0f) * static_cast<float>(count - 1);
     low = std::min<int64_t>(static_cast<int64_t>(x), std::max(count - 2, 0));
     high = std::min<int64_t>(low + 1, count - 1);
     fraction = x - static_cast<float>(low);
