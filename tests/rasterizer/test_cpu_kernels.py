@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from .compare import assert_gradients_close, assert_images_close, cotangents, decided_by_threshold, gradients
-from .kernels import instruction_set, needs_cpu  # noqa: F401
+from .kernels import needs_cpu
 from .scenes import Scene, generator, random_scene, uniform
 
 pytestmark = needs_cpu

@@ -49,7 +49,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
             25,
             1000,
             110,
-        ),  # 50 footprints of exactly 1e6 px: 50 x 3969 pairs of about 100 bytes, some images of 4 MB; a number a pixel pair would be 200 MB
+        ),  # 50 footprints of 1e6 px: 50 x 3969 pairs of some 100 bytes, and images; a float a pixel pair would be 200 MB
     ],
 )
 def test_a_footprint_of_1e6_px_in_bounded_memory(count: int, size: int, megabytes: float) -> None:
