@@ -88,7 +88,8 @@ def sanitize(arguments):
     inputs = {"inputs": build_digest(), "sanitizers": SANITIZERS}
     if not stamp.exists() or json.loads(stamp.read_text()) != inputs:
         print("Compiling the native modules with -fsanitize=" + SANITIZERS, flush=True)
-        shutil.rmtree(str(SANITIZED), ignore_errors=True)
+        for folder in ("cmake", "package"):
+            shutil.rmtree(str(SANITIZED / folder), ignore_errors=True)
         options = ["cmake.build-type=RelWithDebInfo", "install.strip=false", "cmake.define.E4DGS_SANITIZE=" + SANITIZERS]
         command = [python(), "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(package)]
         command += [word for option in options for word in ("--config-settings", option)]
@@ -104,7 +105,8 @@ def sanitize(arguments):
         E4DGS_SANITIZED=str(package),
         PYTHONPATH=os.pathsep.join(paths),
     )
-    return run([python(), "-m", "pytest", *(arguments or SANITIZED_TESTS)], environment)
+    # What a sanitizer says goes to the terminal: captured by pytest it would be lost with the process.
+    return run([python(), "-m", "pytest", "--capture=sys", *(arguments or SANITIZED_TESTS)], environment)
 
 
 def sanitizer_libraries():
