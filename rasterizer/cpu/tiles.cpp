@@ -63,8 +63,10 @@ uint32_t find_spans(const State& state, const Bounds& bounds, Range& range) {
         Span span{0, 0};
         if (bounds.x_range(ya, yb, low, high)) {
             low = std::max(low, 0.5), high = std::min(high, width - 0.5);
-            const int a = first_tile(low), b = last_tile(high) + 1;
-            if (low <= high && a < b) span = {uint16_t(a), uint16_t(b)};
+            if (low <= high) {  // else far outside, and no number of a tile
+                const int a = first_tile(low), b = last_tile(high) + 1;
+                if (a < b) span = {uint16_t(a), uint16_t(b)};
+            }
         }
         tiles += span.last - span.first;
         range.spans.push_back(span);
