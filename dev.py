@@ -5,6 +5,8 @@
                               further arguments go to `e4dgs run all`
     python3 dev.py test       set up, then run the tests; further arguments go to pytest
     python3 dev.py lint       set up, then ruff and mypy
+    python3 dev.py sanitize   set up, compile the native modules once more with GCC's address and undefined-behaviour sanitizers, and
+                              run the tests that stress them; further arguments go to pytest
     python3 dev.py setup      set up only
 
 It needs Python 3.11 or newer and a C++20 compiler. The environment is .venv beside this file (or the folder in E4DGS_VENV). It is
@@ -28,11 +30,21 @@ STAMP = VENV / "e4dgs-installed.json"
 SAMPLE = "samples/cube_and_ball"
 FOLDERS = ("pipeline", "rasterizer", "scene", "stages", "workflows")
 BUILD_INPUTS = ("constraints.txt", "pyproject.toml", "CMakeLists.txt", "__init__.py")
+SANITIZERS = "address,undefined,float-cast-overflow"
+SANITIZED = Path(os.environ.get("E4DGS_SANITIZE_DIR") or str(ROOT / "build" / "sanitize")).resolve()
+SANITIZED_TESTS = (
+    "tests/rasterizer/test_robustness.py",
+    "tests/rasterizer/test_cpu_kernels.py",
+    "tests/stress",
+    "tests/fuzz",
+    "tests/scene/test_hexplane.py",
+    "tests/scene/test_photometric.py",
+)
 BUILD_SUFFIXES = {".cpp", ".h", ".inl", ".cmake", ".txt"}
 
 
 def main():
-    commands = {"setup": lambda _: None, "sample": sample, "test": test, "lint": lint}
+    commands = {"setup": lambda _: None, "sample": sample, "test": test, "lint": lint, "sanitize": sanitize}
     if len(sys.argv) < 2 or sys.argv[1] not in commands:
         print(__doc__.strip())
         return 0 if set(sys.argv[1:]) & {"-h", "--help", "help"} else 2
@@ -69,6 +81,49 @@ def lint(_):
     return max(results)
 
 
+def sanitize(arguments):
+    """Build the native modules with sanitizers beside the environment, which stays as it is, and run tests against them."""
+    libraries = sanitizer_libraries()
+    stamp, package = SANITIZED / "built.json", SANITIZED / "package"
+    inputs = {"inputs": build_digest(), "sanitizers": SANITIZERS}
+    if not stamp.exists() or json.loads(stamp.read_text()) != inputs:
+        print("Compiling the native modules with -fsanitize=" + SANITIZERS, flush=True)
+        for folder in ("cmake", "package"):
+            shutil.rmtree(str(SANITIZED / folder), ignore_errors=True)
+        options = ["cmake.build-type=RelWithDebInfo", "install.strip=false", "cmake.define.E4DGS_SANITIZE=" + SANITIZERS]
+        command = [python(), "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(package)]
+        command += [word for option in options for word in ("--config-settings", option)]
+        if run([*command, "."], dict(pinned(), SKBUILD_BUILD_DIR=str(SANITIZED / "cmake"))) != 0:
+            stop("The instrumented build failed; the lines above say at which step.")
+        stamp.write_text(json.dumps(inputs))
+    paths = [str(ROOT / "tests" / "sanitizers"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = dict(
+        os.environ,
+        LD_PRELOAD=":".join(libraries),
+        ASAN_OPTIONS="detect_leaks=0",  # Python keeps what it has until its end
+        UBSAN_OPTIONS="print_stacktrace=1",
+        E4DGS_SANITIZED=str(package),
+        PYTHONPATH=os.pathsep.join(paths),
+    )
+    # What a sanitizer says goes to the terminal: captured by pytest it would be lost with the process.
+    return run([python(), "-m", "pytest", "--capture=sys", *(arguments or SANITIZED_TESTS)], environment)
+
+
+def sanitizer_libraries():
+    """What has to be loaded before Python: the run-time libraries, and the one whose exceptions they watch."""
+    compiler = (os.environ.get("CXX") or "g++").split()
+    found = []
+    for name in ("libasan.so", "libubsan.so", "libstdc++.so"):
+        try:
+            path = subprocess.check_output([*compiler, "-print-file-name=" + name], stderr=subprocess.DEVNULL).decode().strip()
+        except (OSError, subprocess.CalledProcessError):
+            path = name
+        if not os.path.isabs(path):  # a compiler that does not have it says the bare name
+            stop("The sanitizers want GCC's {}, and {} has none; set CXX to a g++ that has it.".format(name, " ".join(compiler)))
+        found.append(os.path.realpath(path))
+    return found
+
+
 def set_up(dev):
     """Create the environment and install into it, unless that was done already with the same inputs."""
     check_python()
@@ -81,13 +136,17 @@ def set_up(dev):
     if STAMP.exists():
         STAMP.unlink()
     print("Installing e4dgs and what it needs (the first time takes some minutes)", flush=True)
-    # pip reads both variables, the second one in the isolated environment that builds the C++ part (pip >= 25.3; older ones take
-    # the first there too). The path is relative because pip splits them at spaces.
-    environment = dict(os.environ, PIP_CONSTRAINT="constraints.txt", PIP_BUILD_CONSTRAINT="constraints.txt")
     target = ".[dev]" if dev else "."
-    if run([python(), "-m", "pip", "install", "--quiet", "--editable", target], environment) != 0:
+    if run([python(), "-m", "pip", "install", "--quiet", "--editable", target], pinned()) != 0:
         stop("The installation failed; the lines above say at which step. A second call of the same command takes up from here.")
     STAMP.write_text(json.dumps({"inputs": inputs, "dev": dev}))
+
+
+def pinned():
+    """The environment variables under which pip installs the versions that constraints.txt has."""
+    # The second one is for the isolated environment that builds the C++ part (pip >= 25.3; older ones take the first there too). The
+    # path is relative because pip splits them at spaces.
+    return dict(os.environ, PIP_CONSTRAINT="constraints.txt", PIP_BUILD_CONSTRAINT="constraints.txt")
 
 
 def is_installed(inputs, dev):

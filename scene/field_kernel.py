@@ -20,8 +20,8 @@ def field_outputs(space: Sequence[Tensor], time: Sequence[Tensor], weights: Sequ
         space: of each level, [3, R, R, C] (xy, xz, yz; the first coordinate varies fastest).
         time: of each level, [3, T, R, C] (xt, yt, zt).
         weights: W1 [W, levels * C], b1 [W], W2 [W, W], b2 [W], W3 [O, W], b3 [O].
-        u: [N, 3] positions in [0, 1] (clamped). They carry no gradient.
-        t: time in [0, 1] (clamped), one for all positions.
+        u: [N, 3] positions in [0, 1] (clamped, NaN to 0). They carry no gradient.
+        t: time in [0, 1] (likewise), one for all positions.
 
     float32 on the CPU takes the kernel, whose result and gradients are bit-equal for any number of threads; anything else takes plain
     torch. Gradients of gradients are not there, and asking for them is an error.
@@ -61,7 +61,7 @@ def _split(levels: int, tensors: list[Tensor]) -> tuple[list[Tensor], list[Tenso
 
 
 def _taps(u: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    x = u.clamp(0, 1) * (count - 1)
+    x = u.nan_to_num(0).clamp(0, 1) * (count - 1)
     low = x.long().clamp(max=max(count - 2, 0))
     return low, (low + 1).clamp(max=count - 1), (x - low).to(u.dtype)
 

@@ -38,7 +38,7 @@ class HexPlanes(nn.Module):
         return self.channels * len(self.space)
 
     def forward(self, u: Tensor, t: float) -> Tensor:
-        """Features [N, C * levels] at positions ``u`` [N, 3] in [0, 1] (clamped) and one time ``t`` in [0, 1] (clamped).
+        """Features [N, C * levels] at positions ``u`` [N, 3] in [0, 1] (clamped, NaN to 0) and one time ``t`` in [0, 1] (likewise).
 
         Gradients reach the planes only: positions enter the field detached (design, section 1).
         """

@@ -89,6 +89,73 @@ def test_pins_and_native_sources_decide_about_a_new_install_and_python_files_do_
     assert dev.build_digest() != changed
 
 
+@pytest.fixture
+def sanitized(dev, monkeypatch, tmp_path):
+    """`dev.sanitize` with commands recorded instead of run; they succeed unless `failing` names a word of theirs."""
+    commands, failing = [], []
+
+    def run(command, environment=None, folder=None):
+        commands.append((command, environment))
+        return int(any(word in command for word in failing))
+
+    monkeypatch.setattr(dev, "run", run)
+    monkeypatch.setattr(dev, "SANITIZED", tmp_path / "sanitize")
+    monkeypatch.setattr(dev, "sanitizer_libraries", lambda: ["/lib/libasan.so.8", "/lib/libubsan.so.1"])
+    (tmp_path / "sanitize").mkdir()
+    return dev, commands, failing
+
+
+def test_sanitize_builds_beside_the_environment_once_and_tests_what_it_built(sanitized, tmp_path):
+    dev, commands, _ = sanitized
+    assert dev.sanitize([]) == 0
+    (build, build_environment), (tests, environment) = commands
+    assert build[build.index("--target") + 1] == str(tmp_path / "sanitize" / "package") and "--editable" not in build
+    assert "cmake.define.E4DGS_SANITIZE=" + dev.SANITIZERS in build
+    assert build_environment["SKBUILD_BUILD_DIR"] == str(tmp_path / "sanitize" / "cmake")
+    assert environment["LD_PRELOAD"] == "/lib/libasan.so.8:/lib/libubsan.so.1"
+    assert environment["E4DGS_SANITIZED"] == str(tmp_path / "sanitize" / "package")
+    assert environment["PYTHONPATH"].split(os.pathsep)[0] == str(ROOT / "tests" / "sanitizers")
+    for path in dev.SANITIZED_TESTS:
+        assert path in tests and (ROOT / path).exists()
+    commands.clear()
+    dev.sanitize(["-k", "hull"])
+    assert [command[-2:] for command, _ in commands] == [["-k", "hull"]]
+
+
+def test_sanitize_fails_where_the_build_or_a_test_does(sanitized, tmp_path):
+    dev, _, failing = sanitized
+    failing.append("pytest")
+    assert dev.sanitize([]) == 1
+    failing[:] = ["pip"]
+    (tmp_path / "sanitize" / "built.json").unlink()
+    with pytest.raises(SystemExit, match="instrumented build failed"):
+        dev.sanitize([])
+    assert not (tmp_path / "sanitize" / "built.json").exists()
+
+
+def test_sanitize_without_gcc_says_so(dev, monkeypatch):
+    for compiler in ("true", "no-such-compiler"):
+        monkeypatch.setenv("CXX", compiler)
+        with pytest.raises(SystemExit, match=r"GCC's libasan\.so.*set CXX"):
+            dev.sanitizer_libraries()
+
+
+def test_every_process_of_sanitize_imports_the_instrumented_modules_and_all_else_as_usual(tmp_path):
+    for floor, name in (("rasterizer", "_cpu"), ("scene", "_kernels")):
+        folder = tmp_path / "e4dgs" / floor
+        folder.mkdir(parents=True)
+        (folder / f"{name}.py").write_text("")
+    program = (
+        "import e4dgs.rasterizer._cpu as a, e4dgs.scene._kernels as b, e4dgs.rasterizer.types as c\n"
+        "print(a.__file__, b.__file__, c.__file__)"
+    )
+    environment = {**os.environ, "E4DGS_SANITIZED": str(tmp_path), "PYTHONPATH": str(ROOT / "tests" / "sanitizers")}
+    result = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stderr
+    first, second, third = (Path(path) for path in result.stdout.split())
+    assert tmp_path in first.parents and tmp_path in second.parents and tmp_path not in third.parents
+
+
 def test_every_direct_dependency_is_pinned():
     import tomllib
 

@@ -15,14 +15,18 @@ namespace {
 
 constexpr size_t kSmall = size_t(1) << 18;       // smaller ones are malloc's business
 constexpr size_t kHugePage = size_t(1) << 21;
+#if defined(__SANITIZE_ADDRESS__)
+constexpr size_t kMostKept = 0;  // every buffer has an end of its own that the sanitizer watches
+#else
 constexpr size_t kMostKept = size_t(512) << 20;  // bytes; the rest goes back at once
+#endif
 
 std::mutex mutex;
 std::vector<Memory> kept;
 size_t kept_bytes = 0;
 
 Memory allocate(size_t bytes) {
-    const size_t alignment = bytes >= kHugePage ? kHugePage : 64;
+    const size_t alignment = bytes >= kHugePage && kMostKept ? kHugePage : 64;
     const size_t capacity = (bytes + alignment - 1) / alignment * alignment;
     void* data = std::aligned_alloc(alignment, capacity);
     if (!data) throw std::bad_alloc();

@@ -1,9 +1,12 @@
-"""One thread for these small tensors (several would only wait for one another); the test of thread counts sets its own."""
+"""One thread for these small tensors (several would only wait for one another); the test of thread counts sets its own. And the
+fixture that puts each instruction set in turn."""
 
 from collections.abc import Iterator
 
 import pytest
 import torch
+
+from .kernels import instruction_set  # noqa: F401
 
 
 @pytest.fixture(autouse=True)

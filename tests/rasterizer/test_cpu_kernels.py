@@ -1,7 +1,5 @@
 """What only the C++ kernels have: several instruction sets, chunks and blocks of a tile, gradients computed on demand, kept state."""
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 
@@ -10,17 +8,6 @@ from .kernels import needs_cpu
 from .scenes import Scene, generator, random_scene, uniform
 
 pytestmark = needs_cpu
-
-
-@pytest.fixture(params=["avx512", "avx2", "baseline"])
-def instruction_set(request: pytest.FixtureRequest) -> Iterator[str]:
-    from e4dgs.rasterizer import _cpu
-
-    best = _cpu.kernels()
-    if not _cpu.select_kernels(request.param):
-        pytest.skip(f"this processor or build has no {request.param}")
-    yield request.param
-    assert _cpu.select_kernels(best)
 
 
 def check(scene: Scene, max_decided: float = 0.05) -> None:

@@ -1,0 +1,1 @@
+"""Structured fuzzing of `rasterize`: `cases` makes arguments from two numbers, `invariants` says what must hold of any."""
