@@ -4,7 +4,7 @@
 struct TilePixels {  // lane l of block b is pixel (4 (b % 4) + l % 4, 4 (b / 4) + l / 4)
     alignas(64) float falling[256];        // transmittance as if nothing stopped: below the line, the pixel has stopped
     alignas(64) float transmittance[256];  // of stopped pixels, behind their last blended layer
-    alignas(64) float red[256], green[256], blue[256], z[256];
+    alignas(64) float red[256], green[256], blue[256], z[256], weight[256];
     alignas(64) int32_t last[256];         // of stopped pixels, the entry before the one that stopped them
 };
 
@@ -28,12 +28,12 @@ __attribute__((noinline)) void stop_pixels(float* transmittance, int32_t* last, 
 // False once all of the block's pixels have stopped. first: index in the tile of the chunk's first item.
 template <bool EXTRAS, bool CONVEXES>
 inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk& chunk, int32_t first) {
-    Float falling[kVectors], red[kVectors], green[kVectors], blue[kVectors], z[kVectors], X[kVectors], Y[kVectors];
+    Float falling[kVectors], red[kVectors], green[kVectors], blue[kVectors], z[kVectors], weight[kVectors], X[kVectors], Y[kVectors];
     uint32_t open[kVectors], alive = 0;
     const Float line = set1(kMinTransmittance);
     for (int k = 0; k < kVectors; ++k) {
         const int at = 16 * b + k * kWidth;
-        falling[k] = load(px.falling + at);
+        falling[k] = load(px.falling + at), weight[k] = load(px.weight + at);
         red[k] = load(px.red + at), green[k] = load(px.green + at), blue[k] = load(px.blue + at), z[k] = load(px.z + at);
         X[k] = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
         Y[k] = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
@@ -72,6 +72,7 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk
                 green[k] = fma(w, set1(item.color[1]), green[k]);
                 blue[k] = fma(w, set1(item.color[2]), blue[k]);
                 z[k] = fma(w, set1(item.z), z[k]);
+                weight[k] = weight[k] + w;  // 1 - transmittance loses the small ones' digits, which depth is divided by
                 if (EXTRAS && item.extras)
                     for (int e = 0; e < extras; ++e) {
                         float* p = extra + 256 * e + 16 * b + k * kWidth;
@@ -99,7 +100,7 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk
 done:
     for (int k = 0; k < kVectors; ++k) {
         const int at = 16 * b + k * kWidth;
-        store(px.falling + at, falling[k]);
+        store(px.falling + at, falling[k]), store(px.weight + at, weight[k]);
         store(px.red + at, red[k]), store(px.green + at, green[k]), store(px.blue + at, blue[k]), store(px.z + at, z[k]);
     }
     return alive;
@@ -113,19 +114,17 @@ inline void copy_lanes(const float* from, float* to, int count) {
 
 inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* extra, int x0, int y0, int32_t entries) {
     const int w = job.width - x0 < kTile ? job.width - x0 : kTile, h = job.height - y0 < kTile ? job.height - y0 : kTile;
-    alignas(64) float alpha[256];
-    const Float line = set1(kMinTransmittance), one = set1(1.0f);
+    const Float line = set1(kMinTransmittance);
     for (int at = 0; at < 256; at += kWidth) {
         const Float falling = load(px.falling + at);
         const Mask open = falling >= line;
-        const Float t = select(open, falling, load(px.transmittance + at)), a = one - t;
+        const Float t = select(open, falling, load(px.transmittance + at));
         store(px.transmittance + at, t);
         store(px.last + at, select(open, set1(entries - 1), load(px.last + at)));
-        store(alpha + at, a);
         store(px.red + at, fma(t, set1(job.background[0]), load(px.red + at)));
         store(px.green + at, fma(t, set1(job.background[1]), load(px.green + at)));
         store(px.blue + at, fma(t, set1(job.background[2]), load(px.blue + at)));
-        store(px.z + at, load(px.z + at) * reciprocal(max(a, set1(1e-30f))));  // 0 where nothing was blended
+        store(px.z + at, load(px.z + at) * reciprocal(max(load(px.weight + at), set1(1e-30f))));  // 0 where nothing was blended
     }
     for (int y = 0; y < h; ++y)
         for (int x = 0; x < w; x += 4) {
@@ -136,7 +135,7 @@ inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* ext
                 color[3 * i] = px.red[at + i], color[3 * i + 1] = px.green[at + i], color[3 * i + 2] = px.blue[at + i];
                 for (int e = 0; e < job.extras; ++e) job.extra[(to + i) * job.extras + e] = extra[256 * e + at + i];
             }
-            copy_lanes(alpha + at, job.alpha + to, count);
+            copy_lanes(px.weight + at, job.alpha + to, count);
             copy_lanes(px.z + at, job.depth + to, count);
             if (!job.transmittance) continue;
             copy_lanes(px.transmittance + at, job.transmittance + to, count);
@@ -170,7 +169,7 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
     for (int at = 0; at < 256; at += kWidth) {
         store(px.falling + at, set1(1.0f)), store(px.transmittance + at, set1(1.0f));
         store(px.red + at, zero()), store(px.green + at, zero()), store(px.blue + at, zero()), store(px.z + at, zero());
-        store(px.last + at, set1(-1));
+        store(px.weight + at, zero()), store(px.last + at, set1(-1));
     }
     for (int i = 0; !whole && i < 256; ++i) {
         const int b = i / 16, x = x0 + b % 4 * 4 + i % 4, y = y0 + b / 4 * 4 + i % 16 / 4;
