@@ -39,7 +39,8 @@ def measure(bench: Bench) -> Measured:
     for what, timing in times.items():
         table.append((what, f"{1e3 * timing.best:.1f}", f"{1e3 * timing.median:.1f}", f"{1e9 * timing.best / pairs.visible:.2f}"))
     return Measured(
-        protocol=f"{name}; {pairs.visible / 1e6:.1f} M visible pairs, {pairs.blended / 1e6:.1f} M before their pixel stops; {threads} threads",
+        protocol=f"{name}; {pairs.visible / 1e6:.1f} M visible pairs, {pairs.blended / 1e6:.1f} M of them before their pixels stop; "
+        f"{threads} threads",
         checks=checks,
         numbers={"pairs": vars(pairs), "times": {what: timing.json() for what, timing in times.items()}},
         columns=("", "best ms", "median ms", "ns a pair"),
