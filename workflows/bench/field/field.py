@@ -60,8 +60,8 @@ def measure(bench: Bench) -> Measured:
                 )
             )
     return Measured(
-        protocol=f"{n:,} points, levels of {' and '.join(map(str, RESOLUTIONS))}, {TIMES} times, MLP of width 64, forward + backward to every "
-        f"parameter; errors are relative L2 of each output and each gradient; {torch.get_num_threads()} threads",
+        protocol=f"{n:,} points, levels of {' and '.join(map(str, RESOLUTIONS))}, {TIMES} times, MLP of width 64, forward + backward to "
+        f"every parameter; errors are relative L2 of each output and each gradient; {torch.get_num_threads()} threads",
         checks=checks,
         numbers=numbers,
         curves=curves,
