@@ -110,4 +110,6 @@ def tensor(array: np.ndarray) -> torch.Tensor:
 
 
 def _sh(rng: np.random.Generator, n: int, degree: int) -> np.ndarray:
-    return 0.3 * rng.standard_normal((n, (degree + 1) ** 2, 3))
+    """Coefficients [n, (degree+1)^2, 3] whose bands fall off as those of a reconstruction do."""
+    band = np.sqrt(np.arange((degree + 1) ** 2)).astype(int)
+    return 0.3 / (1 + band[None, :, None]) ** 2 * rng.standard_normal((n, (degree + 1) ** 2, 3))

@@ -70,8 +70,8 @@ def measure(bench: Bench) -> Measured:
     parts = {part: 1e3 * taken[best].get(part, 0.0) / PERIOD for part in PARTS}
     whole, unwatched = 1e3 * wholes[best] / PERIOD, 1e3 * min(plain) / PERIOD
     return Measured(
-        protocol=f"{name}, {len(trainer.model.gaussians):,} Gaussians, {views.width}x{views.height}; the fastest of {periods} runs of {PERIOD} "
-        f"steps; {torch.get_num_threads()} threads",
+        protocol=f"{name}, {len(trainer.model.gaussians):,} Gaussians, {views.width}x{views.height}; the fastest of {periods} runs of "
+        f"{PERIOD} steps; {torch.get_num_threads()} threads",
         checks=[
             Check("sum of the parts, of the whole step", 100 * sum(parts.values()) / whole, unit="%"),
             Check("step while it is watched, of one that is not", 100 * whole / unwatched, unit="%", note=f"{unwatched:.1f} ms unwatched"),
