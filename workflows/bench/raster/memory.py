@@ -33,7 +33,8 @@ def measure(bench: Bench) -> Measured:
             Check("what cannot fit is refused with a message that names its size", float(clear), 1.0, "above", unit="", note=note)
         )
     return Measured(
-        protocol=f"{n:,} Gaussians with SH of degree 3, {width}x{height}, forward + backward in a process of its own, from the scene in memory to the peak",
+        protocol=f"{n:,} Gaussians with SH of degree 3, {width}x{height}, forward + backward in a process of its own; growth from the "
+        "scene to the peak",
         checks=checks,
         numbers={"fits": fits, "too_large": refused},
     )
