@@ -11,7 +11,7 @@ from torch import Tensor
 from ...rasterizer import Camera, Convexes, Frame, Gaussians, _cpu, rasterize  # type: ignore[attr-defined]
 from .scene import Scene
 
-Rasterize = Callable[[Camera, Gaussians | None, Convexes | None, Tensor], Frame]
+Rasterize = Callable[[Camera, Gaussians | None, Convexes | None, Tensor | None], Frame]
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -52,7 +52,7 @@ class Measured:
     numbers: dict[str, Any] = field(default_factory=dict)
     curves: list[Curve] = field(default_factory=list)
     columns: tuple[str, ...] = ()
-    table: list[tuple[str, ...]] = field(default_factory=list)
+    table: Sequence[tuple[str, ...]] = field(default_factory=list)
 
 
 @dataclass

@@ -39,7 +39,8 @@ def garden(bench: Bench) -> tuple[Scene, str]:
     K[0] *= width / full[0]
     K[1] *= height / full[1]
     camera = Camera(tensor(K), tensor(pose), width, height)
-    gaussians = Gaussians(*(tensor(part[some]) for part in (means, quats, scales, opacities)), colors=tensor(colors[some]))
+    parts = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors}
+    gaussians = Gaussians(**{name: tensor(part[some]) for name, part in parts.items()})
     return Scene(camera, gaussians, None, torch.zeros(3)), f"{bench.garden.name}, {len(gaussians.means):,} Gaussians, {width}x{height}"
 
 
@@ -49,9 +50,11 @@ def cloud(n: int, width: int, height: int, degree: int | None = None, size: floa
     means = rng.standard_normal((n, 3))
     means /= np.linalg.norm(means, axis=1, keepdims=True) + 0.3 * rng.uniform(0, 1, (n, 1))
     scales = np.exp(rng.normal(np.log(size), 0.5, (n, 3)))
-    parts = [tensor(part) for part in (means, rng.standard_normal((n, 4)), scales, rng.uniform(0.05, 1, n))]
+    quats, opacities = rng.standard_normal((n, 4)), rng.uniform(0.05, 1, n)
     looks = {"colors": tensor(rng.uniform(0, 1, (n, 3)))} if degree is None else {"sh": tensor(_sh(rng, n, degree))}
-    return Scene(camera_of(width, height), Gaussians(*parts, **looks), None, torch.zeros(3))
+    return Scene(
+        camera_of(width, height), Gaussians(tensor(means), tensor(quats), tensor(scales), tensor(opacities), **looks), None, torch.zeros(3)
+    )
 
 
 def convexes(m: int, width: int, height: int) -> Scene:
@@ -59,7 +62,8 @@ def convexes(m: int, width: int, height: int) -> Scene:
     rng = np.random.default_rng(SEED)
     points = 1.2 * rng.standard_normal((m, 1, 3)) + 0.03 * rng.standard_normal((m, 6, 3))
     tau, kappa = rng.uniform(50, 300, m), rng.uniform(100, 600, m)
-    shapes = Convexes(*(tensor(part) for part in (points, tau, kappa, rng.uniform(0.05, 1, m))), colors=tensor(rng.uniform(0, 1, (m, 3))))
+    opacities, colors = rng.uniform(0.05, 1, m), rng.uniform(0, 1, (m, 3))
+    shapes = Convexes(tensor(points), tensor(tau), tensor(kappa), tensor(opacities), colors=tensor(colors))
     return Scene(camera_of(width, height), None, shapes, torch.zeros(3))
 
 
@@ -76,7 +80,8 @@ def reconstructed_convexes(m: int, width: int, height: int) -> Scene:
     tau = np.where(sharp, rng.uniform(40, 150, m), rng.uniform(10, 30, m)) / radius[:, 0, 0]
     kappa = np.where(sharp, rng.uniform(30, 150, m), rng.uniform(6, 20, m)) / radius[:, 0, 0]
     opacities = np.where(sharp, rng.uniform(0.6, 1, m), rng.uniform(0.05, 0.6, m))
-    shapes = Convexes(*(tensor(part) for part in (points, tau, kappa, opacities)), colors=tensor(rng.uniform(0, 1, (m, 3))))
+    colors = rng.uniform(0, 1, (m, 3))
+    shapes = Convexes(tensor(points), tensor(tau), tensor(kappa), tensor(opacities), colors=tensor(colors))
     return Scene(camera_of(width, height), None, shapes, torch.zeros(3))
 
 

@@ -45,7 +45,7 @@ class Projected:
 
 def rasterize_torch(
     camera: Camera,
-    gaussians: Gaussians,
+    gaussians: Gaussians | None,
     convexes: Convexes | None = None,
     background: Tensor | None = None,
     tile: int = TILE,
@@ -53,8 +53,8 @@ def rasterize_torch(
     together: int = TOGETHER,
 ) -> Frame:
     """Render in float32. Arguments and result as in `rasterize`; only Gaussians can be drawn. Visibility is that of the image's box."""
-    if convexes is not None and len(convexes.points):
-        raise ValueError("the torch rasterizer draws Gaussians only")
+    if gaussians is None or (convexes is not None and len(convexes.points)):
+        raise ValueError("the torch rasterizer draws Gaussians, and nothing else")
     splats = project(camera, gaussians)
     pixels = blend_tiles(camera, splats, tile, block, together)
     alpha = pixels[..., 3]

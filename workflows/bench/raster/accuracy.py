@@ -29,11 +29,11 @@ def measure(bench: Bench) -> Measured:
         decided = decided_by_threshold(scene)
         image, by_name = errors(scene, decided)
         hardest = max(by_name, key=lambda field: by_name[field])
-        numbers[name] = {"image": image, "gradients": by_name, "pixels_decided_by_a_threshold": float(decided.double().mean())}
+        left_out = float(decided.double().mean())
+        numbers[name] = {"image": image, "gradients": by_name, "pixels_decided_by_a_threshold": left_out}
         worst_image = max(worst_image, (name, image), key=lambda found: found[1])
         worst_gradient = max(worst_gradient, (f"{name}, {hardest}", by_name[hardest]), key=lambda found: found[1])
-        share = f"{100 * numbers[name]['pixels_decided_by_a_threshold']:.2f} %"
-        table.append((name, f"{image:.1e}", f"{by_name[hardest]:.1e}", hardest, share))
+        table.append((name, f"{image:.1e}", f"{by_name[hardest]:.1e}", hardest, f"{100 * left_out:.2f} %"))
         bench.tick(name)
     return Measured(
         protocol=f"{n} primitives, {width}x{height}, every output and every input's gradient; pixels that a threshold decides are left out",

@@ -90,7 +90,12 @@ def watched(trainer: Trainer, clock: Clock) -> Iterator[None]:
     assert field is not None
     graph = _Graph(clock)
     before = field.register_forward_pre_hook(lambda module, inputs: clock.enter("field forward"))
-    after = field.register_forward_hook(lambda module, inputs, output: (clock.leave(), graph.moved(output))[1])
+
+    def moved(module: Any, inputs: Any, output: Displacement) -> None:
+        clock.leave()
+        graph.moved(output)
+
+    after = field.register_forward_hook(moved)
     kept_rasterize, kept_loss, kept_backward = training.rasterize, training.photometric_loss, Tensor.backward
     kept_terms, kept_step, kept_accepts = trainer.motion_terms, trainer.optimiser.step, trainer.guard.accepts
     training.rasterize = clock.wrapped(kept_rasterize, "rasterize forward", graph.rendered)
@@ -142,7 +147,7 @@ def _flat(terms: Any, clock: Clock, graph: _Graph) -> Any:
 def clock_as(clock: Clock, part: str) -> Iterator[None]:
     """While it lasts, every part that is entered counts as ``part``."""
     enter = clock.enter
-    clock.enter = lambda name: enter(part)  # type: ignore[method-assign]
+    clock.enter = lambda part_inside: enter(part)  # type: ignore[method-assign, assignment, misc]
     try:
         yield
     finally:

@@ -59,7 +59,7 @@ def views_of(bench: Bench) -> tuple[Views, list[np.ndarray] | None, str]:
 def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None) -> Model:
     """Gaussians strewn over the capture's objects, half of them nearly opaque, all of them moving; a field that has learned something."""
     count = bench.count(COUNT, 200)
-    settings = TrainingSettings()
+    settings = TrainingSettings.model_validate({})
     if masks is not None:
         chosen = np.arange(len(views.train))[:: max(1, len(views.train) // 40)]
         points, colors = carve(views, [masks[k] for k in chosen], views.train[chosen], count, settings.seed)
@@ -87,7 +87,7 @@ def copy_of(model: Model) -> Model:
 def make_trainer(model: Model, views: Views) -> tuple[Trainer, Callable[[], None]]:
     """A trainer in mid-course, and a function that takes one step: all of a step, without density control and checkpoints between steps."""
     phase = Phase("deformation", STEPS)
-    trainer = Trainer(model, views, [phase], TrainingSettings(), budget=len(model.gaussians), grow=False)
+    trainer = Trainer(model, views, [phase], TrainingSettings.model_validate({}), budget=len(model.gaussians), grow=False)
     trainer.iteration = BEGUN
 
     def step() -> None:
