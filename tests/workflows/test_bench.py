@@ -3,8 +3,10 @@
 import json
 import math
 
+import numpy as np
 import pytest
 import torch
+from e4dgs.pipeline import SettingsError
 from e4dgs.rasterizer import rasterize
 from e4dgs.workflows.bench import scenes
 from e4dgs.workflows.bench.compare import relative_l2
@@ -194,3 +196,19 @@ def test_gaussians_that_stand_for_convexes_cover_as_many_pixels():
     gaussians = counterpart(shapes)
     assert count_pairs(gaussians).visible == pytest.approx(count_pairs(shapes).visible, rel=0.05)
     assert torch.allclose(gaussians.gaussians.means, shapes.convexes.points.mean(1))
+
+
+def test_the_garden_scene_is_read_from_its_file(tmp_path):
+    path = tmp_path / "garden.npz"
+    rng = np.random.default_rng(0)
+    K = np.array([[[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]])
+    arrays = {"means3d": rng.normal(size=(50, 3)) + [0, 0, 4], "colors": rng.integers(0, 256, (50, 3)), "Ks": K}
+    np.savez(path, **arrays, viewmats=np.eye(4)[None], width=64, height=48)
+    scene, name = scenes.garden(Bench(garden=path))
+    assert name == "garden.npz, 50 Gaussians, 64x48"
+    assert torch.equal(scene.gaussians.means, torch.tensor(arrays["means3d"], dtype=torch.float32))
+    half, _ = scenes.garden(Bench(scale=0.25, garden=path))
+    assert len(half.gaussians.means) == 13 and half.camera.width == 32 and float(half.camera.K[0, 0]) == 15
+    np.savez(path, means3d=arrays["means3d"])
+    with pytest.raises(SettingsError, match=r"garden\.npz: expected arrays means3d, colors"):
+        scenes.garden(Bench(garden=path))
