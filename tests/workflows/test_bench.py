@@ -202,7 +202,7 @@ def test_the_garden_scene_is_read_from_its_file(tmp_path):
     path = tmp_path / "garden.npz"
     rng = np.random.default_rng(0)
     K = np.array([[[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]])
-    arrays = {"means3d": rng.normal(size=(50, 3)) + [0, 0, 4], "colors": rng.integers(0, 256, (50, 3)), "Ks": K}
+    arrays = {"means3d": rng.normal((0, 0, 4), 1, (50, 3)), "colors": rng.integers(0, 256, (50, 3)), "Ks": K}
     np.savez(path, **arrays, viewmats=np.eye(4)[None], width=64, height=48)
     scene, name = scenes.garden(Bench(garden=path))
     assert name == "garden.npz, 50 Gaussians, 64x48"
