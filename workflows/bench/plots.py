@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 MARKERS = "osD^vP*Xd<>p"
+DECADES = 1e4  # the least ratio of the ends of an axis of errors
 
 
 def draw(path: Path, rows: dict[str, dict[str, Any]]) -> list[Path]:
@@ -28,19 +29,23 @@ def _draw_one(path: Path, curves: list[dict[str, Any]]) -> Path:
 
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    labels: dict[str, Any] = {}
+    drawn: dict[str, tuple[str, Any]] = {}  # marker and colour of each label
     for curve in curves:
-        if curve["names"]:
-            marker = MARKERS[len(labels) % len(MARKERS)]
-            points = axes.plot(curve["x"], curve["y"], marker, label=curve["label"], color=labels.get(curve["label"]))
-            for x, y, name in zip(curve["x"], curve["y"], curve["names"]):
-                if name != curve["label"]:
-                    axes.annotate(name, (x, y), textcoords="offset points", xytext=(6, 4), fontsize=8)
-        else:
-            points = axes.plot(curve["x"], curve["y"], "o-", label=curve["label"])
-        labels.setdefault(curve["label"], points[0].get_color())
+        label = curve["label"]
+        marker, color = drawn.get(label, (MARKERS[len(drawn) % len(MARKERS)], None))
+        style = marker if curve["names"] else "o-"
+        (line,) = axes.plot(curve["x"], curve["y"], style, color=color, label=None if label in drawn else label)
+        drawn[label] = marker, line.get_color()
+        for x, y, name in zip(curve["x"], curve["y"], curve["names"]):
+            if name != label:
+                axes.annotate(name, (x, y), textcoords="offset points", xytext=(4, 5), fontsize=8, rotation=30)
     axes.set_xscale("log")
     axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    if any(curve["names"] for curve in curves) and high < DECADES * low:
+        # Errors within a factor of two of one another are equal; an axis of one decade would tell them apart.
+        middle = (low * high) ** 0.5
+        axes.set_ylim(middle / DECADES**0.5, middle * DECADES**0.5)
     axes.set_xlabel(curves[0]["x_title"])
     axes.set_ylabel(curves[0]["y_title"])
     axes.grid(True, which="both", alpha=0.25)

@@ -45,7 +45,7 @@ def measure(bench: Bench) -> Measured:
         worst = max(errors["ours"], key=lambda name: errors["ours"][name])
         note = f"{worst}; of torch's composition {max(errors[fastest].values()):.1e}"
         checks.append(Check(f"{channels} channels, largest error against float64", errors["ours"][worst], ERROR_BAR, unit="", note=note))
-        numbers[f"{channels} channels"] = {"times": {name: t.json() for name, t in times.items()}, "errors": errors}
+        numbers[f"C = {channels}"] = {"times": {name: t.json() for name, t in times.items()}, "errors": errors}
         for name, timing in times.items():
             table.append(_cells(f"{channels} channels, {name}", timing, errors[name]))
             curves.append(
@@ -56,7 +56,7 @@ def measure(bench: Bench) -> Measured:
                     [max(errors[name].values())],
                     "ms",
                     "largest relative error",
-                    [f"{channels} channels"],
+                    [f"C = {channels}"],
                 )
             )
     return Measured(
