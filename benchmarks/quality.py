@@ -16,7 +16,7 @@ import sys
 import time
 from pathlib import Path
 
-from machine import machine
+from e4dgs.workflows.bench.machine import machine
 
 CASES: dict[str, tuple[str, list[str]]] = {
     "lego": ("lego", []),

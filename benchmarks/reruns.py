@@ -17,7 +17,7 @@ import sys
 import time
 from pathlib import Path
 
-from machine import machine
+from e4dgs.workflows.bench.machine import machine
 
 
 def command(capture: Path, workspace: Path, options: list[str]) -> list[str]:

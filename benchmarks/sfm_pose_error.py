@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from e4dgs.pipeline import Artifact, Records, Store
 from e4dgs.stages.sfm.alignment import pose_error
-from machine import machine
+from e4dgs.workflows.bench.machine import machine
 
 
 def read_truth(path: Path) -> np.ndarray:

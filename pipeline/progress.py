@@ -49,7 +49,7 @@ class Progress:
             )
             self._task = self._bar.add_task(self.label, total=self.total, note=note)
             self._bar.start()
-        self._bar.update(self._task, completed=self.done, **({"note": note} if note else {}))
+        self._bar.update(self._task, completed=self.done, total=self.total, **({"note": note} if note else {}))
 
     def _line(self, now: float, note: str) -> str:
         percent = 100 * self.done / self.total if self.total else 100.0

@@ -1,6 +1,8 @@
 """What the documents promise exists: settings with their defaults, commands, links, fixtures."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,7 @@ from e4dgs.workflows.reconstruction import reconstruction
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
-DOCUMENTS = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "DESIGN.md", "docs/index.md"]
+DOCUMENTS = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "DESIGN.md", "docs/index.md", "docs/benchmarks.md"]
 
 
 def settings_table() -> list[tuple[list[str], str]]:
@@ -35,7 +37,7 @@ def test_settings_of_the_readme_exist_with_these_defaults():
 
 
 def test_commands_of_the_readme_exist():
-    commands = {command.name or command.callback.__name__ for command in app.registered_commands}
+    commands = {command.name or command.callback.__name__ for command in app.registered_commands} | {g.name for g in app.registered_groups}
     code = re.findall(r"```bash\n(.*?)```|`([^`\n]+)`", README, re.DOTALL)
     names = {word for block in code for word in re.findall(r"^e4dgs (\w+)", "".join(block), re.MULTILINE)}
     assert names and names <= commands
@@ -59,3 +61,19 @@ def test_fixtures_named_in_contributing_exist():
     named = set(re.findall(r"`(\w+_capture)`", (ROOT / "CONTRIBUTING.md").read_text()))
     defined = set(re.findall(r"def (\w+_capture)\(", (ROOT / "tests" / "conftest.py").read_text()))
     assert named == defined
+
+
+def test_rows_and_options_of_the_benchmarks_page_exist():
+    from e4dgs.workflows.bench.suites import SUITES
+
+    page = (ROOT / "docs" / "benchmarks.md").read_text()
+    calls = re.findall(r"^e4dgs bench (\w+)(.*?)(?:#.*)?$", page, re.MULTILINE)
+    assert {suite for suite, _ in calls} == set(SUITES)
+    for suite, options in calls:
+        for names in re.findall(r"--rows ([\w,]+)", options):
+            assert set(names.split(",")) <= {row.name for row in SUITES[suite]}
+
+
+def test_tables_of_the_benchmarks_page_are_those_of_the_results():
+    done = subprocess.run([sys.executable, ROOT / "benchmarks" / "tables.py", "--check"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,1 @@
+"""`e4dgs bench`: run time against error, everything side by side on one machine. See workflows/DESIGN.md."""

@@ -1,0 +1,103 @@
+"""What a benchmark prints and writes: a table of checks with their bars, and JSON that says how it was measured."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from .rows import Bench, Check, Measured, Row
+
+PASSED = {True: "[green]pass[/]", False: "[red]miss[/]", None: ""}
+
+
+def number(value: float, unit: str) -> str:
+    """Three digits, or an exponent where the number is an error."""
+    shown = f"{value:.1e}" if value and abs(value) < 0.01 else f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+    return shown + ("x" if unit == "x" else f" {unit}" if unit else "")
+
+
+def bar(check: Check) -> str:
+    if check.bar is None:
+        return ""
+    return f"{'≤' if check.better == 'below' else '≥'} {number(check.bar, check.unit)}"
+
+
+def verdict(check: Check, judged: bool) -> str:
+    """pass, miss, or nothing where there is no bar or sizes are not those of the promise."""
+    if check.bar is None:
+        return ""
+    return PASSED[check.passed] if judged else "[dim]not judged[/]"
+
+
+def show_row(console: Console, row: Row, measured: Measured, judged: bool) -> None:
+    """The checks of a row, and its further numbers."""
+    console.print(f"[bold]{row.name}[/]  {escape(measured.protocol)}", highlight=False, soft_wrap=True)
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2), show_header=False)
+    for check in measured.checks:
+        table.add_row(escape(check.what), number(check.value, check.unit), bar(check), verdict(check, judged), escape(check.note))
+    if measured.checks:
+        console.print(table)
+    if measured.table:
+        more = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2))
+        for column in measured.columns:
+            more.add_column(column, justify="left" if column == measured.columns[0] else "right")
+        for cells in measured.table:
+            more.add_row(*map(escape, cells))
+        console.print(more)
+
+
+def show_rows(console: Console, rows: list[Row]) -> None:
+    """What `--list` prints."""
+    for row in rows:
+        console.print(
+            f"{row.name:12} {row.what}{' (only when named)' if row.optional else ''}", markup=False, highlight=False, soft_wrap=True
+        )
+
+
+def row_json(row: Row, measured: Measured) -> dict[str, Any]:
+    """A row of the JSON file."""
+    checks = [vars(check) | {"passed": check.passed} for check in measured.checks]
+    return {
+        "what": row.what,
+        "protocol": measured.protocol,
+        "checks": checks,
+        "numbers": measured.numbers,
+        "curves": [vars(curve) for curve in measured.curves],
+        "columns": list(measured.columns),
+        "table": [list(cells) for cells in measured.table],
+    }
+
+
+def report(suite: str, bench: Bench, facts: dict[str, Any], rows: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The JSON file of one run."""
+    protocol = {
+        "suite": suite,
+        "scale": bench.scale,
+        "judged": bench.scale == 1,
+        "repeats": bench.repeats,
+        "seconds_a_contender": bench.seconds,
+        "garden": bench.garden.name if bench.garden else None,
+        "capture": bench.capture.name if bench.capture else None,
+        "timing": "wall time, one warm-up, contenders in turns; ratios by the best run of each",
+    }
+    return {"machine": facts, "protocol": protocol, "rows": rows}
+
+
+def write(path: Path, content: dict[str, Any]) -> None:
+    """As JSON; numbers that are not finite become null, which JSON has."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(_finite(content), indent=1, ensure_ascii=False) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,115 @@
+"""What a row of the benchmark is: something that is measured, and what we promise of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from ...pipeline import Progress, SettingsError
+
+
+@dataclass
+class Check:
+    """One number and, where we promise something of it, its bar. ``better`` says on which side of the bar it must lie."""
+
+    what: str
+    value: float
+    bar: float | None = None
+    better: Literal["below", "above"] = "below"
+    unit: str = "x"
+    note: str = ""
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether the bar holds; None where there is none. A number that is not finite holds nothing."""
+        if self.bar is None:
+            return None
+        return self.value <= self.bar if self.better == "below" else self.value >= self.bar
+
+
+@dataclass
+class Curve:
+    """Points of a plot: ``x`` and ``y`` [n], and a name for each point where points are variants rather than sizes."""
+
+    plot: str
+    label: str
+    x: list[float]
+    y: list[float]
+    x_title: str = ""
+    y_title: str = ""
+    names: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Measured:
+    """What a row yields. protocol: one sentence that says what was measured, sizes included. numbers: every timing and count behind the
+    checks, JSON values. table: rows of further numbers to print, under ``columns``."""
+
+    protocol: str
+    checks: list[Check] = field(default_factory=list)
+    numbers: dict[str, Any] = field(default_factory=dict)
+    curves: list[Curve] = field(default_factory=list)
+    columns: tuple[str, ...] = ()
+    table: Sequence[tuple[str, ...]] = field(default_factory=list)
+
+
+@dataclass
+class Bench:
+    """What the user asked for, handed to every row.
+
+    scale: factor on the number of primitives, pixels and points; bars are promises at 1 only. seconds: most time that the repeats of one
+    contender may take together. garden, capture: files given on the command line. progress: of the row that is being measured.
+    """
+
+    scale: float = 1.0
+    repeats: int = 7
+    seconds: float = 20.0
+    garden: Path | None = None
+    capture: Path | None = None
+    progress: Progress = field(default_factory=lambda: Progress(0, ""))
+
+    def expect(self, parts: int) -> None:
+        """So many more calls of `tick` will come."""
+        self.progress.total += parts
+
+    def tick(self, note: str) -> None:
+        """One of the parts that were expected is done."""
+        self.progress.advance(note=note)
+
+    def count(self, full: int, least: int = 1) -> int:
+        """A number of primitives or points at this scale."""
+        return max(least, round(full * self.scale))
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """An image's size in pixels with ``scale`` of its area."""
+        side = min(1.0, self.scale**0.5)
+        return max(32, round(width * side)), max(24, round(height * side))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row: its name on the command line, what it is about, and how it is measured. optional: only measured when named."""
+
+    name: str
+    what: str
+    measure: Callable[[Bench], Measured]
+    optional: bool = False
+
+
+def choose(rows: list[Row], names: str | None) -> list[Row]:
+    """The rows named in a comma-separated list, in their own order; all but the optional ones for None.
+
+    Raises SettingsError where a name is not a row's.
+    """
+    if names is None:
+        return [row for row in rows if not row.optional]
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    known = [row.name for row in rows]
+    for name in wanted:
+        if name not in known:
+            raise SettingsError(f"--rows {name}: there is no such row; rows: {', '.join(known)}")
+    if not wanted:
+        raise SettingsError(f"--rows names no row; rows: {', '.join(known)}")
+    return [row for row in rows if row.name in wanted]

@@ -1,0 +1,97 @@
+"""A training run in mid-course, ready to take single steps: views of a capture, Gaussians on its objects, a deformation field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+import torch
+
+from ....pipeline import Runner, SettingsError
+from ....scene.field import DeformationField
+from ....scene.model import Model
+from ....scene.primitives import ConvexSet, GaussianSet
+from ....scene.schedule import Phase
+from ....scene.seeding import carve, common_volume
+from ....scene.settings import TrainingSettings
+from ....scene.trainer import Trainer
+from ....scene.views import Views
+from ...session import Options, open_session
+from ..rows import Bench
+
+COUNT = 30_000
+SIZE = 400  # px; the sample's pictures are enlarged to it
+SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "cube_and_ball"
+STEPS, BEGUN = 1000, 400  # of the run, and how many of them are past: every term of the loss is in by then
+PERIOD = 8  # steps after which every term of the loss has come up as often as it does on average
+
+
+def views_of(bench: Bench) -> tuple[Views, list[np.ndarray] | None, str]:
+    """Training views with their pictures decoded, foreground masks of each where there is alpha, and the capture's name."""
+    from ....stages.dataset import load_frameset, load_views
+
+    path = bench.capture or SAMPLE
+    if not path.exists():
+        raise SettingsError(f"{path}: there is no such capture; give one with --capture")
+    with TemporaryDirectory() as workspace:
+        session = open_session(Options(path, Path(workspace)))
+        outcomes = {o.stage: o.artifact for o in Runner(session.job).run(["poses"])}
+        frames = load_frameset(outcomes, session.job.capture.root)
+        views = load_views(frames, None)
+        width, height = (SIZE, SIZE) if bench.capture is None else (views.width, views.height)
+        width, height = bench.size(width, height)
+        pictures = {int(i): cv2.resize(views.load(int(i)), (width, height)) for i in views.train}
+        masks = None
+        if frames.alpha:
+            masks = [cv2.resize(frames.image(int(i))[..., 3], (width, height)) > 127 for i in views.train]
+    K = views.K.copy()
+    K[:, 0] *= width / views.width
+    K[:, 1] *= height / views.height
+    views = Views(
+        K, views.cam_from_world, views.time, views.camera, views.next, views.train, width, height, pictures.__getitem__, views.background
+    )
+    return views, masks, session.job.capture.name
+
+
+def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None) -> Model:
+    """Gaussians strewn over the capture's objects, half of them nearly opaque, all of them moving; a field that has learned something."""
+    count = bench.count(COUNT, 200)
+    settings = TrainingSettings.model_validate({})
+    if masks is not None:
+        chosen = np.arange(len(views.train))[:: max(1, len(views.train) // 40)]
+        points, colors = carve(views, [masks[k] for k in chosen], views.train[chosen], count, settings.seed)
+    else:
+        centre, radius = common_volume(views)
+        rng = np.random.default_rng(settings.seed)
+        points, colors = centre + rng.uniform(-0.5, 0.5, (count, 3)) * radius, rng.uniform(0, 1, (count, 3))
+    gaussians = GaussianSet.from_points(points, colors, settings.sh_degree)
+    low, high = points.min(0), points.max(0)
+    margin = 0.2 * (high - low).max()
+    field = DeformationField(torch.tensor(low - margin), torch.tensor(high + margin), len(np.unique(views.time)))
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        gaussians.opacity_logits.copy_(1.5 * torch.randn(count, generator=generator))
+        field.head.weight.copy_(0.003 * torch.randn(field.head.weight.shape, generator=generator))
+    return Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree)
+
+
+def copy_of(model: Model) -> Model:
+    """The same model on memory of its own."""
+    arrays = {name: np.array(value) for name, value in model.to_arrays().items()}
+    return Model.from_arrays(arrays, model.config)
+
+
+def make_trainer(model: Model, views: Views) -> tuple[Trainer, Callable[[], None]]:
+    """A trainer in mid-course, and a function that takes one step: all of a step, without density control and checkpoints between steps."""
+    phase = Phase("deformation", STEPS)
+    trainer = Trainer(model, views, [phase], TrainingSettings.model_validate({}), budget=len(model.gaussians), grow=False)
+    trainer.iteration = BEGUN
+
+    def step() -> None:
+        trainer._step(phase, trainer.iteration)
+        trainer.iteration += 1
+
+    return trainer, step
