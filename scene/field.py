@@ -41,7 +41,8 @@ class DeformationField(nn.Module):
         # A flat box (one point, a plane) would divide by zero: give every axis at least a thousandth of the longest one.
         size = torch.maximum(size, (size.max() * 1e-3).clamp(min=1e-6))
         self.register_buffer("low", low.float().clone())
-        self.register_buffer("high", low.float() + size)
+        # Far from the origin a small size may vanish in rounding.
+        self.register_buffer("high", torch.maximum(low.float() + size, torch.nextafter(low.float(), torch.tensor(torch.inf))))
         self.planes = HexPlanes(resolutions, times, channels, seed)
         generator = torch.Generator().manual_seed(seed + 1)
         self.trunk = nn.Sequential(nn.Linear(self.planes.features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
@@ -71,10 +72,9 @@ class DeformationField(nn.Module):
         return 0.25 * float((self.high - self.low).norm())
 
     def _heads(self, rest: Tensor, t: float) -> Tensor:
-        u = (rest.detach() - self.low) / (self.high - self.low)
         first, second = self.trunk[0], self.trunk[2]
         weights = [p for layer in (first, second, self.head) for p in (layer.weight, layer.bias)]
-        return field_outputs(list(self.planes.space), list(self.planes.time), weights, u, t)
+        return field_outputs(list(self.planes.space), list(self.planes.time), weights, rest, (self.low, self.high), t)
 
     def forward(self, rest: Tensor, t: float) -> Displacement:
         """The heads give each place a rotation about the box's centre and a translation: the points of a rigid part share both, however

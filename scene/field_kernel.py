@@ -13,23 +13,29 @@ from . import _kernels
 SPACE_AXES = ((0, 1), (0, 2), (1, 2))  # xy, xz, yz
 
 
-def field_outputs(space: Sequence[Tensor], time: Sequence[Tensor], weights: Sequence[Tensor], u: Tensor, t: float) -> Tensor:
+def field_outputs(
+    space: Sequence[Tensor], time: Sequence[Tensor], weights: Sequence[Tensor], points: Tensor, box: tuple[Tensor, Tensor] | None, t: float
+) -> Tensor:
     """``W3 relu(W2 relu(W1 f + b1) + b2) + b3`` [N, O] of the planes' features f [N, levels * C]; f itself where ``weights`` is empty.
 
     Args:
         space: of each level, [3, R, R, C] (xy, xz, yz; the first coordinate varies fastest).
         time: of each level, [3, T, R, C] (xt, yt, zt).
         weights: W1 [W, levels * C], b1 [W], W2 [W, W], b2 [W], W3 [O, W], b3 [O].
-        u: [N, 3] positions in [0, 1] (clamped, NaN to 0). They carry no gradient.
-        t: time in [0, 1] (likewise), one for all positions.
+        points: [N, 3] positions (clamped to the box, NaN to its low face). They carry no gradient.
+        box: low and high corner [3] that the planes cover; None for the unit box.
+        t: time in [0, 1] (clamped, NaN to 0), one for all positions.
 
     float32 on the CPU takes the kernel, whose result and gradients are bit-equal for any number of threads; anything else takes plain
     torch. Gradients of gradients are not there, and asking for them is an error.
     """
     tensors = [*space, *time, *weights]
-    if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (u, *tensors)):
-        return _Field.apply(len(space), u.detach().contiguous(), float(t), *tensors)
-    features = lookup_reference(u.detach(), float(t), *[p for pair in zip(space, time) for p in pair])
+    if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (points, *tensors)):
+        corners = ((0.0,) * 3, (1.0,) * 3) if box is None else (box[0].tolist(), box[1].tolist())
+        keep = torch.is_grad_enabled() and any(p.requires_grad for p in tensors)
+        return _Field.apply(len(space), points.detach().contiguous(), corners, float(t), keep, *tensors)
+    u = points.detach() if box is None else (points.detach() - box[0]) / (box[1] - box[0])
+    features = lookup_reference(u, float(t), *[p for pair in zip(space, time) for p in pair])
     if not weights:
         return features
     w1, b1, w2, b2, w3, b3 = weights
@@ -38,22 +44,27 @@ def field_outputs(space: Sequence[Tensor], time: Sequence[Tensor], weights: Sequ
 
 class _Field(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, levels: int, u: Tensor, t: float, *tensors: Tensor) -> Tensor:  # type: ignore[override]
+    def forward(ctx, levels: int, points: Tensor, box, t: float, keep: bool, *tensors: Tensor) -> Tensor:  # type: ignore[override]
         space, time, weights = _split(levels, [p.detach().contiguous() for p in tensors])
-        out = torch.empty(u.shape[0], weights[4].shape[0] if weights else levels * space[0].shape[3])
-        _kernels.field_forward(space, time, weights, u, t, out, torch.get_num_threads())
-        ctx.save_for_backward(u, *tensors)
-        ctx.t, ctx.levels = t, levels
+        n = points.shape[0]
+        out = torch.empty(n, weights[4].shape[0] if weights else levels * space[0].shape[3])
+        padded = -(-weights[0].shape[0] // 16) * 16 if weights else 0
+        hidden = torch.empty(2 * n * padded) if keep else None
+        _kernels.field_forward(space, time, weights, points, box, t, out, hidden, torch.get_num_threads())
+        if hidden is not None:
+            ctx.save_for_backward(points, hidden, *tensors)
+        ctx.box, ctx.t, ctx.levels = box, t, levels
         return out
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, grad: Tensor):  # type: ignore[override]
-        u, *tensors = ctx.saved_tensors
-        space, time, weights = _split(ctx.levels, [p.detach().contiguous() for p in tensors])
-        gradients = [torch.empty_like(p) for p in (*space, *time, *weights)]
-        _kernels.field_backward(space, time, weights, u, ctx.t, grad.contiguous(), *_split(ctx.levels, gradients), torch.get_num_threads())
-        return None, None, None, *gradients
+        points, hidden, *tensors = ctx.saved_tensors
+        inputs = _split(ctx.levels, [p.detach().contiguous() for p in tensors])
+        gradients = [torch.empty_like(p) for p in tensors]
+        threads = torch.get_num_threads()
+        _kernels.field_backward(*inputs, points, ctx.box, ctx.t, grad.contiguous(), hidden, *_split(ctx.levels, gradients), threads)
+        return None, None, None, None, None, *gradients
 
 
 def _split(levels: int, tensors: list[Tensor]) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:

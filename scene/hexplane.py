@@ -42,7 +42,7 @@ class HexPlanes(nn.Module):
 
         Gradients reach the planes only: positions enter the field detached (design, section 1).
         """
-        return field_outputs(list(self.space), list(self.time), [], u, t)
+        return field_outputs(list(self.space), list(self.time), [], u, None, t)
 
     def total_variation(self) -> Tensor:
         """L_tv of Eq. 9: mean squared difference of neighbours in space plus mean squared second difference in time, summed over planes."""

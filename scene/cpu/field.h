@@ -26,6 +26,7 @@ struct Level {
 struct Field {
     Level level[kMaxLevels];
     int levels, channels;
+    float low[3], inverse_size[3];  // of the box: planes see (point - low) * inverse_size
     int width = 0, outputs = 0;
     const float *w1_t, *w2_t, *w3_t;  // [F, W], [W, W], [W, O], padded: forward
     const float *w1, *w2, *w3;        // [W, F], [W, W], [O, W], padded: backward
@@ -43,14 +44,21 @@ struct Field {
     }
 };
 
+// Two neighbouring samples on each axis: low and low + 1, or low alone where a line has one sample.
+struct Taps {
+    int low[3];
+    float fraction[3];
+};
+
 struct FieldKernels {
-    // u [n, 3], n <= kBlock; out [n, outputs or features].
-    void (*forward)(const Field&, const float* u, int n, float* out, float* scratch);
-    // grad like out. d_values [levels, 6, kChunk, C] is written from its row 0 on, weights (sums in double, layout of WeightGrads) are
-    // added to.
-    void (*backward)(const Field&, const float* u, int n, const float* grad, float* d_values, double* weights, float* scratch);
-    // Adds the share of plane `plane` (0-2 space, 3-5 lines) of a level: n points in order, d_values [n, C].
-    void (*scatter)(const Field&, int level, int plane, const float* u, int64_t n, const float* d_values, float* grad);
+    // points [n, 3] world units, n <= kBlock; out [n, outputs or features]; hidden (may be null) keeps both layers [2, n, width padded].
+    void (*forward)(const Field&, const float* points, int n, float* out, float* hidden, float* scratch);
+    // grad like out, hidden as forward kept it. d_values [levels, 6, kChunk, C] and taps [levels, kChunk] are written from row 0 on,
+    // weights (sums in double, layout of WeightGrads) are added to.
+    void (*backward)(const Field&, const float* points, int n, const float* grad, const float* hidden, float* d_values, Taps* taps, double* weights,
+                     float* scratch);
+    // Adds the share of plane `plane` (0-2 space, 3-5 lines) of a level: n points in order, taps [n], d_values [n, C].
+    void (*scatter)(const Field&, int level, int plane, const Taps* taps, int64_t n, const float* d_values, float* grad);
 };
 
 const FieldKernels& field_kernels();            // the best that this processor runs

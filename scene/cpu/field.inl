@@ -40,53 +40,69 @@ inline Scratch divide(const Field& field, float* at) {
     return {next(6 * f), next(f), next(w), next(w), next(o), next(o), next(w), next(w), next(f)};
 }
 
-// Features, hidden layers and outputs of n points; the rows from n on to a whole number of kRows repeat point 0's.
+inline int whole_rows(int n) { return (n + kRows - 1) / kRows * kRows; }
+
+// Features of n points, and what they were made of; the rows from n on to a whole number of kRows repeat point 0's. taps may be null.
 template <int C>
-void activate(const Field& field, const float* u, int n, const Scratch& s) {
-    const int f = field.features_padded(), w = field.width_padded(), o = field.outputs_padded(), rows = (n + kRows - 1) / kRows * kRows;
-    for (int i = 0; i < rows; ++i) {
+void look_up(const Field& field, const float* points, int n, const Scratch& s, Taps* taps) {
+    const int f = field.features_padded();
+    for (int i = 0; i < whole_rows(n); ++i) {
         float* row = s.features + i * f;
         for (int c = field.features(); c < f; ++c) row[c] = 0.0f;
-        for (int l = 0; l < field.levels; ++l)
-            features_of_level<C>(field, l, u + 3 * (i < n ? i : 0), s.values + (int64_t(i) * field.levels + l) * 6 * field.channels, row + l * field.channels);
+        for (int l = 0; l < field.levels; ++l) {
+            const Taps here = taps_of(field, points + 3 * (i < n ? i : 0), field.level[l].resolution);
+            features_of_level<C>(field, l, here, s.values + (int64_t(i) * field.levels + l) * 6 * field.channels, row + l * field.channels);
+            if (taps && i < n) taps[l * kChunk + i] = here;
+        }
     }
-    if (!field.outputs) return;
-    layer<true>(s.features, f, rows, field.w1_t, w, f, field.b1, s.hidden1);
-    layer<true>(s.hidden1, w, rows, field.w2_t, w, w, field.b2, s.hidden2);
-    layer<false>(s.hidden2, w, rows, field.w3_t, o, w, field.b3, s.outputs);
 }
 
 template <int C>
-void forward_block(const Field& field, const float* u, int n, float* out, float* scratch) {
+void forward_block(const Field& field, const float* points, int n, float* out, float* hidden, float* scratch) {
     const Scratch s = divide(field, scratch);
-    activate<C>(field, u, n, s);
+    look_up<C>(field, points, n, s, nullptr);
+    const int f = field.features_padded(), w = field.width_padded(), o = field.outputs_padded(), rows = whole_rows(n);
+    if (field.outputs) {
+        layer<true>(s.features, f, rows, field.w1_t, w, f, field.b1, s.hidden1);
+        layer<true>(s.hidden1, w, rows, field.w2_t, w, w, field.b2, s.hidden2);
+        layer<false>(s.hidden2, w, rows, field.w3_t, o, w, field.b3, s.outputs);
+        const size_t bytes = sizeof(float) * size_t(n) * size_t(w);
+        if (hidden) __builtin_memcpy(hidden, s.hidden1, bytes), __builtin_memcpy(hidden + int64_t(n) * w, s.hidden2, bytes);
+    }
     const float* from = field.outputs ? s.outputs : s.features;
     const int width = field.outputs ? field.outputs : field.features(), stride = padded(width);
-    for (int i = 0; i < n; ++i) __builtin_memcpy(out + int64_t(i) * width, from + i * stride, sizeof(float) * std::size_t(width));
+    for (int i = 0; i < n; ++i) __builtin_memcpy(out + int64_t(i) * width, from + i * stride, sizeof(float) * size_t(width));
 }
 
 template <int C>
-void backward_block(const Field& field, const float* u, int n, const float* grad, float* d_values, double* weights, float* scratch) {
+void backward_block(const Field& field, const float* points, int n, const float* grad, const float* hidden, float* d_values, Taps* taps,
+                    double* weights, float* scratch) {
     const Scratch s = divide(field, scratch);
-    activate<C>(field, u, n, s);
-    const int f = field.features_padded(), w = field.width_padded(), o = field.outputs_padded(), rows = (n + kRows - 1) / kRows * kRows;
+    look_up<C>(field, points, n, s, taps);
+    const int f = field.features_padded(), w = field.width_padded(), o = field.outputs_padded(), rows = whole_rows(n);
     const int width = field.outputs ? field.outputs : field.features(), stride = padded(width);
     float* d_out = field.outputs ? s.d_outputs : s.d_features;
     for (int i = 0; i < rows; ++i)
         for (int c = 0; c < stride; ++c) d_out[i * stride + c] = i < n && c < width ? grad[int64_t(i) * width + c] : 0.0f;
     if (field.outputs) {
+        const float *hidden1 = hidden, *hidden2 = hidden + int64_t(n) * w;
+        if (rows != n) {  // the last block: whole rows are read
+            const size_t bytes = sizeof(float) * size_t(n) * size_t(w), rest = sizeof(float) * size_t(rows - n) * size_t(w);
+            __builtin_memcpy(s.hidden1, hidden1, bytes), __builtin_memset(s.hidden1 + n * w, 0, rest);
+            __builtin_memcpy(s.hidden2, hidden2, bytes), __builtin_memset(s.hidden2 + n * w, 0, rest);
+            hidden1 = s.hidden1, hidden2 = s.hidden2;
+        }
         const WeightGrads g(field, weights);
-        add_products(s.d_outputs, o, s.hidden2, w, rows, g.w3), add_columns(s.d_outputs, o, rows, g.b3);
-        back(s.d_outputs, o, rows, field.w3, w, s.hidden2, s.d_hidden2);
-        add_products(s.d_hidden2, w, s.hidden1, w, rows, g.w2), add_columns(s.d_hidden2, w, rows, g.b2);
-        back(s.d_hidden2, w, rows, field.w2, w, s.hidden1, s.d_hidden1);
+        add_products(s.d_outputs, o, hidden2, w, rows, g.w3), add_columns(s.d_outputs, o, rows, g.b3);
+        back(s.d_outputs, o, rows, field.w3, w, hidden2, s.d_hidden2);
+        add_products(s.d_hidden2, w, hidden1, w, rows, g.w2), add_columns(s.d_hidden2, w, rows, g.b2);
+        back(s.d_hidden2, w, rows, field.w2, w, hidden1, s.d_hidden1);
         add_products(s.d_hidden1, w, s.features, f, rows, g.w1), add_columns(s.d_hidden1, w, rows, g.b1);
         back(s.d_hidden1, w, rows, field.w1, f, nullptr, s.d_features);
     }
-    const int64_t each = int64_t(field.levels) * 6 * field.channels;
     for (int i = 0; i < n; ++i)
         for (int l = 0; l < field.levels; ++l)
-            product_backward<C>(field, s.values + i * each + l * 6 * field.channels, s.d_features + i * f + l * field.channels,
+            product_backward<C>(field, s.values + (int64_t(i) * field.levels + l) * 6 * field.channels, s.d_features + i * f + l * field.channels,
                                 d_values + (int64_t(l) * 6 * kChunk + i) * field.channels);
 }
 
@@ -98,19 +114,20 @@ void backward_block(const Field& field, const float* u, int n, const float* grad
         default: return call<0>;              \
     }
 
-void forward_any(const Field& field, const float* u, int n, float* out, float* scratch) {
+void forward_any(const Field& field, const float* points, int n, float* out, float* hidden, float* scratch) {
     const auto run = [&] { E4DGS_CHANNELS(forward_block) }();
-    run(field, u, n, out, scratch);
+    run(field, points, n, out, hidden, scratch);
 }
 
-void backward_any(const Field& field, const float* u, int n, const float* grad, float* d_values, double* weights, float* scratch) {
+void backward_any(const Field& field, const float* points, int n, const float* grad, const float* hidden, float* d_values, Taps* taps,
+                  double* weights, float* scratch) {
     const auto run = [&] { E4DGS_CHANNELS(backward_block) }();
-    run(field, u, n, grad, d_values, weights, scratch);
+    run(field, points, n, grad, hidden, d_values, taps, weights, scratch);
 }
 
-void scatter_any(const Field& field, int level, int plane, const float* u, int64_t n, const float* d_values, float* grad) {
+void scatter_any(const Field& field, int level, int plane, const Taps* taps, int64_t n, const float* d_values, float* grad) {
     const auto run = [&] { E4DGS_CHANNELS(scatter) }();
-    run(field, level, plane, u, n, d_values, grad);
+    run(field, level, plane, taps, n, d_values, grad);
 }
 
 #undef E4DGS_CHANNELS

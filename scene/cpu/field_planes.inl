@@ -4,20 +4,15 @@
 constexpr int kAxisA[3] = {0, 0, 1};  // xy, xz, yz
 constexpr int kAxisB[3] = {1, 2, 2};
 
-struct Taps {  // two neighbouring samples on each axis
-    int low[3], high[3];
-    float fraction[3];
-};
-
-// u in [0, 1] (clamped; not a number counts as 0) on lines of `count` samples whose ends are at 0 and 1.
-inline Taps taps_of(const float* u, int count) {
+// A point's place on lines of `count` samples whose ends are at the box's faces; outside it, or not a number, it counts as on a face.
+inline Taps taps_of(const Field& field, const float* point, int count) {
     Taps taps;
     for (int axis = 0; axis < 3; ++axis) {
-        float x = u[axis] > 0.0f ? u[axis] : 0.0f;
+        const float u = (point[axis] - field.low[axis]) * field.inverse_size[axis];
+        float x = u > 0.0f ? u : 0.0f;
         x = (x < 1.0f ? x : 1.0f) * float(count - 1);
         const int last = count > 1 ? count - 2 : 0, low = int(x) < last ? int(x) : last;
         taps.low[axis] = low;
-        taps.high[axis] = low + 1 < count ? low + 1 : count - 1;
         taps.fraction[axis] = x - float(low);
     }
     return taps;
@@ -31,8 +26,9 @@ struct Bilinear {
 inline Bilinear bilinear(const Taps& taps, int plane, int resolution) {
     const int a = kAxisA[plane], b = kAxisB[plane];
     const float fa = taps.fraction[a], fb = taps.fraction[b];
-    const int64_t low = int64_t(taps.low[b]) * resolution, high = int64_t(taps.high[b]) * resolution;
-    return {{low + taps.low[a], low + taps.high[a], high + taps.low[a], high + taps.high[a]},
+    const int next = resolution > 1;
+    const int64_t low = int64_t(taps.low[b]) * resolution + taps.low[a], high = low + int64_t(next) * resolution;
+    return {{low, low + next, high, high + next},
             {(1 - fa) * (1 - fb), fa * (1 - fb), (1 - fa) * fb, fa * fb}};
 }
 
@@ -47,10 +43,9 @@ inline void for_channels(int channels, F&& f, G&& g) {
 
 // values [6, C] of one point at one level, and their product.
 template <int C>
-inline void features_of_level(const Field& field, int l, const float* u, float* values, float* product) {
+inline void features_of_level(const Field& field, int l, const Taps& taps, float* values, float* product) {
     const Level& level = field.level[l];
     const int channels = C ? C : field.channels, r = level.resolution;
-    const Taps taps = taps_of(u, r);
     const float* corner[3][4];
     const float* end[3][2];
     float weight[3][4];
@@ -61,7 +56,7 @@ inline void features_of_level(const Field& field, int l, const float* u, float* 
             weight[plane][k] = b.weight[k];
         }
         end[plane][0] = level.lines + (int64_t(plane) * r + taps.low[plane]) * channels;
-        end[plane][1] = level.lines + (int64_t(plane) * r + taps.high[plane]) * channels;
+        end[plane][1] = end[plane][0] + (r > 1) * channels;
     }
     const auto at = [&](auto read, auto write, int c) {
         decltype(read(end[0][0])) v[6];
@@ -99,10 +94,10 @@ inline void product_backward(const Field& field, const float* values, const floa
 
 // grad: the gradient of the level's whole space planes [3, R, R, C] or lines [3, R, C].
 template <int C>
-void scatter(const Field& field, int l, int plane, const float* u, int64_t n, const float* d_values, float* grad) {
+void scatter(const Field& field, int l, int plane, const Taps* all_taps, int64_t n, const float* d_values, float* grad) {
     const int channels = C ? C : field.channels, r = field.level[l].resolution;
     for (int64_t i = 0; i < n; ++i) {
-        const Taps taps = taps_of(u + 3 * i, r);
+        const Taps& taps = all_taps[i];
         const float* d = d_values + i * channels;
         float* to[4];
         float weight[4];
@@ -114,7 +109,7 @@ void scatter(const Field& field, int l, int plane, const float* u, int64_t n, co
             count = 2;
             const int axis = plane - 3;
             to[0] = grad + (int64_t(axis) * r + taps.low[axis]) * channels, weight[0] = 1 - taps.fraction[axis];
-            to[1] = grad + (int64_t(axis) * r + taps.high[axis]) * channels, weight[1] = taps.fraction[axis];
+            to[1] = to[0] + (r > 1) * channels, weight[1] = taps.fraction[axis];
         }
         for (int k = 0; k < count; ++k)  // one after the other: the taps of a single cell are one place
             for_channels<C>(

@@ -40,6 +40,7 @@ public:
     explicit Prepared(const FieldInput& in) {
         field.levels = int(in.levels.size()), field.channels = in.channels;
         field.width = in.mlp.width, field.outputs = in.mlp.outputs;
+        for (int axis = 0; axis < 3; ++axis) field.low[axis] = in.low[axis], field.inverse_size[axis] = 1.0f / (in.high[axis] - in.low[axis]);
         for (int l = 0; l < field.levels; ++l) field.level[l] = {in.levels[l].space, lines_of(in.levels[l], in.channels, in.t), in.levels[l].resolution};
         if (!field.outputs) return;
         const int f = field.features(), w = field.width, o = field.outputs, fp = field.features_padded(), wp = field.width_padded(),
@@ -96,7 +97,9 @@ void write_weights(const Field& field, const double* sums, const FieldGrad& out)
 
 }  // namespace
 
-void field_forward(const FieldInput& in, float* out, int threads) {
+int64_t hidden_floats(const FieldInput& in) { return in.mlp.outputs ? 2 * in.n * padded(in.mlp.width) : 0; }
+
+void field_forward(const FieldInput& in, float* out, float* hidden, int threads) {
     const Prepared prepared(in);
     const Field& field = prepared.field;
     const int width = field.outputs ? field.outputs : field.features();
@@ -107,17 +110,19 @@ void field_forward(const FieldInput& in, float* out, int threads) {
         const Array<float> scratch = array<float>(field.scratch());
 #pragma omp for schedule(dynamic, 4)
         for (int64_t b = 0; b < blocks; ++b)
-            run(field, in.u + 3 * kBlock * b, int(std::min<int64_t>(kBlock, in.n - kBlock * b)), out + width * kBlock * b, scratch.get());
+            run(field, in.points + 3 * kBlock * b, int(std::min<int64_t>(kBlock, in.n - kBlock * b)), out + width * kBlock * b,
+                hidden ? hidden + 2 * field.width_padded() * kBlock * b : nullptr, scratch.get());
     }
 }
 
-void field_backward(const FieldInput& in, const float* grad, const FieldGrad& out, int threads) {
+void field_backward(const FieldInput& in, const float* grad, const float* hidden, const FieldGrad& out, int threads) {
     const Prepared prepared(in);
     const Field& field = prepared.field;
     const int width = field.outputs ? field.outputs : field.features(), levels = field.levels;
     const int64_t weights = field.weights(), plane_values = kChunk * field.channels;
     const FieldKernels& kernels = field_kernels();
     const Array<float> d_values = array<float>(6 * levels * plane_values);
+    const Array<Taps> taps = array<Taps>(levels * kChunk);
     const Array<double> sums = array<double>(kGroups * weights);
     std::fill_n(sums.get(), kGroups * weights, 0.0);
     std::vector<Array<float>> d_lines;
@@ -136,14 +141,15 @@ void field_backward(const FieldInput& in, const float* grad, const FieldGrad& ou
             for (int g = 0; g < int((count + kBlock - 1) / kBlock); ++g) {
                 const int64_t first = int64_t(g) * kBlock;
                 const int n = int(std::min<int64_t>(kBlock, count - first));
-                kernels.backward(field, in.u + 3 * (start + first), n, grad + width * (start + first), d_values.get() + first * field.channels,
-                                 sums.get() + g * weights, scratch.get());
+                kernels.backward(field, in.points + 3 * (start + first), n, grad + width * (start + first),
+                                 hidden ? hidden + 2 * field.width_padded() * (start + first) : nullptr, d_values.get() + first * field.channels,
+                                 taps.get() + first, sums.get() + g * weights, scratch.get());
             }
             // Each plane is one thread's, points in order: the same sums for any number of threads.
 #pragma omp for schedule(dynamic, 1)
             for (int job = 0; job < 6 * levels; ++job) {
                 const int plane = job / levels, l = job % levels;
-                kernels.scatter(field, l, plane, in.u + 3 * start, count, d_values.get() + (6 * l + plane) * plane_values, plane < 3 ? out.space[l] : d_lines[l].get());
+                kernels.scatter(field, l, plane, taps.get() + l * kChunk, count, d_values.get() + (6 * l + plane) * plane_values, plane < 3 ? out.space[l] : d_lines[l].get());
             }
         }
     }

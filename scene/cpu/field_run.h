@@ -21,7 +21,8 @@ struct FieldInput {
     std::vector<PlaneLevel> levels;
     int channels;
     Perceptron mlp;
-    const float* u;  // [n, 3] in [0, 1], clamped
+    const float* points;  // [n, 3] world units, clamped to the box
+    float low[3], high[3];
     int64_t n;
     float t;  // in [0, 1], clamped
 };
@@ -31,8 +32,10 @@ struct FieldGrad {  // written, shapes of the input's
     float *w1 = nullptr, *b1 = nullptr, *w2 = nullptr, *b2 = nullptr, *w3 = nullptr, *b3 = nullptr;
 };
 
-// out [n, outputs], or [n, levels * C] without a perceptron; grad likewise.
-void field_forward(const FieldInput& in, float* out, int threads);
-void field_backward(const FieldInput& in, const float* grad, const FieldGrad& out, int threads);
+// out [n, outputs], or [n, levels * C] without a perceptron; grad likewise. hidden [hidden_floats]: what backward wants to have kept,
+// null in forward where there will be none.
+int64_t hidden_floats(const FieldInput& in);
+void field_forward(const FieldInput& in, float* out, float* hidden, int threads);
+void field_backward(const FieldInput& in, const float* grad, const float* hidden, const FieldGrad& out, int threads);
 
 }  // namespace e4dgs

@@ -27,6 +27,7 @@ namespace {
 
 using Ins = std::vector<In>;
 using Outs = std::vector<Out>;
+using Box = std::pair<std::array<float, 3>, std::array<float, 3>>;  // low and high corner
 
 template <class A>
 void check(const A& array, std::initializer_list<size_t> shape, const char* name) {
@@ -41,7 +42,7 @@ void check(const A& array, std::initializer_list<size_t> shape, const char* name
 }
 
 // space [3,R,R,C] and time [3,T,R,C] a level; weights w1 b1 w2 b2 w3 b3 as torch keeps them, or none.
-e4dgs::FieldInput field_of(const Ins& space, const Ins& time, const Ins& weights, const In& u, float t) {
+e4dgs::FieldInput field_of(const Ins& space, const Ins& time, const Ins& weights, const In& points, const Box& box, float t) {
     if (space.empty() || space.size() > size_t(e4dgs::kMaxLevels) || time.size() != space.size())
         throw std::invalid_argument("space and time must hold the same 1 to " + std::to_string(e4dgs::kMaxLevels) + " levels");
     e4dgs::FieldInput in;
@@ -56,8 +57,12 @@ e4dgs::FieldInput field_of(const Ins& space, const Ins& time, const Ins& weights
         in.levels.push_back({space[l].data(), time[l].data(), int(space[l].shape(1)), int(time[l].shape(1))});
     }
     in.channels = int(space[0].shape(3));
-    if (u.ndim() != 2 || u.shape(1) != 3) throw std::invalid_argument("u must be [N,3]");
-    in.u = u.data(), in.n = int64_t(u.shape(0)), in.t = t;
+    if (points.ndim() != 2 || points.shape(1) != 3) throw std::invalid_argument("points must be [N,3]");
+    in.points = points.data(), in.n = int64_t(points.shape(0)), in.t = t;
+    for (size_t axis = 0; axis < 3; ++axis) {
+        in.low[axis] = box.first[axis], in.high[axis] = box.second[axis];
+        if (!(in.high[axis] > in.low[axis])) throw std::invalid_argument("the box must have a positive size on every axis");
+    }
     if (weights.empty()) return in;
     if (weights.size() != 6 || weights[0].ndim() != 2 || weights[4].ndim() != 2) throw std::invalid_argument("weights must be w1, b1, w2, b2, w3, b3");
     const size_t f = size_t(in.channels) * space.size(), w = weights[0].shape(0), o = weights[4].shape(0);
@@ -80,17 +85,26 @@ size_t outputs_of(const e4dgs::FieldInput& in) { return in.mlp.outputs ? size_t(
 NB_MODULE(_kernels, m) {
     m.doc() = "CPU kernels of e4dgs.scene: the deformation field, L1 + SSIM.";
 
-    m.def("field_forward", [](const Ins& space, const Ins& time, const Ins& weights, const In& u, float t, const Out& out, int threads) {
-        const e4dgs::FieldInput in = field_of(space, time, weights, u, t);
-        check(out, {u.shape(0), outputs_of(in)}, "out");
-        nb::gil_scoped_release release;
-        e4dgs::field_forward(in, out.data(), threads);
-    });
+    using Maybe = std::optional<In>;
+    m.def(
+        "field_forward",
+        [](const Ins& space, const Ins& time, const Ins& weights, const In& points, const Box& box, float t, const Out& out,
+           const std::optional<Out>& hidden, int threads) {
+            const e4dgs::FieldInput in = field_of(space, time, weights, points, box, t);
+            check(out, {points.shape(0), outputs_of(in)}, "out");
+            if (hidden) check(*hidden, {size_t(e4dgs::hidden_floats(in))}, "hidden");
+            float* keep = hidden ? hidden->data() : nullptr;
+            nb::gil_scoped_release release;
+            e4dgs::field_forward(in, out.data(), keep, threads);
+        },
+        nb::arg("space"), nb::arg("time"), nb::arg("weights"), nb::arg("points"), nb::arg("box"), nb::arg("t"), nb::arg("out"),
+        nb::arg("hidden").none(), nb::arg("threads"));
 
-    m.def("field_backward", [](const Ins& space, const Ins& time, const Ins& weights, const In& u, float t, const In& grad, const Outs& grad_space,
-                               const Outs& grad_time, const Outs& grad_weights, int threads) {
-        const e4dgs::FieldInput in = field_of(space, time, weights, u, t);
-        check(grad, {u.shape(0), outputs_of(in)}, "grad");
+    m.def("field_backward", [](const Ins& space, const Ins& time, const Ins& weights, const In& points, const Box& box, float t, const In& grad,
+                               const In& hidden, const Outs& grad_space, const Outs& grad_time, const Outs& grad_weights, int threads) {
+        const e4dgs::FieldInput in = field_of(space, time, weights, points, box, t);
+        check(grad, {points.shape(0), outputs_of(in)}, "grad");
+        check(hidden, {size_t(e4dgs::hidden_floats(in))}, "hidden");
         e4dgs::FieldGrad out;
         if (grad_space.size() != space.size() || grad_time.size() != time.size() || grad_weights.size() != weights.size())
             throw std::invalid_argument("gradients must be as many as their tensors");
@@ -106,10 +120,9 @@ NB_MODULE(_kernels, m) {
             for (int k = 0; k < 6; ++k) *to[k] = grad_weights[size_t(k)].data();
         }
         nb::gil_scoped_release release;
-        e4dgs::field_backward(in, grad.data(), out, threads);
+        e4dgs::field_backward(in, grad.data(), hidden.data(), out, threads);
     });
 
-    using Maybe = std::optional<In>;
     m.def("displacement_forward", [](const In& heads, const In& rest, std::array<float, 3> centre, float reach, const Out& dx, const Out& dr,
                                      const Out& ds, int threads) {
         const size_t n = rest.shape(0);

@@ -151,7 +151,7 @@ def test_second_derivatives_are_a_clear_error():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda a: a.update(u=torch.ones(5, 2)), r"u must be \[N,3\]"),
+        (lambda a: a.update(points=torch.ones(5, 2)), r"points must be \[N,3\]"),
         (lambda a: a.update(time=[torch.ones(3, 2, 5, 2)]), "time must be"),
         (lambda a: a.update(out=torch.ones(5, 3)), r"out must be \[5,2\]"),
         (lambda a: a.update(space=[]), "levels"),
@@ -164,10 +164,10 @@ def test_wrong_shapes_are_refused(change, message):
         "space": [torch.ones(3, 4, 4, 2)],
         "time": [torch.ones(3, 2, 4, 2)],
         "weights": [],
-        "u": torch.ones(5, 3),
+        "points": torch.ones(5, 3),
         "out": torch.ones(5, 2),
     }
     change(arguments)
-    a = arguments
+    a, box = arguments, ((0.0,) * 3, (1.0,) * 3)
     with pytest.raises(ValueError, match=message):
-        _kernels.field_forward(a["space"], a["time"], a["weights"], a["u"], 0.0, a["out"], 1)
+        _kernels.field_forward(a["space"], a["time"], a["weights"], a["points"], box, 0.0, a["out"], None, 1)
