@@ -63,15 +63,17 @@ void forward_block(const Field& field, const float* points, int n, float* out, f
     look_up<C>(field, points, n, s, nullptr);
     const int f = field.features_padded(), w = field.width_padded(), o = field.outputs_padded(), rows = whole_rows(n);
     if (field.outputs) {
-        layer<true>(s.features, f, rows, field.w1_t, w, f, field.b1, s.hidden1);
-        layer<true>(s.hidden1, w, rows, field.w2_t, w, w, field.b2, s.hidden2);
-        layer<false>(s.hidden2, w, rows, field.w3_t, o, w, field.b3, s.outputs);
-        const size_t bytes = sizeof(float) * size_t(n) * size_t(w);
-        if (hidden) __builtin_memcpy(hidden, s.hidden1, bytes), __builtin_memcpy(hidden + int64_t(n) * w, s.hidden2, bytes);
+        const bool in_place = hidden && rows == n;
+        float *hidden1 = in_place ? hidden : s.hidden1, *hidden2 = in_place ? hidden + int64_t(n) * w : s.hidden2;
+        layer<true>(s.features, f, rows, field.w1_t, w, f, field.b1, hidden1);
+        layer<true>(hidden1, w, rows, field.w2_t, w, w, field.b2, hidden2);
+        layer<false>(hidden2, w, rows, field.w3_t, o, w, field.b3, s.outputs);
+        const std::size_t bytes = sizeof(float) * std::size_t(n) * std::size_t(w);
+        if (hidden && !in_place) __builtin_memcpy(hidden, hidden1, bytes), __builtin_memcpy(hidden + int64_t(n) * w, hidden2, bytes);
     }
     const float* from = field.outputs ? s.outputs : s.features;
     const int width = field.outputs ? field.outputs : field.features(), stride = padded(width);
-    for (int i = 0; i < n; ++i) __builtin_memcpy(out + int64_t(i) * width, from + i * stride, sizeof(float) * size_t(width));
+    for (int i = 0; i < n; ++i) __builtin_memcpy(out + int64_t(i) * width, from + i * stride, sizeof(float) * std::size_t(width));
 }
 
 template <int C>
@@ -87,18 +89,18 @@ void backward_block(const Field& field, const float* points, int n, const float*
     if (field.outputs) {
         const float *hidden1 = hidden, *hidden2 = hidden + int64_t(n) * w;
         if (rows != n) {  // the last block: whole rows are read
-            const size_t bytes = sizeof(float) * size_t(n) * size_t(w), rest = sizeof(float) * size_t(rows - n) * size_t(w);
+            const std::size_t bytes = sizeof(float) * std::size_t(n) * std::size_t(w), rest = sizeof(float) * std::size_t(rows - n) * std::size_t(w);
             __builtin_memcpy(s.hidden1, hidden1, bytes), __builtin_memset(s.hidden1 + n * w, 0, rest);
             __builtin_memcpy(s.hidden2, hidden2, bytes), __builtin_memset(s.hidden2 + n * w, 0, rest);
             hidden1 = s.hidden1, hidden2 = s.hidden2;
         }
         const WeightGrads g(field, weights);
-        add_products(s.d_outputs, o, hidden2, w, rows, g.w3), add_columns(s.d_outputs, o, rows, g.b3);
-        back(s.d_outputs, o, rows, field.w3, w, hidden2, s.d_hidden2);
-        add_products(s.d_hidden2, w, hidden1, w, rows, g.w2), add_columns(s.d_hidden2, w, rows, g.b2);
-        back(s.d_hidden2, w, rows, field.w2, w, hidden1, s.d_hidden1);
-        add_products(s.d_hidden1, w, s.features, f, rows, g.w1), add_columns(s.d_hidden1, w, rows, g.b1);
-        back(s.d_hidden1, w, rows, field.w1, f, nullptr, s.d_features);
+        add_products(s.d_outputs, o, field.outputs, hidden2, w, rows, g.w3), add_columns(s.d_outputs, o, rows, g.b3);
+        back(s.d_outputs, o, field.outputs, rows, field.w3, w, hidden2, s.d_hidden2);
+        add_products(s.d_hidden2, w, field.width, hidden1, w, rows, g.w2), add_columns(s.d_hidden2, w, rows, g.b2);
+        back(s.d_hidden2, w, field.width, rows, field.w2, w, hidden1, s.d_hidden1);
+        add_products(s.d_hidden1, w, field.width, s.features, f, rows, g.w1), add_columns(s.d_hidden1, w, rows, g.b1);
+        back(s.d_hidden1, w, field.width, rows, field.w1, f, nullptr, s.d_features);
     }
     for (int i = 0; i < n; ++i)
         for (int l = 0; l < field.levels; ++l)

@@ -24,6 +24,7 @@ template <class F>
 inline void for_panels(int columns, F&& f) {
     int c = 0;
     for (; c + kPanel * kWidth <= columns; c += kPanel * kWidth) f(Vectors<kPanel>(), c);
+    for (; c + 2 * kWidth <= columns; c += 2 * kWidth) f(Vectors<2>(), c);
     for (; c < columns; c += kWidth) f(Vectors<1>(), c);
 }
 
@@ -44,12 +45,12 @@ void layer(const float* in, int n_in, int rows, const float* w, int n_out, int k
     });
 }
 
-// d_in [rows, n_in] = d_out [rows, n_out] w [n_out, n_in], where `active` (the layer's input, after its ReLU) is positive; null: everywhere.
-inline void back(const float* d_out, int n_out, int rows, const float* w, int n_in, const float* active, float* d_in) {
+// d_in [rows, n_in] = d_out [rows, n_out] w [n_out, n_in], of which the first k_count are not padding, where `active` (the layer's input, after its ReLU) is positive; null: everywhere.
+inline void back(const float* d_out, int n_out, int k_count, int rows, const float* w, int n_in, const float* active, float* d_in) {
     for_panels(n_in, [&](auto vectors, int c) {
         for (int r = 0; r < rows; r += kRows) {
             Vec acc[kRows][vectors.value] = {};
-            multiply<vectors.value>(d_out + r * n_out, n_out, 1, w + c, n_in, n_out, acc);
+            multiply<vectors.value>(d_out + r * n_out, n_out, 1, w + c, n_in, k_count, acc);
             for (int i = 0; i < kRows; ++i)
                 for (int v = 0; v < vectors.value; ++v) {
                     const int64_t at = int64_t(r + i) * n_in + c + v * kWidth;
@@ -66,10 +67,10 @@ inline void add_to(double* sums, Vec v) {
     to = to + __builtin_convertvector(v, Wide);
 }
 
-// sums [n_out, n_in] += d_out^T in. Sums of a block in float, of all blocks in double.
-inline void add_products(const float* d_out, int n_out, const float* in, int n_in, int rows, double* sums) {
+// sums [n_out, n_in] += d_out^T in, of which the first `used` rows are not padding. Sums of a block in float, of all blocks in double.
+inline void add_products(const float* d_out, int n_out, int used, const float* in, int n_in, int rows, double* sums) {
     for_panels(n_in, [&](auto vectors, int c) {
-        for (int o = 0; o < n_out; o += kRows) {
+        for (int o = 0; o < used; o += kRows) {
             Vec acc[kRows][vectors.value] = {};
             multiply<vectors.value>(d_out + o, 1, n_out, in + c, n_in, rows, acc);
             for (int i = 0; i < kRows; ++i) {
