@@ -28,15 +28,16 @@ public:
     explicit GaussianBounds(const GaussianRecord& r) : r_(r), radius2_(double(r.radius) * r.radius) {
         const double h = std::sqrt(r.f[1] * r.f[1] + r.f[2] * r.f[2]);
         high_y_ = r.radius / r.f[2];
-        rightmost_y_ = -r.radius * r.f[1] / h / r.f[2];
+        rightmost_y_ = -high_y_ * r.f[1] / h;
+        inverse_ = 1.0 / r.f[0];
     }
     // x range over the rows ya..yb (pixel centres); false: none.
     bool x_range(double ya, double yb, double& low, double& high) const {
         const double a = std::max(ya - r_.y, -high_y_), b = std::min(yb - r_.y, high_y_);
         if (!(a <= b)) return false;
         const double right = std::clamp(rightmost_y_, a, b), left = std::clamp(-rightmost_y_, a, b);
-        high = r_.x + (half(right) - r_.f[1] * right) / r_.f[0];
-        low = r_.x + (-half(left) - r_.f[1] * left) / r_.f[0];
+        high = r_.x + (half(right) - r_.f[1] * right) * inverse_;
+        low = r_.x + (-half(left) - r_.f[1] * left) * inverse_;
         return true;
     }
 
@@ -46,7 +47,7 @@ private:
         return std::sqrt(std::max(0.0, radius2_ - v * v));
     }
     const GaussianRecord& r_;
-    double radius2_, high_y_, rightmost_y_;
+    double radius2_, high_y_, rightmost_y_, inverse_;
 };
 
 // The image, clipped by L_i <= limit for every edge.

@@ -103,6 +103,7 @@ std::unique_ptr<Frame> forward(const nb::dict& camera, const nb::dict& gaussians
         nb::gil_scoped_release released;
         Clock clock;
         preprocess(state, threads);
+        find_spans(state, threads);
         clock(state.seconds.preprocess);
         sort_by_depth(state, threads);
         clock(state.seconds.sort);

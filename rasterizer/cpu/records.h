@@ -35,6 +35,10 @@ struct TileBox {
     bool wide() const { return x1 - x0 > 1 && y1 - y0 > 1; }  // there is something to gain from looking closer
 };
 
+struct Span {
+    uint16_t first, last;  // tiles of one row, last excluded
+};
+
 // Primitives are numbered through: Gaussians 0..N-1, convexes N..N+M-1.
 struct Entry {
     uint32_t primitive;

@@ -90,7 +90,9 @@ void sort_by_depth(State& state, int threads) {
         first = last;
     }
     state.order.resize(n);
-    for (int64_t i = 0; i < n; ++i) state.order[i] = keys[i].primitive;
+    parallel_blocks(n, 16384, threads, [&](int64_t begin, int64_t end, int64_t) {
+        for (int64_t i = begin; i < end; ++i) state.order[i] = keys[i].primitive;
+    });
 }
 
 }  // namespace e4dgs

@@ -38,6 +38,8 @@ struct State {
     Buffer<ConvexRecord> convexes;
     Buffer<double> depth;         // [N+M], z; NaN where culled or in no tile
     Buffer<TileBox> boxes;        // [N+M]
+    Buffer<uint32_t> span_begin;  // [N+M] of wide boxes: where in `spans` their rows begin
+    Buffer<Span> spans;
     Buffer<uint32_t> order;       // the others, front to back
     Buffer<uint32_t> slot_begin;  // [N+M+1], in units of 4 floats
     Buffer<uint64_t> tile_begin;  // [tiles + 1]
@@ -59,8 +61,9 @@ struct PairCount {
 };
 
 void preprocess(State& state, int threads);              // records, depth, boxes
+void find_spans(State& state, int threads);              // span_begin, spans, slot_begin
 void sort_by_depth(State& state, int threads);           // order
-void distribute(State& state, int threads);              // tile_begin, entries, slot_begin
+void distribute(State& state, int threads);              // tile_begin, entries
 void blend_forward(State& state, const FrameOutput& out, bool keep, int threads);
 void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background, int threads);
 void blend_limit(int64_t pairs, bool backward, int threads);  // see limit.inl

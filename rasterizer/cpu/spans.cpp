@@ -1,0 +1,81 @@
+// Which tiles of each row a primitive may touch, and how many in all: in the order of the input, while its record is at hand.
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+#include "bounds.h"
+#include "parallel.h"
+#include "state.h"
+
+namespace e4dgs {
+namespace {
+
+constexpr int64_t kGrain = 512;
+
+template <class Bounds>
+Span span_of_row(const State& state, const Bounds& bounds, int ty) {
+    const int width = state.scene.camera.width, height = state.scene.camera.height;
+    double low, high;
+    const double ya = ty * kTile + 0.5, yb = std::min(ya + kTile - 1, height - 0.5);
+    if (!bounds.x_range(ya, yb, low, high)) return {0, 0};
+    low = std::max(low, 0.5), high = std::min(high, width - 0.5);
+    if (!(low <= high)) return {0, 0};  // before anything becomes an integer: it may lie far outside
+    const int a = first_tile(low), b = last_tile(high) + 1;
+    if (a >= b) return {0, 0};
+    return {uint16_t(a), uint16_t(b)};
+}
+
+// Appends the rows of a box that is wide in both directions, no longer than the support needs; tiles in all.
+template <class Bounds>
+uint32_t append_rows(const State& state, const Bounds& bounds, const TileBox& box, std::vector<Span>& spans) {
+    uint32_t tiles = 0;
+    for (int ty = box.y0; ty < box.y1; ++ty) {
+        spans.push_back(span_of_row(state, bounds, ty));
+        tiles += uint32_t(spans.back().last - spans.back().first);
+    }
+    return tiles;
+}
+
+uint32_t append_spans(const State& state, int64_t id, std::vector<Span>& spans) {
+    const TileBox box = state.boxes[id];
+    if (!box.wide()) return uint32_t(box.x1 - box.x0) * uint32_t(box.y1 - box.y0);
+    const int64_t n = int64_t(state.gaussians.size());
+    if (id < n) return append_rows(state, GaussianBounds(state.gaussians[id]), box, spans);
+    return append_rows(state, ConvexBounds(state.convexes[id - n], state.scene.camera.width, state.scene.camera.height), box, spans);
+}
+
+}  // namespace
+
+void find_spans(State& state, int threads) {
+    const int64_t total = int64_t(state.depth.size()), blocks = (total + kGrain - 1) / kGrain, n = state.scene.gaussians.n;
+    const uint32_t gaussian_units = uint32_t(state.gaussian_units()), convex_units = uint32_t(state.convex_units());
+    std::vector<std::vector<Span>> spans(blocks);
+    std::vector<uint64_t> units(blocks + 1, 0), rows(blocks + 1, 0);
+    state.slot_begin.resize(total + 1);
+    state.span_begin.resize(total);
+    parallel_blocks(total, kGrain, threads, [&](int64_t first, int64_t last, int64_t block) {
+        std::vector<Span> mine;  // what threads write to often lies apart
+        uint64_t sum = 0;
+        mine.reserve(4 * kGrain);
+        for (int64_t id = first; id < last; ++id) {
+            state.slot_begin[id] = uint32_t(sum);
+            state.span_begin[id] = uint32_t(mine.size());
+            if (std::isnan(state.depth[id])) continue;
+            sum += uint64_t(append_spans(state, id, mine)) * (id < n ? gaussian_units : convex_units);
+        }
+        units[block + 1] = sum, rows[block + 1] = mine.size();
+        spans[block] = std::move(mine);
+    });
+    for (int64_t b = 0; b < blocks; ++b) units[b + 1] += units[b], rows[b + 1] += rows[b];
+    if (units[blocks] > 0xffffffffull || rows[blocks] > 0xffffffffull)
+        throw std::runtime_error("the primitives cover too many tiles (" + std::to_string(units[blocks] / gaussian_units) +
+                                 " pairs of a tile and a primitive); render fewer or a smaller image");
+    state.spans.resize(rows[blocks]);
+    parallel_blocks(total, kGrain, threads, [&](int64_t first, int64_t last, int64_t block) {
+        for (int64_t id = first; id < last; ++id) state.slot_begin[id] += uint32_t(units[block]), state.span_begin[id] += uint32_t(rows[block]);
+        std::copy(spans[block].begin(), spans[block].end(), state.spans.data() + rows[block]);
+    });
+    state.slot_begin[total] = uint32_t(units[blocks]);
+}
+
+}  // namespace e4dgs
