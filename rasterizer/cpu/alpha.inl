@@ -24,6 +24,13 @@ struct ConvexItem {
     int n;
     uint16_t edges[kMaxPoints];  // blocks in which the edge matters
     uint16_t inside;             // blocks that lie inside: M is 1 there, to rounding
+    // No edge rises by more than kGentle octaves from a block's centre: 2^L_i is a product of what the pixel's place in the block
+    // gives, the same in all blocks, and of what the block's centre gives, so that a pixel costs one product an edge.
+    bool gentle;
+    alignas(64) float growth[kMaxPoints][16];   // by pixel of a block: 2^(L_i - L_i(centre))
+    alignas(64) float level[kMaxPoints][16];    // by block: 2^(L_i(centre) - top)
+    alignas(64) float offset[kMaxPoints][16];   // by block: L_i(centre) - top
+    alignas(64) float top[16];                  // by block: max_i L_i(centre)
 };
 
 // Records lie in the order of the input, a tile visits them in order of depth.
@@ -82,31 +89,57 @@ inline uint32_t gaussian_blocks(const Item& g, float radius) {
     return mask;
 }
 
+// Octaves, times the sharpness rho where that is above 1: beyond it lse = top + log2 sum would lose digits that alpha shows.
+constexpr float kGentle = 24.0f;
+
 // Also finds what of the convex matters in which block. An edge 2^-22 / max(rho, 1) below another one at every pixel does not:
 // all of them together change ln E = rho ln 2 lse by less than 2e-6.
-inline uint32_t convex_blocks(ConvexItem& c) {
+// wanted: the blocks that anybody will ask for.
+inline uint32_t convex_blocks(ConvexItem& c, int points, uint32_t wanted) {
     constexpr float h = 0.5f * (kBlock - 1), kInside = 26.0f;
     const float negligible = 22.0f + (c.rho > 1.0f ? __builtin_log2f(c.rho) : 0.0f);
     uint32_t mask = 0, inside = 0, edges[kMaxPoints] = {};
-    float reach[kMaxPoints];
-    for (int i = 0; i < c.n; ++i) reach[i] = h * (__builtin_fabsf(c.a[i]) + __builtin_fabsf(c.b[i]));
+    float reach[kMaxPoints], furthest = 0.0f;
+    for (int i = 0; i < c.n; ++i) {
+        reach[i] = h * (__builtin_fabsf(c.a[i]) + __builtin_fabsf(c.b[i]));
+        furthest = furthest > reach[i] ? furthest : reach[i];
+    }
+    c.gentle = furthest * (c.rho > 1.0f ? c.rho : 1.0f) <= kGentle;
+    Float line[kVectors][kMaxPoints], top[kVectors];
     for (int k = 0; k < kVectors; ++k) {
         const Float x = load(kBlockX + k * kWidth), y = load(kBlockY + k * kWidth);
-        Float high[kMaxPoints], low_top = set1(-3e38f), high_top = set1(-3e38f);
+        Float low_top = set1(-3e38f), high_top = low_top;
+        top[k] = low_top;
         for (int i = 0; i < c.n; ++i) {
-            const Float line = fma(set1(c.a[i]), x, fma(set1(c.b[i]), y, set1(c.c[i])));
-            high[i] = line + set1(reach[i]);
-            low_top = max(low_top, line - set1(reach[i]));
-            high_top = max(high_top, high[i]);
+            const Float l = line[k][i] = fma(set1(c.a[i]), x, fma(set1(c.b[i]), y, set1(c.c[i])));
+            top[k] = max(top[k], l);
+            low_top = max(low_top, l - set1(reach[i]));
+            high_top = max(high_top, l + set1(reach[i]));
         }
         mask |= bits(set1(c.limit) >= low_top) << (k * kWidth);
-        const Float least = low_top - set1(negligible);
-        for (int i = 0; i < c.n; ++i) edges[i] |= bits(high[i] >= least) << (k * kWidth);
         // log2 sum <= top + 3 for up to 8 edges
         inside |= bits(set1(-kInside) >= set1(c.rho) * (high_top + set1(3.0f))) << (k * kWidth);
+        const Float least = low_top - set1(negligible);
+        for (int i = 0; !c.gentle && i < c.n; ++i) edges[i] |= bits(line[k][i] + set1(reach[i]) >= least) << (k * kWidth);
     }
-    for (int i = 0; i < c.n; ++i) c.edges[i] = uint16_t(edges[i]);
     c.inside = uint16_t(inside);
+    for (int i = 0; i < c.n; ++i) c.edges[i] = uint16_t(edges[i]);
+    if (!c.gentle || !(mask & wanted & ~inside)) return mask;
+
+    for (int k = 0; k < kVectors; ++k) {
+        const Float x = load(kLaneX + k * kWidth) - set1(h), y = load(kLaneY + k * kWidth) - set1(h);
+        store(c.top + k * kWidth, top[k]);
+        for (int i = 0; i < c.n; ++i) {
+            const Float offset = line[k][i] - top[k];
+            store(c.offset[i] + k * kWidth, offset);
+            store(c.level[i] + k * kWidth, exp2(offset));
+            store(c.growth[i] + k * kWidth, exp2(fma(set1(c.a[i]), x, set1(c.b[i]) * y)));
+        }
+        // Hulls of different corners take the same way through the walk, which would else be mispredicted: edges that are none add nothing.
+        for (int i = c.n; i < points; ++i)
+            store(c.growth[i] + k * kWidth, zero()), store(c.level[i] + k * kWidth, zero()), store(c.offset[i] + k * kWidth, zero());
+    }
+    for (int i = c.n; i < points; ++i) c.a[i] = c.b[i] = 0.0f;
     return mask;
 }
 
@@ -137,28 +170,16 @@ inline void select_edges(const ConvexItem& item, int block, Edges& edges) {
 
 template <int N>
 struct ConvexValue {
-    Float edge[N];   // 2^(L_i - max)
-    Float sum, lse;  // of edge; log2 sum 2^L_i
-    Float outside;   // 1 - M
+    Float edge[N];      // 2^(L_i - top)
+    Float relative[N];  // L_i - top
+    Float sum, spread;  // of edge; log2 sum
+    Float lse;          // log2 sum 2^L_i
+    Float outside;      // 1 - M
 };
 
+// alpha before the cap, from lse.
 template <int N>
-inline Float convex_alpha(const ConvexItem& item, const Edges& edges, Float X, Float Y, ConvexValue<N>& value, Mask& counted) {
-    Float line[N];
-    for (int k = 0; k < N; ++k) line[k] = fma(set1(edges.a[k]), X, fma(set1(edges.b[k]), Y, set1(edges.c[k])));
-    if constexpr (N == 1) {
-        value.lse = line[0];
-        value.edge[0] = value.sum = set1(1.0f);
-    } else {
-        Float top = line[0];
-        for (int k = 1; k < N; ++k) top = max(top, line[k]);
-        value.sum = zero();
-        for (int k = 0; k < N; ++k) {
-            value.edge[k] = exp2(line[k] - top);
-            value.sum = value.sum + value.edge[k];
-        }
-        value.lse = top + log2(value.sum);
-    }
+inline Float convex_alpha_of(const ConvexItem& item, ConvexValue<N>& value, Mask& counted) {
     // Beyond 2^30 on either side M is 0 or 1 as far as alpha goes.
     const Float E = exp2(min(max(set1(item.rho) * value.lse, set1(-60.0f)), set1(30.0f)));
     const Float inside = reciprocal(set1(1.0f) + E);
@@ -166,6 +187,46 @@ inline Float convex_alpha(const ConvexItem& item, const Edges& edges, Float X, F
     const Float alpha = set1(item.opacity) * inside;
     counted = alpha >= set1(kMinAlpha);
     return alpha;
+}
+
+// N: of the convex's points, as many as it can have edges. lane: of the block's 16 pixels, where the vector begins.
+template <int N>
+__attribute__((always_inline)) inline Float gentle_alpha(const ConvexItem& item, int block, int lane, ConvexValue<N>& value, Mask& counted) {
+    constexpr float h = 0.5f * (kBlock - 1);
+    const Float x = load(kLaneX + lane) - set1(h), y = load(kLaneY + lane) - set1(h);
+    value.sum = zero();
+    for (int i = 0; i < N; ++i) {
+        value.edge[i] = set1(item.level[i][block]) * load(item.growth[i] + lane);
+        value.relative[i] = fma(set1(item.a[i]), x, fma(set1(item.b[i]), y, set1(item.offset[i][block])));
+        value.sum = value.sum + value.edge[i];
+    }
+    value.spread = log2(value.sum);
+    value.lse = set1(item.top[block]) + value.spread;
+    return convex_alpha_of(item, value, counted);
+}
+
+// N: the number of edges that matter in the block.
+template <int N>
+inline Float convex_alpha(const ConvexItem& item, const Edges& edges, Float X, Float Y, ConvexValue<N>& value, Mask& counted) {
+    Float line[N], top;
+    for (int k = 0; k < N; ++k) {
+        line[k] = fma(set1(edges.a[k]), X, fma(set1(edges.b[k]), Y, set1(edges.c[k])));
+        top = k ? max(top, line[k]) : line[k];
+    }
+    if constexpr (N == 1) {
+        value.edge[0] = value.sum = set1(1.0f);
+        value.relative[0] = value.spread = zero();
+    } else {
+        value.sum = zero();
+        for (int k = 0; k < N; ++k) {
+            value.relative[k] = line[k] - top;
+            value.edge[k] = exp2(value.relative[k]);
+            value.sum = value.sum + value.edge[k];
+        }
+        value.spread = log2(value.sum);
+    }
+    value.lse = top + value.spread;
+    return convex_alpha_of(item, value, counted);
 }
 
 template <int N>

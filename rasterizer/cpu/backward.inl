@@ -10,7 +10,7 @@ struct TileGrads {  // in the order of TilePixels
 
 // What both kinds share at one vector of pixels. g: dL/dalpha alpha where alpha is not capped.
 template <bool DEPTH, bool EXTRAS>
-inline Float layer_backward(TileGrads& px, const float* extra, float* extra_sums, int extras, int at, const Item& item, int32_t index, Float raw,
+__attribute__((always_inline)) inline Float layer_backward(TileGrads& px, const float* extra, float* extra_sums, int extras, int at, const Item& item, int32_t index, Float raw,
                             Mask counted, Float* sums) {
     const Mask live = counted & (load(px.last + at) >= set1(index));
     const Float alpha = keep(live, min(raw, set1(kMaxAlpha)));
@@ -37,6 +37,31 @@ inline Float layer_backward(TileGrads& px, const float* extra, float* extra_sums
     store(px.transmittance + at, before);
     store(px.behind + at, fma(w, f, behind));
     return keep(raw < set1(kMaxAlpha), alpha * fnma(behind, inverse, before * f));
+}
+
+// Unrolled: the compiler's own idea, a string instruction, takes longer to start than to run.
+template <int N>
+__attribute__((always_inline)) inline void clear(Float* v) {
+#pragma GCC unroll 32
+    for (int i = 0; i < N; ++i) v[i] = zero();
+}
+
+// Adds one vector of pixels to a convex's sums: h = -dL/d(ln E) with E = 2^(rho lse), shared among the edges by their softmax. The
+// third, h (lse - sum_i p_i L_i), is what tau's gradient consists of: from the other sums it would be a small difference of large numbers.
+template <int N>
+__attribute__((always_inline)) inline void edge_moments(const ConvexValue<N>& value, Float g, Float X, Float Y, Float* sums, Float* moments) {
+    const Float h = g * value.outside, share = h * reciprocal(value.sum);
+    sums[4] = sums[4] + g;
+    sums[5] = fma(h, value.lse, sums[5]);
+    Float spread = fma(h, value.spread, sums[6]);
+    for (int e = 0; e < N; ++e) {
+        const Float p = share * value.edge[e];
+        spread = fnma(p, value.relative[e], spread);
+        moments[3 * e] = fma(p, X, moments[3 * e]);
+        moments[3 * e + 1] = fma(p, Y, moments[3 * e + 1]);
+        moments[3 * e + 2] = moments[3 * e + 2] + p;
+    }
+    sums[6] = spread;
 }
 
 template <bool DEPTH, bool EXTRAS>
@@ -127,52 +152,78 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             const int n = convex.n;
             const ConvexRecord& record = job.convexes[entry.primitive - job.n_gaussians];
             Float sums[32];
-            for (Float& s : sums) s = zero();
-            convex_blocks(convex);
-            Edges edges;
-            for (; mask; mask &= mask - 1) {
-                const int b = __builtin_ctz(mask);
-                const bool inside = convex.inside >> b & 1;
-                if (inside) {
-                    for (int k = 0; k < kVectors; ++k)
-                        sums[4] = sums[4] + layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index,
-                                                                          set1(convex.opacity), all(), sums);
-                    continue;
-                }
-                select_edges(convex, b, edges);
-                for_count(edges.n, [&](auto count) {
-                    for (int k = 0; k < kVectors; ++k) {
-                        const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
-                        const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
-                        Mask counted;
-                        ConvexValue<count.value> value;
-                        const Float raw = convex_alpha(convex, edges, X, Y, value, counted);
-                        const Float g =
-                            layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index, raw, counted, sums);
-                        const Float h = g * value.outside;  // -dL/d(ln E), E = 2^(rho lse)
-                        sums[4] = sums[4] + g;
-                        sums[5] = fma(h, value.lse, sums[5]);
-                        const Float share = h * reciprocal(value.sum);
-                        for (int e = 0; e < count.value; ++e) {
-                            const Float p = share * value.edge[e];
-                            Float* sum = sums + 6 + 3 * edges.index[e];
-                            sum[0] = fma(p, X, sum[0]);
-                            sum[1] = fma(p, Y, sum[1]);
-                            sum[2] = sum[2] + p;
+            clear<32>(sums);
+            convex_blocks(convex, job.points, mask);
+            const auto inside_block = [&](int b) {
+                for (int k = 0; k < kVectors; ++k)
+                    sums[4] = sums[4] + layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index,
+                                                                      set1(convex.opacity), all(), sums);
+            };
+            if (convex.gentle) {
+                for_count(job.points, [&](auto count) {
+                    Float moments[3 * count.value];
+                    clear<3 * count.value>(moments);
+                    for (uint32_t m = mask; m; m &= m - 1) {
+                        const int b = __builtin_ctz(m);
+                        if (convex.inside >> b & 1) {
+                            inside_block(b);
+                            continue;
+                        }
+                        for (int k = 0; k < kVectors; ++k) {
+                            const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
+                            const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
+                            Mask counted;
+                            ConvexValue<count.value> value;
+                            const Float raw = gentle_alpha(convex, b, k * kWidth, value, counted);
+                            const Float g =
+                                layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index, raw, counted, sums);
+                            edge_moments(value, g, X, Y, sums, moments);
                         }
                     }
+#pragma GCC unroll 32
+                    for (int i = 0; i < 3 * count.value; ++i) sums[kConvexEdges + i] = moments[i];
                 });
+            } else {
+                Edges edges;
+                for (; mask; mask &= mask - 1) {
+                    const int b = __builtin_ctz(mask);
+                    if (convex.inside >> b & 1) {
+                        inside_block(b);
+                        continue;
+                    }
+                    select_edges(convex, b, edges);
+                    for_count(edges.n, [&](auto count) {
+                        Float moments[3 * count.value];
+                        clear<3 * count.value>(moments);
+                        for (int k = 0; k < kVectors; ++k) {
+                            const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
+                            const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
+                            Mask counted;
+                            ConvexValue<count.value> value;
+                            const Float raw = convex_alpha(convex, edges, X, Y, value, counted);
+                            const Float g =
+                                layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index, raw, counted, sums);
+                            edge_moments(value, g, X, Y, sums, moments);
+                        }
+                        for (int e = 0; e < count.value; ++e)
+                            for (int j = 0; j < 3; ++j) {
+                                Float& to = sums[kConvexEdges + 3 * edges.index[e] + j];
+                                to = to + moments[3 * e + j];
+                            }
+                    });
+                }
             }
             sum_lanes<16>(sums, out);
-            if (6 + 3 * n > 16) sum_lanes<16>(sums + 16, out + 16);
-            for (int i = 0; i < 6; ++i) slot[i] = out[i];
+            if (kConvexEdges + 3 * n > 16) sum_lanes<16>(sums + 16, out + 16);
+            for (int i = 0; i < kConvexEdges; ++i) slot[i] = out[i];
             for (int i = 0; i < n; ++i) {  // from the tile's first pixel to the convex's centre
-                const double p = out[8 + 3 * i];
-                slot[6 + 3 * i] = float(out[6 + 3 * i] + (x0 + 0.5 - record.x0) * p);
-                slot[7 + 3 * i] = float(out[7 + 3 * i] + (y0 + 0.5 - record.y0) * p);
-                slot[8 + 3 * i] = float(p);
+                const double p = out[kConvexEdges + 3 * i + 2];
+                float* to = slot + kConvexEdges + 3 * i;
+                to[0] = float(out[kConvexEdges + 3 * i] + (x0 + 0.5 - record.x0) * p);
+                to[1] = float(out[kConvexEdges + 3 * i + 1] + (y0 + 0.5 - record.y0) * p);
+                to[2] = float(p);
             }
-            slot += 6 + 3 * n;
+            slot += kConvexEdges + 3 * n;
         }
         if (EXTRAS)
             for (int e = 0; e < extras; ++e) {

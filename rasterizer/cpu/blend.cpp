@@ -56,6 +56,7 @@ void fill_job(const State& state, TileJob& job) {
     const SceneInput& scene = state.scene;
     job.width = scene.camera.width, job.height = scene.camera.height, job.tiles_x = state.tiles_x;
     job.n_gaussians = uint32_t(scene.gaussians.n);
+    job.points = scene.convexes.points_each;
     job.gaussians = state.gaussians.data(), job.convexes = state.convexes.data();
     job.gaussian_extras = scene.gaussians.extras, job.convex_extras = scene.convexes.extras;
     job.extras = scene.extras;

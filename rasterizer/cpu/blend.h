@@ -10,6 +10,7 @@ namespace e4dgs {
 struct TileJob {
     int width, height, tiles_x;
     uint32_t n_gaussians;
+    int points;  // of every convex
     const GaussianRecord* gaussians;
     const ConvexRecord* convexes;
     const float *gaussian_extras, *convex_extras;  // [n, extras] or null

@@ -50,62 +50,51 @@ private:
     double radius2_, high_y_, rightmost_y_, inverse_;
 };
 
-// The image, clipped by L_i <= limit for every edge.
+// The polygon L_i <= limit for every edge. Normals (A, B) turn once around from edge to edge, so the extreme in a direction is bounded
+// by the two edges whose normals enclose it: never too small, and exact where both touch the polygon.
 class ConvexBounds {
 public:
-    ConvexBounds(const ConvexRecord& r, int width, int height) {
-        const double w = width - 0.5, h = height - 0.5;
-        const double corners[4][2] = {{0.5, 0.5}, {w, 0.5}, {w, h}, {0.5, h}};
-        n_ = 4;
-        for (int k = 0; k < 4; ++k) x_[k] = corners[k][0], y_[k] = corners[k][1];
-        for (int i = 0; i < r.n && n_ > 0; ++i) clip(r, i);
-        if (n_ == 0) return;
-        low_x_ = *std::min_element(x_, x_ + n_), high_x_ = *std::max_element(x_, x_ + n_);
-        low_y_ = *std::min_element(y_, y_ + n_), high_y_ = *std::max_element(y_, y_ + n_);
-    }
-    double low_x() const { return low_x_ - 1e-6; }
-    double high_x() const { return high_x_ + 1e-6; }
-    double low_y() const { return low_y_; }
-    double high_y() const { return high_y_; }
-
-    bool x_range(double ya, double yb, double& low, double& high) const {
-        low = INFINITY, high = -INFINITY;
-        for (int k = 0; k < n_; ++k) {
-            const int next = k + 1 < n_ ? k + 1 : 0;
-            double px = x_[k], py = y_[k], qx = x_[next], qy = y_[next];
-            if (py > qy) std::swap(px, qx), std::swap(py, qy);
-            if (qy < ya || py > yb) continue;
-            const double slope = qy > py ? (qx - px) / (qy - py) : 0.0;
-            const double x0 = py < ya ? px + slope * (ya - py) : px, x1 = qy > yb ? px + slope * (yb - py) : qx;
-            low = std::min({low, x0, x1}), high = std::max({high, x0, x1});
+    ConvexBounds(const ConvexRecord& r, int width, int height) : r_(r), low_x_(0.5), low_y_(0.5), high_x_(width - 0.5), high_y_(height - 0.5) {
+        double low_x = low_x_, low_y = low_y_, high_x = high_x_, high_y = high_y_;
+        for (int i = 0; i < r.n; ++i) {
+            const int j = i + 1 < r.n ? i + 1 : 0;
+            const double Ai = r.A[i], Bi = r.B[i], Aj = r.A[j], Bj = r.B[j], det = Ai * Bj - Aj * Bi;
+            const bool right = Bi <= 0 && Bj > 0, left = Bi >= 0 && Bj < 0, down = Ai >= 0 && Aj < 0, up = Ai <= 0 && Aj > 0;
+            if (!(right || left || down || up) || !(det > 0)) continue;
+            const double ri = r.limit - r.C[i], rj = r.limit - r.C[j];
+            const double x = r.x0 + (ri * Bj - rj * Bi) / det, y = r.y0 + (Ai * rj - Aj * ri) / det;  // where the two meet
+            if (right && x < high_x) high_x = x;
+            if (left && x > low_x) low_x = x;
+            if (down && y < high_y) high_y = y;
+            if (up && y > low_y) low_y = y;
         }
-        low -= 1e-6, high += 1e-6;
+        low_x_ = low_x, low_y_ = low_y, high_x_ = high_x, high_y_ = high_y;
+    }
+    double low_x() const { return low_x_ - kLoose; }
+    double high_x() const { return high_x_ + kLoose; }
+    double low_y() const { return low_y_ - kLoose; }
+    double high_y() const { return high_y_ + kLoose; }
+
+    // x range over the rows ya..yb, each edge for itself: a little larger than the polygon where a corner lies between them.
+    bool x_range(double ya, double yb, double& low, double& high) const {
+        low = low_x_, high = high_x_;
+        for (int i = 0; i < r_.n; ++i) {
+            const double A = r_.A[i];
+            if (A == 0) continue;
+            const double base = r_.limit - r_.C[i], a = (base - r_.B[i] * (ya - r_.y0)) / A, b = (base - r_.B[i] * (yb - r_.y0)) / A;
+            if (A > 0)
+                high = std::min(high, r_.x0 + std::max(a, b));
+            else
+                low = std::max(low, r_.x0 + std::min(a, b));
+        }
+        low -= kLoose, high += kLoose;
         return low <= high;
     }
 
 private:
-    void clip(const ConvexRecord& r, int i) {
-        double x[kCapacity], y[kCapacity];
-        int m = 0;
-        for (int k = 0; k < n_ && m + 2 <= kCapacity; ++k) {
-            const int next = k + 1 < n_ ? k + 1 : 0;
-            const double d0 = outside(r, i, x_[k], y_[k]), d1 = outside(r, i, x_[next], y_[next]);
-            if (d0 <= 0) x[m] = x_[k], y[m] = y_[k], ++m;
-            if ((d0 <= 0) != (d1 <= 0)) {
-                const double s = d0 / (d0 - d1);
-                x[m] = x_[k] + s * (x_[next] - x_[k]), y[m] = y_[k] + s * (y_[next] - y_[k]), ++m;
-            }
-        }
-        n_ = m;
-        std::copy(x, x + m, x_), std::copy(y, y + m, y_);
-    }
-    static double outside(const ConvexRecord& r, int i, double x, double y) {
-        return r.A[i] * (x - r.x0) + r.B[i] * (y - r.y0) + r.C[i] - r.limit;
-    }
-    static constexpr int kCapacity = 32;  // a clip adds one corner at most; rounding on slivers might add more
-    int n_ = 0;
-    double x_[kCapacity], y_[kCapacity];
-    double low_x_ = INFINITY, high_x_ = -INFINITY, low_y_ = INFINITY, high_y_ = -INFINITY;
+    static constexpr double kLoose = 1e-6;  // px
+    const ConvexRecord& r_;
+    double low_x_, low_y_, high_x_, high_y_;
 };
 
 }  // namespace e4dgs

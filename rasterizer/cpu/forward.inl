@@ -14,7 +14,7 @@ struct Chunk {
     alignas(64) uint16_t masks[kChunk];
     uint64_t lists[16][kChunk / 64];  // by block, a bit for each item that may touch it
     uint64_t seen[kChunk / 64];       // items that a block has walked past
-    int n_convexes;
+    int n_convexes, points;
 };
 
 // A pixel has stopped where `falling` went below the line: seldom, so it costs the walk one comparison.
@@ -52,6 +52,11 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk
                 for (int k = 0; k < kVectors; ++k) raws[k] = gaussian_alpha(item, X[k], Y[k], u, v, counts[k]);
             } else if (const ConvexItem& convex = chunk.convexes[item.convex]; convex.inside >> b & 1) {
                 for (int k = 0; k < kVectors; ++k) raws[k] = set1(convex.opacity), counts[k] = all();
+            } else if (convex.gentle) {
+                for_count(chunk.points, [&](auto count) {
+                    ConvexValue<count.value> value;
+                    for (int k = 0; k < kVectors; ++k) raws[k] = gentle_alpha(convex, b, k * kWidth, value, counts[k]);
+                });
             } else {
                 Edges edges;
                 select_edges(convex, b, edges);
@@ -144,14 +149,14 @@ inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* ext
 }
 
 // Gathers n items from entry `at` on, and which blocks each may touch.
-inline void gather_chunk(const ForwardJob& job, uint64_t at, int n, int ahead, int x0, int y0, Chunk& chunk) {
-    chunk.n_convexes = 0;
+inline void gather_chunk(const ForwardJob& job, uint64_t at, int n, int ahead, int x0, int y0, uint32_t alive, Chunk& chunk) {
+    chunk.n_convexes = 0, chunk.points = job.points;
     for (int j = 0; j < n; ++j) {
         if (j + 8 < ahead) prefetch(job, job.entries[at + j + 8].primitive);
         const uint32_t id = job.entries[at + j].primitive;
         Item& item = chunk.items[j];
         gather(job, id, x0 + 0.5, y0 + 0.5, item, chunk.convexes, chunk.n_convexes);
-        const uint32_t mask = id < job.n_gaussians ? gaussian_blocks(item, job.gaussians[id].radius) : convex_blocks(chunk.convexes[item.convex]);
+        const uint32_t mask = id < job.n_gaussians ? gaussian_blocks(item, job.gaussians[id].radius) : convex_blocks(chunk.convexes[item.convex], job.points, alive);
         chunk.masks[j] = uint16_t(mask);
     }
     __builtin_memcpy(job.masks + at, chunk.masks, sizeof(uint16_t) * size_t(n));
@@ -184,7 +189,7 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
     const uint64_t begin = job.tile_begin[tile], end = job.tile_begin[tile + 1];
     for (uint64_t at = begin; at < end && alive; at += kChunk) {
         const int ahead = end - at < kChunk + 8 ? int(end - at) : kChunk + 8, n = ahead < kChunk ? ahead : kChunk;
-        gather_chunk(job, at, n, ahead, x0, y0, chunk);
+        gather_chunk(job, at, n, ahead, x0, y0, alive, chunk);
         for (uint32_t m = alive; m; m &= m - 1) {
             const int b = __builtin_ctz(m);
             const int32_t first = int32_t(at - begin);

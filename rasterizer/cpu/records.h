@@ -47,6 +47,7 @@ struct Entry {
 
 constexpr int kSlotShape = 4;      // where a slot's shape gradients begin, after color 3 and z 1
 constexpr int kGaussianShape = 6;  // sum g (1, u, v, uu, uv, vv), g = dL/dalpha alpha, of uncapped pixels
-inline int convex_shape(int points) { return 2 + 3 * points; }  // sum g, sum h lse, then a (A, B, C) for each edge
+constexpr int kConvexEdges = 7;    // where the edges begin: color 3, z, sum g, sum h lse, sum h (lse - sum_i p_i L_i)
+inline int convex_shape(int points) { return kConvexEdges - kSlotShape + 3 * points; }  // then a (A, B, C) for each edge
 
 }  // namespace e4dgs

@@ -15,7 +15,7 @@ namespace e4dgs {
 namespace {
 
 constexpr int64_t kGrain = 256;
-constexpr int kMost = 4 + 2 + 3 * kMaxPoints;
+constexpr int kMost = kConvexEdges + 3 * kMaxPoints;
 
 struct Reducer {
     const State& state;
@@ -82,7 +82,7 @@ struct Reducer {
         const ConvexRecord& record = state.convexes[i];
         const ConvexInput& in = state.scene.convexes;
         const ConvexGrad& grad = out.convexes;
-        const int points = in.points_each, shape = 6 + 3 * record.n;
+        const int points = in.points_each, shape = kConvexEdges + 3 * record.n;
         double s[kMost];
         if (!sum(k, units, shape, s)) return zero_row(i);
         if (grad.extras) sum_extras(k, units, shape, grad.extras + i * state.scene.extras);
@@ -93,10 +93,11 @@ struct Reducer {
         const double tau = in.tau[i], kappa = in.kappa[i], rho = kappa / tau;
         double gA[kMaxPoints], gB[kMaxPoints], gC[kMaxPoints], dpoints[3 * kMaxPoints] = {}, dtau = 0, dkappa = 0;
         for (int e = 0; e < record.n; ++e) {  // E = 2^(rho lse), alpha = opacity / (1 + E)
-            gA[e] = -kLn2 * rho * s[6 + 3 * e], gB[e] = -kLn2 * rho * s[7 + 3 * e], gC[e] = -kLn2 * rho * s[8 + 3 * e];
+            const double* edge = s + kConvexEdges + 3 * e;
+            gA[e] = -kLn2 * rho * edge[0], gB[e] = -kLn2 * rho * edge[1], gC[e] = -kLn2 * rho * edge[2];
         }
         project_convex_backward(state.scene.camera, view, in.points + i * points * 3, tau, kappa, record.x0, record.y0, gA, gB, gC,
-                                -kLn2 * s[5], s[3], dpoints, dtau, dkappa, camera);
+                                -kLn2 * s[5], -kLn2 * s[6], s[3], dpoints, dtau, dkappa, camera);
         double centre[3] = {}, dcentre[3] = {};
         for (int p = 0; p < points; ++p)
             for (int j = 0; j < 3; ++j) centre[j] += double(in.points[(i * points + p) * 3 + j]) / points;

@@ -80,7 +80,7 @@ E4DGS_HD bool project_convex(const Camera<T>& cam, const S* points, int count, C
     for (int k = 0; k < v.n; ++k) {
         const int a = v.corner[k], b = v.corner[k + 1 < v.n ? k + 1 : 0];
         const T dx = v.x[b] - v.x[a], dy = v.y[b] - v.y[a];
-        v.length[k] = hypot(dx, dy);
+        v.length[k] = sqrt(dx * dx + dy * dy);  // in double, differences of float coordinates neither over- nor underflow
         v.perimeter += v.length[k];
         // normalize(b x a) with both at z = 1 and the edge at unit length: at least 1 long however short the edge.
         v.ex[k] = dx / v.length[k], v.ey[k] = dy / v.length[k];
@@ -102,15 +102,19 @@ E4DGS_HD void edge_lines(const Camera<T>& cam, const ConvexView<T>& v, T tau, T 
     }
 }
 
-// gA, gB, gC: gradients of the lines' coefficients; drho: of kappa / tau; dz: of the centroid's depth. dpoints [K][3], dtau,
+// gA, gB, gC: gradients of the lines' coefficients; drho: of kappa / tau; dz: of the centroid's depth. dspread: sum over pixels of
+// dL/d(rho lse) (lse - sum_i p_i L_i), with p the softmax of the lines: d(rho lse)/dtau = -(kappa / tau^2) (lse - sum_i p_i (L_i - log2 w_i)). dpoints [K][3], dtau,
 // dkappa are added to. A vanishing edge's gradient is gC_i / l_i with gC_i proportional to w_i: finite.
 template <class T, class S, class G>
 E4DGS_HD void project_convex_backward(const Camera<T>& cam, const ConvexView<T>& v, const S* points, T tau, T kappa, T x0, T y0,
-                                      const T* gA, const T* gB, const T* gC, T drho, T dz, T* dpoints, T& dtau, T& dkappa,
+                                      const T* gA, const T* gB, const T* gC, T drho, T dspread, T dz, T* dpoints, T& dtau, T& dkappa,
                                       G& grad) {
     const T k = tau * v.zc * T(kLog2E), dx0 = (x0 - cam.cx) / cam.fx, dy0 = (y0 - cam.cy) / cam.fy;
-    T dx[kMaxPoints] = {}, dy[kMaxPoints] = {}, dk = T(0), total = T(0);
-    for (int i = 0; i < v.n; ++i) total += gC[i];
+    T dx[kMaxPoints] = {}, dy[kMaxPoints] = {}, dk = T(0), total = T(0), along_weights = T(0);
+    for (int i = 0; i < v.n; ++i) {
+        total += gC[i];
+        along_weights += gC[i] * log2(T(v.points) * v.length[i] / v.perimeter);
+    }
     for (int i = 0; i < v.n; ++i) {
         const T* u = v.u[i];
         const T along_x = gA[i] / cam.fx + dx0 * gC[i], along_y = gB[i] / cam.fy + dy0 * gC[i];
@@ -133,7 +137,7 @@ E4DGS_HD void project_convex_backward(const Camera<T>& cam, const ConvexView<T>&
         const T vx = (dex - ex * inward) * il + ex * dl, vy = (dey - ey * inward) * il + ey * dl;
         dx[b] += vx, dy[b] += vy, dx[a] -= vx, dy[a] -= vy;
     }
-    dtau += dk * v.zc * T(kLog2E) - drho * kappa / (tau * tau);
+    dtau -= dspread * kappa / (tau * tau) + along_weights / tau;
     dkappa += drho / tau;
     const T share = (dk * tau * T(kLog2E) + dz) / T(v.points);
     for (int i = 0; i < v.points; ++i) {
