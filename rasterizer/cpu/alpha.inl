@@ -5,8 +5,15 @@ constexpr int kChunk = 128;
 
 alignas(64) constexpr float kLaneX[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
 alignas(64) constexpr float kLaneY[16] = {0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3};
-alignas(64) constexpr float kBlockX[16] = {1.5, 5.5, 9.5, 13.5, 1.5, 5.5, 9.5, 13.5, 1.5, 5.5, 9.5, 13.5, 1.5, 5.5, 9.5, 13.5};
-alignas(64) constexpr float kBlockY[16] = {1.5, 1.5, 1.5, 1.5, 5.5, 5.5, 5.5, 5.5, 9.5, 9.5, 9.5, 9.5, 13.5, 13.5, 13.5, 13.5};
+// Centres of the blocks, in the tile's coordinates.
+struct BlockCentres {
+    alignas(64) float x[16], y[16];
+    constexpr BlockCentres() : x(), y() {
+        for (int b = 0; b < 16; ++b) x[b] = float(b % kSide * kBlock) + 1.5f, y[b] = float(b / kSide * kBlock) + 1.5f;
+    }
+};
+constexpr BlockCentres kCentres;
+constexpr uint32_t kAllBlocks = (1u << kBlocks) - 1;
 
 inline Float abs(Float a) { return max(a, zero() - a); }
 
@@ -78,15 +85,15 @@ inline uint32_t gaussian_blocks(const Item& g, float radius) {
     const Float high_v = set1(r + h * g.f2), high_n = set1(r * side + h * g.f0 * g.f2);
     uint32_t mask = 0;
     for (int k = 0; k < kVectors; ++k) {
-        const Float y = load(kBlockY + k * kWidth);
-        const Float u = fma(f0, load(kBlockX + k * kWidth), fma(f1, y, set1(g.u))), v = fma(f2, y, set1(g.v));
+        const Float y = load(kCentres.y + k * kWidth);
+        const Float u = fma(f0, load(kCentres.x + k * kWidth), fma(f1, y, set1(g.u))), v = fma(f2, y, set1(g.v));
         const Float p2 = fma(u, u, v * v);
         const Float support = fma(abs(u), f0, abs(fma(u, f1, v * f2)));
         const Float gap = max(fnma(half, support, p2), zero());
         const Mask m = (high_v >= abs(v)) & (high_n >= abs(fma(u, f2, zero() - v * f1))) & (r2 * p2 >= gap * gap);
         mask |= bits(m) << (k * kWidth);
     }
-    return mask;
+    return mask & kAllBlocks;
 }
 
 // Octaves, times the sharpness rho where that is above 1: beyond it lse = top + log2 sum would lose digits that alpha shows.
@@ -107,7 +114,7 @@ inline uint32_t convex_blocks(ConvexItem& c, int points, uint32_t wanted) {
     c.gentle = furthest * (c.rho > 1.0f ? c.rho : 1.0f) <= kGentle;
     Float line[kVectors][kMaxPoints], top[kVectors];
     for (int k = 0; k < kVectors; ++k) {
-        const Float x = load(kBlockX + k * kWidth), y = load(kBlockY + k * kWidth);
+        const Float x = load(kCentres.x + k * kWidth), y = load(kCentres.y + k * kWidth);
         Float low_top = set1(-3e38f), high_top = low_top;
         top[k] = low_top;
         for (int i = 0; i < c.n; ++i) {
@@ -122,6 +129,7 @@ inline uint32_t convex_blocks(ConvexItem& c, int points, uint32_t wanted) {
         const Float least = low_top - set1(negligible);
         for (int i = 0; !c.gentle && i < c.n; ++i) edges[i] |= bits(line[k][i] + set1(reach[i]) >= least) << (k * kWidth);
     }
+    mask &= kAllBlocks;
     c.inside = uint16_t(inside);
     for (int i = 0; i < c.n; ++i) c.edges[i] = uint16_t(edges[i]);
     if (!c.gentle || !(mask & wanted & ~inside)) return mask;
@@ -148,7 +156,7 @@ inline Float gaussian_alpha(const Item& g, Float X, Float Y, Float& u, Float& v,
     u = fma(set1(g.f0), X, fma(set1(g.f1), Y, set1(g.u)));
     v = fma(set1(g.f2), Y, set1(g.v));
     const Float e = fnma(u, u, fnma(v, v, set1(g.exponent)));
-    counted = e >= set1(-kLog2Of255);
+    counted = e >= set1(float(kLog2MinAlpha));
     return exp2<false>(e);
 }
 

@@ -3,9 +3,9 @@
 // dL/dalpha = T f - behind / (1 - alpha). Included by blend.inl.
 
 struct TileGrads {  // in the order of TilePixels
-    alignas(64) float transmittance[256], behind[256];
-    alignas(64) float red[256], green[256], blue[256], z[256];
-    alignas(64) int32_t last[256];
+    alignas(64) float transmittance[kPixels], behind[kPixels];
+    alignas(64) float red[kPixels], green[kPixels], blue[kPixels], z[kPixels];
+    alignas(64) int32_t last[kPixels];
 };
 
 // What both kinds share at one vector of pixels. g: dL/dalpha alpha where alpha is not capped.
@@ -29,7 +29,7 @@ __attribute__((always_inline)) inline Float layer_backward(TileGrads& px, const 
     }
     if constexpr (EXTRAS)
         for (int e = 0; e < extras; ++e) {
-            const Float g = load(extra + 256 * e + at);
+            const Float g = load(extra + kPixels * e + at);
             if (item.extras) f = fma(g, set1(item.extras[e]), f);
             float* sum = extra_sums + 16 * e;
             store(sum, fma(w, g, load(sum)));
@@ -67,18 +67,18 @@ __attribute__((always_inline)) inline void edge_moments(const ConvexValue<N>& va
 template <bool DEPTH, bool EXTRAS>
 void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
     const int x0 = tile % job.tiles_x * kTile, y0 = tile / job.tiles_x * kTile, extras = job.extras;
-    float* extra = scratch;                       // [extras, 256]
-    float* extra_sums = scratch + 256 * extras;   // [extras, 16]
+    float* extra = scratch;                       // [extras, kPixels]
+    float* extra_sums = scratch + kPixels * extras;   // [extras, 16]
     TileGrads px;
-    int32_t block_last[16], tile_last = -1;
+    int32_t block_last[kBlocks], tile_last = -1;
     double background[3] = {0, 0, 0};
-    for (int b = 0; b < 16; ++b) block_last[b] = -1;
-    for (int i = 0; i < 256; ++i) {
-        const int b = i / 16, x = x0 + b % 4 * 4 + i % 4, y = y0 + b / 4 * 4 + i % 16 / 4;
+    for (int b = 0; b < kBlocks; ++b) block_last[b] = -1;
+    for (int i = 0; i < kPixels; ++i) {
+        const int b = i / 16, x = x0 + b % kSide * 4 + i % 4, y = y0 + b / kSide * 4 + i % 16 / 4;
         px.transmittance[i] = px.behind[i] = px.red[i] = px.green[i] = px.blue[i] = px.z[i] = 0.0f;
         px.last[i] = -1;
         if (EXTRAS)
-            for (int e = 0; e < extras; ++e) extra[256 * e + i] = 0.0f;
+            for (int e = 0; e < extras; ++e) extra[kPixels * e + i] = 0.0f;
         if (x >= job.width || y >= job.height) continue;
         const int64_t at = int64_t(y) * job.width + x;
         const float t = job.transmittance[at];
@@ -94,7 +94,7 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             through += px.z[i] * job.depth[at];
         }
         if (EXTRAS && job.grad_extras)
-            for (int e = 0; e < extras; ++e) extra[256 * e + i] = job.grad_extras[at * extras + e];
+            for (int e = 0; e < extras; ++e) extra[kPixels * e + i] = job.grad_extras[at * extras + e];
         px.transmittance[i] = t;
         px.behind[i] = t * through;
         px.last[i] = job.last[at];
@@ -109,7 +109,7 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
     for (int32_t index = tile_last; index >= 0; --index) {
         if (index == tile_last || index % 32 == 31) {  // lanes are compared one by one; this only spares whole blocks
             active = 0;
-            for (int b = 0; b < 16; ++b) active |= uint32_t(block_last[b] >= (index & ~31)) << b;
+            for (int b = 0; b < kBlocks; ++b) active |= uint32_t(block_last[b] >= (index & ~31)) << b;
         }
         if (index >= 8 && job.masks[begin + index - 8]) prefetch(job, job.entries[begin + index - 8].primitive);
         uint32_t mask = job.masks[begin + index] & active;
@@ -130,8 +130,8 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             for (; mask; mask &= mask - 1) {
                 const int b = __builtin_ctz(mask);
                 for (int k = 0; k < kVectors; ++k) {
-                    const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
-                    const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
+                    const Float X = load(kLaneX + k * kWidth) + set1(float(b % kSide * kBlock));
+                    const Float Y = load(kLaneY + k * kWidth) + set1(float(b / kSide * kBlock));
                     Mask counted;
                     Float u, v;
                     const Float raw = gaussian_alpha(item, X, Y, u, v, counted);
@@ -170,8 +170,8 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
                             continue;
                         }
                         for (int k = 0; k < kVectors; ++k) {
-                            const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
-                            const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
+                            const Float X = load(kLaneX + k * kWidth) + set1(float(b % kSide * kBlock));
+                            const Float Y = load(kLaneY + k * kWidth) + set1(float(b / kSide * kBlock));
                             Mask counted;
                             ConvexValue<count.value> value;
                             const Float raw = gentle_alpha(convex, b, k * kWidth, value, counted);
@@ -196,8 +196,8 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
                         Float moments[3 * count.value];
                         clear<3 * count.value>(moments);
                         for (int k = 0; k < kVectors; ++k) {
-                            const Float X = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
-                            const Float Y = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
+                            const Float X = load(kLaneX + k * kWidth) + set1(float(b % kSide * kBlock));
+                            const Float Y = load(kLaneY + k * kWidth) + set1(float(b / kSide * kBlock));
                             Mask counted;
                             ConvexValue<count.value> value;
                             const Float raw = convex_alpha(convex, edges, X, Y, value, counted);

@@ -1,11 +1,11 @@
 // Forward: a chunk of the tile's primitives is gathered and tested against its blocks; then each block that still lets light
 // through walks the primitives that may touch it with its pixels in registers. Included by blend.inl.
 
-struct TilePixels {  // lane l of block b is pixel (4 (b % 4) + l % 4, 4 (b / 4) + l / 4)
-    alignas(64) float falling[256];        // transmittance as if nothing stopped: below the line, the pixel has stopped
-    alignas(64) float transmittance[256];  // of stopped pixels, behind their last blended layer
-    alignas(64) float red[256], green[256], blue[256], z[256], weight[256];
-    alignas(64) int32_t last[256];         // of stopped pixels, the entry before the one that stopped them
+struct TilePixels {  // lane l of block b is pixel (4 (b % kSide) + l % 4, 4 (b / kSide) + l / 4)
+    alignas(64) float falling[kPixels];        // transmittance as if nothing stopped: below the line, the pixel has stopped
+    alignas(64) float transmittance[kPixels];  // of stopped pixels, behind their last blended layer
+    alignas(64) float red[kPixels], green[kPixels], blue[kPixels], z[kPixels], weight[kPixels];
+    alignas(64) int32_t last[kPixels];         // of stopped pixels, the entry before the one that stopped them
 };
 
 struct Chunk {
@@ -35,8 +35,8 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk
         const int at = 16 * b + k * kWidth;
         falling[k] = load(px.falling + at), weight[k] = load(px.weight + at);
         red[k] = load(px.red + at), green[k] = load(px.green + at), blue[k] = load(px.blue + at), z[k] = load(px.z + at);
-        X[k] = load(kLaneX + k * kWidth) + set1(float(b % 4 * kBlock));
-        Y[k] = load(kLaneY + k * kWidth) + set1(float(b / 4 * kBlock));
+        X[k] = load(kLaneX + k * kWidth) + set1(float(b % kSide * kBlock));
+        Y[k] = load(kLaneY + k * kWidth) + set1(float(b / kSide * kBlock));
         open[k] = bits(falling[k] >= line);
     }
     for (int word = 0; word < kChunk / 64; ++word) {
@@ -80,7 +80,7 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk
                 weight[k] = weight[k] + w;  // 1 - transmittance loses the small ones' digits, which depth is divided by
                 if (EXTRAS && item.extras)
                     for (int e = 0; e < extras; ++e) {
-                        float* p = extra + 256 * e + 16 * b + k * kWidth;
+                        float* p = extra + kPixels * e + 16 * b + k * kWidth;
                         store(p, fma(w, set1(item.extras[e]), load(p)));
                     }
                 stops |= bits(on) != open[k];
@@ -120,7 +120,7 @@ inline void copy_lanes(const float* from, float* to, int count) {
 inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* extra, int x0, int y0, int32_t entries) {
     const int w = job.width - x0 < kTile ? job.width - x0 : kTile, h = job.height - y0 < kTile ? job.height - y0 : kTile;
     const Float line = set1(kMinTransmittance);
-    for (int at = 0; at < 256; at += kWidth) {
+    for (int at = 0; at < kPixels; at += kWidth) {
         const Float falling = load(px.falling + at);
         const Mask open = falling >= line;
         const Float t = select(open, falling, load(px.transmittance + at));
@@ -133,12 +133,12 @@ inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* ext
     }
     for (int y = 0; y < h; ++y)
         for (int x = 0; x < w; x += 4) {
-            const int at = 16 * (y / 4 * 4 + x / 4) + y % 4 * 4, count = w - x < 4 ? w - x : 4;
+            const int at = 16 * (y / 4 * kSide + x / 4) + y % 4 * 4, count = w - x < 4 ? w - x : 4;
             const int64_t to = int64_t(y0 + y) * job.width + x0 + x;
             float* color = job.color + 3 * to;
             for (int i = 0; i < count; ++i) {
                 color[3 * i] = px.red[at + i], color[3 * i + 1] = px.green[at + i], color[3 * i + 2] = px.blue[at + i];
-                for (int e = 0; e < job.extras; ++e) job.extra[(to + i) * job.extras + e] = extra[256 * e + at + i];
+                for (int e = 0; e < job.extras; ++e) job.extra[(to + i) * job.extras + e] = extra[kPixels * e + at + i];
             }
             copy_lanes(px.weight + at, job.alpha + to, count);
             copy_lanes(px.z + at, job.depth + to, count);
@@ -171,19 +171,19 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
     TilePixels px;
     uint32_t alive = 0;
     const bool whole = x0 + kTile <= job.width && y0 + kTile <= job.height;
-    for (int at = 0; at < 256; at += kWidth) {
+    for (int at = 0; at < kPixels; at += kWidth) {
         store(px.falling + at, set1(1.0f)), store(px.transmittance + at, set1(1.0f));
         store(px.red + at, zero()), store(px.green + at, zero()), store(px.blue + at, zero()), store(px.z + at, zero());
         store(px.weight + at, zero()), store(px.last + at, set1(-1));
     }
-    for (int i = 0; !whole && i < 256; ++i) {
-        const int b = i / 16, x = x0 + b % 4 * 4 + i % 4, y = y0 + b / 4 * 4 + i % 16 / 4;
+    for (int i = 0; !whole && i < kPixels; ++i) {
+        const int b = i / 16, x = x0 + b % kSide * 4 + i % 4, y = y0 + b / kSide * 4 + i % 16 / 4;
         const bool inside = x < job.width && y < job.height;
         if (!inside) px.falling[i] = 0.0f;
         alive |= uint32_t(inside) << b;
     }
-    if (whole) alive = 0xffff;
-    if (EXTRAS) __builtin_memset(extra, 0, sizeof(float) * 256 * size_t(job.extras));
+    if (whole) alive = kAllBlocks;
+    if (EXTRAS) __builtin_memset(extra, 0, sizeof(float) * kPixels * size_t(job.extras));
 
     Chunk chunk;
     const uint64_t begin = job.tile_begin[tile], end = job.tile_begin[tile + 1];

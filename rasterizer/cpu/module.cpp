@@ -103,7 +103,7 @@ std::unique_ptr<Frame> forward(const nb::dict& camera, const nb::dict& gaussians
         nb::gil_scoped_release released;
         Clock clock;
         preprocess(state, threads);
-        find_spans(state, threads);
+        find_spans(state, keep, threads);
         clock(state.seconds.preprocess);
         sort_by_depth(state, threads);
         clock(state.seconds.sort);
@@ -154,6 +154,14 @@ void backward_frame(const Frame& frame, const nb::dict& grad, const nb::dict& ca
 NB_MODULE(_cpu, m) {
     m.doc() = "CPU kernels of e4dgs.rasterizer.";
     nb::set_leak_warnings(false);  // an autograd graph that is still alive when Python exits is no leak of ours
+    nb::register_exception_translator([](const std::exception_ptr& error, void*) {
+        try {
+            std::rethrow_exception(error);
+        } catch (const TooLarge& e) {
+            PyErr_SetString(PyExc_MemoryError, e.what());
+        }
+    });
+    m.def("release_memory", &release_memory, "Give back to the system what finished frames left for the next ones; bytes.");
     nb::class_<Frame>(m, "Frame", "What a forward pass keeps for its backward pass.")
         .def_prop_ro("entries", [](const Frame& f) { return f.state.entries.size(); }, "(tile, primitive) pairs")
         .def_prop_ro(

@@ -1,9 +1,13 @@
 #include "pool.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <cstdlib>
+#include <fstream>
+#include <limits>
 #include <mutex>
 #include <new>
+#include <string>
 #include <vector>
 
 #if defined(__linux__)
@@ -36,7 +40,33 @@ Memory allocate(size_t bytes) {
     return {data, capacity};
 }
 
+#if defined(__linux__)
+// The first number after `key` in a file of the kernel's; false where there is none ("max" in a control group).
+bool number_in(const char* path, const std::string& key, size_t& value) {
+    std::ifstream file(path);
+    for (std::string word; file >> word;)
+        if (word == key || key.empty()) {
+            if (!key.empty() && !(file >> word)) return false;
+            char* end;
+            value = std::strtoull(word.c_str(), &end, 10);
+            return end != word.c_str();
+        }
+    return false;
+}
+#endif
+
 }  // namespace
+
+size_t free_memory() {
+    size_t free = std::numeric_limits<size_t>::max();
+#if defined(__linux__)
+    size_t kib, limit, used;
+    if (number_in("/proc/meminfo", "MemAvailable:", kib)) free = kib * 1024;
+    if (number_in("/sys/fs/cgroup/memory.max", "", limit) && number_in("/sys/fs/cgroup/memory.current", "", used))
+        free = std::min(free, limit > used ? limit - used : 0);
+#endif
+    return free;
+}
 
 Memory take_memory(size_t bytes) {
     if (bytes >= kSmall) {

@@ -60,7 +60,8 @@ bool convex(const State& state, int64_t i, ConvexRecord& record, TileBox& box, d
     const float* p = in.points + i * points * 3;
     if (!finite(p, points * 3) || !positive(in.tau + i, 1) || !positive(in.kappa + i, 1)) return false;
     const float opacity = in.opacities[i];
-    if (!(opacity * 255.0f > 1.0f && opacity <= 1.0f)) return false;
+    constexpr float inverse = 1.0f / kMinAlpha;
+    if (!(opacity * inverse > 1.0f && opacity <= 1.0f)) return false;
 
     ConvexView<double> view;
     if (!project_convex(scene.camera, p, points, view) || !usable(in, i, scene.extras)) return false;
@@ -75,7 +76,7 @@ bool convex(const State& state, int64_t i, ConvexRecord& record, TileBox& box, d
     edge_lines(scene.camera, view, tau, record.x0, record.y0, record.A, record.B, record.C);
     record.opacity = opacity;
     record.rho = float(kappa / tau);
-    const double limit = std::log2(255.0 * opacity - 1.0) * tau / kappa;  // alpha >= 1/255 where tau S / ln 2 <= limit
+    const double limit = std::log2(double(inverse) * opacity - 1.0) * tau / kappa;  // alpha >= kMinAlpha where tau S / ln 2 <= limit
     record.limit = float(limit + kSlack + 1e-5 * std::fabs(limit));
     double sum = record.limit;
     for (int k = 0; k < view.n; ++k) sum += record.A[k] + record.B[k] + record.C[k];

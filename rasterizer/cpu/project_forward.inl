@@ -43,7 +43,7 @@ inline void project_lanes(const ProjectJob& job, const Camera<Pack>& camera, con
     for (int l = 0; l < kLanes; ++l) lane[0][l] = double(logs[l]);
     exponent = *reinterpret_cast<const Doubles*>(lane[0]);
     exponent_factor(view, f);
-    const Pack radius2 = exponent + Pack(double(kLog2Of255) + kSlack), reach = radius2 * Pack(2 / kLog2E);
+    const Pack radius2 = exponent + Pack(kSlack - kLog2MinAlpha), reach = radius2 * Pack(2 / kLog2E);
     const Pack rx = sqrt(reach * view.cov[0]) * Pack(1.00001), ry = sqrt(reach * view.cov[2]) * Pack(1.00001);
     const Pack x = view.mean[0], y = view.mean[1], z = view.p[2];
     const Pack low_x = larger(x - rx, Pack(0.5)), high_x = smaller(x + rx, Pack(camera.width - 0.5));

@@ -6,8 +6,14 @@
 
 namespace e4dgs {
 
-constexpr int kTile = 16;    // px, a tile's side
-constexpr int kBlock = 4;    // px, a block's side; a tile has 16 blocks, one bit each in a mask
+#if !defined(E4DGS_TILE)
+#define E4DGS_TILE 16  // or 8, to see what it costs (benchmarks/knobs.py)
+#endif
+constexpr int kTile = E4DGS_TILE;          // px, a tile's side
+constexpr int kBlock = 4;                  // px, a block's side
+constexpr int kSide = kTile / kBlock;      // blocks along a tile's side
+constexpr int kBlocks = kSide * kSide;     // of a tile, one bit each in a mask
+constexpr int kPixels = kTile * kTile;     // of a tile
 constexpr int kShift = 4;    // slots are counted in units of 4 floats
 
 // One projected Gaussian: a cache line. alpha = 2^(exponent - u^2 - v^2), see exponent_factor().

@@ -1,7 +1,8 @@
 // Which tiles of each row a primitive may touch, and how many in all: in the order of the input, while its record is at hand.
+#include <algorithm>
 #include <cmath>
-#include <stdexcept>
-#include <string>
+#include <cstdio>
+#include <utility>
 
 #include "bounds.h"
 #include "parallel.h"
@@ -44,9 +45,24 @@ uint32_t append_spans(const State& state, int64_t id, std::vector<Span>& spans) 
     return append_rows(state, ConvexBounds(state.convexes[id - n], state.scene.camera.width, state.scene.camera.height), box, spans);
 }
 
+// Before the large arrays: of (tile, primitive) pairs, and with gradients of their slots.
+void refuse_what_cannot_fit(const State& state, uint64_t units, uint64_t rows, bool keep) {
+    const uint64_t least = uint64_t(std::min(state.gaussian_units(), state.convex_units())), pairs = units / least;
+    const uint64_t bytes = pairs * (sizeof(Entry) + sizeof(uint16_t)) + rows * sizeof(Span) + (keep ? units * (16 + 1) : 0);
+    const uint64_t free = free_memory();
+    if (units <= 0xffffffffull && rows <= 0xffffffffull && bytes <= free) return;
+    char text[512];
+    std::snprintf(text, sizeof(text),
+                  "%zu primitives cover about %.3g pairs of a tile and a primitive in this %d x %d image, which take %.1f GiB%s; %.1f GiB of memory "
+                  "are free, and 4.3e9 pieces of 16 bytes are the most. Render fewer or smaller primitives, or a smaller image",
+                  state.depth.size(), double(pairs), state.scene.camera.width, state.scene.camera.height, double(bytes) / (1ull << 30),
+                  keep ? " with gradients" : "", double(free) / (1ull << 30));
+    throw TooLarge(text);
+}
+
 }  // namespace
 
-void find_spans(State& state, int threads) {
+void find_spans(State& state, bool keep, int threads) {
     const int64_t total = int64_t(state.depth.size()), blocks = (total + kGrain - 1) / kGrain, n = state.scene.gaussians.n;
     const uint32_t gaussian_units = uint32_t(state.gaussian_units()), convex_units = uint32_t(state.convex_units());
     std::vector<std::vector<Span>> spans(blocks);
@@ -67,9 +83,7 @@ void find_spans(State& state, int threads) {
         spans[block] = std::move(mine);
     });
     for (int64_t b = 0; b < blocks; ++b) units[b + 1] += units[b], rows[b + 1] += rows[b];
-    if (units[blocks] > 0xffffffffull || rows[blocks] > 0xffffffffull)
-        throw std::runtime_error("the primitives cover too many tiles (" + std::to_string(units[blocks] / gaussian_units) +
-                                 " pairs of a tile and a primitive); render fewer or a smaller image");
+    refuse_what_cannot_fit(state, units[blocks], rows[blocks], keep);
     state.spans.resize(rows[blocks]);
     parallel_blocks(total, kGrain, threads, [&](int64_t first, int64_t last, int64_t block) {
         for (int64_t id = first; id < last; ++id) state.slot_begin[id] += uint32_t(units[block]), state.span_begin[id] += uint32_t(rows[block]);

@@ -61,7 +61,7 @@ struct PairCount {
 };
 
 void preprocess(State& state, int threads);              // records, depth, boxes
-void find_spans(State& state, int threads);              // span_begin, spans, slot_begin
+void find_spans(State& state, bool keep, int threads);   // TooLarge; span_begin, spans, slot_begin
 void sort_by_depth(State& state, int threads);           // order
 void distribute(State& state, int threads);              // tile_begin, entries
 void blend_forward(State& state, const FrameOutput& out, bool keep, int threads);

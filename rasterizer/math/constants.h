@@ -10,7 +10,11 @@
 
 namespace e4dgs {
 
-constexpr float kMinAlpha = 1.0f / 255.0f;        // a layer below it is skipped at that pixel
+// The contract's value unless a build asks for another, to see what it buys (benchmarks/knobs.py).
+#if !defined(E4DGS_MIN_ALPHA)
+#define E4DGS_MIN_ALPHA (1.0f / 255.0f)
+#endif
+constexpr float kMinAlpha = E4DGS_MIN_ALPHA;      // a layer below it is skipped at that pixel
 constexpr float kMaxAlpha = 0.99f;                // alpha is capped here, without gradient
 constexpr float kMinTransmittance = 0.99e-4f;     // the layer that would take a pixel below it ends the pixel, not blended
 constexpr double kDilation = 0.3;                 // px^2, added to a Gaussian's 2D covariance
@@ -19,7 +23,7 @@ constexpr int kMaxPoints = 8;                     // points of a convex
 
 constexpr double kLn2 = 0.6931471805599453;
 constexpr double kLog2E = 1.4426950408889634;
-constexpr float kLog2Of255 = 7.994353436858858f;  // exponents below its negative are alphas below 1/255
+constexpr double kLog2MinAlpha = __builtin_log2(double(kMinAlpha));  // exponents below it are alphas below kMinAlpha
 
 // What a comparison of two T gives: T may be a vector of numbers.
 template <class T>
