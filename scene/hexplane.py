@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from . import _kernels
 from .field_kernel import field_outputs, lookup_reference
 
 __all__ = ["HexPlanes", "lookup_reference"]
@@ -46,13 +47,31 @@ class HexPlanes(nn.Module):
 
     def total_variation(self) -> Tensor:
         """L_tv of Eq. 9: mean squared difference of neighbours in space plus mean squared second difference in time, summed over planes."""
-        differences = []
-        for space, time in zip(self.space, self.time):
-            differences += [
-                space.diff(dim=1),
-                space.diff(dim=2),
-                time.diff(dim=2),
-                time.diff(n=2, dim=1) if time.shape[1] > 2 else time[:, :0],
-            ]
-        terms = [d.square().mean() for d in differences if d.numel()]
-        return torch.stack(terms).sum() if terms else torch.zeros(())
+        planes = [*self.space, *self.time]
+        if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in planes):
+            return _Smoothness.apply(len(self.space), *planes)
+        return smoothness_reference(list(self.space), list(self.time))
+
+
+def smoothness_reference(space: list[Tensor], time: list[Tensor]) -> Tensor:
+    """`HexPlanes.total_variation` in plain torch, any float type and device: the oracle of the kernel."""
+    differences = []
+    for s, t in zip(space, time):
+        differences += [s.diff(dim=1), s.diff(dim=2), t.diff(dim=2), t.diff(n=2, dim=1) if t.shape[1] > 2 else t[:, :0]]
+    terms = [d.square().mean() for d in differences if d.numel()]
+    return torch.stack(terms).sum() if terms else torch.zeros(())
+
+
+class _Smoothness(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, levels: int, *planes: Tensor) -> Tensor:  # type: ignore[override]
+        plain = [p.detach().contiguous() for p in planes]
+        grads = [torch.empty_like(p) for p in plain]
+        value = _kernels.smoothness(plain[:levels], plain[levels:], grads[:levels], grads[levels:], torch.get_num_threads())
+        ctx.save_for_backward(*grads)
+        return planes[0].new_tensor(value)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, grad: Tensor):  # type: ignore[override]
+        return None, *(g * grad for g in ctx.saved_tensors)

@@ -7,6 +7,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <array>
+#include <cmath>
 #include <initializer_list>
 #include <optional>
 #include <stdexcept>
@@ -14,10 +15,12 @@
 #include <utility>
 #include <vector>
 
+#include "adam.h"
 #include "displacement.h"
 #include "field.h"
 #include "field_run.h"
 #include "photometric.h"
+#include "smoothness.h"
 
 namespace nb = nanobind;
 using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
@@ -154,6 +157,32 @@ NB_MODULE(_kernels, m) {
     m.def(
         "select_kernels", [](const std::string& name) { return e4dgs::select_field_kernels(name.c_str()); }, nb::arg("name"),
         "Use another instruction set for the field; False where the processor or the build lacks it.");
+
+    m.def("adam_rows", [](const Out& parameter, const In& gradient, const Out& first, const Out& second, int64_t step, float rate, float beta1,
+                          float beta2, float epsilon, int threads) {
+        const size_t size = parameter.size(), rows = parameter.ndim() ? parameter.shape(0) : 1;
+        if (gradient.size() != size || first.size() != size || second.size() != size) throw std::invalid_argument("gradient and moments must have the parameter's shape");
+        if (step < 1) throw std::invalid_argument("the first step is number 1");
+        const auto correction = [step](float beta) { return float(1.0 - std::pow(double(beta), double(step))); };
+        const e4dgs::AdamStep adam{rate, beta1, beta2, epsilon, correction(beta1), correction(beta2)};
+        nb::gil_scoped_release release;
+        e4dgs::adam_rows(parameter.data(), gradient.data(), first.data(), second.data(), int64_t(rows), rows ? int64_t(size / rows) : 0, adam, threads);
+    });
+
+    m.def("smoothness", [](const Ins& space, const Ins& time, const Outs& grad_space, const Outs& grad_time, int threads) {
+        std::vector<e4dgs::PlaneStack> stacks;
+        const auto add = [&stacks](const Ins& planes, const Outs& grads, bool second) {
+            if (planes.size() != grads.size()) throw std::invalid_argument("gradients must be as many as their planes");
+            for (size_t l = 0; l < planes.size(); ++l) {
+                if (planes[l].ndim() != 4 || planes[l].shape(0) != 3) throw std::invalid_argument("planes must be [3,rows,columns,C]");
+                if (grads[l].size() != planes[l].size()) throw std::invalid_argument("gradients must have the planes' shapes");
+                stacks.push_back({planes[l].data(), int64_t(planes[l].shape(1)), int64_t(planes[l].shape(2)), int64_t(planes[l].shape(3)), second, grads[l].data()});
+            }
+        };
+        add(space, grad_space, false), add(time, grad_time, true);
+        nb::gil_scoped_release release;
+        return e4dgs::smoothness(stacks.data(), int(stacks.size()), threads);
+    });
 
     m.def("photometric", [](In x, In y, float w_l1, float w_ssim, Out grad, int threads) {
         if (x.ndim() != 3 || x.shape(2) != 3 || y.size() != x.size() || grad.size() != x.size()) throw std::invalid_argument("x, y, grad must be [H,W,3]");

@@ -1,8 +1,13 @@
 #include "photometric.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
+#include <memory>
+#include <new>
+#include <utility>
 #include <vector>
 
 #include "clones.h"
@@ -24,7 +29,8 @@ const std::array<float, 2 * kRadius + 1> kWindow = [] {
 constexpr int kChannels = 3;
 
 // Horizontal pass over one interleaved row of `n` = 3 W floats, in a buffer padded by kRadius pixels on both sides.
-inline void convolve_row(const float* padded, int n, float* out) {
+inline void convolve_row(const float* __restrict padded, int n, float* __restrict out) {
+#pragma GCC ivdep
     for (int i = 0; i < n; ++i) {
         float sum = 0;
         for (int k = 0; k < 2 * kRadius + 1; ++k) sum += kWindow[k] * padded[i + k * kChannels];
@@ -32,15 +38,18 @@ inline void convolve_row(const float* padded, int n, float* out) {
     }
 }
 
-// Vertical pass for row y of map [H, n].
-inline void convolve_column(const float* map, int height, int n, int y, float* out) {
-    for (int i = 0; i < n; ++i) out[i] = 0;
-    const int first = y < kRadius ? kRadius - y : 0;
-    const int last = y + kRadius >= height ? height - 1 - y + kRadius : 2 * kRadius;
-    for (int k = first; k <= last; ++k) {
-        const float* row = map + static_cast<int64_t>(y + k - kRadius) * n;
-        const float w = kWindow[k];
-        for (int i = 0; i < n; ++i) out[i] += w * row[i];
+// Vertical pass for row y of map [H, n]. Rows beyond the image are `zeros` [n]; the sums stay in registers.
+inline void convolve_column(const float* map, const float* zeros, int height, int n, int y, float* __restrict out) {
+    const float* row[2 * kRadius + 1];
+    for (int k = 0; k < 2 * kRadius + 1; ++k) {
+        const int at = y + k - kRadius;
+        row[k] = at >= 0 && at < height ? map + static_cast<int64_t>(at) * n : zeros;
+    }
+#pragma GCC ivdep
+    for (int i = 0; i < n; ++i) {
+        float sum = 0;
+        for (int k = 0; k < 2 * kRadius + 1; ++k) sum += kWindow[k] * row[k][i];
+        out[i] = sum;
     }
 }
 
@@ -54,25 +63,27 @@ E4DGS_CLONES void moments_row(const float* x, const float* y, int n, float* cons
 }
 
 // From the five windowed moments of a row: the SSIM sum, and the derivatives of SSIM by mu_x, E[xx], E[xy].
-E4DGS_CLONES double ssim_row(const float* const maps[5], int height, int n, int y, float* d_mu, float* d_xx, float* d_xy, float* rows) {
+E4DGS_CLONES double ssim_row(const float* const maps[5], const float* zeros, int height, int n, int y, float* d_mu, float* d_xx, float* d_xy, float* rows) {
     float* m[5];
     for (int k = 0; k < 5; ++k) {
         m[k] = rows + static_cast<int64_t>(k) * n;
-        convolve_column(maps[k], height, n, y, m[k]);
+        convolve_column(maps[k], zeros, height, n, y, m[k]);
     }
+    float *__restrict m0 = m[0], *__restrict m1 = m[1], *__restrict m2 = m[2], *__restrict m3 = m[3], *__restrict m4 = m[4];
+#pragma GCC ivdep
     for (int i = 0; i < n; ++i) {
-        const float mx = m[0][i], my = m[1][i];
-        const float vx = m[2][i] - mx * mx, vy = m[3][i] - my * my, cov = m[4][i] - mx * my;
+        const float mx = m0[i], my = m1[i];
+        const float vx = m2[i] - mx * mx, vy = m3[i] - my * my, cov = m4[i] - mx * my;
         const float a = 2 * mx * my + kC1, b = 2 * cov + kC2, c = mx * mx + my * my + kC1, d = vx + vy + kC2;
         const float inv = 1.0f / (c * d), s = a * b * inv;
         const float ds_dcov = 2 * a * inv, ds_dvx = -s / d;
-        m[0][i] = s;
+        m0[i] = s;
         d_xx[i] = ds_dvx;
         d_xy[i] = ds_dcov;
         d_mu[i] = 2 * my * b * inv - s * 2 * mx / c - 2 * mx * ds_dvx - my * ds_dcov;
     }
     double sum = 0;
-    for (int i = 0; i < n; ++i) sum += m[0][i];
+    for (int i = 0; i < n; ++i) sum += m0[i];
     return sum;
 }
 
@@ -84,12 +95,12 @@ E4DGS_CLONES void derivative_row(const float* const in[3], int n, float* const o
     }
 }
 
-E4DGS_CLONES double gradient_row(const float* x, const float* y, const float* const maps[3], int height, int n, int row, float scale_l1,
+E4DGS_CLONES double gradient_row(const float* x, const float* y, const float* const maps[3], const float* zeros, int height, int n, int row, float scale_l1,
                                  float scale_ssim, float* grad, float* rows) {
     float *mu = rows, *xx = rows + n, *xy = rows + 2 * static_cast<int64_t>(n);
-    convolve_column(maps[0], height, n, row, mu);
-    convolve_column(maps[1], height, n, row, xx);
-    convolve_column(maps[2], height, n, row, xy);
+    convolve_column(maps[0], zeros, height, n, row, mu);
+    convolve_column(maps[1], zeros, height, n, row, xx);
+    convolve_column(maps[2], zeros, height, n, row, xy);
     for (int i = 0; i < n; ++i) {
         const float difference = x[i] - y[i];
         const float sign = difference > 0 ? 1.0f : difference < 0 ? -1.0f : 0.0f;
@@ -100,15 +111,46 @@ E4DGS_CLONES double gradient_row(const float* x, const float* y, const float* co
     return sum;
 }
 
+// Room for the maps, kept from call to call by the thread that trains: fresh pages cost more than the arithmetic.
+class Planes {
+public:
+    explicit Planes(size_t floats) : data_(floats <= kept_.second ? kept_.first.release() : fresh(floats)), size_(std::max(floats, kept_.second)) {
+        kept_.second = 0;
+    }
+    ~Planes() {
+        kept_.first.reset(size_ <= kMostKept ? data_ : (std::free(data_), nullptr));
+        kept_.second = size_ <= kMostKept ? size_ : 0;
+    }
+    Planes(const Planes&) = delete;
+    float* data() { return data_; }
+
+private:
+    struct Free {
+        void operator()(float* p) const { std::free(p); }
+    };
+    static constexpr size_t kMostKept = size_t(32) << 20;  // floats
+    static float* fresh(size_t floats) {
+        void* p = std::aligned_alloc(64, (floats * sizeof(float) + 63) / 64 * 64);
+        if (!p) throw std::bad_alloc();
+        return static_cast<float*>(p);
+    }
+    static thread_local std::pair<std::unique_ptr<float, Free>, size_t> kept_;
+    float* data_;
+    size_t size_;
+};
+
+thread_local std::pair<std::unique_ptr<float, Planes::Free>, size_t> Planes::kept_{nullptr, 0};
+
 }  // namespace
 
 Photometric photometric(const float* x, const float* y, int height, int width, float w_l1, float w_ssim, float* grad, int threads) {
     const int n = width * kChannels;
     const int64_t size = static_cast<int64_t>(height) * n;
     const double count = static_cast<double>(size);
-    std::vector<float> buffer(8 * size);
+    Planes planes(static_cast<size_t>(8 * size));
     float* plane[8];
-    for (int k = 0; k < 8; ++k) plane[k] = buffer.data() + k * size;
+    for (int k = 0; k < 8; ++k) plane[k] = planes.data() + k * size;
+    const std::vector<float> zeros(n, 0.0f);
     std::vector<double> row_sum(height, 0.0), row_l1(height, 0.0);
 
 #pragma omp parallel num_threads(threads)
@@ -123,7 +165,7 @@ Photometric photometric(const float* x, const float* y, int height, int width, f
 #pragma omp for schedule(static)
         for (int r = 0; r < height; ++r) {
             const float* const maps[5] = {plane[0], plane[1], plane[2], plane[3], plane[4]};
-            row_sum[r] = ssim_row(maps, height, n, r, at(5, r), at(6, r), at(7, r), rows.data());
+            row_sum[r] = ssim_row(maps, zeros.data(), height, n, r, at(5, r), at(6, r), at(7, r), rows.data());
         }
         // The three derivative maps go through the same (symmetric) window; planes 0-2 are free again.
 #pragma omp for schedule(static)
@@ -136,7 +178,7 @@ Photometric photometric(const float* x, const float* y, int height, int width, f
         for (int r = 0; r < height; ++r) {
             const float* const maps[3] = {plane[0], plane[1], plane[2]};
             const int64_t start = static_cast<int64_t>(r) * n;
-            row_l1[r] = gradient_row(x + start, y + start, maps, height, n, r, static_cast<float>(w_l1 / count),
+            row_l1[r] = gradient_row(x + start, y + start, maps, zeros.data(), height, n, r, static_cast<float>(w_l1 / count),
                                      static_cast<float>(w_ssim / count), grad + start, rows.data());
         }
     }

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from e4dgs.scene.hexplane import HexPlanes, lookup_reference
+from e4dgs.scene.hexplane import HexPlanes, lookup_reference, smoothness_reference
 
 
 def make(resolutions=(5, 9), times=4, channels=8):
@@ -71,3 +71,21 @@ def test_gradients_are_bit_equal_for_any_number_of_threads():
         torch.set_num_threads(before)
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other))
+
+
+@pytest.mark.parametrize(("resolutions", "times"), [((5, 9), 4), ((1, 3), 2), ((2,), 1), ((16, 32), 50)])
+def test_smoothness_and_its_gradients_match_the_float64_oracle(resolutions, times):
+    planes = make(resolutions, times, 7)
+    parameters = [*planes.space, *planes.time]
+    value = 3 * planes.total_variation()
+    exact = [p.detach().double().requires_grad_() for p in parameters]
+    expected = 3 * smoothness_reference(exact[: len(resolutions)], exact[len(resolutions) :])
+    assert abs(float(value) - float(expected)) <= 2e-6 * float(expected)
+    theirs = torch.autograd.grad(expected, exact, allow_unused=True)
+    for a, b in zip(torch.autograd.grad(value, parameters), theirs):
+        assert (a - (0 if b is None else b)).norm() <= 2e-6 * (0 if b is None else float(b.norm())) + 1e-12
+
+
+def test_smoothness_oracle_matches_central_differences():
+    exact = interleaved(make((3,), 4, 2))
+    assert torch.autograd.gradcheck(lambda s, t: smoothness_reference([s], [t]), tuple(exact), eps=1e-6, atol=1e-8)

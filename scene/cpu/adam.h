@@ -1,0 +1,15 @@
+// Adam (Kingma and Ba 2015) on the rows that got a gradient.
+#pragma once
+#include <cstdint>
+
+namespace e4dgs {
+
+struct AdamStep {
+    float rate, beta1, beta2, epsilon;
+    float correction1, correction2;  // 1 - beta^step
+};
+
+// parameter, gradient, first, second [rows, width]. A row whose gradient is zero throughout is left as it is, moments included.
+void adam_rows(float* parameter, const float* gradient, float* first, float* second, int64_t rows, int64_t width, const AdamStep& step, int threads);
+
+}  // namespace e4dgs

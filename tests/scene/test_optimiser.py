@@ -1,0 +1,87 @@
+"""RowAdam against torch's Adam, and what it leaves alone."""
+
+import pytest
+import torch
+from e4dgs.scene.optimiser import EPSILON, RowAdam
+
+
+def parameters(dtype=torch.float32):
+    generator = torch.Generator().manual_seed(1)
+    shapes = {"a.wide": (700, 45), "a.one": (700,), "b.cube": (50, 4, 3), "b.none": (0, 3)}
+    return {name: torch.randn(shape, generator=generator).to(dtype).requires_grad_() for name, shape in shapes.items()}
+
+
+def test_steps_are_those_of_adam_in_float64():
+    ours, exact = parameters(), parameters(torch.float64)
+    adam = RowAdam(ours, {name: lambda progress: 0.01 * (1 - progress) for name in ours})
+    reference = torch.optim.Adam(list(exact.values()), lr=0.01, betas=(0.9, 0.99), eps=EPSILON)
+    start = {name: p.detach().clone() for name, p in exact.items()}
+    generator = torch.Generator().manual_seed(2)
+    for step in range(20):
+        for name, p in ours.items():
+            p.grad = torch.randn(p.shape, generator=generator)
+            exact[name].grad = p.grad.double()
+        reference.param_groups[0]["lr"] = 0.01 * (1 - step / 20)
+        adam.step(step / 20)
+        reference.step()
+    for name, p in ours.items():
+        change = exact[name].detach() - start[name]
+        assert (p.detach() - exact[name].detach()).norm() <= 1e-5 * change.norm()
+        assert p.grad is None
+
+
+def test_rows_without_a_gradient_keep_value_and_moments():
+    ours = {"a.wide": torch.ones(6, 3, requires_grad=True)}
+    adam = RowAdam(ours, {"a.wide": lambda progress: 0.1})
+    p = ours["a.wide"]
+    p.grad = torch.ones(6, 3)
+    adam.step(0.0)
+    before, moments = p.detach().clone(), {k: v.clone() for k, v in adam.state().items()}
+    p.grad = torch.zeros(6, 3)
+    p.grad[2, 1], p.grad[5, 0] = 0.5, torch.nan
+    adam.step(0.5)
+    changed = (p.detach() != before).any(1)
+    assert changed.tolist() == [False, False, True, False, False, True]
+    for key in ("exp_avg", "exp_avg_sq"):
+        assert torch.equal(adam.state()[f"a.wide/{key}"][~changed], moments[f"a.wide/{key}"][~changed])
+
+
+def test_frozen_parameters_and_replaced_rows():
+    ours = parameters()
+    adam = RowAdam(ours, {name: lambda progress: 0.1 for name in ours})
+    for p in ours.values():
+        p.grad = torch.ones_like(p)
+    before = ours["a.one"].detach().clone()
+    adam.step(0.0, frozenset({"a"}))
+    assert torch.equal(ours["a.one"], before) and "a.one/step" not in adam.state() and "b.cube/step" in adam.state()
+    source = torch.tensor([3, -1, 0])
+    new = torch.zeros(3, 4, 3, requires_grad=True)
+    old = adam.state()["b.cube/exp_avg"].clone()
+    adam.replace("b.cube", new, source)
+    moved = adam.state()["b.cube/exp_avg"]
+    assert adam.parameters()["b.cube"] is new
+    assert torch.equal(moved[0], old[3]) and not moved[1].any() and torch.equal(moved[2], old[0])
+
+
+def test_state_survives_saving():
+    runs = []
+    for interrupted in (False, True):
+        ours = parameters()
+        adam = RowAdam(ours, {name: lambda progress: 0.1 for name in ours})
+        for step in range(4):
+            if interrupted and step == 2:
+                kept = {name: value.clone() for name, value in adam.state().items()}
+                adam = RowAdam(ours, {name: lambda progress: 0.1 for name in ours})
+                adam.load_state(kept)
+            for p in ours.values():
+                p.grad = torch.full_like(p, 1.0 + step)
+            adam.step(0.0)
+        runs.append(ours)
+    assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
+
+
+def test_wrong_shapes_are_refused():
+    from e4dgs.scene import _kernels
+
+    with pytest.raises(ValueError, match="parameter's shape"):
+        _kernels.adam_rows(torch.ones(3), torch.ones(2), torch.ones(3), torch.ones(3), 1, 0.1, 0.9, 0.99, 1e-8, 1)
