@@ -10,7 +10,7 @@ struct TileGrads {  // in the order of TilePixels
 
 // What both kinds share at one vector of pixels. g: dL/dalpha alpha where alpha is not capped.
 template <bool DEPTH, bool EXTRAS>
-__attribute__((always_inline)) inline Float layer_backward(TileGrads& px, const float* extra, float* extra_sums, int extras, int at, const Item& item, int32_t index, Float raw,
+inline Float layer_backward(TileGrads& px, const float* extra, float* extra_sums, int extras, int at, const Item& item, int32_t index, Float raw,
                             Mask counted, Float* sums) {
     const Mask live = counted & (load(px.last + at) >= set1(index));
     const Float alpha = keep(live, min(raw, set1(kMaxAlpha)));

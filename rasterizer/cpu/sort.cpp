@@ -17,9 +17,9 @@ struct Key {
 
 constexpr int kMostBits = 11;  // of a digit
 
-struct Ranges {  // contiguous shares of n things
+struct Ranges {  // contiguous shares of n things; so large because waking threads eight times costs more than it saves below
     int64_t n, count;
-    Ranges(int64_t size, int threads) : n(size), count(std::max<int64_t>(1, std::min<int64_t>(threads, size / 8192))) {}
+    Ranges(int64_t size, int threads) : n(size), count(std::max<int64_t>(1, std::min<int64_t>(threads, size / 262144))) {}
     int64_t begin(int64_t r) const { return n * r / count; }
 };
 
