@@ -72,8 +72,8 @@ class DeformationField(nn.Module):
         return 0.25 * float((self.high - self.low).norm())
 
     def _heads(self, rest: Tensor, t: float) -> Tensor:
-        first, second = self.trunk[0], self.trunk[2]
-        weights = [p for layer in (first, second, self.head) for p in (layer.weight, layer.bias)]
+        layers = [layer for layer in (*self.trunk, self.head) if isinstance(layer, nn.Linear)]
+        weights = [p for layer in layers for p in (layer.weight, layer.bias)]
         return field_outputs(list(self.planes.space), list(self.planes.time), weights, rest, (self.low, self.high), t)
 
     def forward(self, rest: Tensor, t: float) -> Displacement:
