@@ -121,3 +121,31 @@ def test_the_order_of_primitives_without_ties_does_not_matter() -> None:
         for name, value in scene.tensors().items()
     }
     assert torch.equal(scene.render("cpu").color, scene.having(turned).render("cpu").color)
+
+
+def test_what_cannot_fit_is_refused_with_its_size() -> None:
+    """6000 Gaussians that all cover an image of 512 x 512 tiles: 1.6e9 pairs. Nothing of that size is allocated before the refusal."""
+    from e4dgs.rasterizer import Camera, Gaussians, rasterize
+
+    n, side = 6000, 8192
+    K = torch.tensor([[side, 0, side / 2], [0, side, side / 2], [0, 0, 1.0]])
+    pose = torch.eye(4)
+    pose[2, 3] = 4.0
+    quats = torch.tensor([1.0, 0, 0, 0]).repeat(n, 1)
+    gaussians = Gaussians(torch.zeros(n, 3), quats, torch.full((n, 3), 50.0), torch.full((n,), 0.5), colors=torch.zeros(n, 3))
+    with pytest.raises(MemoryError, match=r"6000 primitives cover about 1\.5\de\+09 pairs .* in this 8192 x 8192 image, .* GiB"):
+        rasterize(Camera(K, pose, side, side), gaussians)
+
+
+def test_memory_that_frames_hand_on_changes_nothing_and_can_be_given_back() -> None:
+    from e4dgs.rasterizer import _cpu
+
+    large = random_scene(19, gaussians=3000, convexes=500, degree=0, width=200, height=150).to(torch.float32)
+    small = random_scene(20, gaussians=900, convexes=100, degree=0, width=90, height=70).to(torch.float32)
+    _cpu.release_memory()
+    first = small.render("cpu").color
+    large.render("cpu")
+    assert torch.equal(small.render("cpu").color, first)
+    assert _cpu.release_memory() > 0
+    assert _cpu.release_memory() == 0
+    assert torch.equal(small.render("cpu").color, first)
