@@ -41,7 +41,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 3
+    version = 4
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
