@@ -9,7 +9,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rasterizer.compare import (
     OUTPUTS,
-    assert_gradients_close,
     assert_images_close,
     cotangents,
     decided_by_threshold,
@@ -59,6 +58,14 @@ def scenes(draw: st.DrawFn) -> tuple[Scene, dict[str, list[int]]]:
     return scene.to(torch.float32), bad
 
 
+def nudge(scene: Scene) -> Scene:
+    """The same with every float32 moved by up to two places in its last digit, towards zero."""
+    g = generator(3)
+    return scene.having(
+        {name: value * (1 - 2**-22 * torch.rand(value.shape, generator=g).to(value.dtype)) for name, value in scene.tensors().items()}
+    )
+
+
 @needs_cpu
 @few(60)
 @given(scenes())
@@ -86,9 +93,12 @@ def test_rasterize_is_finite_in_range_and_like_the_reference(case: tuple[Scene, 
     assert_images_close(got, want, decided, tolerance=IMAGE, max_decided=1.0, max_flips=max(0.01, 1.5 / decided.numel()))
     weights = cotangents(want, ignore=decided)
     found, exact = gradients(scene, "cpu", weights), gradients(scene, "reference", weights)
-    # What a few primitives and pixels add up to may all but cancel, also the largest gradient of an input (K, of three pixels on the edges
-    # of two hulls: 2.6e-4). So ten times the room here; scenes in which nothing cancels are held to GRADIENT elsewhere.
-    assert_gradients_close(found, exact, relative=10 * GRADIENT, cosine=1e-6)
+    # What few pixels add up to may all but cancel, and then float32's rounding of the inputs alone moves it: by as much more it may be off.
+    nudged = gradients(nudge(scene), "reference", weights)
+    for name, gradient in exact.items():
+        error = (found[name].double() - gradient.double()).norm()
+        room = (nudged[name].double() - gradient.double()).norm()
+        assert float(error) <= GRADIENT * float(gradient.norm()) + 8 * float(room) + 1e-12, name
     for kind, rows in bad.items():
         seen = getattr(got, f"visible_{kind}")
         for row in rows:
