@@ -161,6 +161,7 @@ NB_MODULE(_cpu, m) {
             PyErr_SetString(PyExc_MemoryError, e.what());
         }
     });
+    m.attr("most_kept_memory") = most_kept_memory();
     m.def("release_memory", &release_memory, "Give back to the system what finished frames left for the next ones; bytes.");
     nb::class_<Frame>(m, "Frame", "What a forward pass keeps for its backward pass.")
         .def_prop_ro("entries", [](const Frame& f) { return f.state.entries.size(); }, "(tile, primitive) pairs")

@@ -100,6 +100,8 @@ void give_memory(Memory memory) {
     std::free(memory.data);
 }
 
+size_t most_kept_memory() { return kMostKept; }
+
 size_t release_memory() {
     const std::lock_guard<std::mutex> lock(mutex);
     const size_t bytes = kept_bytes;

@@ -13,8 +13,9 @@ struct Memory {
 
 Memory take_memory(size_t bytes);  // aligned to 64 bytes; throws std::bad_alloc
 void give_memory(Memory memory);
-size_t release_memory();  // what is kept goes back to the system; bytes
-size_t free_memory();     // bytes that this process could still get, as far as the system says
+size_t release_memory();    // what is kept goes back to the system; bytes
+size_t most_kept_memory();  // bytes; 0 in builds whose sanitizer watches the end of every buffer
+size_t free_memory();       // bytes that this process could still get, as far as the system says
 
 // What would not fit is refused before it is tried: Python sees a MemoryError.
 class TooLarge : public std::runtime_error {

@@ -146,6 +146,7 @@ def test_memory_that_frames_hand_on_changes_nothing_and_can_be_given_back() -> N
     first = small.render("cpu").color
     large.render("cpu")
     assert torch.equal(small.render("cpu").color, first)
-    assert _cpu.release_memory() > 0
+    released = _cpu.release_memory()  # a sanitized build keeps nothing
+    assert released <= _cpu.most_kept_memory and (released > 0) == (_cpu.most_kept_memory > 0)
     assert _cpu.release_memory() == 0
     assert torch.equal(small.render("cpu").color, first)
