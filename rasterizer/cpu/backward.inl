@@ -2,74 +2,13 @@
 // by (1 - alpha), and `behind`, the gradient's share of everything behind; with f = dL/dw of a layer,
 // dL/dalpha = T f - behind / (1 - alpha). Included by blend.inl.
 
-struct TileGrads {  // in the order of TilePixels
-    alignas(64) float transmittance[kPixels], behind[kPixels];
-    alignas(64) float red[kPixels], green[kPixels], blue[kPixels], z[kPixels];
-    alignas(64) int32_t last[kPixels];
-};
-
-// What both kinds share at one vector of pixels. g: dL/dalpha alpha where alpha is not capped.
-template <bool DEPTH, bool EXTRAS>
-inline Float layer_backward(TileGrads& px, const float* extra, float* extra_sums, int extras, int at, const Item& item, int32_t index, Float raw,
-                            Mask counted, Float* sums) {
-    const Mask live = counted & (load(px.last + at) >= set1(index));
-    const Float alpha = keep(live, min(raw, set1(kMaxAlpha)));
-    const Float inverse = reciprocal(set1(1.0f) - alpha);
-    const Float before = load(px.transmittance + at) * inverse, behind = load(px.behind + at);
-    const Float w = before * alpha;
-    const Float red = load(px.red + at), green = load(px.green + at), blue = load(px.blue + at);
-    Float f = fma(red, set1(item.color[0]), fma(green, set1(item.color[1]), blue * set1(item.color[2])));
-    sums[0] = fma(w, red, sums[0]);
-    sums[1] = fma(w, green, sums[1]);
-    sums[2] = fma(w, blue, sums[2]);
-    if constexpr (DEPTH) {
-        const Float z = load(px.z + at);
-        f = fma(z, set1(item.z), f);
-        sums[3] = fma(w, z, sums[3]);
-    }
-    if constexpr (EXTRAS)
-        for (int e = 0; e < extras; ++e) {
-            const Float g = load(extra + kPixels * e + at);
-            if (item.extras) f = fma(g, set1(item.extras[e]), f);
-            float* sum = extra_sums + 16 * e;
-            store(sum, fma(w, g, load(sum)));
-        }
-    store(px.transmittance + at, before);
-    store(px.behind + at, fma(w, f, behind));
-    return keep(raw < set1(kMaxAlpha), alpha * fnma(behind, inverse, before * f));
-}
-
-// Unrolled: the compiler's own idea, a string instruction, takes longer to start than to run.
-template <int N>
-__attribute__((always_inline)) inline void clear(Float* v) {
-#pragma GCC unroll 32
-    for (int i = 0; i < N; ++i) v[i] = zero();
-}
-
-// Adds one vector of pixels to a convex's sums: h = -dL/d(ln E) with E = 2^(rho lse), shared among the edges by their softmax. The
-// third, h (lse - sum_i p_i L_i), is what tau's gradient consists of: from the other sums it would be a small difference of large numbers.
-template <int N>
-__attribute__((always_inline)) inline void edge_moments(const ConvexValue<N>& value, Float g, Float X, Float Y, Float* sums, Float* moments) {
-    const Float h = g * value.outside, share = h * reciprocal(value.sum);
-    sums[4] = sums[4] + g;
-    sums[5] = fma(h, value.lse, sums[5]);
-    Float spread = fma(h, value.spread, sums[6]);
-    for (int e = 0; e < N; ++e) {
-        const Float p = share * value.edge[e];
-        spread = fnma(p, value.relative[e], spread);
-        moments[3 * e] = fma(p, X, moments[3 * e]);
-        moments[3 * e + 1] = fma(p, Y, moments[3 * e + 1]);
-        moments[3 * e + 2] = moments[3 * e + 2] + p;
-    }
-    sums[6] = spread;
-}
-
 template <bool DEPTH, bool EXTRAS>
 void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
     const int x0 = tile % job.tiles_x * kTile, y0 = tile / job.tiles_x * kTile, extras = job.extras;
     float* extra = scratch;                       // [extras, kPixels]
     float* extra_sums = scratch + kPixels * extras;   // [extras, 16]
     TileGrads px;
+    const Walk walk{&px, extra, extra_sums, extras};
     int32_t block_last[kBlocks], tile_last = -1;
     double background[3] = {0, 0, 0};
     for (int b = 0; b < kBlocks; ++b) block_last[b] = -1;
@@ -111,7 +50,12 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             active = 0;
             for (int b = 0; b < kBlocks; ++b) active |= uint32_t(block_last[b] >= (index & ~31)) << b;
         }
-        if (index >= 8 && job.masks[begin + index - 8]) prefetch(job, job.entries[begin + index - 8].primitive);
+        if (index >= 8 && job.masks[begin + index - 8]) {
+            const Entry& soon = job.entries[begin + index - 8];
+            prefetch(job, soon.primitive);
+            const char* to = reinterpret_cast<const char*>(job.slots + (uint64_t(soon.slot) << 2));
+            for (int at = 0; at < (soon.primitive < job.n_gaussians ? 64 : 128); at += 64) __builtin_prefetch(to + at, 1);
+        }
         uint32_t mask = job.masks[begin + index] & active;
         if (!mask) continue;
         const Entry entry = job.entries[begin + index];
@@ -126,104 +70,19 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
         alignas(64) float out[32];
 
         if (item.convex < 0) {
-            Float sums[10] = {zero(), zero(), zero(), zero(), zero(), zero(), zero(), zero(), zero(), zero()};
-            for (; mask; mask &= mask - 1) {
-                const int b = __builtin_ctz(mask);
-                for (int k = 0; k < kVectors; ++k) {
-                    const Float X = load(kLaneX + k * kWidth) + set1(float(b % kSide * kBlock));
-                    const Float Y = load(kLaneY + k * kWidth) + set1(float(b / kSide * kBlock));
-                    Mask counted;
-                    Float u, v;
-                    const Float raw = gaussian_alpha(item, X, Y, u, v, counted);
-                    const Float g = layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index, raw, counted, sums);
-                    const Float gu = g * u, gv = g * v;
-                    sums[4] = sums[4] + g;
-                    sums[5] = sums[5] + gu;
-                    sums[6] = sums[6] + gv;
-                    sums[7] = fma(gu, u, sums[7]);
-                    sums[8] = fma(gu, v, sums[8]);
-                    sums[9] = fma(gv, v, sums[9]);
-                }
-            }
-            sum_lanes<10>(sums, out);
+            gaussian_layer<DEPTH, EXTRAS>(walk, item, index, mask, out);
             for (int i = 0; i < 10; ++i) slot[i] = out[i];
             slot += 10;
         } else {
-            const int n = convex.n;
+            convex_layer<DEPTH, EXTRAS>(walk, item, convex, job.points, index, mask, out);
             const ConvexRecord& record = job.convexes[entry.primitive - job.n_gaussians];
-            Float sums[32];
-            clear<32>(sums);
-            convex_blocks(convex, job.points, mask);
-            const auto inside_block = [&](int b) {
-                for (int k = 0; k < kVectors; ++k)
-                    sums[4] = sums[4] + layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index,
-                                                                      set1(convex.opacity), all(), sums);
-            };
-            if (convex.gentle) {
-                for_count(job.points, [&](auto count) {
-                    Float moments[3 * count.value];
-                    clear<3 * count.value>(moments);
-                    for (uint32_t m = mask; m; m &= m - 1) {
-                        const int b = __builtin_ctz(m);
-                        if (convex.inside >> b & 1) {
-                            inside_block(b);
-                            continue;
-                        }
-                        for (int k = 0; k < kVectors; ++k) {
-                            const Float X = load(kLaneX + k * kWidth) + set1(float(b % kSide * kBlock));
-                            const Float Y = load(kLaneY + k * kWidth) + set1(float(b / kSide * kBlock));
-                            Mask counted;
-                            ConvexValue<count.value> value;
-                            const Float raw = gentle_alpha(convex, b, k * kWidth, value, counted);
-                            const Float g =
-                                layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index, raw, counted, sums);
-                            edge_moments(value, g, X, Y, sums, moments);
-                        }
-                    }
-#pragma GCC unroll 32
-                    for (int i = 0; i < 3 * count.value; ++i) sums[kConvexEdges + i] = moments[i];
-                });
-            } else {
-                Edges edges;
-                for (; mask; mask &= mask - 1) {
-                    const int b = __builtin_ctz(mask);
-                    if (convex.inside >> b & 1) {
-                        inside_block(b);
-                        continue;
-                    }
-                    select_edges(convex, b, edges);
-                    for_count(edges.n, [&](auto count) {
-                        Float moments[3 * count.value];
-                        clear<3 * count.value>(moments);
-                        for (int k = 0; k < kVectors; ++k) {
-                            const Float X = load(kLaneX + k * kWidth) + set1(float(b % kSide * kBlock));
-                            const Float Y = load(kLaneY + k * kWidth) + set1(float(b / kSide * kBlock));
-                            Mask counted;
-                            ConvexValue<count.value> value;
-                            const Float raw = convex_alpha(convex, edges, X, Y, value, counted);
-                            const Float g =
-                                layer_backward<DEPTH, EXTRAS>(px, extra, extra_sums, extras, 16 * b + k * kWidth, item, index, raw, counted, sums);
-                            edge_moments(value, g, X, Y, sums, moments);
-                        }
-                        for (int e = 0; e < count.value; ++e)
-                            for (int j = 0; j < 3; ++j) {
-                                Float& to = sums[kConvexEdges + 3 * edges.index[e] + j];
-                                to = to + moments[3 * e + j];
-                            }
-                    });
-                }
-            }
-            sum_lanes<16>(sums, out);
-            if (kConvexEdges + 3 * n > 16) sum_lanes<16>(sums + 16, out + 16);
+            const double dx = x0 + 0.5 - record.x0, dy = y0 + 0.5 - record.y0;  // from the tile's first pixel to the convex's centre
             for (int i = 0; i < kConvexEdges; ++i) slot[i] = out[i];
-            for (int i = 0; i < n; ++i) {  // from the tile's first pixel to the convex's centre
-                const double p = out[kConvexEdges + 3 * i + 2];
-                float* to = slot + kConvexEdges + 3 * i;
-                to[0] = float(out[kConvexEdges + 3 * i] + (x0 + 0.5 - record.x0) * p);
-                to[1] = float(out[kConvexEdges + 3 * i + 1] + (y0 + 0.5 - record.y0) * p);
-                to[2] = float(p);
+            slot += kConvexEdges;
+            for (int i = 0; i < convex.n; ++i, slot += 3) {
+                const float* edge = out + kConvexEdges + 3 * i;
+                slot[0] = float(edge[0] + dx * edge[2]), slot[1] = float(edge[1] + dy * edge[2]), slot[2] = edge[2];
             }
-            slot += kConvexEdges + 3 * n;
         }
         if (EXTRAS)
             for (int e = 0; e < extras; ++e) {

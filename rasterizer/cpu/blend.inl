@@ -8,8 +8,13 @@ namespace {
 using namespace e4dgs;
 
 #include "elementary.inl"
-#include "alpha.inl"
+#include "items.inl"
+#include "gaussian_alpha.inl"
+#include "convex_blocks.inl"
+#include "convex_alpha.inl"
 #include "forward.inl"
+#include "backward_layers.inl"
+#include "backward_convex.inl"
 #include "backward.inl"
 #include "limit.inl"
 

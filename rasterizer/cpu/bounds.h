@@ -12,16 +12,6 @@ namespace e4dgs {
 inline int first_tile(double low) { return int(std::ceil((low - (kTile - 0.5)) / kTile)); }
 inline int last_tile(double high) { return int(std::floor((high - 0.5) / kTile)); }
 
-// The tiles that the bounding box of `bounds` meets; false: none.
-template <class Bounds>
-bool tile_box(const Bounds& bounds, int width, int height, TileBox& box) {
-    const double low_x = std::max(bounds.low_x(), 0.5), high_x = std::min(bounds.high_x(), width - 0.5);
-    const double low_y = std::max(bounds.low_y(), 0.5), high_y = std::min(bounds.high_y(), height - 0.5);
-    if (!(low_x <= high_x && low_y <= high_y)) return false;
-    box = {uint16_t(first_tile(low_x)), uint16_t(last_tile(high_x) + 1), uint16_t(first_tile(low_y)), uint16_t(last_tile(high_y) + 1)};
-    return box.x0 < box.x1 && box.y0 < box.y1;
-}
-
 // The ellipse u^2 + v^2 <= radius^2.
 class GaussianBounds {
 public:
@@ -50,42 +40,25 @@ private:
     double radius2_, high_y_, rightmost_y_, inverse_;
 };
 
-// The polygon L_i <= limit for every edge. Normals (A, B) turn once around from edge to edge, so the extreme in a direction is bounded
-// by the two edges whose normals enclose it: never too small, and exact where both touch the polygon.
+// The polygon L_i <= limit for every edge, a little larger where a corner lies between the rows.
 class ConvexBounds {
 public:
-    ConvexBounds(const ConvexRecord& r, int width, int height) : r_(r), low_x_(0.5), low_y_(0.5), high_x_(width - 0.5), high_y_(height - 0.5) {
-        double low_x = low_x_, low_y = low_y_, high_x = high_x_, high_y = high_y_;
+    explicit ConvexBounds(const ConvexRecord& r) : n_(0) {
         for (int i = 0; i < r.n; ++i) {
-            const int j = i + 1 < r.n ? i + 1 : 0;
-            const double Ai = r.A[i], Bi = r.B[i], Aj = r.A[j], Bj = r.B[j], det = Ai * Bj - Aj * Bi;
-            const bool right = Bi <= 0 && Bj > 0, left = Bi >= 0 && Bj < 0, down = Ai >= 0 && Aj < 0, up = Ai <= 0 && Aj > 0;
-            if (!(right || left || down || up) || !(det > 0)) continue;
-            const double ri = r.limit - r.C[i], rj = r.limit - r.C[j];
-            const double x = r.x0 + (ri * Bj - rj * Bi) / det, y = r.y0 + (Ai * rj - Aj * ri) / det;  // where the two meet
-            if (right && x < high_x) high_x = x;
-            if (left && x > low_x) low_x = x;
-            if (down && y < high_y) high_y = y;
-            if (up && y > low_y) low_y = y;
+            if (r.A[i] == 0) continue;
+            const double inverse = 1.0 / r.A[i], slope = -r.B[i] * inverse;
+            edges_[n_++] = {r.x0 + (r.limit - r.C[i]) * inverse - slope * r.y0, slope, r.A[i] > 0};
         }
-        low_x_ = low_x, low_y_ = low_y, high_x_ = high_x, high_y_ = high_y;
     }
-    double low_x() const { return low_x_ - kLoose; }
-    double high_x() const { return high_x_ + kLoose; }
-    double low_y() const { return low_y_ - kLoose; }
-    double high_y() const { return high_y_ + kLoose; }
-
-    // x range over the rows ya..yb, each edge for itself: a little larger than the polygon where a corner lies between them.
     bool x_range(double ya, double yb, double& low, double& high) const {
-        low = low_x_, high = high_x_;
-        for (int i = 0; i < r_.n; ++i) {
-            const double A = r_.A[i];
-            if (A == 0) continue;
-            const double base = r_.limit - r_.C[i], a = (base - r_.B[i] * (ya - r_.y0)) / A, b = (base - r_.B[i] * (yb - r_.y0)) / A;
-            if (A > 0)
-                high = std::min(high, r_.x0 + std::max(a, b));
+        low = -1e300, high = 1e300;
+        for (int i = 0; i < n_; ++i) {
+            const Edge& e = edges_[i];
+            const double a = e.at + e.slope * ya, b = e.at + e.slope * yb;
+            if (e.right)
+                high = std::min(high, std::max(a, b));
             else
-                low = std::max(low, r_.x0 + std::min(a, b));
+                low = std::max(low, std::min(a, b));
         }
         low -= kLoose, high += kLoose;
         return low <= high;
@@ -93,8 +66,12 @@ public:
 
 private:
     static constexpr double kLoose = 1e-6;  // px
-    const ConvexRecord& r_;
-    double low_x_, low_y_, high_x_, high_y_;
+    struct Edge {
+        double at, slope;  // x = at + slope y
+        bool right;
+    };
+    Edge edges_[kMaxPoints];
+    int n_;
 };
 
 }  // namespace e4dgs

@@ -1,11 +1,11 @@
-// Exponential and logarithm of a vector of floats. Included by blend.inl and project.inl.
+// Exponential and logarithm of a vector of floats. Inlined by force: a call in a walk over pixels would save all its vectors. Included by blend.inl and project.inl.
 
 #if !defined(E4DGS_EXP_DEGREE)
 #define E4DGS_EXP_DEGREE 5  // largest relative errors for 3 to 6: 1e-4, 3e-6, 1e-7, 2e-9 (then rounding, 1e-7); see benchmarks/knobs.py
 #endif
 
 // 2^f = 1 + f p(f) for |f| <= 1/2, with the least largest relative error that the degree allows.
-inline Float exp2_fraction(Float f) {
+__attribute__((always_inline)) inline Float exp2_fraction(Float f) {
     const auto polynomial = [f](auto first, auto... rest) {
         Float p = set1(first);
         ((p = fma(p, f, set1(rest))), ...);
@@ -25,26 +25,24 @@ inline Float exp2_fraction(Float f) {
 
 // 2^a. Below the range of exponents 0 where SATURATE, else anything: callers mask that.
 template <bool SATURATE = true>
-inline Float exp2(Float a) {
+__attribute__((always_inline)) inline Float exp2(Float a) {
     if constexpr (SATURATE && !kScaleSaturates) a = max(a, set1(-126.0f));
     const Float n = nearest(a);
     return scale(exp2_fraction(a - n), n);
 }
 
 // log2 a for normal a > 0, absolute error 1e-7 for small results.
-inline Float log2(Float a) {
+__attribute__((always_inline)) inline Float log2(Float a) {
     Float e, m;
     split(a, e, m);
     const Mask high = m >= set1(1.41421356f);
     e = select(high, e + set1(1.0f), e);
     const Float t = select(high, m * set1(0.5f), m) - set1(1.0f);
-    Float p = fma(set1(0.12541235983371735f), t, set1(-0.21030330657958984f));
-    p = fma(p, t, set1(0.2173794060945511f));
-    p = fma(p, t, set1(-0.23851944506168365f));
-    p = fma(p, t, set1(0.28765666484832764f));
-    p = fma(p, t, set1(-0.3607212007045746f));
-    p = fma(p, t, set1(0.48092252016067505f));
-    p = fma(p, t, set1(-0.7213471531867981f));
-    p = fma(p, t, set1(1.442694902420044f));
-    return fma(p, t, e);
+    // Estrin's scheme: a chain of nine would keep the processor waiting, which holds hardly two pixels' worth of instructions.
+    const Float t2 = t * t, t4 = t2 * t2;
+    const auto pair = [t](float a, float b) { return fma(set1(a), t, set1(b)); };
+    const Float low = fma(fma(pair(-0.23851944506168365f, 0.28765666484832764f), t2, pair(-0.3607212007045746f, 0.48092252016067505f)), t2,
+                          pair(-0.7213471531867981f, 1.442694902420044f));
+    const Float high_part = fma(set1(0.12541235983371735f), t2, pair(-0.21030330657958984f, 0.2173794060945511f));
+    return fma(fma(high_part, t4 * t2, low), t, e);
 }

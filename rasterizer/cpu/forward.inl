@@ -8,9 +8,11 @@ struct TilePixels {  // lane l of block b is pixel (4 (b % kSide) + l % 4, 4 (b 
     alignas(64) int32_t last[kPixels];         // of stopped pixels, the entry before the one that stopped them
 };
 
+constexpr int kConvexChunk = 32;  // of them stay in the nearest cache, which a block's walk reads again and again
+
 struct Chunk {
     alignas(64) Item items[kChunk];
-    ConvexItem convexes[kChunk];
+    ConvexItem convexes[kConvexChunk];
     alignas(64) uint16_t masks[kChunk];
     uint64_t lists[16][kChunk / 64];  // by block, a bit for each item that may touch it
     uint64_t seen[kChunk / 64];       // items that a block has walked past
@@ -58,11 +60,10 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk
                     for (int k = 0; k < kVectors; ++k) raws[k] = gentle_alpha(convex, b, k * kWidth, value, counts[k]);
                 });
             } else {
-                Edges edges;
-                select_edges(convex, b, edges);
-                for_count(edges.n, [&](auto count) {
+                const uint32_t edges = convex.edges[b];
+                for_count(__builtin_popcount(edges), [&](auto count) {
                     ConvexValue<count.value> value;
-                    for (int k = 0; k < kVectors; ++k) raws[k] = convex_alpha(convex, edges, X[k], Y[k], value, counts[k]);
+                    for (int k = 0; k < kVectors; ++k) raws[k] = sharp_alpha(convex, edges, X[k], Y[k], value, counts[k]);
                 });
             }
             bool stops = false;
@@ -148,11 +149,14 @@ inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* ext
         }
 }
 
-// Gathers n items from entry `at` on, and which blocks each may touch.
-inline void gather_chunk(const ForwardJob& job, uint64_t at, int n, int ahead, int x0, int y0, uint32_t alive, Chunk& chunk) {
+// Gathers items from entry `at` on, and which blocks each may touch; how many.
+inline int gather_chunk(const ForwardJob& job, uint64_t at, uint64_t end, int x0, int y0, uint32_t alive, Chunk& chunk) {
+    const int most = end - at < kChunk ? int(end - at) : kChunk;
     chunk.n_convexes = 0, chunk.points = job.points;
-    for (int j = 0; j < n; ++j) {
-        if (j + 8 < ahead) prefetch(job, job.entries[at + j + 8].primitive);
+    int n = 0;
+    for (; n < most && chunk.n_convexes < kConvexChunk; ++n) {
+        const int j = n;
+        if (at + j + 8 < end) prefetch(job, job.entries[at + j + 8].primitive);
         const uint32_t id = job.entries[at + j].primitive;
         Item& item = chunk.items[j];
         gather(job, id, x0 + 0.5, y0 + 0.5, item, chunk.convexes, chunk.n_convexes);
@@ -163,6 +167,7 @@ inline void gather_chunk(const ForwardJob& job, uint64_t at, int n, int ahead, i
     for (int j = n; j < kChunk; ++j) chunk.masks[j] = 0;
     lists_of_bits(chunk.masks, chunk.lists);
     for (uint64_t& word : chunk.seen) word = 0;
+    return n;
 }
 
 template <bool EXTRAS>
@@ -187,9 +192,8 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
 
     Chunk chunk;
     const uint64_t begin = job.tile_begin[tile], end = job.tile_begin[tile + 1];
-    for (uint64_t at = begin; at < end && alive; at += kChunk) {
-        const int ahead = end - at < kChunk + 8 ? int(end - at) : kChunk + 8, n = ahead < kChunk ? ahead : kChunk;
-        gather_chunk(job, at, n, ahead, x0, y0, alive, chunk);
+    for (uint64_t at = begin, n; at < end && alive; at += n) {
+        n = uint64_t(gather_chunk(job, at, end, x0, y0, alive, chunk));
         for (uint32_t m = alive; m; m &= m - 1) {
             const int b = __builtin_ctz(m);
             const int32_t first = int32_t(at - begin);

@@ -20,11 +20,16 @@ constexpr int kLanes = 2;
 
 typedef double Doubles __attribute__((vector_size(8 * kLanes)));
 typedef int64_t Words __attribute__((vector_size(8 * kLanes)));
+static_assert(kLanes <= 8);
 
 struct Truths {  // all bits of a lane are set where it holds
     Words w;
     friend Truths operator&(Truths a, Truths b) { return {a.w & b.w}; }
     friend Truths operator|(Truths a, Truths b) { return {a.w | b.w}; }
+};
+
+struct Indices {  // of a point, a lane each
+    int64_t at[kLanes];
 };
 
 struct Pack {
@@ -60,6 +65,28 @@ struct Pack {
         return out;
 #endif
     }
+    // Of positive normal numbers, with a relative error below 1e-13: 2 atanh((m - 1) / (m + 1)) for m in [sqrt 1/2, sqrt 2).
+    friend Pack log2(Pack a) {
+        const Words bits = reinterpret_cast<Words>(a.v), exponent = (bits - 0x3fe6a09e667f3bcdll) >> 52;
+        const Doubles m = reinterpret_cast<Doubles>(bits - (exponent << 52)), s = (m - 1.0) / (m + 1.0), z = s * s;
+        Doubles p = z * (1.0 / 17) + 1.0 / 15;
+        p = p * z + 1.0 / 13;
+        p = p * z + 1.0 / 11;
+        p = p * z + 1.0 / 9;
+        p = p * z + 1.0 / 7;
+        p = p * z + 1.0 / 5;
+        p = p * z + 1.0 / 3;
+        p = p * z + 1.0;
+        return __builtin_convertvector(exponent, Doubles) + p * s * (2 * e4dgs::kLog2E);
+    }
+    friend Pack pick(const Pack* from, const Indices& index) {
+        Doubles out;
+        for (int l = 0; l < kLanes; ++l) out[l] = reinterpret_cast<const double*>(from)[index.at[l] * kLanes + l];
+        return out;
+    }
+    friend void add_at(Pack* to, const Indices& index, Pack value) {
+        for (int l = 0; l < kLanes; ++l) reinterpret_cast<double*>(to)[index.at[l] * kLanes + l] += value.v[l];
+    }
 };
 
 inline bool none(Truths t) {
@@ -84,5 +111,9 @@ namespace e4dgs {
 template <>
 struct TruthOf<E4DGS_ISA::Pack> {
     using type = E4DGS_ISA::Truths;
+};
+template <>
+struct IndexOf<E4DGS_ISA::Pack> {
+    using type = E4DGS_ISA::Indices;
 };
 }  // namespace e4dgs

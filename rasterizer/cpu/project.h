@@ -1,4 +1,4 @@
-// Gaussians to records and back, many at a time, compiled once for each instruction set. Plain data only, as in blend.h.
+// Primitives to records and back, many at a time, compiled once for each instruction set. Plain data only, as in blend.h.
 #pragma once
 #include <cstdint>
 
@@ -10,28 +10,37 @@ namespace e4dgs {
 constexpr double kSlack = 1e-4;  // supports are enlarged by this much (in exponents) so that rounding never cuts a visible pixel
 constexpr int kProjectBlock = 256;  // primitives that are worked on together; a multiple of every vector's width
 
+template <class Record>
 struct ProjectJob {
     const SceneInput* scene;
-    GaussianRecord* records;
+    Record* records;
     double* depth;  // NaN where culled
     TileBox* boxes;
 };
 
+template <class Record, class Grad>
 struct BackprojectJob {
     const SceneInput* scene;
-    const GaussianRecord* records;
+    const Record* records;
     const uint32_t* slot_begin;
     const float* slots;
     const uint8_t* touched;
     uint32_t units;  // of a slot
     bool extras;     // they carry gradients
-    GaussianGrad out;
+    Grad out;
 };
 
-// Both work on the Gaussians first..last, at most kProjectBlock of them.
+using ProjectGaussians = ProjectJob<GaussianRecord>;
+using ProjectConvexes = ProjectJob<ConvexRecord>;
+using BackprojectGaussians = BackprojectJob<GaussianRecord, GaussianGrad>;
+using BackprojectConvexes = BackprojectJob<ConvexRecord, ConvexGrad>;
+
+// All work on the primitives first..last, at most kProjectBlock of them. camera [16] is written, may be null.
 struct ProjectKernels {
-    void (*project)(const ProjectJob&, int64_t first, int64_t last);
-    void (*backproject)(const BackprojectJob&, int64_t first, int64_t last, double* camera);  // camera [16] is written, may be null
+    void (*gaussians)(const ProjectGaussians&, int64_t first, int64_t last);
+    void (*convexes)(const ProjectConvexes&, int64_t first, int64_t last);
+    void (*gaussians_back)(const BackprojectGaussians&, int64_t first, int64_t last, double* camera);
+    void (*convexes_back)(const BackprojectConvexes&, int64_t first, int64_t last, double* camera);
 };
 
 const ProjectKernels& project_kernels();  // of the same instruction set as kernels()

@@ -1,9 +1,11 @@
-// Gaussians to records and back, for one instruction set: a project_*.cpp defines E4DGS_ISA, includes its simd_*.h and then
+// Primitives to records and back, for one instruction set: a project_*.cpp defines E4DGS_ISA, includes its simd_*.h and then
 // this. math/ is instantiated for Pack alone: an instance for double would be shared with other translation units, and the linker
 // could keep the copy that older processors cannot run.
 #include "pack.h"
 //
+#include "convex.h"
 #include "gaussian.h"
+#include "hull.h"
 #include "project.h"
 #include "sh.h"
 
@@ -25,13 +27,12 @@ inline Camera<Pack> camera_of(const Camera<double>& from) {
     return to;
 }
 
+inline Pack lanes_of(const double* from) { return *reinterpret_cast<const Doubles*>(from); }
+
 // Rows of `width` floats at the indices, one a lane: columns[c] holds column c.
-template <int WIDTH>
-inline void load_rows(const float* from, const int64_t* index, Pack* columns) {
-    alignas(64) double lanes[WIDTH][kLanes];
+__attribute__((always_inline)) inline void load_rows(const float* from, int width, const int64_t* index, Pack* columns) {
     for (int l = 0; l < kLanes; ++l)
-        for (int c = 0; c < WIDTH; ++c) lanes[c][l] = double(from[index[l] * WIDTH + c]);
-    for (int c = 0; c < WIDTH; ++c) columns[c] = *reinterpret_cast<const Doubles*>(lanes[c]);
+        for (int c = 0; c < width; ++c) reinterpret_cast<double*>(columns)[c * kLanes + l] = double(from[index[l] * width + c]);
 }
 
 inline void store_lanes(Pack from, double* to) { *reinterpret_cast<Doubles*>(to) = from.v; }
@@ -46,23 +47,43 @@ inline bool finite(const float* x, int64_t n) {
     return bad == 0;
 }
 
-template <int WIDTH>
-inline Truths bounded(const Pack* columns) {
+inline Truths bounded(const Pack* columns, int width) {
     Truths good = fabs(columns[0]) <= Pack(kLargest);
-    for (int c = 1; c < WIDTH; ++c) good = good & (fabs(columns[c]) <= Pack(kLargest));
+    for (int c = 1; c < width; ++c) good = good & (fabs(columns[c]) <= Pack(kLargest));
     return good;
 }
+
+inline bool usable(const Looks& in, int64_t i, int extras) {
+    const int64_t sh = int64_t(in.degree + 1) * (in.degree + 1) * 3;
+    if (in.sh ? !finite(in.sh + i * sh, sh) : !finite(in.colors + i * 3, 3)) return false;
+    return !in.extras || finite(in.extras + i * extras, extras);
+}
+
 
 inline int floor_of(double a) { return int(a); }                            // a >= 0
 inline int ceil_of(double a) { return int(a) + (a > double(int(a))); }      // a > -1
 
+// The tiles that lie between pixel coordinates, all of them in the image; false: none, it lies between pixel centres.
+inline bool tile_box(double low_x, double high_x, double low_y, double high_y, TileBox& box) {
+    // Tile t holds the pixel centres kTile t + 0.5 ... kTile t + kTile - 0.5.
+    const int x0 = ceil_of((low_x - (kTile - 0.5)) / kTile), x1 = floor_of((high_x - 0.5) / kTile) + 1;
+    const int y0 = ceil_of((low_y - (kTile - 0.5)) / kTile), y1 = floor_of((high_y - 0.5) / kTile) + 1;
+    if (x0 >= x1 || y0 >= y1) return false;
+    box = {uint16_t(x0), uint16_t(x1), uint16_t(y0), uint16_t(y1)};
+    return true;
+}
+
 #include "project_colour.inl"
-#include "project_forward.inl"
-#include "project_backward.inl"
+#include "project_slots.inl"
+#include "project_gaussians.inl"
+#include "project_gaussians_back.inl"
+#include "project_hull.inl"
+#include "project_convexes.inl"
+#include "project_convexes_back.inl"
 
 }  // namespace
 
 extern const ProjectKernels kProjectKernels;
-const ProjectKernels kProjectKernels = {&project_block, &backproject_block};
+const ProjectKernels kProjectKernels = {&project_gaussians, &project_convexes, &backproject_gaussians, &backproject_convexes};
 
 }  // namespace E4DGS_ISA

@@ -1,4 +1,4 @@
-// Colours of a vector of Gaussians from spherical harmonics, and back. Directions and the basis are Packs; the coefficients, which
+// Colours of a vector of primitives from spherical harmonics, and back. Directions and the basis are Packs; the coefficients, which
 // are most of the work, are taken row by row as they lie in memory. Included by project.inl.
 
 template <int D>
@@ -67,5 +67,35 @@ void sh_colours_backward(const Camera<Pack>& camera, const Pack* position, const
             dcentre[j] = -dj;
         }
         centre_backward(camera, dcentre, camera_grad);
+    }
+}
+
+inline void colours(const Looks& in, const Camera<Pack>& camera, const Pack* position, const int64_t* index, const bool* wanted, float (*out)[3]) {
+    if (in.colors) {
+        for (int l = 0; l < kLanes; ++l)
+            for (int c = 0; c < 3; ++c) out[l][c] = in.colors[3 * index[l] + c];
+        return;
+    }
+    switch (in.degree) {
+        case 0: return sh_colours<0>(camera, position, in.sh, index, wanted, out);
+        case 1: return sh_colours<1>(camera, position, in.sh, index, wanted, out);
+        case 2: return sh_colours<2>(camera, position, in.sh, index, wanted, out);
+        default: return sh_colours<3>(camera, position, in.sh, index, wanted, out);
+    }
+}
+
+template <class G>
+void colours_backward(const Looks& in, const LooksGrad& out, const Camera<Pack>& camera, const Pack* position, const int64_t* index,
+                      const bool* mine, const double (*dcolour)[kLanes], Pack* dposition, G& grad) {
+    if (in.colors) {
+        for (int l = 0; out.colors && l < kLanes; ++l)
+            for (int c = 0; mine[l] && c < 3; ++c) out.colors[3 * index[l] + c] = float(dcolour[c][l]);
+        return;
+    }
+    switch (in.degree) {
+        case 0: return sh_colours_backward<0>(camera, position, in.sh, index, mine, dcolour, out.sh, dposition, grad);
+        case 1: return sh_colours_backward<1>(camera, position, in.sh, index, mine, dcolour, out.sh, dposition, grad);
+        case 2: return sh_colours_backward<2>(camera, position, in.sh, index, mine, dcolour, out.sh, dposition, grad);
+        default: return sh_colours_backward<3>(camera, position, in.sh, index, mine, dcolour, out.sh, dposition, grad);
     }
 }

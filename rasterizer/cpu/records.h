@@ -25,10 +25,12 @@ struct alignas(64) GaussianRecord {
     float color[3], z;
 };
 
+constexpr double kNoEdge = -3e38;
+
 // One projected convex: alpha = opacity / (1 + 2^(rho log2 sum_i 2^L_i)), L_i = A_i (px - x0) + B_i (py - y0) + C_i.
 struct ConvexRecord {
     double x0, y0;                                       // the centroid's projection, px
-    double A[kMaxPoints], B[kMaxPoints], C[kMaxPoints];
+    double A[kMaxPoints], B[kMaxPoints], C[kMaxPoints];  // beyond the n edges 0, 0, kNoEdge
     float opacity, rho;                                  // rho = kappa / tau
     float limit;                                         // alpha >= 1/255 only where every L_i <= limit
     float color[3], z;

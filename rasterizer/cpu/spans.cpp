@@ -14,14 +14,14 @@ namespace {
 constexpr int64_t kGrain = 512;
 
 template <class Bounds>
-Span span_of_row(const State& state, const Bounds& bounds, int ty) {
+Span span_of_row(const State& state, const Bounds& bounds, const TileBox& box, int ty) {
     const int width = state.scene.camera.width, height = state.scene.camera.height;
     double low, high;
     const double ya = ty * kTile + 0.5, yb = std::min(ya + kTile - 1, height - 0.5);
     if (!bounds.x_range(ya, yb, low, high)) return {0, 0};
     low = std::max(low, 0.5), high = std::min(high, width - 0.5);
     if (!(low <= high)) return {0, 0};  // before anything becomes an integer: it may lie far outside
-    const int a = first_tile(low), b = last_tile(high) + 1;
+    const int a = std::max(first_tile(low), int(box.x0)), b = std::min(last_tile(high) + 1, int(box.x1));
     if (a >= b) return {0, 0};
     return {uint16_t(a), uint16_t(b)};
 }
@@ -31,7 +31,7 @@ template <class Bounds>
 uint32_t append_rows(const State& state, const Bounds& bounds, const TileBox& box, std::vector<Span>& spans) {
     uint32_t tiles = 0;
     for (int ty = box.y0; ty < box.y1; ++ty) {
-        spans.push_back(span_of_row(state, bounds, ty));
+        spans.push_back(span_of_row(state, bounds, box, ty));
         tiles += uint32_t(spans.back().last - spans.back().first);
     }
     return tiles;
@@ -42,7 +42,7 @@ uint32_t append_spans(const State& state, int64_t id, std::vector<Span>& spans) 
     if (!box.wide()) return uint32_t(box.x1 - box.x0) * uint32_t(box.y1 - box.y0);
     const int64_t n = int64_t(state.gaussians.size());
     if (id < n) return append_rows(state, GaussianBounds(state.gaussians[id]), box, spans);
-    return append_rows(state, ConvexBounds(state.convexes[id - n], state.scene.camera.width, state.scene.camera.height), box, spans);
+    return append_rows(state, ConvexBounds(state.convexes[id - n]), box, spans);
 }
 
 // Before the large arrays: of (tile, primitive) pairs, and with gradients of their slots.

@@ -19,6 +19,7 @@ constexpr float kMaxAlpha = 0.99f;                // alpha is capped here, witho
 constexpr float kMinTransmittance = 0.99e-4f;     // the layer that would take a pixel below it ends the pixel, not blended
 constexpr double kDilation = 0.3;                 // px^2, added to a Gaussian's 2D covariance
 constexpr double kDegenerateHull = 1e-5;          // area / squared extent at and below which a hull is culled
+constexpr double kFlatTurn = 1e-12;               // of the squared extent: turns within rounding make no corner
 constexpr int kMaxPoints = 8;                     // points of a convex
 
 constexpr double kLn2 = 0.6931471805599453;
@@ -32,6 +33,23 @@ struct TruthOf {
 };
 template <class T>
 using Truth = typename TruthOf<T>::type;
+
+// A number of a point for each number in a T.
+template <class T>
+struct IndexOf {
+    using type = int;
+};
+template <class T>
+using Index = typename IndexOf<T>::type;
+
+template <class T>
+E4DGS_HD T pick(const T* from, int at) {
+    return from[at];
+}
+template <class T>
+E4DGS_HD void add_at(T* to, int at, T value) {
+    to[at] += value;
+}
 
 template <class T>
 E4DGS_HD T choose(bool condition, T a, T b) {

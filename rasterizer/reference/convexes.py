@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..types import Camera, Convexes
 from ..validate import usable
-from .hull import hull_area, hull_corners
+from .hull import extent, hull_area, hull_corners
 from .sh import colors_of
 
 DEGENERATE = 1e-5  # a hull whose area is not above this fraction of its squared extent is culled
@@ -95,8 +95,7 @@ def silhouettes(plane: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 def is_degenerate(points: list[tuple[float, float]], corners: list[int]) -> bool:
     """True where the hull is a point, a line or a sliver: area <= 1e-5 of the squared longer side of the bounding box."""
-    extent = max(max(p[axis] for p in points) - min(p[axis] for p in points) for axis in (0, 1))
-    return not hull_area(points, corners) > DEGENERATE * extent**2
+    return not hull_area(points, corners) > DEGENERATE * extent(points) ** 2
 
 
 def convex_alphas(shapes: Shapes, camera: Camera, pixels: Tensor) -> Tensor:

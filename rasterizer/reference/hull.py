@@ -7,25 +7,29 @@ from itertools import pairwise
 
 Point = tuple[float, float]
 
+FLAT = 1e-12  # of the squared extent; a turn that is not above it lies within rounding
+
 
 def hull_corners(points: Sequence[Point]) -> list[int]:
     """Indices of the corners, in the order in which the shoelace sum is positive.
 
     Corners are the extreme points: points on an edge are not, and of coincident points one is. The hull of points on a line is
-    its two ends, that of coincident points is one point.
+    its two ends, that of coincident points is one point. Whether a point lies on an edge is judged with FLAT, so that rounding
+    does not decide it: gradients of a point on an edge would be those of two edges or none.
     """
     order = sorted(range(len(points)), key=lambda i: points[i])
     distinct = [i for n, i in enumerate(order) if n == 0 or points[i] != points[order[n - 1]]]
     if len(distinct) < 3:
         return distinct
-    return _chain(points, distinct)[:-1] + _chain(points, distinct[::-1])[:-1]
+    flat = FLAT * extent(points) ** 2
+    return _chain(points, distinct, flat)[:-1] + _chain(points, distinct[::-1], flat)[:-1]
 
 
-def _chain(points: Sequence[Point], order: list[int]) -> list[int]:
+def _chain(points: Sequence[Point], order: list[int], flat: float) -> list[int]:
     """One side of the hull: walk the sorted points and drop every one at which the path does not turn to the positive side."""
     kept: list[int] = []
     for i in order:
-        while len(kept) > 1 and turn(points[kept[-2]], points[kept[-1]], points[i]) <= 0:
+        while len(kept) > 1 and turn(points[kept[-2]], points[kept[-1]], points[i]) <= flat:
             kept.pop()
         kept.append(i)
     return kept
@@ -34,6 +38,11 @@ def _chain(points: Sequence[Point], order: list[int]) -> list[int]:
 def turn(a: Point, b: Point, c: Point) -> float:
     """Twice the signed area of the triangle a b c."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def extent(points: Sequence[Point]) -> float:
+    """The longer side of the bounding box."""
+    return max(max(p[axis] for p in points) - min(p[axis] for p in points) for axis in (0, 1))
 
 
 def hull_area(points: Sequence[Point], corners: Sequence[int]) -> float:

@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from .compare import gradients, raw_alphas
-from .scenes import F64, Scene, one_convex, prism, random_scene
+from .kernels import needs_cpu
+from .scenes import F64, Scene, generator, one_convex, prism, random_scene
+from .test_cpu_kernels import check
 
 # Small integers, so that collinear and coincident points are common and every cross product is exact.
 whole = st.integers(-3, 3).map(float)
@@ -199,3 +201,27 @@ def test_sharpness_does_not_depend_on_distance_at_the_same_world_offset() -> Non
     far.camera.K[:2, :2] *= 2
     # The normals tilt less at twice the distance: the difference is of second order in the slope, here at most 0.15.
     assert float((near.render().alpha - far.render().alpha).abs().max()) < 0.02
+
+
+@pytest.mark.parametrize(("depth", "is_corner"), [(1.9e-12, False), (2.1e-12, True)])
+@pytest.mark.parametrize("backend", ["reference", pytest.param("cpu", marks=needs_cpu)])
+def test_a_point_within_rounding_of_an_edge_is_no_corner(depth: float, is_corner: bool, backend: str) -> None:
+    """Extent 2, so that the triangle (-1, 0) (0, -depth) (1, 0) has a turn of 2 depth against FLAT 2^2 = 4e-12."""
+    corners = [[-1.0, 0.0], [0.0, -depth], [1.0, 0.0], [0.0, 1.0]]
+    points = torch.tensor([[*xy, 1.0] for xy in corners], dtype=torch.float32)[None]
+    scene = one_convex(points.double()).to(torch.float32)
+    scene.camera.cam_from_world = torch.eye(4)
+    scene.camera.K = torch.tensor([[8.0, 0, 10.5], [0, 8.0, 7.5], [0, 0, 1]])
+    gradient = gradients(scene, backend, {"color": torch.ones_like(scene.render(backend).color)})["convexes.points"][0]
+    assert bool(gradient[1, :2].any()) == is_corner
+    assert gradient[[0, 2, 3], :2].abs().amin(0).max() > 0
+
+
+@needs_cpu
+@pytest.mark.parametrize("count", range(3, 9))
+def test_kernels_take_the_same_corners_for_many_hulls_at_once(instruction_set: str, count: int) -> None:
+    """Hulls of all kinds side by side in a vector: points of a coarse grid, so that most have points on edges or upon one another."""
+    scene = random_scene(count, convexes=45, points=count, degree=None, width=40, height=30).to(torch.float32)
+    grid = torch.randint(-2, 3, (45, count, 3), generator=generator(count)).float()
+    centres = scene.convexes.points.mean(1, keepdim=True)
+    check(scene.having({"convexes.points": centres + 0.2 * grid * torch.tensor([1.0, 1.0, 0.0])}), max_decided=0.1)

@@ -1,36 +1,13 @@
 // Gaussians to records. One with a bad value is culled here and touches nobody else. Included by project.inl.
 
-inline void colours(const SceneInput& scene, const Camera<Pack>& camera, const Pack* position, const int64_t* index, const bool* wanted,
-                    float (*out)[3]) {
-    const GaussianInput& in = scene.gaussians;
-    if (in.colors) {
-        for (int l = 0; l < kLanes; ++l)
-            for (int c = 0; c < 3; ++c) out[l][c] = in.colors[3 * index[l] + c];
-        return;
-    }
-    switch (in.degree) {
-        case 0: return sh_colours<0>(camera, position, in.sh, index, wanted, out);
-        case 1: return sh_colours<1>(camera, position, in.sh, index, wanted, out);
-        case 2: return sh_colours<2>(camera, position, in.sh, index, wanted, out);
-        default: return sh_colours<3>(camera, position, in.sh, index, wanted, out);
-    }
-}
-
-inline bool usable(const SceneInput& scene, int64_t i) {
-    const GaussianInput& in = scene.gaussians;
-    const int64_t sh = int64_t(in.degree + 1) * (in.degree + 1) * 3;
-    if (in.sh ? !finite(in.sh + i * sh, sh) : !finite(in.colors + i * 3, 3)) return false;
-    return !in.extras || finite(in.extras + i * scene.extras, scene.extras);
-}
-
 // logs: log2 of the opacities, garbage where an opacity is bad.
-inline void project_lanes(const ProjectJob& job, const Camera<Pack>& camera, const int64_t* index, int count, const float* logs) {
+inline void project_lanes(const ProjectGaussians& job, const Camera<Pack>& camera, const int64_t* index, int count, const float* logs) {
     const SceneInput& scene = *job.scene;
     const GaussianInput& in = scene.gaussians;
     Pack mean[3], quat[4], scale[3], opacity;
-    load_rows<3>(in.means, index, mean), load_rows<4>(in.quats, index, quat), load_rows<3>(in.scales, index, scale);
-    load_rows<1>(in.opacities, index, &opacity);
-    Truths good = bounded<3>(mean) & bounded<4>(quat) & bounded<3>(scale);
+    load_rows(in.means, 3, index, mean), load_rows(in.quats, 4, index, quat), load_rows(in.scales, 3, index, scale);
+    load_rows(in.opacities, 1, index, &opacity);
+    Truths good = bounded(mean, 3) & bounded(quat, 4) & bounded(scale, 3);
     for (int j = 0; j < 3; ++j) good = good & (scale[j] > Pack(0));
     good = good & (opacity >= Pack(double(kMinAlpha))) & (opacity <= Pack(1));  // fainter ones never reach the cut
     for (int l = 0; l < kLanes; ++l) job.depth[index[l]] = __builtin_nan("");
@@ -56,26 +33,22 @@ inline void project_lanes(const ProjectJob& job, const Camera<Pack>& camera, con
     const Pack out[12] = {x, y, f[0], f[1], f[2], radius, z, low_x, high_x, low_y, high_y, exponent};
     bool wanted[kLanes];
     for (int i = 0; i < 12; ++i) store_lanes(out[i], lane[i]);
-    for (int l = 0; l < kLanes; ++l) wanted[l] = l < count && good.w[l] != 0 && usable(scene, index[l]);
+    for (int l = 0; l < kLanes; ++l) wanted[l] = l < count && good.w[l] != 0 && usable(in, index[l], scene.extras);
     float color[kLanes][3];
-    colours(scene, camera, mean, index, wanted, color);
+    colours(in, camera, mean, index, wanted, color);
     for (int l = 0; l < kLanes; ++l) {
         if (!wanted[l]) continue;
-        // Tile t holds the pixel centres kTile t + 0.5 ... kTile t + kTile - 0.5.
-        const int x0 = ceil_of((lane[7][l] - (kTile - 0.5)) / kTile), x1 = floor_of((lane[8][l] - 0.5) / kTile) + 1;
-        const int y0 = ceil_of((lane[9][l] - (kTile - 0.5)) / kTile), y1 = floor_of((lane[10][l] - 0.5) / kTile) + 1;
-        if (x0 >= x1 || y0 >= y1) continue;  // between pixel centres
         const int64_t i = index[l];
+        if (!tile_box(lane[7][l], lane[8][l], lane[9][l], lane[10][l], job.boxes[i])) continue;
         GaussianRecord& record = job.records[i];
         record.x = lane[0][l], record.y = lane[1][l];
         for (int j = 0; j < 3; ++j) record.f[j] = lane[2 + j][l], record.color[j] = color[l][j];
         record.exponent = float(lane[11][l]), record.radius = float(lane[5][l]), record.z = float(lane[6][l]);
-        job.boxes[i] = {uint16_t(x0), uint16_t(x1), uint16_t(y0), uint16_t(y1)};
         job.depth[i] = lane[6][l];
     }
 }
 
-void project_block(const ProjectJob& job, int64_t first, int64_t last) {
+void project_gaussians(const ProjectGaussians& job, int64_t first, int64_t last) {
     const Camera<Pack> camera = camera_of(job.scene->camera);
     alignas(64) float logs[kProjectBlock];
     const int n = int(last - first);

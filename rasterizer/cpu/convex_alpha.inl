@@ -1,0 +1,84 @@
+// A smooth convex at a vector of pixels. Included by blend.inl.
+
+template <int N>
+struct ConvexValue {
+    Float edge[N];      // 2^(L_i - top)
+    Float relative[N];  // L_i - top, of sharp convexes
+    Float sum, spread;  // of edge; log2 sum
+    Float lse;          // log2 sum 2^L_i
+    Float outside;      // 1 - M
+};
+
+template <int N>
+__attribute__((always_inline)) inline Float sum_of(const Float* v) {
+    if constexpr (N == 1) return v[0];
+    else return sum_of<(N + 1) / 2>(v) + sum_of<N / 2>(v + (N + 1) / 2);
+}
+
+// alpha before the cap, from lse.
+template <int N>
+__attribute__((always_inline)) inline Float convex_alpha_of(const ConvexItem& item, ConvexValue<N>& value, Mask& counted) {
+    // Beyond 2^30 on either side M is 0 or 1 as far as alpha goes.
+    const Float E = exp2(min(max(set1(item.rho) * value.lse, set1(-60.0f)), set1(30.0f)));
+    const Float inside = reciprocal(set1(1.0f) + E);
+    value.outside = E * inside;
+    const Float alpha = set1(item.opacity) * inside;
+    counted = alpha >= set1(kMinAlpha);
+    return alpha;
+}
+
+// N: of the convex's points, as many as it can have edges. lane: of the block's 16 pixels, where the vector begins.
+template <int N>
+__attribute__((always_inline)) inline Float gentle_alpha(const ConvexItem& item, int block, int lane, ConvexValue<N>& value, Mask& counted) {
+    for (int i = 0; i < N; ++i) value.edge[i] = set1(item.level[block][i]) * load(item.growth[i] + lane);
+    value.sum = sum_of<N>(value.edge);
+    value.spread = log2(value.sum);
+    value.lse = set1(item.top[block]) + value.spread;
+    return convex_alpha_of(item, value, counted);
+}
+
+// N: the number of bits in `edges`, those that matter in the block.
+template <int N>
+__attribute__((always_inline)) inline Float sharp_alpha(const ConvexItem& item, uint32_t edges, Float X, Float Y, ConvexValue<N>& value, Mask& counted) {
+    Float line[N], top;
+    for (int k = 0; k < N; ++k, edges &= edges - 1) {
+        const int i = __builtin_ctz(edges);
+        line[k] = fma(set1(item.a[i]), X, fma(set1(item.b[i]), Y, set1(item.c[i])));
+        top = k ? max(top, line[k]) : line[k];
+    }
+    if constexpr (N == 1) {
+        value.edge[0] = value.sum = set1(1.0f);
+        value.relative[0] = value.spread = zero();
+    } else {
+        for (int k = 0; k < N; ++k) {
+            value.relative[k] = line[k] - top;
+            value.edge[k] = exp2(value.relative[k]);
+            value.sum = k ? value.sum + value.edge[k] : value.edge[k];
+        }
+        value.spread = log2(value.sum);
+    }
+    value.lse = top + value.spread;
+    return convex_alpha_of(item, value, counted);
+}
+
+template <int N>
+struct Count {
+    static constexpr int value = N;
+};
+
+// f(Count<n>()): loops over edges are unrolled for each number of them.
+template <class F>
+__attribute__((always_inline)) inline void for_count(int n, F&& f) {
+    switch (n) {
+        case 1: return f(Count<1>());
+        case 2: return f(Count<2>());
+        case 3: return f(Count<3>());
+        case 4: return f(Count<4>());
+        case 5: return f(Count<5>());
+        case 6: return f(Count<6>());
+        case 7: return f(Count<7>());
+        default: return f(Count<8>());
+    }
+}
+
+inline Mask all() { return zero() >= zero(); }

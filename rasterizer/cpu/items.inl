@@ -1,0 +1,89 @@
+// What a tile needs of each primitive: its record in the tile's coordinates. Included by blend.inl.
+
+constexpr int kVectors = 16 / kWidth;  // a block of 4 x 4 pixels; lanes run along x, then y
+constexpr int kChunk = 128;
+
+alignas(64) constexpr float kLaneX[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
+alignas(64) constexpr float kLaneY[16] = {0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3};
+// Centres of the blocks, in the tile's coordinates.
+struct BlockCentres {
+    alignas(64) float x[16], y[16];
+    constexpr BlockCentres() : x(), y() {
+        for (int b = 0; b < 16; ++b) x[b] = float(b % kSide * kBlock) + 1.5f, y[b] = float(b / kSide * kBlock) + 1.5f;
+    }
+};
+constexpr BlockCentres kCentres;
+constexpr uint32_t kAllBlocks = (1u << kBlocks) - 1;
+
+inline Float abs(Float a) { return max(a, zero() - a); }
+
+// A primitive in the coordinates of its tile: (0, 0) is the centre of the tile's first pixel.
+struct alignas(64) Item {
+    float f0, f1, f2, u, v, exponent;  // Gaussians: u = f0 X + f1 Y + u0, v = f2 Y + v0
+    float color[3], z;
+    int32_t convex;                    // index into the chunk's convexes, -1 for a Gaussian
+    const float* extras;               // null: zeros
+};
+
+// Lines L_i = a_i X + b_i Y + c_i of the edges, twice, so that two blocks can be worked on at once; lines beyond the last edge's are
+// constant, far below all others, and add nothing.
+struct ConvexItem {
+    alignas(64) float a[16], b[16], c[16];
+    float opacity, rho, limit;
+    int n;
+    // No edge rises by more than kGentle octaves from a block's centre: 2^L_i is a product of what the pixel's place in the block
+    // gives, the same in all blocks, and of what the block's centre gives, so that a pixel costs one product an edge.
+    bool gentle;
+    uint16_t inside;             // blocks that lie inside: M is 1 there, to rounding
+    uint8_t edges[16];           // of a sharp convex, by block: the edges that matter, a bit each
+    alignas(64) float growth[kMaxPoints][16];  // of a gentle one, by pixel of a block: 2^(L_i - L_i(centre))
+    alignas(64) float level[16][kMaxPoints];   // by block: 2^(L_i(centre) - top)
+    alignas(64) float top[16];                 // by block: max_i L_i(centre)
+};
+
+// Records lie in the order of the input, a tile visits them in order of depth.
+// Inlined by force: the compiler takes a function that only prefetches for one without effect, and drops its calls.
+__attribute__((always_inline)) inline void prefetch(const TileJob& job, uint32_t id) {
+    if (id < job.n_gaussians) return __builtin_prefetch(&job.gaussians[id]);
+    const char* record = reinterpret_cast<const char*>(&job.convexes[id - job.n_gaussians]);
+    for (int at = 0; at < int(sizeof(ConvexRecord)); at += 64) __builtin_prefetch(record + at);
+}
+
+typedef double EightDoubles __attribute__((vector_size(64)));
+typedef float EightFloats __attribute__((vector_size(32)));
+
+// As floats within +-1e30, so that sums of them stay finite.
+__attribute__((always_inline)) inline void twice(const EightDoubles& from, float* to) {
+    constexpr EightFloats most = {1e30f, 1e30f, 1e30f, 1e30f, 1e30f, 1e30f, 1e30f, 1e30f};
+    EightFloats v = __builtin_convertvector(from, EightFloats);
+    v = v > most ? most : v;
+    v = v < -most ? -most : v;
+    __builtin_memcpy(to, &v, sizeof(v));
+    __builtin_memcpy(to + kMaxPoints, &v, sizeof(v));
+}
+
+inline void gather(const TileJob& job, uint32_t id, double ox, double oy, Item& item, ConvexItem* convexes, int& n_convexes) {
+    if (id < job.n_gaussians) {
+        const GaussianRecord& r = job.gaussians[id];
+        const double dx = ox - r.x, dy = oy - r.y;
+        item.f0 = float(r.f[0]), item.f1 = float(r.f[1]), item.f2 = float(r.f[2]);
+        item.u = float(r.f[0] * dx + r.f[1] * dy), item.v = float(r.f[2] * dy);
+        item.exponent = r.exponent;
+        item.color[0] = r.color[0], item.color[1] = r.color[1], item.color[2] = r.color[2], item.z = r.z;
+        item.convex = -1;
+        item.extras = job.gaussian_extras ? job.gaussian_extras + int64_t(id) * job.extras : nullptr;
+        return;
+    }
+    id -= job.n_gaussians;
+    const ConvexRecord& r = job.convexes[id];
+    ConvexItem& c = convexes[n_convexes];
+    EightDoubles A, B, C;
+    static_assert(sizeof(A) == sizeof(r.A));
+    __builtin_memcpy(&A, r.A, sizeof(A)), __builtin_memcpy(&B, r.B, sizeof(B)), __builtin_memcpy(&C, r.C, sizeof(C));
+    twice(A, c.a), twice(B, c.b), twice(A * (ox - r.x0) + B * (oy - r.y0) + C, c.c);
+    c.opacity = r.opacity, c.rho = r.rho, c.limit = r.limit, c.n = r.n;
+    item.color[0] = r.color[0], item.color[1] = r.color[1], item.color[2] = r.color[2], item.z = r.z;
+    item.convex = n_convexes++;
+    item.extras = job.convex_extras ? job.convex_extras + int64_t(id) * job.extras : nullptr;
+}
+
