@@ -45,9 +45,9 @@ class ConvexBounds {
 public:
     explicit ConvexBounds(const ConvexRecord& r) : n_(0) {
         for (int i = 0; i < r.n; ++i) {
-            if (r.A[i] == 0) continue;
-            const double inverse = 1.0 / r.A[i], slope = -r.B[i] * inverse;
-            edges_[n_++] = {r.x0 + (r.limit - r.C[i]) * inverse - slope * r.y0, slope, r.A[i] > 0};
+            if (r.A()[i] == 0) continue;
+            const double inverse = 1.0 / r.A()[i], slope = -r.B()[i] * inverse;
+            edges_[n_++] = {r.x0 + (r.limit - r.C()[i]) * inverse - slope * r.y0, slope, r.A()[i] > 0};
         }
     }
     bool x_range(double ya, double yb, double& low, double& high) const {

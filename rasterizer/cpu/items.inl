@@ -46,11 +46,13 @@ struct ConvexItem {
 __attribute__((always_inline)) inline void prefetch(const TileJob& job, uint32_t id) {
     if (id < job.n_gaussians) return __builtin_prefetch(&job.gaussians[id]);
     const char* record = reinterpret_cast<const char*>(&job.convexes[id - job.n_gaussians]);
-    for (int at = 0; at < int(sizeof(ConvexRecord)); at += 64) __builtin_prefetch(record + at);
+    for (int at = 0; at < convex_bytes(job.points); at += 64) __builtin_prefetch(record + at);
 }
 
 typedef double EightDoubles __attribute__((vector_size(64)));
+typedef int64_t EightWords __attribute__((vector_size(64)));
 typedef float EightFloats __attribute__((vector_size(32)));
+static_assert(kMaxPoints == 8);
 
 // As floats within +-1e30, so that sums of them stay finite.
 __attribute__((always_inline)) inline void twice(const EightDoubles& from, float* to) {
@@ -78,9 +80,11 @@ inline void gather(const TileJob& job, uint32_t id, double ox, double oy, Item& 
     const ConvexRecord& r = job.convexes[id];
     ConvexItem& c = convexes[n_convexes];
     EightDoubles A, B, C;
-    static_assert(sizeof(A) == sizeof(r.A));
-    __builtin_memcpy(&A, r.A, sizeof(A)), __builtin_memcpy(&B, r.B, sizeof(B)), __builtin_memcpy(&C, r.C, sizeof(C));
-    twice(A, c.a), twice(B, c.b), twice(A * (ox - r.x0) + B * (oy - r.y0) + C, c.c);
+    __builtin_memcpy(&A, r.A(), sizeof(A)), __builtin_memcpy(&B, r.B(), sizeof(B)), __builtin_memcpy(&C, r.C(), sizeof(C));
+    C = A * (ox - r.x0) + B * (oy - r.y0) + C;
+    constexpr EightWords lane = {0, 1, 2, 3, 4, 5, 6, 7};
+    const EightWords there = lane < int64_t(r.points);
+    twice(there ? A : EightDoubles{}, c.a), twice(there ? B : EightDoubles{}, c.b), twice(there ? C : EightDoubles{} + kNoEdge, c.c);
     c.opacity = r.opacity, c.rho = r.rho, c.limit = r.limit, c.n = r.n;
     item.color[0] = r.color[0], item.color[1] = r.color[1], item.color[2] = r.color[2], item.z = r.z;
     item.convex = n_convexes++;

@@ -18,7 +18,7 @@ double alpha_at(const State& state, uint32_t id, double x, double y) {
     }
     const ConvexRecord& r = state.convexes[id - n];
     double line[kMaxPoints], top = -INFINITY, sum = 0;
-    for (int i = 0; i < r.n; ++i) top = std::max(top, line[i] = r.A[i] * (x - r.x0) + r.B[i] * (y - r.y0) + r.C[i]);
+    for (int i = 0; i < r.n; ++i) top = std::max(top, line[i] = r.A()[i] * (x - r.x0) + r.B()[i] * (y - r.y0) + r.C()[i]);
     for (int i = 0; i < r.n; ++i) sum += std::exp2(line[i] - top);
     return r.opacity / (1 + std::exp2(r.rho * (top + std::log2(sum))));
 }

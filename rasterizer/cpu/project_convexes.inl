@@ -87,10 +87,10 @@ inline void project_convex_lanes(const ProjectConvexes& job, const Camera<Pack>&
         if (!wanted[l] || !tile_box(lane[4][l], lane[5][l], lane[6][l], lane[7][l], job.boxes[i])) continue;
         ConvexRecord& record = job.records[i];
         record.x0 = lane[0][l], record.y0 = lane[1][l];
-        record.n = 0;
-        for (int k = 0; k < kMaxPoints; ++k) {
-            record.A[k] = line[0][k][l], record.B[k] = line[1][k][l], record.C[k] = line[2][k][l];
-            record.n += k < view.slots && view.edge[k].w[l] != 0;
+        record.n = 0, record.points = uint16_t(K);
+        for (int k = 0; k < K; ++k) {
+            for (int j = 0; j < 3; ++j) record.lines[j * K + k] = line[j][k][l];
+            record.n = uint16_t(record.n + (k < view.slots && view.edge[k].w[l] != 0));
         }
         record.opacity = float(opacities[l]), record.rho = float(rhos[l]), record.limit = float(lane[3][l]);
         for (int j = 0; j < 3; ++j) record.color[j] = color[l][j];

@@ -28,14 +28,21 @@ struct alignas(64) GaussianRecord {
 constexpr double kNoEdge = -3e38;
 
 // One projected convex: alpha = opacity / (1 + 2^(rho log2 sum_i 2^L_i)), L_i = A_i (px - x0) + B_i (py - y0) + C_i.
-struct ConvexRecord {
-    double x0, y0;                                       // the centroid's projection, px
-    double A[kMaxPoints], B[kMaxPoints], C[kMaxPoints];  // beyond the n edges 0, 0, kNoEdge
-    float opacity, rho;                                  // rho = kappa / tau
-    float limit;                                         // alpha >= 1/255 only where every L_i <= limit
+struct alignas(64) ConvexRecord {
+    double x0, y0;             // the centroid's projection, px
+    float opacity, rho;        // rho = kappa / tau
+    float limit;               // alpha >= 1/255 only where every L_i <= limit
     float color[3], z;
-    int n;
+    uint16_t n, points;        // edges; of the convex
+    double lines[3 * kMaxPoints];  // A, B, C [points] each, so that six points fill three cache lines; beyond the n edges 0, 0, kNoEdge
+    const double* A() const { return lines; }
+    const double* B() const { return lines + points; }
+    const double* C() const { return lines + 2 * points; }
 };
+static_assert(sizeof(ConvexRecord) == 256);
+
+// Bytes of a record that are in use.
+inline int convex_bytes(int points) { return int(sizeof(ConvexRecord)) - int(sizeof(double)) * 3 * (kMaxPoints - points); }
 
 // The tiles that a primitive's bounding box meets, last excluded.
 struct TileBox {
