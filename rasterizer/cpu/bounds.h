@@ -1,5 +1,5 @@
-// Which tiles a primitive may touch: for each row of tiles, the range of x that its support (alpha >= 1/255) takes within the
-// row's pixel centres. Exact for Gaussians; for convexes the polygon of the edges moved out to the support, a little larger.
+// Which tiles a convex may touch: for each row of tiles, the range of x that the polygon of its edges, moved out to its support
+// (alpha >= 1/255), takes within the row's pixel centres. Gaussians: project_spans.inl.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,34 +11,6 @@ namespace e4dgs {
 // Tile t holds the pixel centres kTile t + 0.5 ... kTile t + kTile - 0.5.
 inline int first_tile(double low) { return int(std::ceil((low - (kTile - 0.5)) / kTile)); }
 inline int last_tile(double high) { return int(std::floor((high - 0.5) / kTile)); }
-
-// The ellipse u^2 + v^2 <= radius^2.
-class GaussianBounds {
-public:
-    explicit GaussianBounds(const GaussianRecord& r) : r_(r), radius2_(double(r.radius) * r.radius) {
-        const double h = std::sqrt(r.f[1] * r.f[1] + r.f[2] * r.f[2]);
-        high_y_ = r.radius / r.f[2];
-        rightmost_y_ = -high_y_ * r.f[1] / h;
-        inverse_ = 1.0 / r.f[0];
-    }
-    // x range over the rows ya..yb (pixel centres); false: none.
-    bool x_range(double ya, double yb, double& low, double& high) const {
-        const double a = std::max(ya - r_.y, -high_y_), b = std::min(yb - r_.y, high_y_);
-        if (!(a <= b)) return false;
-        const double right = std::clamp(rightmost_y_, a, b), left = std::clamp(-rightmost_y_, a, b);
-        high = r_.x + (half(right) - r_.f[1] * right) * inverse_;
-        low = r_.x + (-half(left) - r_.f[1] * left) * inverse_;
-        return true;
-    }
-
-private:
-    double half(double dy) const {
-        const double v = r_.f[2] * dy;
-        return std::sqrt(std::max(0.0, radius2_ - v * v));
-    }
-    const GaussianRecord& r_;
-    double radius2_, high_y_, rightmost_y_, inverse_;
-};
 
 // The polygon L_i <= limit for every edge, a little larger where a corner lies between the rows.
 class ConvexBounds {

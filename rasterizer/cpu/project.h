@@ -30,15 +30,24 @@ struct BackprojectJob {
     Grad out;
 };
 
+struct SpanJob {
+    const GaussianRecord* records;
+    const TileBox* boxes;
+    const uint32_t* begin;  // by Gaussian, where in `spans` its rows begin
+    Span* spans;
+    int width, height;      // px
+};
+
 using ProjectGaussians = ProjectJob<GaussianRecord>;
 using ProjectConvexes = ProjectJob<ConvexRecord>;
 using BackprojectGaussians = BackprojectJob<GaussianRecord, GaussianGrad>;
 using BackprojectConvexes = BackprojectJob<ConvexRecord, ConvexGrad>;
 
-// All work on the primitives first..last, at most kProjectBlock of them. camera [16] is written, may be null.
+// All but spans work on the primitives first..last, at most kProjectBlock of them. camera [16] is written, may be null.
 struct ProjectKernels {
     void (*gaussians)(const ProjectGaussians&, int64_t first, int64_t last);
     void (*convexes)(const ProjectConvexes&, int64_t first, int64_t last);
+    void (*spans)(const SpanJob&, const uint32_t* ids, int64_t count);
     void (*gaussians_back)(const BackprojectGaussians&, int64_t first, int64_t last, double* camera);
     void (*convexes_back)(const BackprojectConvexes&, int64_t first, int64_t last, double* camera);
 };

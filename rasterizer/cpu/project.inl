@@ -77,6 +77,7 @@ inline bool tile_box(double low_x, double high_x, double low_y, double high_y, T
 #include "project_slots.inl"
 #include "project_gaussians.inl"
 #include "project_gaussians_back.inl"
+#include "project_spans.inl"
 #include "project_hull.inl"
 #include "project_convexes.inl"
 #include "project_convexes_back.inl"
@@ -84,6 +85,6 @@ inline bool tile_box(double low_x, double high_x, double low_y, double high_y, T
 }  // namespace
 
 extern const ProjectKernels kProjectKernels;
-const ProjectKernels kProjectKernels = {&project_gaussians, &project_convexes, &backproject_gaussians, &backproject_convexes};
+const ProjectKernels kProjectKernels = {&project_gaussians, &project_convexes, &gaussian_spans, &backproject_gaussians, &backproject_convexes};
 
 }  // namespace E4DGS_ISA

@@ -6,6 +6,7 @@
 
 #include "bounds.h"
 #include "parallel.h"
+#include "project.h"
 #include "state.h"
 
 namespace e4dgs {
@@ -13,8 +14,7 @@ namespace {
 
 constexpr int64_t kGrain = 512;
 
-template <class Bounds>
-Span span_of_row(const State& state, const Bounds& bounds, const TileBox& box, int ty) {
+Span span_of_row(const State& state, const ConvexBounds& bounds, const TileBox& box, int ty) {
     const int width = state.scene.camera.width, height = state.scene.camera.height;
     double low, high;
     const double ya = ty * kTile + 0.5, yb = std::min(ya + kTile - 1, height - 0.5);
@@ -26,23 +26,38 @@ Span span_of_row(const State& state, const Bounds& bounds, const TileBox& box, i
     return {uint16_t(a), uint16_t(b)};
 }
 
-// Appends the rows of a box that is wide in both directions, no longer than the support needs; tiles in all.
-template <class Bounds>
-uint32_t append_rows(const State& state, const Bounds& bounds, const TileBox& box, std::vector<Span>& spans) {
-    uint32_t tiles = 0;
-    for (int ty = box.y0; ty < box.y1; ++ty) {
-        spans.push_back(span_of_row(state, bounds, box, ty));
-        tiles += uint32_t(spans.back().last - spans.back().first);
+// The rows of the boxes that are wide in both directions, of primitives first..last; span_begin counts from this block's first row.
+void block_spans(State& state, int64_t first, int64_t last, std::vector<Span>& spans) {
+    const int64_t n = state.scene.gaussians.n;
+    uint32_t wide[kGrain], rows = 0;
+    int64_t count = 0, gaussians = 0;
+    for (int64_t id = first; id < last; ++id) {
+        state.span_begin[id] = rows;
+        if (std::isnan(state.depth[id]) || !state.boxes[id].wide()) continue;
+        rows += uint32_t(state.boxes[id].y1 - state.boxes[id].y0);
+        wide[count++] = uint32_t(id);
+        gaussians += id < n;
     }
-    return tiles;
+    spans.resize(rows);
+    const SpanJob job{state.gaussians.data(), state.boxes.data(), state.span_begin.data(), spans.data(), state.scene.camera.width, state.scene.camera.height};
+    project_kernels().spans(job, wide, gaussians);
+    for (int64_t k = gaussians; k < count; ++k) {
+        const TileBox& box = state.boxes[wide[k]];
+        const ConvexBounds bounds(state.convexes[wide[k] - n]);
+        for (int ty = box.y0; ty < box.y1; ++ty) spans[state.span_begin[wide[k]] + uint32_t(ty - box.y0)] = span_of_row(state, bounds, box, ty);
+    }
 }
 
-uint32_t append_spans(const State& state, int64_t id, std::vector<Span>& spans) {
-    const TileBox box = state.boxes[id];
-    if (!box.wide()) return uint32_t(box.x1 - box.x0) * uint32_t(box.y1 - box.y0);
-    const int64_t n = int64_t(state.gaussians.size());
-    if (id < n) return append_rows(state, GaussianBounds(state.gaussians[id]), box, spans);
-    return append_rows(state, ConvexBounds(state.convexes[id - n]), box, spans);
+uint32_t tiles_of(const State& state, int64_t id, const std::vector<Span>& spans) {
+    const TileBox& box = state.boxes[id];
+    const uint32_t rows = uint32_t(box.y1 - box.y0);
+    if (!box.wide()) return uint32_t(box.x1 - box.x0) * rows;
+    uint32_t tiles = 0;
+    for (uint32_t row = 0; row < rows; ++row) {
+        const Span& span = spans[state.span_begin[id] + row];
+        tiles += uint32_t(span.last - span.first);
+    }
+    return tiles;
 }
 
 // Before the large arrays: of (tile, primitive) pairs, and with gradients of their slots.
@@ -72,12 +87,10 @@ void find_spans(State& state, bool keep, int threads) {
     parallel_blocks(total, kGrain, threads, [&](int64_t first, int64_t last, int64_t block) {
         std::vector<Span> mine;  // what threads write to often lies apart
         uint64_t sum = 0;
-        mine.reserve(4 * kGrain);
+        block_spans(state, first, last, mine);
         for (int64_t id = first; id < last; ++id) {
             state.slot_begin[id] = uint32_t(sum);
-            state.span_begin[id] = uint32_t(mine.size());
-            if (std::isnan(state.depth[id])) continue;
-            sum += uint64_t(append_spans(state, id, mine)) * (id < n ? gaussian_units : convex_units);
+            if (!std::isnan(state.depth[id])) sum += uint64_t(tiles_of(state, id, mine)) * (id < n ? gaussian_units : convex_units);
         }
         units[block + 1] = sum, rows[block + 1] = mine.size();
         spans[block] = std::move(mine);
