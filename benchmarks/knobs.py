@@ -23,16 +23,14 @@ from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS: dict[str, dict[str, str]] = {
-    "default": {},
+    "default: 1/255, tiles of 16, degree 5": {},
     "least alpha 1/1020": {"E4DGS_MIN_ALPHA": f"{1 / 1020:.9g}f"},
     "least alpha 1/510": {"E4DGS_MIN_ALPHA": f"{1 / 510:.9g}f"},
     "least alpha 1/128": {"E4DGS_MIN_ALPHA": f"{1 / 128:.9g}f"},
     "least alpha 1/64": {"E4DGS_MIN_ALPHA": f"{1 / 64:.9g}f"},
     "tiles of 8": {"E4DGS_TILE": "8"},
-    "tiles of 16": {"E4DGS_TILE": "16"},
     "exponential of degree 3": {"E4DGS_EXP_DEGREE": "3"},
     "exponential of degree 4": {"E4DGS_EXP_DEGREE": "4"},
-    "exponential of degree 5": {"E4DGS_EXP_DEGREE": "5"},
     "exponential of degree 6": {"E4DGS_EXP_DEGREE": "6"},
 }
 

@@ -9,9 +9,9 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
     float* extra_sums = scratch + kPixels * extras;   // [extras, 16]
     TileGrads px;
     const Walk walk{&px, extra, extra_sums, extras};
-    int32_t block_last[kBlocks], tile_last = -1;
+    alignas(64) int32_t block_last[16], tile_last = -1;
     double background[3] = {0, 0, 0};
-    for (int b = 0; b < kBlocks; ++b) block_last[b] = -1;
+    for (int& last : block_last) last = -1;
     for (int i = 0; i < kPixels; ++i) {
         const int b = i / 16, x = x0 + b % kSide * 4 + i % 4, y = y0 + b / kSide * 4 + i % 16 / 4;
         px.transmittance[i] = px.behind[i] = px.red[i] = px.green[i] = px.blue[i] = px.z[i] = 0.0f;
@@ -44,19 +44,16 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
         for (int c = 0; c < 3; ++c) job.grad_background[3 * tile + c] = background[c];
 
     const uint64_t begin = job.tile_begin[tile];
-    uint32_t active = 0;
     for (int32_t index = tile_last; index >= 0; --index) {
-        if (index == tile_last || index % 32 == 31) {  // lanes are compared one by one; this only spares whole blocks
-            active = 0;
-            for (int b = 0; b < kBlocks; ++b) active |= uint32_t(block_last[b] >= (index & ~31)) << b;
-        }
         if (index >= 8 && job.masks[begin + index - 8]) {
             const Entry& soon = job.entries[begin + index - 8];
             prefetch(job, soon.primitive);
             const char* to = reinterpret_cast<const char*>(job.slots + (uint64_t(soon.slot) << 2));
             for (int at = 0; at < (soon.primitive < job.n_gaussians ? 64 : 128); at += 64) __builtin_prefetch(to + at, 1);
         }
-        uint32_t mask = job.masks[begin + index] & active;
+        uint32_t open = 0;  // blocks in which a pixel goes on to here
+        for (int k = 0; k < 16; k += kWidth) open |= bits(load(block_last + k) >= set1(index)) << k;
+        const uint32_t mask = job.masks[begin + index] & open;
         if (!mask) continue;
         const Entry entry = job.entries[begin + index];
         Item item;
