@@ -20,6 +20,7 @@ COMMANDS = {
     "raster": "e4dgs bench raster --garden FILE --out benchmarks/results/bench_raster.json",
     "field": "e4dgs bench field --out benchmarks/results/bench_field.json",
     "step": "e4dgs bench step --capture CAPTURE --out benchmarks/results/bench_step.json",
+    "rig": "e4dgs bench step --rows split --capture RIG --out benchmarks/results/bench_rig.json",
     "knobs": "python benchmarks/knobs.py --out benchmarks/results/bench_knobs.json",
 }
 

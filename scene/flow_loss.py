@@ -16,6 +16,7 @@ from ..rasterizer import Camera, Convexes, Gaussians, rasterize
 from .model import Model
 
 Kind = TypeVar("Kind", Gaussians, Convexes)
+Moved = tuple[Gaussians, Convexes]
 
 
 def project(camera: Camera, points: Tensor) -> Tensor:
@@ -49,7 +50,10 @@ def rendered_flow(model: Model, camera: Camera, t: float, next_camera: Camera, t
 
     Where primitives cover a pixel in part, the flow is divided by their alpha.
     """
-    now, later = model.at(t, camera), model.at(t_next, camera)
+    return _flow_between(model, camera, model.at(t, camera), next_camera, model.at(t_next, camera))
+
+
+def _flow_between(model: Model, camera: Camera, now: Moved, next_camera: Camera, later: Moved) -> tuple[Tensor, Tensor]:
     extras = []
     for kind, a, b in zip((model.gaussians, model.convexes), _centres(model, *now), _centres(model, *later)):
         flow = project(next_camera, b) - project(camera, a)
@@ -65,8 +69,9 @@ def interval_loss(model: Model, camera: Camera, t: float, dt: float, edges: Tens
 
     edges: [H, W] weight in [0, 1]. The three times t, t + dt, t + 2 dt must lie in [0, 1].
     """
-    first, alpha_first = rendered_flow(model, camera, t, camera, t + dt)
-    second, alpha_second = rendered_flow(model, camera, t + dt, camera, t + 2 * dt)
+    start, middle, end = (model.at(t + k * dt, camera) for k in range(3))
+    first, alpha_first = _flow_between(model, camera, start, camera, middle)
+    second, alpha_second = _flow_between(model, camera, middle, camera, end)
     weight = edges * (alpha_first > 0.5) * (alpha_second > 0.5)
     return ((second - first).square().sum(-1) * weight).sum() / weight.sum().clamp(min=1.0)
 
