@@ -29,6 +29,14 @@ def test_guard_stops_and_names_step_frame_and_field():
     assert guard.count == MOST_IN_A_ROW
 
 
+@pytest.mark.parametrize(
+    ("gradient", "finite"),
+    [([3e38, 3e38, 3e38], True), ([float("inf"), float("-inf"), 0.0], False), ([-3e38, 3e38, float("nan")], False)],
+)
+def test_guard_tells_a_sum_that_overflows_from_a_number_that_is_not_finite(gradient, finite):
+    assert NonFiniteGuard().accepts(torch.tensor(1.0), parameter(gradient), 0, 0) == finite
+
+
 def test_guard_refuses_a_non_finite_loss():
     assert not NonFiniteGuard().accepts(torch.tensor(float("nan")), parameter([0.0, 0.0, 0.0]), 0, 0)
 
