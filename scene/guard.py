@@ -13,7 +13,7 @@ class TrainingDiverged(RuntimeError):
 
 
 def all_finite(values: Tensor) -> bool:
-    """Whether every number is finite. A sum shows what is not, ten times faster than a look at each; it may also overflow, then it is looked."""
+    """Whether every number is finite. A sum tells ten times faster than a look at each; only one that overflowed needs the look."""
     return bool(torch.isfinite(values.sum())) or bool(torch.isfinite(values).all())
 
 

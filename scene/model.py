@@ -44,9 +44,12 @@ class Model:
             if len(rest):
                 dx, dr, ds = self.field(rest, t)
                 n = len(index)
-                means = means.index_add(0, index, dx[:n])
-                quats = quats.index_copy(0, index, compose(dr[:n], quats[index]))
-                log_scales = log_scales.index_add(0, index, ds[:n])
+                if n == len(means):  # the usual case of small scenes, without copies by index
+                    means, quats, log_scales = means + dx[:n], compose(dr[:n], quats), log_scales + ds[:n]
+                else:
+                    means = means.index_add(0, index, dx[:n])
+                    quats = quats.index_copy(0, index, compose(dr[:n], quats[index]))
+                    log_scales = log_scales.index_add(0, index, ds[:n])
                 if len(hulls):
                     points = points.index_add(0, hulls, dx[n:].reshape(-1, corners, 3))
         gaussians = Gaussians(means, quats, torch.exp(log_scales), g.opacities, sh=g.sh(degree))
