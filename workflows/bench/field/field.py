@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 
 import torch
 from torch import Tensor
@@ -18,6 +19,7 @@ POINTS, TIMES, RESOLUTIONS = 30_000, 50, (16, 32)
 CHANNELS = (16, 32)
 BAR, ERROR_BAR = 8.0, 1e-5
 TIME = 0.37
+ROUNDED = (torch.float16, torch.bfloat16)
 KINK = 1e-5  # a hidden unit whose input is nearer to zero than this may be on either side of its kink in float32
 LOOKUPS: tuple[Lookup, ...] = ("grid_sample", "gather")
 
@@ -42,10 +44,16 @@ def measure(bench: Bench) -> Measured:
         truth = outcome(TorchField(field.state_dict(), torch.float64), rest, weights)
         errors = {"ours": errors_of(outcome(field, rest, weights), truth)}
         errors |= {name: errors_of(outcome(peer, rest, weights), truth) for name, peer in peers.items()}
+        for dtype in ROUNDED:
+            errors[f"ours, planes rounded to {str(dtype).removeprefix('torch.')}"] = errors_of(
+                outcome(rounded(field, dtype), rest, weights), truth
+            )
         worst = max(errors["ours"], key=lambda name: errors["ours"][name])
         note = f"{worst}; of torch's composition {max(errors[fastest].values()):.1e}"
         checks.append(Check(f"{channels} channels, largest error against float64", errors["ours"][worst], ERROR_BAR, unit="", note=note))
         numbers[f"C = {channels}"] = {"times": {name: t.json() for name, t in times.items()}, "errors": errors}
+        # The kernel reads float32 whatever the planes were rounded to: the error alone speaks, and against fewer digits.
+        times |= {name: times["ours"] for name in errors if name not in times}
         for name, timing in times.items():
             table.append(_cells(f"{channels} channels, {name}", timing, errors[name]))
             curves.append(
@@ -79,6 +87,15 @@ def trained_field(channels: int) -> DeformationField:
             plane += 0.2 * torch.randn(plane.shape, generator=generator)
         field.head.weight += 0.05 * torch.randn(field.head.weight.shape, generator=generator)
     return field
+
+
+def rounded(field: DeformationField, dtype: torch.dtype) -> DeformationField:
+    """A copy whose planes hold only numbers of ``dtype``."""
+    copy = deepcopy(field)
+    with torch.no_grad():
+        for plane in (*copy.planes.space, *copy.planes.time):
+            plane.copy_(plane.to(dtype))
+    return copy
 
 
 @torch.no_grad()
