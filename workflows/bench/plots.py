@@ -26,6 +26,7 @@ def draw(path: Path, rows: dict[str, dict[str, Any]]) -> list[Path]:
 def _draw_one(path: Path, curves: list[dict[str, Any]]) -> Path:
     import matplotlib
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogFormatter
 
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.add_subplot()
@@ -42,10 +43,15 @@ def _draw_one(path: Path, curves: list[dict[str, Any]]) -> Path:
     axes.set_xscale("log")
     axes.set_yscale("log")
     low, high = axes.get_ylim()
-    if any(curve["names"] for curve in curves) and high < DECADES * low:
+    errors = any(curve["names"] for curve in curves) or "error" in curves[0]["y_title"]
+    if errors and high < DECADES * low:
         # Errors within a factor of two of one another are equal; an axis of one decade would tell them apart.
         middle = (low * high) ** 0.5
         axes.set_ylim(middle / DECADES**0.5, middle * DECADES**0.5)
+    for axis, values in ((axes.xaxis, [x for c in curves for x in c["x"]]), (axes.yaxis, [y for c in curves for y in c["y"]])):
+        if 1 <= min(values) and max(values) < 1e4:  # 20 and 40, not 2 x 10^1 and 4 x 10^1
+            axis.set_major_formatter(LogFormatter(labelOnlyBase=False))
+            axis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(1.5, 0.6)))
     axes.set_xlabel(curves[0]["x_title"])
     axes.set_ylabel(curves[0]["y_title"])
     axes.grid(True, which="both", alpha=0.25)
