@@ -49,7 +49,7 @@ def _draw_one(path: Path, curves: list[dict[str, Any]]) -> Path:
         middle = (low * high) ** 0.5
         axes.set_ylim(middle / DECADES**0.5, middle * DECADES**0.5)
     for axis, values in ((axes.xaxis, [x for c in curves for x in c["x"]]), (axes.yaxis, [y for c in curves for y in c["y"]])):
-        if 1 <= min(values) and max(values) < 1e4:  # 20 and 40, not 2 x 10^1 and 4 x 10^1
+        if min(values) >= 1 and max(values) < 1e4:  # 20 and 40, not 2 x 10^1 and 4 x 10^1
             axis.set_major_formatter(LogFormatter(labelOnlyBase=False))
             axis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(1.5, 0.6)))
     axes.set_xlabel(curves[0]["x_title"])
