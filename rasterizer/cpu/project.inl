@@ -59,7 +59,6 @@ inline bool usable(const Looks& in, int64_t i, int extras) {
     return !in.extras || finite(in.extras + i * extras, extras);
 }
 
-
 inline int floor_of(double a) { return int(a); }                            // a >= 0
 inline int ceil_of(double a) { return int(a) + (a > double(int(a))); }      // a > -1
 

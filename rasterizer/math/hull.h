@@ -4,7 +4,7 @@
 
 namespace e4dgs {
 
-// T: what at.x(i), at.y(i) give.
+// Plane: at.x(i), at.y(i) are point i's coordinates. Twice the signed area of the triangle a b c.
 template <class Plane>
 E4DGS_HD auto turn(const Plane& at, int a, int b, int c) {
     return (at.x(b) - at.x(a)) * (at.y(c) - at.y(a)) - (at.y(b) - at.y(a)) * (at.x(c) - at.x(a));
