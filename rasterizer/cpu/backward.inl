@@ -14,7 +14,7 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
     for (int& last : block_last) last = -1;
     for (int i = 0; i < kPixels; ++i) {
         const int b = i / 16, x = x0 + b % kSide * 4 + i % 4, y = y0 + b / kSide * 4 + i % 16 / 4;
-        px.transmittance[i] = px.behind[i] = px.red[i] = px.green[i] = px.blue[i] = px.z[i] = 0.0f;
+        px.transmittance[i] = px.behind[i] = px.red[i] = px.green[i] = px.blue[i] = px.z[i] = px.depth[i] = 0.0f;
         px.last[i] = -1;
         if (EXTRAS)
             for (int e = 0; e < extras; ++e) extra[kPixels * e + i] = 0.0f;
@@ -28,10 +28,7 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             background[0] += double(px.red[i]) * t, background[1] += double(px.green[i]) * t, background[2] += double(px.blue[i]) * t;
         }
         if (job.grad_alpha) through -= job.grad_alpha[at];
-        if (DEPTH && job.alpha[at] > 0.0f) {  // depth = sum w z / alpha
-            px.z[i] = job.grad_depth[at] / job.alpha[at];
-            through += px.z[i] * job.depth[at];
-        }
+        if (DEPTH && job.alpha[at] > 0.0f) px.z[i] = job.grad_depth[at] / job.alpha[at], px.depth[i] = job.depth[at];
         if (EXTRAS && job.grad_extras)
             for (int e = 0; e < extras; ++e) extra[kPixels * e + i] = job.grad_extras[at * extras + e];
         px.transmittance[i] = t;

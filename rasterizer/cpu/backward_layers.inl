@@ -3,7 +3,8 @@
 
 struct TileGrads {  // in the order of TilePixels
     alignas(64) float transmittance[kPixels], behind[kPixels];
-    alignas(64) float red[kPixels], green[kPixels], blue[kPixels], z[kPixels];
+    alignas(64) float red[kPixels], green[kPixels], blue[kPixels];
+    alignas(64) float z[kPixels], depth[kPixels];  // gradient of sum w z: depth's over alpha; and depth = sum w z / alpha
     alignas(64) int32_t last[kPixels];
 };
 
@@ -31,7 +32,9 @@ __attribute__((always_inline)) inline Float layer_backward(const Walk& walk, int
     sums[2] = fma(w, blue, sums[2]);
     if constexpr (DEPTH) {
         const Float z = load(px.z + at);
-        f = fma(z, set1(item.z), f);
+        // depth is a mean: a layer moves it by its distance from it, and what lies behind, all together, not at all. Taken as two large
+        // terms instead, both over a small alpha, a faint pixel's gradient would be rounding.
+        f = fma(z, set1(item.z) - load(px.depth + at), f);
         sums[3] = fma(w, z, sums[3]);
     }
     if constexpr (EXTRAS)

@@ -17,6 +17,7 @@ struct Chunk {
     uint64_t lists[16][kChunk / 64];  // by block, a bit for each item that may touch it
     uint64_t seen[kChunk / 64];       // items that a block has walked past
     int n_convexes, points;
+    float nearest;  // depth of the tile's first item; depths of all are taken from there, so that few digits of a mean are rounded away
 };
 
 // A pixel has stopped where `falling` went below the line: seldom, so it costs the walk one comparison.
@@ -118,7 +119,7 @@ inline void copy_lanes(const float* from, float* to, int count) {
     for (int i = 0; i < count; ++i) to[i] = from[i];
 }
 
-inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* extra, int x0, int y0, int32_t entries) {
+inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* extra, int x0, int y0, int32_t entries, float nearest) {
     const int w = job.width - x0 < kTile ? job.width - x0 : kTile, h = job.height - y0 < kTile ? job.height - y0 : kTile;
     const Float line = set1(kMinTransmittance);
     for (int at = 0; at < kPixels; at += kWidth) {
@@ -130,7 +131,8 @@ inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* ext
         store(px.red + at, fma(t, set1(job.background[0]), load(px.red + at)));
         store(px.green + at, fma(t, set1(job.background[1]), load(px.green + at)));
         store(px.blue + at, fma(t, set1(job.background[2]), load(px.blue + at)));
-        store(px.z + at, load(px.z + at) * reciprocal(max(load(px.weight + at), set1(1e-30f))));  // 0 where nothing was blended
+        const Float weight = load(px.weight + at), least = set1(1e-30f);  // depth is 0 where nothing was blended
+        store(px.z + at, keep(weight >= least, fma(load(px.z + at), reciprocal(max(weight, least)), set1(nearest))));
     }
     for (int y = 0; y < h; ++y)
         for (int x = 0; x < w; x += 4) {
@@ -160,6 +162,7 @@ inline int gather_chunk(const ForwardJob& job, uint64_t at, uint64_t end, int x0
         const uint32_t id = job.entries[at + j].primitive;
         Item& item = chunk.items[j];
         gather(job, id, x0 + 0.5, y0 + 0.5, item, chunk.convexes, chunk.n_convexes);
+        item.z -= chunk.nearest;
         const uint32_t mask = id < job.n_gaussians ? gaussian_blocks(item, job.gaussians[id].radius) : convex_blocks(chunk.convexes[item.convex], job.points, alive);
         chunk.masks[j] = uint16_t(mask);
     }
@@ -192,6 +195,7 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
 
     Chunk chunk;
     const uint64_t begin = job.tile_begin[tile], end = job.tile_begin[tile + 1];
+    chunk.nearest = begin < end ? depth_of(job, job.entries[begin].primitive) : 0.0f;
     for (uint64_t at = begin, n; at < end && alive; at += n) {
         n = uint64_t(gather_chunk(job, at, end, x0, y0, alive, chunk));
         for (uint32_t m = alive; m; m &= m - 1) {
@@ -209,7 +213,7 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
                 __atomic_store_n(flag, uint8_t(1), __ATOMIC_RELAXED);
             }
     }
-    write_pixels(job, px, extra, x0, y0, int32_t(end - begin));
+    write_pixels(job, px, extra, x0, y0, int32_t(end - begin), chunk.nearest);
 }
 
 void forward_tile(const ForwardJob& job, int tile, float* scratch) {

@@ -49,6 +49,10 @@ __attribute__((always_inline)) inline void prefetch(const TileJob& job, uint32_t
     for (int at = 0; at < convex_bytes(job.points); at += 64) __builtin_prefetch(record + at);
 }
 
+inline float depth_of(const TileJob& job, uint32_t id) {
+    return id < job.n_gaussians ? job.gaussians[id].z : job.convexes[id - job.n_gaussians].z;
+}
+
 typedef double EightDoubles __attribute__((vector_size(64)));
 typedef int64_t EightWords __attribute__((vector_size(64)));
 typedef float EightFloats __attribute__((vector_size(32)));

@@ -3,7 +3,7 @@
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians
-from rasterizer.compare import assert_images_close, cotangents, decided_by_threshold
+from rasterizer.compare import assert_images_close, cotangents, decided_by_threshold, gradients
 from rasterizer.kernels import needs_cpu
 from rasterizer.scenes import F64, Scene, generator, make_camera, needles, random_scene, uniform
 
@@ -92,3 +92,25 @@ def test_a_far_gaussian_under_a_long_lens() -> None:
     )  # fmt: skip
     frame = check(Scene(Camera(K, torch.eye(4, dtype=F64), 41, 29), gaussians, None, torch.zeros(3, dtype=F64)))
     assert int(frame.visible_gaussians.sum()) > 6
+
+
+@pytest.mark.parametrize("z", [2.0, 300.0])
+def test_depth_of_one_faint_layer_pulls_at_nothing_but_its_place(instruction_set: str, z: float) -> None:
+    """Depth is a mean, over an alpha of 0.02 and less here: of one layer it is that layer's z, whatever its alpha. Taken as a difference
+    of two large terms, a gradient of rounding over alpha would be left: 1e-5 z and more."""
+    gaussians = Gaussians(
+        means=torch.tensor([[0.0, 0.0, z]]),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        scales=torch.full((1, 3), 0.1 * z),
+        opacities=torch.tensor([0.02]),
+        colors=torch.zeros(1, 3),
+    )
+    camera = make_camera(40, 30)
+    camera.cam_from_world[:3] = torch.eye(4)[:3]
+    scene = Scene(camera, gaussians, None, torch.zeros(3)).to(torch.float32)
+    frame = scene.render("cpu")
+    assert int((frame.alpha > 0).sum()) > 100
+    assert torch.equal(frame.depth[frame.alpha > 0], torch.tensor(z).expand(int((frame.alpha > 0).sum())))
+    found = gradients(scene, "cpu", cotangents(frame, outputs=("depth",)))
+    assert float(found["gaussians.opacities"].abs()) <= 1e-9 * z and float(found["gaussians.scales"].abs().max()) <= 1e-9
+    assert float(found["gaussians.means"][0, 2]) != 0
