@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "adam.h"
+#include "correlate.h"
 #include "displacement.h"
 #include "field.h"
 #include "field_run.h"
@@ -182,6 +183,20 @@ NB_MODULE(_kernels, m) {
         add(space, grad_space, false), add(time, grad_time, true);
         nb::gil_scoped_release release;
         return e4dgs::smoothness(stacks.data(), int(stacks.size()), threads);
+    });
+
+    m.def("correlate", [](const In& first, const Ins& levels, const In& at, int radius, const Out& out, int threads) {
+        if (first.ndim() != 2 || radius < 1 || radius > e4dgs::kMaxRadius) throw std::invalid_argument("first must be [N,C], radius 1 to 8");
+        const size_t n = first.shape(0), c = first.shape(1), side = size_t(2 * radius + 1);
+        std::vector<e4dgs::CorrelationLevel> found;
+        for (const In& level : levels) {
+            if (level.ndim() != 3 || level.shape(2) != c || level.shape(0) > 65536 || level.shape(1) > 65536)
+                throw std::invalid_argument("levels must be [H,W,C] with the channels of first, H and W at most 65536");
+            found.push_back({level.data(), int(level.shape(0)), int(level.shape(1))});
+        }
+        check(at, {n, 2}, "at"), check(out, {n, levels.size() * side * side}, "out");
+        nb::gil_scoped_release release;
+        e4dgs::correlate(first.data(), found.data(), int(found.size()), at.data(), int64_t(n), int(c), radius, out.data(), threads);
     });
 
     m.def("photometric", [](In x, In y, float w_l1, float w_ssim, Out grad, int threads) {

@@ -1,0 +1,5 @@
+"""RAFT: measured optical flow from published weights. See `network.Raft`."""
+
+from .network import Features, Raft
+
+__all__ = ["Features", "Raft"]

@@ -1,0 +1,105 @@
+"""RAFT's weights from a file: the published ones, under the names of their authors or of torchvision, and nothing that is not theirs."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from .architecture import BASIC, SMALL, Architecture, expected_shapes, norms
+
+LARGEST_FILE = 256 << 20  # bytes; the basic network has 21 MB
+EPSILON = 1e-5  # of the batch norms, as they were trained
+# torchvision's names, piece by piece. Its blocks count their layers: a sequence of convolution, norm, ReLU.
+_TORCHVISION = (
+    (r"^feature_encoder\.", "fnet."),
+    (r"^context_encoder\.", "cnet."),
+    (r"^(fnet|cnet)\.convnormrelu\.0\.", r"\1.conv1."),
+    (r"^(fnet|cnet)\.convnormrelu\.1\.", r"\1.norm1."),
+    (r"^(fnet|cnet)\.conv\.", r"\1.conv2."),
+    (r"\.convnormrelu(\d)\.0\.", r".conv\1."),
+    (r"\.convnormrelu(\d)\.1\.", r".norm\1."),
+    (r"^update_block\.motion_encoder\.convcorr(\d)\.0\.", r"update_block.encoder.convc\1."),
+    (r"^update_block\.motion_encoder\.convflow(\d)\.0\.", r"update_block.encoder.convf\1."),
+    (r"^update_block\.motion_encoder\.conv\.0\.", "update_block.encoder.conv."),
+    (r"^update_block\.recurrent_block\.convgru(\d)\.conv([zrq])\.", r"update_block.gru.conv\2\1."),
+    (r"^mask_predictor\.convrelu\.0\.", "update_block.mask.0."),
+    (r"^mask_predictor\.conv\.", "update_block.mask.2."),
+)
+
+
+def read_weights(path: Path) -> tuple[dict[str, Tensor], Architecture]:
+    """Tensors and which network they are of, from a safetensors file or a `.pth` of plain tensors (nothing else in it is run or loaded).
+
+    Raises ValueError, which names the file and what is wrong with it: not there, cut short, another network, a value that is not finite.
+    """
+    try:
+        if not path.is_file():
+            raise ValueError("no such file")
+        if path.stat().st_size > LARGEST_FILE:
+            raise ValueError(f"larger than {LARGEST_FILE >> 20} MiB: not RAFT's weights")
+        return recognise(_tensors(path))
+    except ValueError as error:
+        raise ValueError(f"RAFT weights {path}: {error}") from error
+
+
+def _tensors(path: Path) -> dict[str, Tensor]:
+    try:
+        if path.suffix == ".safetensors":
+            from safetensors.torch import load_file
+
+            loaded = load_file(path)
+        else:
+            loaded = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise ValueError("holds more than tensors, which is never loaded; save its state_dict as safetensors") from error
+    except Exception as error:  # cut short, another format: each library has errors of its own
+        raise ValueError(
+            f"cannot be read, {type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no reason given'}"
+        ) from error
+    if not isinstance(loaded, Mapping) or not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in loaded.items()):
+        raise ValueError("expected tensors by name (a state_dict)")
+    return dict(loaded)
+
+
+def recognise(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], Architecture]:
+    """The tensors that the network needs, float32, by the authors' names, and which network it is. Raises ValueError for any other set."""
+    named = {}
+    for name, value in tensors.items():
+        name = name.removeprefix("module.")
+        for pattern, replacement in _TORCHVISION:
+            name = re.sub(pattern, replacement, name)
+        # Left out: counters, and a second copy of the norms of the shortcuts.
+        if not name.endswith("num_batches_tracked") and not re.search(r"layer[23]\.0\.norm[34]\.", name):
+            named[name] = value
+    # Only the small network's blocks have three convolutions.
+    small = "fnet.layer1.0.conv3.weight" in named
+    architecture = SMALL if small else BASIC
+    if small and "update_block.gru.convz1.weight" in named:  # torchvision counts even a single pass
+        named = {re.sub(r"(gru\.conv[zrq])1\.", r"\1.", name): value for name, value in named.items()}
+    expected = expected_shapes(architecture)
+    for name, shape in expected.items():
+        if name not in named:
+            raise ValueError(f"tensor {name!r} is missing; expected the weights of RAFT, basic or small")
+        if tuple(named[name].shape) != shape:
+            raise ValueError(f"{name!r} is {list(named[name].shape)}, expected {list(shape)} for {architecture.name}")
+        if not named[name].is_floating_point() or not torch.isfinite(named[name]).all():
+            raise ValueError(f"{name!r} holds values that are not finite numbers")
+    unknown = sorted(named.keys() - expected.keys())
+    if unknown:
+        raise ValueError(f"tensor {unknown[0]!r} is not part of {architecture.name}: weights of another network")
+    return {name: named[name].detach().float() for name in expected}, architecture
+
+
+def folded(state: Mapping[str, Tensor], architecture: Architecture) -> dict[str, Tensor]:
+    """Weights and biases of convolutions alone: each batch norm, fixed after training, taken into the convolution before it."""
+    found = {name: value for name, value in state.items() if ".conv" in name or ".downsample.0." in name or ".mask." in name}
+    for norm, convolution in norms(architecture).items():
+        scale = state[f"{norm}.weight"] / (state[f"{norm}.running_var"] + EPSILON).sqrt()
+        found[f"{convolution}.weight"] = state[f"{convolution}.weight"] * scale[:, None, None, None]
+        found[f"{convolution}.bias"] = (state[f"{convolution}.bias"] - state[f"{norm}.running_mean"]) * scale + state[f"{norm}.bias"]
+    return found
