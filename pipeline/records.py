@@ -8,6 +8,8 @@ from typing import Any
 
 from .files import read_json, write_json
 
+_ABSENT = "(absent)"  # a field that only the other version of a stage has
+
 
 class Records:
     """One JSON file a stage in a scene's folder: ``{"key", "parts", "digest"}`` of the stage's last result."""
@@ -37,7 +39,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
         if field in ("settings", "inputs") and isinstance(before, Mapping) and isinstance(after, Mapping):
             for name in sorted({*before, *after}):
                 if name not in before or name not in after or before[name] != after[name]:
-                    lines.append(_line(field, name, before.get(name, "(absent)"), after.get(name, "(absent)")))
+                    lines.append(_line(field, name, before.get(name, _ABSENT), after.get(name, _ABSENT)))
         elif field == "capture":
             lines.append("the capture's files have another content")
         else:
@@ -48,8 +50,9 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 def _line(field: str, name: str, before: Any, after: Any) -> str:
     if field == "settings":
         return f"settings.{name}: {_short(before)} -> {_short(after)}"
-    if before is None or after is None:
-        return f"input {name}: {'skipped' if before is None else 'there'} -> {'skipped' if after is None else 'there'}"
+    states = ["skipped" if value is None else "no input" if value == _ABSENT else "there" for value in (before, after)]
+    if states != ["there", "there"]:
+        return f"input {name}: {states[0]} -> {states[1]}"
     return f"input {name} has another content"
 
 

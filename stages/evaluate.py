@@ -41,8 +41,8 @@ class Evaluate(Stage):
     """PSNR, SSIM, PSNR near edges, LPIPS of every held-out view; the model of `fine`, or of `coarse` where `fine` was skipped."""
 
     name = "evaluate"
-    version = 1
-    inputs = ("frames", "poses", "coarse", "fine")
+    version = 2  # 2: pictures of flow
+    inputs = ("frames", "poses", "flow", "coarse", "fine")
     settings = EvaluateSettings
     reads_capture = True
     device_class = True
@@ -62,6 +62,7 @@ class Evaluate(Stage):
 
     def run(self, ctx: Context) -> None:
         from .evaluation_pictures import PictureBook
+        from .flow_pictures import add_flow
         from .frameset import FrameSet
         from .training_artifact import read_model
 
@@ -91,6 +92,8 @@ class Evaluate(Stage):
                 if lpips is not None:
                     splits[split].pop("lpips_reason", None)
         book.add_strip(*time_strip(judge, frames, next(reversed(views.values()))))
+        if ctx.inputs["flow"] is not None:
+            add_flow(book, judge, ctx.inputs["flow"], ctx.settings.max_views)
         book.write(ctx.out)
         ctx.out.attrs["metrics"] = {
             "protocol": protocol(frames, views, ctx.settings, lpips_facts, notes),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..pipeline import Artifact, ArtifactWriter
+from .png import encode_png
 
 if TYPE_CHECKING:
     from ..rasterizer import Frame
@@ -16,9 +17,10 @@ STRIP_SIZE = 320  # px, longest side of a picture of the time strip
 
 
 class PictureBook:
-    """Collects pictures and writes them as `png`, `png_offsets`, attrs `png_names`, and attrs `views` and `strip` that say what they show.
+    """Collects pictures and writes them as `png`, `png_offsets`, attrs `png_names`, and attrs `views`, `strip` and `flow` that say what
+    they show; `flow` is absent where nothing was measured.
 
-    Names are "<split>/<frame>/truth|render|error|depth" and "strip/<k>/render|truth".
+    Names are "<split>/<frame>/truth|render|error|depth", "strip/<k>/render|truth", and those of `flow_pictures.add_flow`.
     """
 
     def __init__(self, size: int) -> None:
@@ -27,9 +29,10 @@ class PictureBook:
         self.encoded: list[bytes] = []
         self.views: list[dict[str, Any]] = []
         self.strip: dict[str, Any] = {"camera": "", "times": []}
+        self.flow: dict[str, Any] = {}
 
-    def _add(self, name: str, picture: np.ndarray, size: int) -> None:
-        """``picture``: uint8 [H, W, 3] RGB."""
+    def add(self, name: str, picture: np.ndarray, size: int) -> None:
+        """``picture``: uint8 [H, W, 3] RGB, scaled down to a longest side of ``size`` px."""
         import cv2
 
         height, width = picture.shape[:2]
@@ -37,28 +40,26 @@ class PictureBook:
             scale = size / max(height, width)
             fit = (max(1, round(width * scale)), max(1, round(height * scale)))
             picture = cv2.resize(picture, fit, interpolation=cv2.INTER_AREA)
-        ok, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 6])
-        assert ok
         self.names.append(name)
-        self.encoded.append(data.tobytes())
+        self.encoded.append(encode_png(picture))
 
     def add_view(self, split: str, name: str, time: float, truth: np.ndarray, frame: Frame, row: dict[str, Any]) -> None:
         """Ground truth uint8 [H, W, 3] beside the render, their difference and the depth."""
         color = frame.color.clamp(0, 1).numpy()
         stem = f"{split}/{row['frame']}"
-        self._add(f"{stem}/truth", truth, self.size)
-        self._add(f"{stem}/render", to_bytes(color), self.size)
-        self._add(f"{stem}/error", error_picture(color, truth), self.size)
-        self._add(f"{stem}/depth", depth_picture(frame.depth.numpy(), frame.alpha.numpy()), self.size)
+        self.add(f"{stem}/truth", truth, self.size)
+        self.add(f"{stem}/render", to_bytes(color), self.size)
+        self.add(f"{stem}/error", error_picture(color, truth), self.size)
+        self.add(f"{stem}/depth", depth_picture(frame.depth.numpy(), frame.alpha.numpy()), self.size)
         self.views.append({"stem": stem, "split": split, "name": name, "time": time, "psnr": row["psnr"], "ssim": row["ssim"]})
 
     def add_strip(self, camera: str, items: list[tuple[float, np.ndarray, np.ndarray | None]]) -> None:
         """``items``: (time, render float [H, W, 3], ground truth uint8 [H, W, 3] or None)."""
         self.strip = {"camera": camera, "times": [time for time, _, _ in items]}
         for k, (_, render, truth) in enumerate(items):
-            self._add(f"strip/{k}/render", to_bytes(render), STRIP_SIZE)
+            self.add(f"strip/{k}/render", to_bytes(render), STRIP_SIZE)
             if truth is not None:
-                self._add(f"strip/{k}/truth", truth, STRIP_SIZE)
+                self.add(f"strip/{k}/truth", truth, STRIP_SIZE)
 
     def write(self, out: ArtifactWriter) -> None:
         out.write("png", np.frombuffer(b"".join(self.encoded), np.uint8), doc="PNG files, one after the other")
@@ -68,6 +69,8 @@ class PictureBook:
         out.attrs["png_names"] = self.names
         out.attrs["views"] = self.views
         out.attrs["strip"] = self.strip
+        if self.flow:
+            out.attrs["flow"] = self.flow
 
 
 def read_pictures(artifact: Artifact) -> dict[str, bytes]:

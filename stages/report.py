@@ -16,6 +16,13 @@ from .report_plot import Plot, Series, numbers, svg
 
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
 TRAINED = ("coarse", "fine")
+FLOW_KINDS = (
+    ("frame", "ground truth"),
+    ("measured", "measured flow"),
+    ("rendered", "rendered flow"),
+    ("edges", "edges"),
+    ("moving", "what moves"),
+)
 HEADLINES = (  # key, title, unit, decimals
     ("psnr", "PSNR", "dB", 2),
     ("edge_psnr", "PSNR near edges", "dB", 2),
@@ -57,6 +64,7 @@ def render_report(
         facts=facts(metrics),
         views=[v for v in attrs.get("views", []) if f"{v['stem']}/render" in pictures],
         strip=_strip(attrs.get("strip") or {}, pictures),
+        flow=_flow(attrs.get("flow") or {}, pictures),
         pictures=pictures,
         plots=[(plot.title, plot.series, Markup(drawn)) for plot in plots(training) if (drawn := svg(plot))],
         splits=tables(metrics),
@@ -166,3 +174,13 @@ def _strip(strip: Mapping[str, Any], pictures: Mapping[str, str]) -> dict[str, A
         for k, time in enumerate(strip.get("times") or [])
     ]
     return {"camera": strip.get("camera", ""), "items": [item for item in items if item["render"]]}
+
+
+def _flow(flow: Mapping[str, Any], pictures: Mapping[str, str]) -> dict[str, Any]:
+    """Per pair of frames the pictures that there are, as (title, source); without a rendered flow there is nothing to compare."""
+    items = []
+    for pair in flow.get("pairs") or []:
+        shown = [(title, pictures[f"{pair['stem']}/{kind}"]) for kind, title in FLOW_KINDS if f"{pair['stem']}/{kind}" in pictures]
+        if f"{pair['stem']}/rendered" in pictures:
+            items.append({**pair, "shown": shown})
+    return {**flow, "wheel": pictures.get("flow/wheel"), "items": items}

@@ -15,6 +15,7 @@ from rich.console import Console
 from ..pipeline import Outcome, PipelineError, Row, Runner, Store, check_targets, duration, explain, make_plan
 from . import show
 from .bench.cli import app as bench
+from .export import app as export
 from .reconstruction import EVALUATION, LIBRARIES
 from .session import DEFAULT_WORKSPACE, Options, Session, open_session
 
@@ -25,6 +26,7 @@ app = typer.Typer(
     help="Captures of moving scenes become 4D models that render any view at any time.",
 )
 app.add_typer(bench, name="bench")
+app.add_typer(export, name="export")
 console = Console()
 
 Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, or a folder with poses.")]

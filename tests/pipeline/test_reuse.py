@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from e4dgs.pipeline import CaptureError, Graph, Runner, SettingsError, StageError, explain, make_plan
 from e4dgs.pipeline.job import Job
+from e4dgs.pipeline.records import differences
 from toy_stages import Careless, Clipped, Failing, Numbers, Scaled, Slow, Total
 
 ALL = ["numbers", "scaled", "clipped", "total"]
@@ -188,3 +189,16 @@ def test_a_graph_lists_inputs_first():
     with pytest.raises(ValueError, match="slow is listed twice"):
         Graph([Numbers(), Slow(), Slow()])
     assert [stage.name for stage in Graph([Numbers(), Scaled(), Slow()]).needed_for(["slow"])] == ["numbers", "slow"]
+
+
+def test_what_became_of_an_input_is_said():
+    old = {"inputs": {"poses": None, "flow": "a", "coarse": "b", "hulls": "c"}}
+    new = {"inputs": {"poses": "d", "flow": None, "coarse": "e", "masks": "f", "edges": None}}
+    assert differences(old, new) == [
+        "input coarse has another content",
+        "input edges: no input -> skipped",
+        "input flow: there -> skipped",
+        "input hulls: there -> no input",
+        "input masks: no input -> there",
+        "input poses: skipped -> there",
+    ]

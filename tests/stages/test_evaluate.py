@@ -100,14 +100,16 @@ class Progress:
         pass
 
 
-def evaluate(folder: Path, frames: Artifact, coarse=None, fine=None, fixed: bool = False, **settings) -> tuple[Artifact, list[str]]:
+def evaluate(
+    folder: Path, frames: Artifact, coarse=None, fine=None, flow=None, fixed: bool = False, **settings
+) -> tuple[Artifact, list[str]]:
     (folder / "out").mkdir(parents=True)
     lines: list[str] = []
     context = SimpleNamespace(
         capture=SimpleNamespace(root=folder),
         facts={"fixed_cameras": fixed},
         settings=EvaluateSettings(**settings),
-        inputs={"frames": frames, "poses": None, "coarse": coarse, "fine": fine},
+        inputs={"frames": frames, "poses": None, "flow": flow, "coarse": coarse, "fine": fine},
         out=ArtifactWriter(folder / "out"),
         log=lines.append,
         progress=lambda total, label: Progress(),
@@ -217,6 +219,27 @@ def test_a_moving_model_gets_a_strip_from_one_standing_camera(tmp_path):
     artifact, _ = evaluate(tmp_path, scene(tmp_path, [0, 2], model), fine=trained(tmp_path / "fine", model))
     assert len(artifact.attrs["strip"]["times"]) == 8
     assert "strip/7/render" in read_pictures(artifact) and "strip/7/truth" not in read_pictures(artifact)
+
+
+def test_flow_is_shown_where_it_was_measured_and_only_there(result, tmp_path):
+    assert "flow" not in result[0].attrs and not any(name.startswith("flow") for name in read_pictures(result[0]))
+    model = small_model()
+    (tmp_path / "flow").mkdir()
+    out = ArtifactWriter(tmp_path / "flow")
+    values = {
+        "pair": np.array([[0, 2]], np.int32),
+        "forward": np.zeros((1, 40, 48, 2), np.float16),
+        "confidence": np.full((1, 40, 48), 255, np.uint8),
+        "edges": np.zeros((3, 40, 48), np.uint8),
+    }
+    for name, value in values.items():
+        out.write(name, value)
+    out.finish({})
+    frames = scene(tmp_path, [0, 2, 0], model)
+    artifact, _ = evaluate(tmp_path, frames, fine=trained(tmp_path / "fine", model), flow=Artifact(tmp_path / "flow"))
+    assert [pair["frames"] for pair in artifact.attrs["flow"]["pairs"]] == [["frame 0", "frame 2"]]
+    assert {"flow/0/frame", "flow/0/measured", "flow/0/rendered", "flow/0/edges", "flow/wheel"} <= set(read_pictures(artifact))
+    assert "flow" in Evaluate.inputs, "other flow is another key"
 
 
 def test_lpips_with_weights_names_net_and_file(tmp_path):

@@ -1,5 +1,6 @@
 """The report: self-contained, complete, escaped, tolerant of what is missing, and drawn without torch."""
 
+import base64
 import html.parser
 import re
 import subprocess
@@ -34,6 +35,24 @@ class Evaluation:
 
     def read(self, name: str) -> np.ndarray:
         return self.arrays[name]
+
+
+class WithFlow(Evaluation):
+    """Two pairs of frames; only the second one's camera has a mask of what moves."""
+
+    def __init__(self, name: str = "r_000") -> None:
+        super().__init__(name)
+        kinds = [(0, "frame"), (0, "measured"), (0, "rendered"), (0, "edges")]
+        kinds += [(1, "frame"), (1, "measured"), (1, "rendered"), (1, "edges"), (1, "moving")]
+        names = [f"flow/{k}/{kind}" for k, kind in kinds] + ["flow/wheel"]
+        blobs = [name.encode() for name in names]
+        self.arrays["png"] = np.concatenate([self.arrays["png"], np.frombuffer(b"".join(blobs), np.uint8)])
+        ends = self.arrays["png_offsets"][-1] + np.cumsum([len(blob) for blob in blobs])
+        self.arrays["png_offsets"] = np.concatenate([self.arrays["png_offsets"], ends])
+        self.attrs["png_names"] += names
+        pair = {"frames": [name, "r_001"], "times": [0.25, 0.5], "difference": 0.375, "motion": 2.5}
+        rows = [{**pair, "stem": "flow/0"}, {**pair, "stem": "flow/1", "difference": None, "motion": None}]
+        self.attrs["flow"] = {"largest": 7.25, "method": name, "pairs": rows}
 
 
 def metrics(name: str = "r_000") -> dict:
@@ -148,10 +167,33 @@ def test_every_text_is_escaped():
     values["protocol"] = {"resolution": EVIL, "notes": [EVIL]}
     values["splits"]["test"]["lpips_reason"] = EVIL
     stages = {"coarse": {"training": {"stopped": EVIL, "skipped": {EVIL: 1}}, "log": [EVIL], "settings": {EVIL: EVIL}}}
-    page = render_report(EVIL, Evaluation(EVIL), stages, plan, values)  # type: ignore[arg-type]
+    page = render_report(EVIL, WithFlow(EVIL), stages, plan, values)  # type: ignore[arg-type]
     parser = parse(page)
     assert parser.scripts == 1 and "<script>alert" not in page
     assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;") > 10
+
+
+def test_pairs_of_frames_stand_beside_their_flow():
+    page = render_report("robot", WithFlow(), {}, [], {})  # type: ignore[arg-type]
+    parser = parse(page)
+    text = " ".join(parser.text)
+    for expected in (
+        "full colour is 7.2 px",
+        "r_000 → r_001",
+        "t = 0.250 → 0.500",
+        "differ by 0.38 px",
+        "motion 2.50 px",
+        "differ by – px",
+    ):
+        assert expected in text, expected
+    titles = ["ground truth", "measured flow", "rendered flow", "edges"]
+    section = page[page.index("<h2>Flow") : page.index("<script>")]
+    assert re.findall(r"<span>(.*?)</span>", section) == [*titles, *titles, "what moves"]
+    shown = [base64.b64decode(url.split(",")[1]).decode() for url in re.findall(r'src="(.*?)"', section)]
+    assert shown == ["flow/wheel", *WithFlow().attrs["png_names"][-10:-1]]
+    assert "repeat(4," in section and "repeat(5," in section
+    without = render_report("robot", Evaluation(), {}, [], {})  # type: ignore[arg-type]
+    assert "<h2>Flow" not in without and "rendered flow" not in without
 
 
 def test_missing_parts_are_left_out():
@@ -159,10 +201,11 @@ def test_missing_parts_are_left_out():
     bare.arrays, bare.attrs, bare.provenance = {}, {}, {}
     page = render_report("empty", bare, {}, [], {})  # type: ignore[arg-type]
     parse(page)
-    for heading in ("Views", "Over time", "Training", "Per view", "Plan"):
+    for heading in ("Views", "Over time", "Flow", "Training", "Per view", "Plan"):
         assert f"<h2>{heading}" not in page
     odd = {"coarse": {"training": {"loss": None, "psnr": [[0, None], [1, float("nan")], "x"]}}, "fine": {}}
     rows = [{"stage": "coarse", "state": "ran"}]
+    bare.attrs = {"flow": {"largest": 1.0, "pairs": [{"stem": "flow/0"}]}}  # its pictures are not there
     parse(render_report("odd", bare, odd, rows, {"splits": {"test": {"psnr": None, "per_view": [{}]}}}))  # type: ignore[arg-type]
 
 

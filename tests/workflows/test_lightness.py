@@ -23,7 +23,7 @@ def imported_by(*arguments: str) -> list[str]:
     return heavy
 
 
-@pytest.mark.parametrize("command", ["--help", "run --help", "plan --help", "bench --help", "bench raster --list"])
+@pytest.mark.parametrize("command", ["--help", "run --help", "plan --help", "bench --help", "bench raster --list", "export flow --help"])
 def test_help_imports_nothing_heavy(command):
     assert imported_by(*command.split()) == []
 
