@@ -1,14 +1,16 @@
-"""Measured optical flow of two pictures (OpenCV DIS) and how far it may be trusted (forward-backward consistency)."""
+"""Flow of two pictures both ways, and how far it may be trusted: forward-backward consistency, and what the second picture hides."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-Preset = Literal["ultrafast", "fast", "medium"]
-MINIMUM_SIDE = 64  # px; DIS reads outside its buffers on thin pictures (found at sides below 32), so smaller ones are padded
+from .flow_method import Dis, FlowMethod, Prepared, Preset
+
+COVERED = 0.65  # of the density of arrivals that the flow's own stretch explains: fewer arrive where something is hidden
+SMOOTH = 1.0  # px, of the density: flow is not exact to a pixel at outlines
+AROUND = 25  # px, side of the window whose median is a place's stretch: bands that are hidden are thinner than half of it
 
 
 @dataclass(frozen=True)
@@ -20,45 +22,18 @@ class FlowPair:
     confidence: np.ndarray
 
 
+def flow_pair(method: FlowMethod, first: Prepared, second: Prepared) -> FlowPair:
+    """Flow both ways and the confidence in the forward one: `consistency`, 0 where `occluded`."""
+    forward, backward = method.flow(first, second), method.flow(second, first)
+    confidence = consistency(forward, backward)
+    confidence[occluded(forward, backward)] = 0
+    return FlowPair(forward, backward, confidence)
+
+
 def dis_flow(first: np.ndarray, second: np.ndarray, preset: Preset = "medium", max_size: int | None = None) -> np.ndarray:
-    """Flow [H, W, 2] float32 px from ``first`` to ``second``, both uint8 [H, W, 3] RGB: pixel (x, y) of first is at (x+u, y+v) in second.
-
-    max_size: longest side at which flow is computed; larger pictures are scaled down by area and the flow is scaled up again. The result
-    does not depend on the number of threads. Raises ValueError for other shapes or dtypes.
-    """
-    import cv2
-
-    for name, image in (("first", first), ("second", second)):
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
-            raise ValueError(f"{name}: expected uint8 [H, W, 3] with H, W > 0, got {image.dtype} {list(image.shape)}")
-    if first.shape != second.shape:
-        raise ValueError(f"first {list(first.shape)} and second {list(second.shape)} differ in shape")
-    height, width = first.shape[:2]
-    greys = [cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY) for image in (first, second)]
-    small = _size_within(width, height, max_size)
-    if small != (width, height):
-        greys = [cv2.resize(grey, small, interpolation=cv2.INTER_AREA) for grey in greys]
-    right, below = max(0, MINIMUM_SIDE - small[0]), max(0, MINIMUM_SIDE - small[1])
-    if right or below:
-        greys = [cv2.copyMakeBorder(grey, 0, below, 0, right, cv2.BORDER_REPLICATE) for grey in greys]
-    presets = {
-        "ultrafast": cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST,
-        "fast": cv2.DISOPTICAL_FLOW_PRESET_FAST,
-        "medium": cv2.DISOPTICAL_FLOW_PRESET_MEDIUM,
-    }
-    flow = cv2.DISOpticalFlow.create(presets[preset]).calc(greys[0], greys[1], None)  # type: ignore[call-overload]
-    flow = flow[: small[1], : small[0]]
-    if small != (width, height):
-        flow = cv2.resize(flow, (width, height), interpolation=cv2.INTER_LINEAR)
-        flow *= np.array([width / small[0], height / small[1]], np.float32)
-    return np.ascontiguousarray(flow, np.float32)
-
-
-def _size_within(width: int, height: int, max_size: int | None) -> tuple[int, int]:
-    if max_size is None or max(width, height) <= max_size:
-        return width, height
-    scale = max_size / max(width, height)
-    return max(1, round(width * scale)), max(1, round(height * scale))
+    """Flow [H, W, 2] float32 px between two pictures uint8 [H, W, 3] RGB by `Dis`."""
+    method = Dis(preset, max_size)
+    return method.flow(method.prepare(first), method.prepare(second))
 
 
 def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
@@ -69,19 +44,61 @@ def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """
     import cv2
 
-    height, width = forward.shape[:2]
-    to_x = forward[..., 0] + np.arange(width, dtype=np.float32)
-    to_y = forward[..., 1] + np.arange(height, dtype=np.float32)[:, None]
+    to_x, to_y = _places(forward)
     back = cv2.remap(backward, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     error, (fu, fv), (bu, bv) = forward + back, cv2.split(forward), cv2.split(back)
     tolerance = 0.01 * (fu * fu + fv * fv + bu * bu + bv * bv) + 0.5
     error = error[..., 0] ** 2 + error[..., 1] ** 2
     weight = np.clip((1.0 - error / tolerance) * (255.0 / 0.75), 0.0, 255.0)
-    weight[(to_x < 0) | (to_x > width - 1) | (to_y < 0) | (to_y > height - 1)] = 0.0
+    weight[_outside(to_x, to_y)] = 0.0
     return np.rint(weight).astype(np.uint8)
 
 
-def flow_pair(first: np.ndarray, second: np.ndarray, preset: Preset = "medium", max_size: int | None = None) -> FlowPair:
-    """Flow both ways and its confidence, for two pictures uint8 [H, W, 3] RGB. See `dis_flow`."""
-    forward, backward = dis_flow(first, second, preset, max_size), dis_flow(second, first, preset, max_size)
-    return FlowPair(forward, backward, consistency(forward, backward))
+def occluded(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """Pixels of the first picture that the second does not show: bool [H, W], from both flows [H, W, 2] float32.
+
+    Where nothing hides anything, each pixel of the second picture comes from somewhere in the first; what the second hides is where nothing
+    comes from (the range map of Wang et al. 2018). Arrivals are spread bilinearly, smoothed, and compared with what the forward flow's
+    stretch around there leaves to arrive: a camera that moves back, whose second picture holds all of the first in fewer pixels, hides
+    nothing. Pixels that leave the picture are occluded too. The disagreement of the two flows, which errors of either cause as well, has
+    many more false alarms.
+    """
+    import cv2
+
+    arrivals = cv2.GaussianBlur(_arrivals(backward), (0, 0), SMOOTH, borderType=cv2.BORDER_REPLICATE)
+    return _outside(*_places(forward)) | (arrivals < COVERED * np.minimum(_stretch(forward), 1.0))
+
+
+def _stretch(flow: np.ndarray) -> np.ndarray:
+    """Pixels of the second picture for one of the first, the median around each place: float32 [H, W]; 1 where the flow is not finite."""
+    import cv2
+
+    if min(flow.shape[:2]) < 2:
+        return np.ones(flow.shape[:2], np.float32)
+    (uy, ux), (vy, vx) = (np.gradient(np.clip(np.nan_to_num(flow[..., k]), -1e6, 1e6)) for k in range(2))
+    stretch = np.clip(((1 + ux) * (1 + vy) - uy * vx) * 100, 0, 255)
+    return cv2.medianBlur(np.rint(stretch).astype(np.uint8), AROUND).astype(np.float32) / 100
+
+
+def _arrivals(backward: np.ndarray) -> np.ndarray:
+    """How many pixels of the second picture come from each of the first, float32 [H, W], shared bilinearly."""
+    height, width = backward.shape[:2]
+    x, y = (np.clip(place, -2.0, side + 1.0) for place, side in zip(_places(np.nan_to_num(backward)), (width, height)))
+    x0, y0 = np.floor(x), np.floor(y)
+    fx, fy = x - x0, y - y0
+    stride = width + 6  # a margin of three takes what lands outside
+    first = ((y0.astype(np.int64) + 3) * stride + x0.astype(np.int64) + 3).ravel()
+    total = np.zeros((height + 6) * stride)
+    for step, weight in ((0, (1 - fx) * (1 - fy)), (1, fx * (1 - fy)), (stride, (1 - fx) * fy), (stride + 1, fx * fy)):
+        total += np.bincount(first + step, weight.ravel(), len(total))
+    return total.reshape(height + 6, stride)[3:-3, 3:-3].astype(np.float32)
+
+
+def _places(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    height, width = flow.shape[:2]
+    return flow[..., 0] + np.arange(width, dtype=np.float32), flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
+
+
+def _outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    height, width = x.shape
+    return (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)

@@ -58,7 +58,7 @@ class Raft:
             raise ValueError(f"picture: expected uint8 [H, W, 3] with H, W > 0, got {picture.dtype} {list(picture.shape)}")
         height, width = picture.shape[:2]
         down, right = (max(MINIMUM_SIDE, -(-side // STRIDE) * STRIDE) - side for side in (height, width))
-        x = torch.from_numpy(np.ascontiguousarray(picture)).to(self.device).permute(2, 0, 1)[None].float() * (2 / 255) - 1
+        x = torch.from_numpy(np.array(picture)).to(self.device).permute(2, 0, 1)[None].float() * (2 / 255) - 1
         x = F.pad(x, (right // 2, right - right // 2, down // 2, down - down // 2), mode="replicate").to(self.dtype)
         matched = encode(self._state, "fnet", self.architecture, x)
         both = encode(self._state, "cnet", self.architecture, x)

@@ -7,26 +7,16 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.raft import Raft
-from e4dgs.scene.raft.architecture import ARCHITECTURES, BASIC, SMALL, Architecture, blocks, expected_shapes, norms
+from e4dgs.scene.raft.architecture import ARCHITECTURES, BASIC, SMALL, Architecture, blocks, norms
 from e4dgs.scene.raft.correlation import Correlation
 from e4dgs.scene.raft.layers import encode, enlarge, update
 from e4dgs.scene.raft.weights import folded, read_weights, recognise
+from raft_weights import random_state, torchvisions
 from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import functional as F
 
 BOTH = pytest.mark.parametrize("a", [BASIC, SMALL], ids=lambda a: a.name)
-
-
-def random_state(a: Architecture, seed: int = 0) -> dict[str, Tensor]:
-    """Weights that keep activations of order one."""
-    g = torch.Generator().manual_seed(seed)
-    state = {}
-    for name, shape in expected_shapes(a).items():
-        scale = (2 / np.prod(shape[1:])) ** 0.5 if len(shape) > 1 else 0.1
-        value = scale * torch.randn(shape, generator=g)
-        state[name] = 1 + value.abs() if name.endswith(("running_var", "norm1.weight", "norm2.weight")) else value
-    return state
 
 
 def picture(height: int, width: int, seed: int = 0) -> np.ndarray:
@@ -219,33 +209,6 @@ def test_the_file_says_which_network_it_is(a: Architecture, tmp_path: Path) -> N
         found, architecture = read_weights(tmp_path / name)
         assert architecture is ARCHITECTURES[a.name] and found.keys() == state.keys()
         assert all(torch.equal(found[key], state[key]) for key in state)
-
-
-def torchvisions(name: str, small: bool) -> str:
-    """A tensor's name in torchvision: their modules nest convolution and norm in a sequence."""
-    part, _, rest = name.partition(".")
-    if part in ("fnet", "cnet"):
-        rest = (
-            {"conv1": "convnormrelu.0", "norm1": "convnormrelu.1", "conv2": "conv"}.get(rest.rpartition(".")[0], "")
-            + "."
-            + rest.split(".")[-1]
-            if (rest.count(".") == 1)
-            else rest
-        )
-        pieces = rest.split(".")
-        if pieces[0].startswith("layer") and pieces[2][:4] in ("conv", "norm"):
-            pieces[2] = f"convnormrelu{pieces[2][4:]}.{0 if pieces[2][:4] == 'conv' else 1}"
-        return {"fnet": "feature_encoder", "cnet": "context_encoder"}[part] + "." + ".".join(pieces)
-    if rest.startswith("encoder.conv"):
-        kind, _, parameter = rest.removeprefix("encoder.").partition(".")
-        kind = kind.replace("convc", "convcorr").replace("convf", "convflow") if kind != "conv" else kind
-        return f"update_block.motion_encoder.{kind}.0.{parameter}"
-    if rest.startswith("gru."):
-        gate, parameter = rest.split(".")[1:]
-        return f"update_block.recurrent_block.convgru{'1' if small else gate[-1]}.{gate if small else gate[:-1]}.{parameter}"
-    if rest.startswith("mask."):
-        return "mask_predictor." + rest.replace("mask.0", "convrelu.0").replace("mask.2", "conv")
-    return name
 
 
 @BOTH

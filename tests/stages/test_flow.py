@@ -1,19 +1,24 @@
 """Measured flow against exact flow, its confidence, edge weights, masks of what moves, and that held-out frames are never read."""
 
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
-from e4dgs.pipeline import Artifact, ArtifactWriter
+from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
 from e4dgs.scene.edges import edge_weights
+from e4dgs.scene.raft.architecture import SMALL
 from e4dgs.stages.flow import Flow, FlowSettings, choose_pairs
+from e4dgs.stages.flow_method import Dis, FlowMethod
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from e4dgs.stages.frameset import FrameSet
 from e4dgs.stages.motion_mask import MotionMask, motion_mask
-from e4dgs.stages.optical_flow import consistency, dis_flow, flow_pair
+from e4dgs.stages.optical_flow import FlowPair, consistency, dis_flow, flow_pair
 from factory import Options, make, optical_flow, render, write_n3v
+from raft_weights import random_state, torchvisions
+from safetensors.torch import save_file
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 BASE = {"static": False, "pairs": 10, "width": 64, "height": 48, "frames": 11}
@@ -30,9 +35,10 @@ class Progress:
         pass
 
 
-def run(capture_path, folder: Path, **settings) -> tuple[Artifact, FrameSet]:
+def run(capture_path, folder: Path, holdout: int = 8, **settings) -> tuple[Artifact, FrameSet]:
     """`frames`, then `flow`."""
-    capture = recognise_for(capture_path, FramesSettings())
+    capture = recognise_for(capture_path, FramesSettings(holdout=holdout))
+    said: list[str] = []
 
     def context(stage: str, options, inputs):
         (folder / stage).mkdir(parents=True)
@@ -42,11 +48,12 @@ def run(capture_path, folder: Path, **settings) -> tuple[Artifact, FrameSet]:
             settings=options,
             inputs=inputs,
             out=ArtifactWriter(folder / stage),
-            log=lambda text: None,
+            log=said.append,
+            device="cpu",
             progress=lambda total, label: Progress(),
         )
 
-    first = context("frames", FramesSettings(), {})
+    first = context("frames", FramesSettings(holdout=holdout), {})
     Frames().run(first)
     first.out.finish({})
     frames = Artifact(folder / "frames")
@@ -54,6 +61,11 @@ def run(capture_path, folder: Path, **settings) -> tuple[Artifact, FrameSet]:
     Flow().run(second)
     second.out.finish({})
     return Artifact(folder / "flow"), FrameSet(frames, capture.root)
+
+
+def both_ways(first: np.ndarray, second: np.ndarray, method: FlowMethod | None = None) -> FlowPair:
+    method = method or Dis()
+    return flow_pair(method, method.prepare(first), method.prepare(second))
 
 
 def pattern(height: int = 96, width: int = 128, seed: int = 0) -> np.ndarray:
@@ -79,7 +91,7 @@ def test_the_plan_says_whether_and_why(facts, needed, words):
 def test_flow_of_a_shift_has_its_sign_size_and_confidence():
     image = pattern()
     moved = np.roll(image, (2, 3), (0, 1))  # content moves 3 px right and 2 px down
-    pair = flow_pair(image, moved)
+    pair = both_ways(image, moved)
     inner = np.s_[16:-16, 16:-16]
     assert np.abs(pair.forward[inner] - [3, 2]).mean() < 0.1
     assert np.abs(pair.backward[inner] + [3, 2]).mean() < 0.1
@@ -108,7 +120,7 @@ def test_smaller_working_size_gives_flow_in_full_pixels():
 def test_small_pictures_have_a_finite_answer(size):
     rng = np.random.default_rng(0)
     first, second = (rng.integers(0, 256, (*size, 3), dtype=np.uint8) for _ in range(2))
-    pair = flow_pair(first, second)
+    pair = both_ways(first, second)
     assert pair.forward.shape == (*size, 2) and np.isfinite(pair.forward).all() and np.isfinite(pair.backward).all()
     assert pair.confidence.shape == size and pair.confidence.dtype == np.uint8
 
@@ -127,9 +139,9 @@ def test_flow_does_not_depend_on_threads():
 
 
 def test_pictures_of_other_types_and_sizes_are_refused():
-    with pytest.raises(ValueError, match=r"first: expected uint8 \[H, W, 3\]"):
+    with pytest.raises(ValueError, match=r"picture: expected uint8 \[H, W, 3\]"):
         dis_flow(np.zeros((8, 8, 3)), np.zeros((8, 8, 3)))
-    with pytest.raises(ValueError, match="differ in shape"):
+    with pytest.raises(ValueError, match="differ in size"):
         dis_flow(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 9, 3), np.uint8))
 
 
@@ -142,7 +154,7 @@ def test_end_point_error_on_rubberwhale():
     width, height = np.frombuffer(data[4:12], np.int32)
     truth = np.frombuffer(data[12:], np.float32).reshape(height, width, 2)
     known = (np.abs(truth) < 1e8).all(-1)
-    pair = flow_pair(first, second)
+    pair = both_ways(first, second)
     error = np.linalg.norm(pair.forward - truth, axis=-1)
     assert error[known].mean() < 0.235  # OpenCV's DIS is known to reach 0.224
     trusted = known & (pair.confidence == 255)
@@ -179,10 +191,65 @@ def test_flow_of_a_fixed_rig_agrees_with_exact_flow(slow_capture, tmp_path):
 def test_edges_cover_training_frames_only(n3v_capture, tmp_path):
     flow, frames = run(n3v_capture.root, tmp_path, max_pairs=2)
     edges = flow.read("edges")
-    train = int(frames.train[3])
-    assert np.array_equal(edges[train], edge_weights(frames.composited(train)))
+    paired = {int(i) for i in flow.read("pair").ravel()}
+    alone = next(int(i) for i in frames.train if int(i) not in paired)
+    assert np.array_equal(edges[alone], edge_weights(frames.composited(alone)))
+    assert all(edges[i].max() > 128 for i in paired)
     assert edges[frames.split == 2].max() == 0
     assert flow.array("forward").shape == (2, frames.height, frames.width, 2)
+
+
+def test_what_does_not_change_is_not_measured(tmp_path, monkeypatch):
+    """Two still frames between moving ones: their flow is zero, everything in it is trusted, and nobody computed it."""
+    rng = np.random.default_rng(3)
+    base = pattern(96, 128)
+    (tmp_path / "images").mkdir()
+    for k, shift in enumerate((0, 3, 3, 6)):
+        image = np.clip(np.roll(base, shift, 1).astype(float) + rng.normal(0, 1, base.shape), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(tmp_path / "images" / f"{k:03d}.png"), image)
+    measured = []
+    original = Dis._flow
+    monkeypatch.setattr(Dis, "_flow", lambda self, a, b: measured.append(1) or original(self, a, b))
+    flow, _ = run(tmp_path / "images", tmp_path / "out", holdout=0)
+    assert len(flow.read("pair")) == 3 and flow.attrs["still_pairs"] == 1 and len(measured) == 4
+    assert not flow.read("forward")[1].any() and not flow.read("backward")[1].any() and (flow.read("confidence")[1] == 255).all()
+    assert np.abs(np.median(flow.read("forward")[[0, 2]], axis=(1, 2)) - [3, 0]).max() < 0.1
+
+
+def test_raft_runs_where_weights_are_given_and_says_so(nerfstudio_capture, tmp_path):
+    weights = tmp_path / "raft.safetensors"
+    save_file(random_state(SMALL), weights)
+    settings = {"weights": weights, "iterations": 2, "max_pairs": 3}
+    flow, frames = run(nerfstudio_capture.root, tmp_path / "a", **settings)
+    assert flow.attrs["method"] == "raft-small" and flow.array("forward").shape == (3, frames.height, frames.width, 2)
+    again, _ = run(nerfstudio_capture.root, tmp_path / "b", **settings)
+    assert np.array_equal(flow.read("forward"), again.read("forward"))
+    facts = {**BASE, "pairs": 3}
+    assert "weights of raft.safetensors" in Flow().applies(facts, FlowSettings(weights=weights)).reason
+    assert "OpenCV's DIS: RAFT, which is more accurate, needs weights" in Flow().applies(facts, FlowSettings()).reason
+
+
+def test_weights_that_do_not_fit_stop_the_stage_with_advice(nerfstudio_capture, tmp_path, monkeypatch):
+    weights = tmp_path / "raft.safetensors"
+    save_file(random_state(SMALL), weights)
+    with pytest.raises(StageError, match=r"holds raft-small, but flow.method is raft"):
+        run(nerfstudio_capture.root, tmp_path / "a", method="raft", weights=weights)
+    weights.write_bytes(weights.read_bytes()[:1000])
+    with pytest.raises(StageError, match=r"flow.weights: .*raft.safetensors: cannot be read"):
+        run(nerfstudio_capture.root, tmp_path / "b", weights=weights)
+    monkeypatch.setitem(sys.modules, "torchvision.models", None)
+    with pytest.raises(StageError, match=r"torchvision cannot be imported .*flow.method=dis"):
+        run(nerfstudio_capture.root, tmp_path / "c", method="raft")
+
+
+def test_torchvisions_weights_serve_where_no_file_is_given(nerfstudio_capture, tmp_path, monkeypatch):
+    """Its own loader is stood in for: it fetches from the network."""
+    state = {torchvisions(name, True): value for name, value in random_state(SMALL).items()}
+    default = SimpleNamespace(get_state_dict=lambda progress, check_hash: state if check_hash else None)
+    published = SimpleNamespace(Raft_Small_Weights=SimpleNamespace(DEFAULT=default))
+    monkeypatch.setitem(sys.modules, "torchvision.models", SimpleNamespace(optical_flow=published))
+    flow, _ = run(nerfstudio_capture.root, tmp_path, method="raft-small", iterations=1, max_pairs=1)
+    assert flow.attrs["method"] == "raft-small"
 
 
 def test_moving_pixels_of_fixed_cameras_are_found(n3v_capture, tmp_path):

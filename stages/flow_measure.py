@@ -1,0 +1,153 @@
+"""The work of stage `flow`: one pass over each camera's frames, in which each picture is looked at once."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from typing import NamedTuple
+
+import numpy as np
+
+from ..pipeline import Context
+from .edge_masks import Seen, seen_by, stable_edges
+from .flow_method import FlowMethod, Prepared, open_method
+from .flow_scout import Glance, glance, no_motion, working_size
+from .frameset import FrameSet
+from .motion_mask import MotionMask, sample
+from .optical_flow import FlowPair, consistency, flow_pair
+
+STEPS = 32  # stored flow is a multiple of 1/32 px: a tenth of DIS's error, and the array compresses to a third
+LIMIT = 65504.0  # px, the largest float16
+
+
+class Looked(NamedTuple):
+    """A frame as its pairs need it: edge weights uint8 [H, W], a glance for telling whether anything moved, and what the method wants."""
+
+    edges: np.ndarray
+    glance: Glance | None
+    prepared: Prepared | None
+
+
+class Matched(NamedTuple):
+    """The first frame's edges as the second sees them, the second's as the first sees them, and whether nothing moved between them."""
+
+    first: Seen
+    second: Seen
+    still: bool
+
+
+def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int]) -> dict[int, np.ndarray]:
+    """Fills `forward`, `backward`, `confidence` for the pairs that begin at ``wanted``, and `edges`; attrs `method`, `still_pairs` and
+    `working_size`.
+
+    cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras by their number.
+    """
+    from ..scene.edges import edge_weights
+
+    height, width, count = frames.height, frames.width, len(wanted)
+    number = {first: p for p, first in enumerate(wanted)}
+    shape, chunk = (count, height, width, 2), (1, height, width, 2)
+    forward = ctx.out.create("forward", shape, "float16", chunk, unit="px", doc="flow to the second frame, u right, v down")
+    backward = ctx.out.create("backward", shape, "float16", chunk, unit="px", doc="flow from the second frame to the first")
+    confidence = ctx.out.create(
+        "confidence", shape[:3], "uint8", chunk[:3], doc="255 = consistent forward and backward and not hidden, in the first frame"
+    )
+    edges = ctx.out.create("edges", (len(frames), height, width), "uint8", (1, height, width), doc="255 = edge; 0 outside training frames")
+    method = _method(ctx, frames, wanted)
+
+    def look(moving: MotionMask | None, picture: np.ndarray, paired: bool) -> Looked:
+        if moving is not None:
+            moving.add(picture)
+        return Looked(edge_weights(picture), *((glance(picture), method.prepare(picture)) if method and paired else (None, None)))
+
+    def match(p: int, first: Future[Looked], second: Future[Looked]) -> Matched:
+        a, b = first.result(), second.result()
+        assert method and a.prepared and b.prepared and a.glance is not None and b.glance is not None
+        still = no_motion(a.glance, b.glance)
+        pair = _rest(height, width) if still else flow_pair(method, a.prepared, b.prepared)
+        forward[p], backward[p], confidence[p] = _stored(pair.forward), _stored(pair.backward), pair.confidence
+        back = consistency(pair.backward, pair.forward)
+        return Matched(seen_by(b.edges, pair.forward, pair.confidence), seen_by(a.edges, pair.backward, back), still)
+
+    def finish(i: int, own: Future[Looked], before: Future[Matched] | None, after: Future[Matched] | None) -> bool:
+        seen = ([before.result().second] if before else []) + ([after.result().first] if after else [])
+        edges[i] = stable_edges(own.result().edges, seen)
+        return after is not None and after.result().still
+
+    trained = {i for mine in cameras.values() for i in mine}
+    for i in range(len(frames)):
+        if i not in trained:
+            edges[i] = 0
+    masks: dict[int, np.ndarray] = {}
+    still_pairs = 0
+    with ctx.progress(len(trained), f"{count} pairs, {ctx.out.attrs['method']}") as bar, _pool(method) as pool:
+        for camera, mine in cameras.items():
+            moving = None
+            if ctx.facts.get("fixed_cameras") and len(mine) > 1:
+                moving = MotionMask(list(pool.map(frames.composited, sample(mine))))
+            busy = deque[Future[bool]]()
+            own: Future[Looked] | None = None
+            before: Future[Matched] | None = None  # the pair that ends at the frame before
+            for k, i in enumerate(mine):
+                # What a job waits for was handed to the pool before it, so that it never waits for one behind it.
+                last, joined = own, k > 0 and mine[k - 1] in number and int(frames.next[mine[k - 1]]) == i
+                own = pool.submit(look, moving, frames.composited(i), joined or i in number)
+                if last is not None:
+                    after = pool.submit(match, number[mine[k - 1]], last, own) if joined else None
+                    busy.append(pool.submit(finish, mine[k - 1], last, before, after))
+                    before = after
+                if len(busy) > 2 * _threads():  # bounds the pictures in memory
+                    still_pairs += busy.popleft().result()
+                bar.advance(1, frames.names[i])
+            if own is not None:
+                busy.append(pool.submit(finish, mine[-1], own, before, None))
+            still_pairs += sum(future.result() for future in busy)
+            if moving is not None:
+                masks[camera] = moving.mask(ctx.settings.grow)
+    ctx.out.attrs["still_pairs"] = still_pairs
+    if still_pairs:
+        ctx.log(f"nothing moves between the frames of {still_pairs} of {count} pairs: their flow is zero and was not measured")
+    return masks
+
+
+def _method(ctx: Context, frames: FrameSet, wanted: Sequence[int]) -> FlowMethod | None:
+    """The method at the size that the capture's motion needs; None without pairs."""
+    if not wanted:
+        ctx.out.attrs["method"] = "none"
+        return None
+    size, motion = working_size(frames, wanted, ctx.settings.max_size)
+    if size < min(max(frames.width, frames.height), ctx.settings.max_size or 1 << 30):
+        ctx.log(f"motion of {motion:.1f} px at most: flow is measured at {size} px, the longest side")
+    method = open_method(ctx.settings, ctx.device, size)
+    ctx.out.attrs["method"], ctx.out.attrs["working_size"] = method.name, size
+    return method
+
+
+def _rest(height: int, width: int) -> FlowPair:
+    zero = np.zeros((height, width, 2), np.float32)
+    return FlowPair(zero, zero, np.full((height, width), 255, np.uint8))
+
+
+def _threads() -> int:
+    return min(8, os.cpu_count() or 1)
+
+
+@contextmanager
+def _pool(method: FlowMethod | None) -> Iterator[ThreadPoolExecutor]:
+    """Frames run side by side here; threads inside each picture would cost half again as much processor time."""
+    import cv2
+
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with method.one_thread_each() if method else nullcontext(), ThreadPoolExecutor(_threads()) as pool:
+            yield pool
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _stored(flow: np.ndarray) -> np.ndarray:
+    return (np.rint(np.clip(flow, -LIMIT, LIMIT) * STEPS) / STEPS).astype(np.float16)

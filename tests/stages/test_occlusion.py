@@ -1,0 +1,75 @@
+"""What the second picture hides, against exact truth, and cameras that move without hiding anything."""
+
+import cv2
+import numpy as np
+import pytest
+from e4dgs.stages.flow_method import Dis
+from e4dgs.stages.optical_flow import flow_pair, occluded
+from factory import Box, Camera, Cells, Motion, Object, Scene, Sphere, look_at, optical_flow, render, to_uint8
+from factory.camera import intrinsics
+
+WIDTH, HEIGHT = 240, 180
+
+
+def sliding(speed: float = 0.6) -> Scene:
+    """A box and a ball that slide before a wall, all of fine texture."""
+    wall = Object("wall", Box((6.0, 0.2, 5.0)), Cells(0.35, 1), Motion((0.0, 3.0, 0.0)))
+    box = Object("box", Box((0.7, 0.3, 0.6)), Cells(0.2, 2), Motion((-0.7, 0.0, 0.0), (speed, 0.0, 0.1)))
+    ball = Object("ball", Sphere(0.6), Cells(0.2, 3), Motion((1.0, -0.5, 0.4), (-0.5 * speed, 0.0, -0.3 * speed)))
+    return Scene((wall, box, ball))
+
+
+def camera(x: float = 0.0, back: float = 0.0) -> Camera:
+    eye, ahead = np.array([x, -5.0 - back, 0.2]), np.array([x, -back, 0.0])
+    return Camera(intrinsics(WIDTH, HEIGHT, 55.0), look_at(eye, ahead), WIDTH, HEIGHT)
+
+
+def agreement(found: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    """Precision and recall."""
+    both = float((found & truth).sum())
+    return both / max(found.sum(), 1), both / max(truth.sum(), 1)
+
+
+@pytest.mark.parametrize("back", [0.0, 2.5], ids=["camera slides", "camera moves far back"])
+def test_exact_flow_tells_what_is_hidden(back: float) -> None:
+    first, second = camera(), camera(0.15, back)
+    forward = optical_flow(sliding(), first, 0.0, 0.5, second)
+    backward = optical_flow(sliding(), second, 0.5, 0.0, first)
+    truth = ~forward.visible
+    assert 0.02 < truth.mean() < 0.2
+    precision, recall = agreement(occluded(forward.flow.astype(np.float32), backward.flow.astype(np.float32)), truth)
+    assert precision > 0.8 and recall > 0.8, (precision, recall)
+
+
+def test_measured_flow_tells_most_of_it() -> None:
+    """DIS is what limits it: it bleeds over outlines by a few pixels."""
+    first, second = camera(), camera(0.15)
+    method = Dis()
+    pictures = [to_uint8(render(sliding(), view, time, samples=3).image[..., :3]) for view, time in ((first, 0.0), (second, 0.25))]
+    pair = flow_pair(method, *(method.prepare(picture) for picture in pictures))
+    truth = ~optical_flow(sliding(), first, 0.0, 0.25, second).visible
+    found = occluded(pair.forward, pair.backward)
+    precision, recall = agreement(found, truth)
+    assert precision > 0.45 and recall > 0.55, (precision, recall)
+    assert not pair.confidence[found].any() and (pair.confidence[~truth] > 0).mean() > 0.85
+
+
+@pytest.mark.parametrize("factor", [0.6, 0.9, 1.1, 1.7])
+def test_a_picture_that_shrinks_or_grows_hides_nothing_but_what_leaves_it(factor: float) -> None:
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+    from_middle = np.stack([x - (WIDTH - 1) / 2, y - (HEIGHT - 1) / 2], -1)
+    found = occluded((factor - 1) * from_middle, (1 / factor - 1) * from_middle)
+    half = np.array([WIDTH - 1, HEIGHT - 1]) / 2
+    stays = (np.abs(factor * from_middle) <= half).all(-1)
+    assert found[~stays].all()
+    well_inside = cv2.erode(stays.astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=1).astype(bool)
+    assert not found[well_inside].any()
+
+
+def test_flow_that_is_not_finite_or_far_outside_has_an_answer() -> None:
+    forward = np.zeros((6, 9, 2), np.float32)
+    backward = np.full((6, 9, 2), np.nan, np.float32)
+    backward[0], backward[1] = 1e30, -np.inf
+    assert occluded(forward, backward).shape == (6, 9)
+    assert occluded(np.full((6, 9, 2), 1e9, np.float32), forward).all() and not occluded(forward[:1, :1], forward[:1, :1]).any()
+    assert not occluded(forward, forward).any()
