@@ -46,6 +46,11 @@ def blocks(a: Architecture) -> list[tuple[str, int, int, int]]:
     return found
 
 
+def passes(a: Architecture) -> tuple[str, ...]:
+    """Names of the recurrent unit's passes: the basic one runs along rows, then along columns."""
+    return ("",) if a.small else ("1", "2")
+
+
 def _convolutions(a: Architecture) -> dict[str, tuple[int, int, int, int]]:
     """Weight shape [out, in, height, width] of every convolution by its name in the published files."""
     shapes: dict[str, tuple[int, int, int, int]] = {}
@@ -84,7 +89,7 @@ def _convolutions(a: Architecture) -> dict[str, tuple[int, int, int, int]]:
             f"{at}.mask.0": (256, a.state, 3, 3),
             f"{at}.mask.2": (STRIDE * STRIDE * 9, 256, 1, 1),
         }
-        shapes |= {f"{at}.gru.conv{gate}{k}": (a.state, joined, *size) for gate in "zrq" for k, size in ((1, (1, 5)), (2, (5, 1)))}
+        shapes |= {f"{at}.gru.conv{gate}{k}": (a.state, joined, *size) for gate in "zrq" for k, size in (("1", (1, 5)), ("2", (5, 1)))}
     shapes[f"{at}.flow_head.conv1"] = (128 if a.small else 256, a.state, 3, 3)
     shapes[f"{at}.flow_head.conv2"] = (2, 128 if a.small else 256, 3, 3)
     return shapes

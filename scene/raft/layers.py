@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from .architecture import Architecture, blocks
+from .architecture import Architecture, blocks, passes
 
 State = Mapping[str, Tensor]
 
@@ -16,7 +16,7 @@ State = Mapping[str, Tensor]
 def convolution(state: State, name: str, x: Tensor, stride: int = 1) -> Tensor:
     """x [B, C, H, W] by the weights of that name, padded by half the kernel."""
     weight = state[f"{name}.weight"]
-    return F.conv2d(x, weight, state[f"{name}.bias"], stride=stride, padding=(weight.shape[2] // 2, weight.shape[3] // 2))
+    return F.conv2d(x, weight, state.get(f"{name}.bias"), stride=stride, padding=(weight.shape[2] // 2, weight.shape[3] // 2))
 
 
 def encode(state: State, encoder: str, a: Architecture, x: Tensor) -> Tensor:
@@ -43,8 +43,16 @@ def encode(state: State, encoder: str, a: Architecture, x: Tensor) -> Tensor:
     return convolution(state, f"{encoder}.conv2", x)
 
 
-def update(state: State, a: Architecture, hidden: Tensor, context: Tensor, correlation: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
-    """One step of the recurrent unit, all [B, C, h, w]: the new hidden state, and what to add to the flow [B, 2, h, w] (in features)."""
+def context_terms(state: State, a: Architecture, context: Tensor) -> list[Tensor]:
+    """What the context [B, C, h, w] adds to z, r and q of each pass, [B, 3 state, h, w]: the same at every step, so computed once."""
+    return [convolution(state, f"gru.context{k}", context) for k in passes(a)]
+
+
+def update(state: State, a: Architecture, hidden: Tensor, terms: list[Tensor], correlation: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
+    """One step of the recurrent unit, all [B, C, h, w]: the new hidden state, and what to add to the flow [B, 2, h, w] (in features).
+
+    terms: of `context_terms`. state: as `weights.folded` gives it.
+    """
     at = "update_block.encoder"
     matched = convolution(state, f"{at}.convc1", correlation).relu_()
     if not a.small:
@@ -52,13 +60,11 @@ def update(state: State, a: Architecture, hidden: Tensor, context: Tensor, corre
     moved = convolution(state, f"{at}.convf1", flow).relu_()
     moved = convolution(state, f"{at}.convf2", moved).relu_()
     motion = convolution(state, f"{at}.conv", torch.cat([matched, moved], 1)).relu_()
-    inputs = torch.cat([context, motion, flow], 1)
-    for k in ("",) if a.small else ("1", "2"):  # the basic one runs along rows, then along columns
-        both = torch.cat([hidden, inputs], 1)
-        z = convolution(state, f"update_block.gru.convz{k}", both).sigmoid_()
-        r = convolution(state, f"update_block.gru.convr{k}", both).sigmoid_()
-        q = convolution(state, f"update_block.gru.convq{k}", torch.cat([r.mul_(hidden), inputs], 1)).tanh_()
-        hidden = hidden + z * (q - hidden)
+    for k, term in zip(passes(a), terms):
+        gates = convolution(state, f"gru.gates{k}", torch.cat([hidden, motion, flow], 1))
+        z, r = gates.add_(term[:, : 2 * a.state]).sigmoid_().chunk(2, 1)
+        q = convolution(state, f"gru.state{k}", torch.cat([r * hidden, motion, flow], 1)).add_(term[:, 2 * a.state :]).tanh_()
+        hidden = torch.lerp(hidden, q, z)
     step = convolution(state, "update_block.flow_head.conv1", hidden).relu_()
     return hidden, convolution(state, "update_block.flow_head.conv2", step)
 

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from .architecture import LEVELS, STRIDE, Architecture
 from .correlation import Correlation
-from .layers import encode, enlarge, update
+from .layers import context_terms, encode, enlarge, update
 from .weights import folded, read_weights
 
 MINIMUM_SIDE = STRIDE * 2 ** (LEVELS - 1)  # px; smaller pictures are padded to it
@@ -81,10 +81,11 @@ class Raft:
         y, x = torch.meshgrid(torch.arange(h, device=self.device), torch.arange(w, device=self.device), indexing="ij")
         here = torch.stack([x, y])[None].float()
         flow, hidden, steps = torch.zeros_like(here), first.hidden, 0
+        terms = context_terms(self._state, a, first.context)
         while steps < iterations:
             steps += 1
             found = correlation(here + flow)
-            hidden, change = update(self._state, a, hidden, first.context, found, flow.to(self.dtype))
+            hidden, change = update(self._state, a, hidden, terms, found, flow.to(self.dtype))
             flow = flow + change.float()
             if tolerance > 0 and STRIDE * float(change.float().square().sum(1).mean().sqrt()) < tolerance:
                 break

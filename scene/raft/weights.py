@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from .architecture import BASIC, SMALL, Architecture, expected_shapes, norms
+from .architecture import BASIC, SMALL, Architecture, expected_shapes, norms, passes
 
 LARGEST_FILE = 256 << 20  # bytes; the basic network has 21 MB
 EPSILON = 1e-5  # of the batch norms, as they were trained
@@ -95,11 +95,26 @@ def recognise(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], Archite
     return {name: named[name].detach().float() for name in expected}, architecture
 
 
+def _of_norm(name: str) -> bool:
+    return ".norm" in name or ".downsample.1." in name
+
+
 def folded(state: Mapping[str, Tensor], architecture: Architecture) -> dict[str, Tensor]:
-    """Weights and biases of convolutions alone: each batch norm, fixed after training, taken into the convolution before it."""
-    found = {name: value for name, value in state.items() if ".conv" in name or ".downsample.0." in name or ".mask." in name}
+    """What the network computes with. Each batch norm, fixed after training, is taken into the convolution before it.
+
+    The recurrent unit's convolutions are joined by what they read: "gru.gates" holds z and r, "gru.state" q, of the hidden state and the
+    motion; "gru.context" has the part of all three that reads the context, with their biases.
+    """
+    found = {name: value for name, value in state.items() if not name.startswith("update_block.gru.") and not _of_norm(name)}
     for norm, convolution in norms(architecture).items():
         scale = state[f"{norm}.weight"] / (state[f"{norm}.running_var"] + EPSILON).sqrt()
         found[f"{convolution}.weight"] = state[f"{convolution}.weight"] * scale[:, None, None, None]
         found[f"{convolution}.bias"] = (state[f"{convolution}.bias"] - state[f"{norm}.running_mean"]) * scale + state[f"{norm}.bias"]
+    begin, end = architecture.state, architecture.state + architecture.context  # inputs: hidden state, context, motion
+    for k in passes(architecture):
+        z, r, q = (state[f"update_block.gru.conv{gate}{k}.weight"] for gate in "zrq")
+        others = [torch.cat([weight[:, :begin], weight[:, end:]], 1) for weight in (z, r, q)]
+        found[f"gru.gates{k}.weight"], found[f"gru.state{k}.weight"] = torch.cat(others[:2]), others[2]
+        found[f"gru.context{k}.weight"] = torch.cat([weight[:, begin:end] for weight in (z, r, q)])
+        found[f"gru.context{k}.bias"] = torch.cat([state[f"update_block.gru.conv{gate}{k}.bias"] for gate in "zrq"])
     return found

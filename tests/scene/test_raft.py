@@ -9,7 +9,7 @@ import torch
 from e4dgs.scene.raft import Raft
 from e4dgs.scene.raft.architecture import ARCHITECTURES, BASIC, SMALL, Architecture, blocks, norms
 from e4dgs.scene.raft.correlation import Correlation
-from e4dgs.scene.raft.layers import encode, enlarge, update
+from e4dgs.scene.raft.layers import context_terms, encode, enlarge, update
 from e4dgs.scene.raft.weights import folded, read_weights, recognise
 from raft_weights import random_state, torchvisions
 from safetensors.torch import save_file
@@ -141,7 +141,8 @@ def test_one_update_is_a_gated_recurrent_unit(a: Architecture) -> None:
         expected = (1 - z) * expected + z * q
     change = conv("flow_head.conv2", conv("flow_head.conv1", expected).relu())
     kept = hidden.clone(), context.clone(), correlation.clone(), flow.clone()
-    found = update(state, a, hidden, context, correlation, flow)
+    ready = folded(state, a)
+    found = update(ready, a, hidden, context_terms(ready, a, context), correlation, flow)
     assert torch.allclose(found[0], expected, atol=1e-12) and torch.allclose(found[1], change, atol=1e-12)
     assert all(torch.equal(x, y) for x, y in zip(kept, (hidden, context, correlation, flow))), "an input was written to"
 
