@@ -16,7 +16,8 @@ from .stage import Stage
 
 @dataclass(frozen=True)
 class Row:
-    """A stage in the plan. ``key`` and ``parts`` are unknown (None) while an input has still to be made."""
+    """A stage in the plan. ``reason`` says why it is in its state, ``task`` what it does for this capture ("" for rows that are skipped).
+    ``key`` and ``parts`` are unknown (None) while an input has still to be made."""
 
     stage: str
     state: Literal["cached", "run", "skip"]
@@ -25,9 +26,11 @@ class Row:
     key: str | None = None
     parts: Mapping[str, Any] | None = None
     artifact: Artifact | None = None  # of a cached row
+    task: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        return {"stage": self.stage, "state": self.state, "reason": self.reason, "estimate_seconds": self.estimate, "key": self.key}
+        shown = {"stage": self.stage, "state": self.state, "reason": self.reason, "task": self.task}
+        return shown | {"estimate_seconds": self.estimate, "key": self.key}
 
 
 def make_plan(job: Job, targets: Iterable[str] | None = None, force: Collection[str] = ()) -> list[Row]:
@@ -60,13 +63,13 @@ def assess(job: Job, stage: Stage, inputs: Mapping[str, str | None], forced: boo
         try:
             artifact = job.store.open(stage.name, key)
             if not forced:
-                return Row(stage.name, "cached", _cached_reason(job, stage, key), None, key, parts, artifact)
+                return Row(stage.name, "cached", _cached_reason(job, stage, key), None, key, parts, artifact, applies.reason)
         except ArtifactError as error:
             damage = str(error)
     reason = "forced" if forced else f"damaged: {damage}" if damage else _run_reason(job, stage, parts, key)
     if not forced and _has_entries(job, stage, key):
         reason += "; continues from a checkpoint"
-    return Row(stage.name, "run", reason, estimate, key, parts)
+    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason)
 
 
 def _digest(row: Row) -> str | None:
@@ -97,7 +100,9 @@ def _unknown(job: Job, stage: Stage, waiting: list[Row]) -> Row:
         known = {**job.parts(stage, dict.fromkeys(stage.inputs)), "inputs": record["parts"].get("inputs")}
         own = differences(record["parts"], known)
         reason = "; ".join([*own, reason])
-    return Row(stage.name, "run", reason, stage.estimate(job.capture.facts, job.settings[stage.name]))
+    settings = job.settings[stage.name]
+    task = stage.applies(job.capture.facts, settings).reason
+    return Row(stage.name, "run", reason, stage.estimate(job.capture.facts, settings), task=task)
 
 
 def _has_entries(job: Job, stage: Stage, key: str) -> bool:

@@ -31,13 +31,14 @@ def show_capture(console: Console, session: Session) -> None:
 
 
 def show_plan(console: Console, rows: Sequence[Row]) -> None:
-    """One line a stage: state, reason, estimate."""
+    """One line a stage: state, estimate, what it does and why."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title in ("stage", "state", "estimate", "reason"):
         table.add_column(title, no_wrap=title != "reason", overflow="fold")
     for row in rows:
         estimate = f"about {duration(row.estimate)}" if row.estimate is not None else ""
-        table.add_row(row.stage, f"[{_COLOURS[row.state]}]{row.state}[/]", estimate, escape(row.reason))
+        words = f"{row.task} ({row.reason})" if row.state == "run" and row.task else row.reason
+        table.add_row(row.stage, f"[{_COLOURS[row.state]}]{row.state}[/]", estimate, escape(words))
     console.print(table)
 
 
