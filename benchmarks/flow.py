@@ -189,9 +189,7 @@ def memory(scenes: Path, weights: Path | None) -> Measured:
 def stage(scenes: Path, weights: Path | None) -> Measured:
     """The whole stage on room_mono, and what the plan said before."""
     capture, bars = scenes / "room_mono", {"dis": 15.0, "raft-small": 360.0}
-    found = Measured(
-        "`e4dgs run flow`, 90 frames 480x270, 89 pairs both ways, all threads; seconds of the command, frames cached; plan's estimate beside it"
-    )
+    found = Measured("`e4dgs run flow`, 90 frames 480x270, 89 pairs both ways, all threads; seconds of the command, frames cached")
     for method, bar in bars.items():
         if method != "dis" and weights is None:
             continue
