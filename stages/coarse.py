@@ -76,12 +76,12 @@ class Coarse(Stage):
         torch.manual_seed(settings.seed)
         frames = load_frameset(ctx.inputs, ctx.capture.root)
         views = load_views(frames, ctx.inputs["flow"])
-        static = bool(ctx.facts.get("static"))
+        static = is_static(ctx)
 
         points, colors = load_seeds(ctx, frames, views)
         pixels = views.width * views.height
         smallest = min(1.0, (SMALLEST_PYRAMID_IMAGE / pixels) ** 0.5)
-        nodes = use_nodes(ctx.facts, settings)
+        nodes = not static and use_nodes(ctx.facts, settings)
         if nodes:
             few = max(500, int(GAUSSIANS_PER_PIXEL * pixels * max(smallest, PYRAMID[0][0]) ** 2))
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:few]
@@ -95,7 +95,7 @@ class Coarse(Stage):
             field = make(points[moving] if moving.sum() >= 50 else points, views, settings)
         model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree)
 
-        steps = settings.iterations or auto_iterations(ctx.facts, settings)
+        steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
         if nodes and settings.strategy in ("two-stage", "alternating"):
             phases = pyramid_phases(steps, smallest)
         else:
@@ -117,6 +117,12 @@ class Coarse(Stage):
         ctx.out.attrs["strategy"] = settings.strategy
         ctx.out.attrs["iterations"] = steps
         write_training(ctx.out, model, log)
+
+
+def is_static(ctx: Context) -> bool:
+    """Nothing moves: the user says so, or `flow` has found it."""
+    flow = ctx.inputs["flow"]
+    return bool(ctx.facts.get("static") or (flow is not None and flow.attrs.get("static")))
 
 
 def auto_budget(views: Views) -> int:

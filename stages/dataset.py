@@ -49,8 +49,8 @@ def load_views(frames: FrameSet, flow: Artifact | None) -> Views:
 
 
 def measured_flow(flow: Artifact | None, views: Views):
-    """``frame -> (flow [h, w, 2] px, confidence [h, w] in [0, 1])`` at half resolution, or None where `flow` was skipped."""
-    if flow is None or "pair" not in flow:
+    """``frame -> (flow [h, w, 2] px, confidence [h, w] in [0, 1])`` at half resolution, or None where nothing was measured."""
+    if flow is None or "forward" not in flow:
         return None
     import cv2
     import torch

@@ -43,7 +43,7 @@ class Fine(Stage):
         from ..scene.primitives import ConvexSet
         from ..scene.schedule import fine_phases
         from ..scene.trainer import Trainer
-        from .coarse import auto_budget
+        from .coarse import auto_budget, is_static
         from .dataset import load_frameset, load_views, measured_flow
         from .training_artifact import read_model, required, write_training
 
@@ -59,7 +59,7 @@ class Fine(Stage):
             ctx.log("no convexes: no seed lies on enough edges; Gaussians alone are refined")
 
         strategy = coarse.attrs["strategy"]
-        phases = fine_phases(strategy, coarse.attrs["iterations"], settings.iterations, bool(ctx.facts.get("static")))
+        phases = fine_phases(strategy, coarse.attrs["iterations"], settings.iterations, is_static(ctx))
         with ctx.progress(sum(phase.iterations for phase in phases), "fine") as bar:
             trainer = Trainer(
                 model,

@@ -31,6 +31,9 @@ class FlowSettings(Settings):
     preset: Literal["ultrafast", "fast", "medium"] = Field("medium", description="speed of DIS; medium is the most accurate")
     max_size: int | None = Field(960, ge=64, le=65_536, description="px; flow of larger pictures is computed at this longest side")
     max_pairs: int = Field(400, ge=0, le=1_000_000, description="pairs of frames at most, spread evenly over cameras and times")
+    detect_static: bool = Field(
+        True, description="find out whether anything moves before measuring; nothing is measured where nothing does"
+    )
     grow: int = Field(4, ge=0, le=100, description="px by which the mask of what changes before a fixed camera is widened")
 
 
@@ -81,6 +84,9 @@ class Flow(Stage):
         from .frameset import FrameSet
 
         frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs.get("poses"))  # type: ignore[arg-type]
+        if ctx.settings.detect_static and nothing_moves(ctx, frames):
+            ctx.out.write("pair", np.zeros((0, 2), np.int32), doc="frame and the same camera's next frame")
+            return
         wanted = choose_pairs(frames, ctx.settings.max_pairs)
         cameras = {int(c): _by_time(frames, c) for c in np.unique(frames.camera[frames.train])}
         ctx.out.write(
@@ -94,6 +100,27 @@ class Flow(Stage):
             ctx.out.attrs["moving_cameras"] = list(masks)
             still = 100 * float(np.mean([(mask == 0).mean() for mask in masks.values()]))
             ctx.log(f"{still:.0f} % of the pixels of {len(masks)} fixed cameras never change")
+
+
+def nothing_moves(ctx: Context, frames: FrameSet) -> bool:
+    """Whether the training frames show one that is still; attrs `static`, `static_reason`, `moving_share` say what was found."""
+    from .static_scene import static_scene
+
+    chosen, poses = frames.train, frames.K is not None and frames.cam_from_world is not None
+    with ctx.progress(1, "does anything move?") as bar:
+        found = static_scene(
+            lambda k: frames.composited(int(chosen[k])),
+            frames.camera[chosen],
+            frames.time[chosen],
+            bool(ctx.facts.get("fixed_cameras")),
+            frames.K[chosen] if poses else None,
+            frames.cam_from_world[chosen] if poses else None,
+        )
+        bar.advance(1)
+    ctx.out.attrs.update(static=found.static, static_reason=found.reason, moving_share=round(found.moving_share, 6))
+    if found.static:
+        ctx.log(f"nothing moves: {found.reason}; no flow, no deformation (flow.detect_static=false measures all the same)")
+    return found.static
 
 
 def choose_pairs(frames: FrameSet, limit: int) -> list[int]:

@@ -61,6 +61,9 @@ def flow(
 
     console = Console()
     fields = FlowFields(artifact)
+    if not fields.pairs:
+        why = artifact.attrs.get("static_reason", "no two training frames of one camera")
+        raise CaptureError(f"{capture}: no flow was measured, so there is none to export: {why}")
     largest = largest or common_largest(fields)
     pictures = FrameSet(frames, session.job.capture.root, found.get("poses"))
     try:

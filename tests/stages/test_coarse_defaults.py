@@ -1,7 +1,9 @@
 """What `coarse` chooses by itself."""
 
+from types import SimpleNamespace
+
 import pytest
-from e4dgs.stages.coarse import ITERATIONS_NODES, CoarseSettings, auto_iterations, use_nodes
+from e4dgs.stages.coarse import ITERATIONS_NODES, CoarseSettings, auto_iterations, is_static, use_nodes
 
 
 @pytest.mark.parametrize(
@@ -36,3 +38,13 @@ def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, 
 )
 def test_nodes_move_captures_of_which_each_frame_is_from_another_side(facts, motion, nodes):
     assert use_nodes(facts, CoarseSettings(motion=motion)) is nodes
+
+
+@pytest.mark.parametrize(
+    ("said", "found", "static"), [(True, None, True), (False, None, False), (False, False, False), (False, True, True)]
+)
+def test_a_scene_is_static_where_the_user_says_so_or_flow_has_found_it(said, found, static):
+    flow = None if found is None else SimpleNamespace(attrs={"static": found})
+    assert is_static(SimpleNamespace(facts={"static": said}, inputs={"flow": flow})) is static
+    old = SimpleNamespace(attrs={"method": "dis-medium"})
+    assert is_static(SimpleNamespace(facts={"static": said}, inputs={"flow": old})) is said

@@ -10,6 +10,7 @@ import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
 from e4dgs.scene.edges import edge_weights
 from e4dgs.scene.raft.architecture import SMALL
+from e4dgs.stages.dataset import measured_flow
 from e4dgs.stages.flow import Flow, FlowSettings, choose_pairs
 from e4dgs.stages.flow_method import Dis, FlowMethod
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
@@ -35,7 +36,7 @@ class Progress:
         pass
 
 
-def run(capture_path, folder: Path, holdout: int = 8, **settings) -> tuple[Artifact, FrameSet]:
+def run(capture_path, folder: Path, holdout: int = 8, detect_static: bool = False, **settings) -> tuple[Artifact, FrameSet]:
     """`frames`, then `flow`."""
     capture = recognise_for(capture_path, FramesSettings(holdout=holdout))
     said: list[str] = []
@@ -57,7 +58,7 @@ def run(capture_path, folder: Path, holdout: int = 8, **settings) -> tuple[Artif
     Frames().run(first)
     first.out.finish({})
     frames = Artifact(folder / "frames")
-    second = context("flow", FlowSettings(**settings), {"frames": frames, "poses": None})
+    second = context("flow", FlowSettings(detect_static=detect_static, **settings), {"frames": frames, "poses": None})
     Flow().run(second)
     second.out.finish({})
     return Artifact(folder / "flow"), FrameSet(frames, capture.root)
@@ -214,6 +215,21 @@ def test_what_does_not_change_is_not_measured(tmp_path, monkeypatch):
     assert len(flow.read("pair")) == 3 and flow.attrs["still_pairs"] == 1 and len(measured) == 4
     assert not flow.read("forward")[1].any() and not flow.read("backward")[1].any() and (flow.read("confidence")[1] == 255).all()
     assert np.abs(np.median(flow.read("forward")[[0, 2]], axis=(1, 2)) - [3, 0]).max() < 0.1
+
+
+def test_a_capture_in_which_nothing_moves_is_told_by_itself(tmp_path):
+    """Two fixed cameras that see noise alone; then something passes one of them."""
+
+    def capture(passes: bool) -> Path:
+        options = Options(backdrop="room", rig="arc", cameras=3, times=5, motion=0.5 if passes else 0.0, width=96, height=72, samples=1)
+        return write_n3v(make(options), tmp_path / f"capture{passes}").root
+
+    still, _ = run(capture(False), tmp_path / "still", detect_static=True)
+    assert still.attrs["static"] and "no pixel of 2 fixed cameras changes" in still.attrs["static_reason"]
+    assert still.read("pair").shape == (0, 2) and "forward" not in still and "moving" not in still
+    assert measured_flow(still, None) is None
+    moving, _ = run(capture(True), tmp_path / "moving", detect_static=True)
+    assert not moving.attrs["static"] and moving.attrs["moving_share"] > 0 and len(moving.read("pair")) > 0
 
 
 def test_raft_runs_where_weights_are_given_and_says_so(nerfstudio_capture, tmp_path):
