@@ -140,7 +140,7 @@ def room(scenes: Path, weights: Path | None) -> Measured:
                     f"{label}, {name}", "full" if size is None else "half", *(f"{e:.3f}" for e in means),
                     f"{both / positive:.2f}", f"{both / hidden:.2f}", f"{best:.2f}",
                 ))  # fmt: skip
-                found.numbers["/".join(table[-1][:2])] = [*means, both / positive, both / hidden, best]
+                found.numbers["/".join(table[-1][:2])] = [float(v) for v in (*means, both / positive, both / hidden, best)]
                 curve.x.append(best)
                 curve.y.append(means[0])
                 print("  ".join(table[-1]), flush=True)
@@ -149,7 +149,7 @@ def room(scenes: Path, weights: Path | None) -> Measured:
     for label in ("dis, medium", "raft-small, 20 updates, stop at 0.05 px", "raft-sintel, 20 updates, stop at 0.05 px"):
         if (values := found.numbers.get(f"{label}/full")) is not None:
             for what, value in zip(("precision", "recall"), values[3:5]):
-                found.checks.append(Check(f"{label}: {what} of what is hidden", value, 0.8, "above", unit=""))
+                found.checks.append(Check(f"{label}: {what} of what is hidden", float(value), 0.8, "above", unit=""))
     return found
 
 

@@ -21,6 +21,7 @@ COMMANDS = {
     "field": "e4dgs bench field --out benchmarks/results/bench_field.json",
     "step": "e4dgs bench step --capture CAPTURE --out benchmarks/results/bench_step.json",
     "rig": "e4dgs bench step --rows split --capture RIG --out benchmarks/results/bench_rig.json",
+    "flow": "python benchmarks/flow.py SCENES --weights DIR --out benchmarks/results/bench_flow.json",
     "knobs": "python benchmarks/knobs.py --out benchmarks/results/bench_knobs.json",
 }
 

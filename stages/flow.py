@@ -61,21 +61,25 @@ class Flow(Stage):
         return Applies.yes(f"{pairs} pairs of neighbouring frames of one camera; {means}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
-        """Two cores, from the processor time of captures of 480x270 and 640x360: seconds a pair and megapixel, both directions; the rest
-        takes 0.16 s a frame and megapixel."""
+        """Two cores, from room_mono (90 frames 480x270, 89 pairs): seconds a pair and megapixel, both directions; the rest takes 0.16 s a
+        frame and megapixel, finding out whether anything moves 1.5 s."""
         from .flow_method import choice, size_within
 
         width, height = int(facts["width"]), int(facts["height"])
         small_width, small_height = size_within(width, height, settings.max_size)
-        each = {"ultrafast": 0.05, "fast": 0.06, "medium": 0.18}[settings.preset]
+        each = {"ultrafast": 0.22, "fast": 0.23, "medium": 0.36}[settings.preset]
         if choice(settings.method, settings.weights)[0] == "raft":
             small = settings.method == "raft-small"
             if settings.weights is not None and settings.weights.is_file():
                 small = settings.weights.stat().st_size < SMALL_WEIGHTS
-            encoding, step = (0.6, 0.33) if small else (2.0, 1.1)
+            encoding, step = (0.9, 0.22) if small else (3.3, 0.5)
             each = encoding + 2 * step * min(settings.iterations, 14 if settings.tolerance else 100)
         pairs = min(int(facts["pairs"]), settings.max_pairs)
-        return 1.0 + each * pairs * small_width * small_height / 1e6 + 0.16 * facts["frames"] * width * height / 1e6
+        return (
+            (2.0 if settings.detect_static else 0.5)
+            + each * pairs * small_width * small_height / 1e6
+            + 0.16 * facts["frames"] * width * height / 1e6
+        )
 
     def run(self, ctx: Context) -> None:
         import numpy as np
@@ -106,15 +110,15 @@ def nothing_moves(ctx: Context, frames: FrameSet) -> bool:
     """Whether the training frames show one that is still; attrs `static`, `static_reason`, `moving_share` say what was found."""
     from .static_scene import static_scene
 
-    chosen, poses = frames.train, frames.K is not None and frames.cam_from_world is not None
+    chosen, K, poses = frames.train, frames.K, frames.cam_from_world
     with ctx.progress(1, "does anything move?") as bar:
         found = static_scene(
             lambda k: frames.composited(int(chosen[k])),
             frames.camera[chosen],
             frames.time[chosen],
             bool(ctx.facts.get("fixed_cameras")),
-            frames.K[chosen] if poses else None,
-            frames.cam_from_world[chosen] if poses else None,
+            None if K is None else K[chosen],
+            None if poses is None else poses[chosen],
         )
         bar.advance(1)
     ctx.out.attrs.update(static=found.static, static_reason=found.reason, moving_share=round(found.moving_share, 6))

@@ -89,6 +89,7 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
             if ctx.facts.get("fixed_cameras") and len(mine) > 1:
                 moving = MotionMask(list(pool.map(frames.composited, sample(mine))))
             busy = deque[Future[bool]]()
+            waiting = deque[tuple[int, Future[Looked], Future[Matched] | None, Future[Matched] | None]]()
             own: Future[Looked] | None = None
             before: Future[Matched] | None = None  # the pair that ends at the frame before
             for k, i in enumerate(mine):
@@ -97,13 +98,16 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
                 own = pool.submit(look, moving, frames.composited(i), joined or i in number)
                 if last is not None:
                     after = pool.submit(match, number[mine[k - 1]], last, own) if joined else None
-                    busy.append(pool.submit(finish, mine[k - 1], last, before, after))
+                    waiting.append((mine[k - 1], last, before, after))
                     before = after
+                if len(waiting) > _threads():  # a frame's last pair is begun before its end is asked for: no thread idles until it is there
+                    busy.append(pool.submit(finish, *waiting.popleft()))
                 if len(busy) > 2 * _threads():  # bounds the pictures in memory
                     still_pairs += busy.popleft().result()
                 bar.advance(1, frames.names[i])
             if own is not None:
-                busy.append(pool.submit(finish, mine[-1], own, before, None))
+                waiting.append((mine[-1], own, before, None))
+            busy.extend(pool.submit(finish, *job) for job in waiting)
             still_pairs += sum(future.result() for future in busy)
             if moving is not None:
                 masks[camera] = moving.mask(ctx.settings.grow)
@@ -143,7 +147,7 @@ def _pool(method: FlowMethod | None) -> Iterator[ThreadPoolExecutor]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with method.one_thread_each() if method else nullcontext(), ThreadPoolExecutor(_threads()) as pool:
+        with method.side_by_side() if method else nullcontext() as begin, ThreadPoolExecutor(_threads(), initializer=begin) as pool:
             yield pool
     finally:
         cv2.setNumThreads(threads)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -61,9 +61,9 @@ class FlowMethod:
         return np.ascontiguousarray(flow, np.float32)
 
     @contextmanager
-    def one_thread_each(self) -> Iterator[None]:
-        """Within, each thread of Python that measures uses one thread of its own."""
-        yield
+    def side_by_side(self) -> Iterator[Callable[[], None]]:
+        """While several threads of Python measure, each alone: yields what each of them calls first."""
+        yield lambda: None
 
     def _prepare(self, picture: np.ndarray) -> Any:
         raise NotImplementedError
@@ -114,13 +114,12 @@ class RaftFlow(FlowMethod):
         return self.network.match(first, second, self.iterations, self.tolerance)[0]
 
     @contextmanager
-    def one_thread_each(self) -> Iterator[None]:
+    def side_by_side(self) -> Iterator[Callable[[], None]]:
         import torch
 
         threads = torch.get_num_threads()
-        torch.set_num_threads(1)  # threads that begin later take it over
         try:
-            yield
+            yield lambda: torch.set_num_threads(1)  # OpenMP's number is each thread's own, MKL's is everyone's
         finally:
             torch.set_num_threads(threads)
 

@@ -82,16 +82,11 @@ def _stretch(flow: np.ndarray) -> np.ndarray:
 
 def _arrivals(backward: np.ndarray) -> np.ndarray:
     """How many pixels of the second picture come from each of the first, float32 [H, W], shared bilinearly."""
-    height, width = backward.shape[:2]
-    x, y = (np.clip(place, -2.0, side + 1.0) for place, side in zip(_places(np.nan_to_num(backward)), (width, height)))
-    x0, y0 = np.floor(x), np.floor(y)
-    fx, fy = x - x0, y - y0
-    stride = width + 6  # a margin of three takes what lands outside
-    first = ((y0.astype(np.int64) + 3) * stride + x0.astype(np.int64) + 3).ravel()
-    total = np.zeros((height + 6) * stride)
-    for step, weight in ((0, (1 - fx) * (1 - fy)), (1, fx * (1 - fy)), (stride, (1 - fx) * fy), (stride + 1, fx * fy)):
-        total += np.bincount(first + step, weight.ravel(), len(total))
-    return total.reshape(height + 6, stride)[3:-3, 3:-3].astype(np.float32)
+    from ..scene import _kernels  # type: ignore[attr-defined]
+
+    out = np.empty(backward.shape[:2], np.float32)
+    _kernels.arrivals(np.ascontiguousarray(backward, np.float32), out)
+    return out
 
 
 def _places(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

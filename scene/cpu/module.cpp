@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "adam.h"
+#include "arrivals.h"
 #include "correlate.h"
 #include "displacement.h"
 #include "field.h"
@@ -183,6 +184,13 @@ NB_MODULE(_kernels, m) {
         add(space, grad_space, false), add(time, grad_time, true);
         nb::gil_scoped_release release;
         return e4dgs::smoothness(stacks.data(), int(stacks.size()), threads);
+    });
+
+    m.def("arrivals", [](const In& flow, const Out& out) {
+        if (flow.ndim() != 3 || flow.shape(2) != 2 || flow.shape(0) > 65536 || flow.shape(1) > 65536) throw std::invalid_argument("flow must be [H,W,2]");
+        check(out, {flow.shape(0), flow.shape(1)}, "out");
+        nb::gil_scoped_release release;
+        e4dgs::arrivals(flow.data(), int(flow.shape(0)), int(flow.shape(1)), out.data());
     });
 
     m.def("correlate", [](const In& first, const Ins& levels, const In& at, int radius, const Out& out, int threads) {

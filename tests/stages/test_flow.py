@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+import torch
 from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
 from e4dgs.scene.edges import edge_weights
 from e4dgs.scene.raft.architecture import SMALL
@@ -235,9 +236,10 @@ def test_a_capture_in_which_nothing_moves_is_told_by_itself(tmp_path):
 def test_raft_runs_where_weights_are_given_and_says_so(nerfstudio_capture, tmp_path):
     weights = tmp_path / "raft.safetensors"
     save_file(random_state(SMALL), weights)
-    settings = {"weights": weights, "iterations": 2, "max_pairs": 3}
+    settings, threads = {"weights": weights, "iterations": 2, "max_pairs": 3}, torch.get_num_threads()
     flow, frames = run(nerfstudio_capture.root, tmp_path / "a", **settings)
     assert flow.attrs["method"] == "raft-small" and flow.array("forward").shape == (3, frames.height, frames.width, 2)
+    assert torch.get_num_threads() == threads, "RAFT's threads are its own affair"
     again, _ = run(nerfstudio_capture.root, tmp_path / "b", **settings)
     assert np.array_equal(flow.read("forward"), again.read("forward"))
     facts = {**BASE, "pairs": 3}

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from e4dgs.stages.flow_method import Dis
-from e4dgs.stages.optical_flow import flow_pair, occluded
+from e4dgs.stages.optical_flow import _arrivals, flow_pair, occluded
 from factory import Box, Camera, Cells, Motion, Object, Scene, Sphere, look_at, optical_flow, render, to_uint8
 from factory.camera import intrinsics
 
@@ -73,3 +73,21 @@ def test_flow_that_is_not_finite_or_far_outside_has_an_answer() -> None:
     assert occluded(forward, backward).shape == (6, 9)
     assert occluded(np.full((6, 9, 2), 1e9, np.float32), forward).all() and not occluded(forward[:1, :1], forward[:1, :1]).any()
     assert not occluded(forward, forward).any()
+
+
+def test_arrivals_are_shared_by_the_four_pixels_around_where_they_land() -> None:
+    rng = np.random.default_rng(0)
+    flow = rng.uniform(-9, 9, (7, 11, 2)).astype(np.float32)
+    flow[0, :4] = [[0, 0], [np.nan, 1], [1e30, 0], [-np.inf, 0]]
+    flow[6, 10] = [0.5, 0.25]  # half of it leaves the picture to the right, a quarter below
+    expected = np.zeros((7, 11))
+    for j in range(7):
+        for i in range(11):
+            x, y = i + float(flow[j, i, 0]), j + float(flow[j, i, 1])
+            if not (np.isfinite(x) and np.isfinite(y)):
+                continue
+            for to_x in range(11):
+                for to_y in range(7):
+                    expected[to_y, to_x] += max(0, 1 - abs(x - to_x)) * max(0, 1 - abs(y - to_y))
+    np.testing.assert_allclose(_arrivals(flow), expected, atol=1e-5)
+    assert np.array_equal(_arrivals(np.zeros((3, 4, 2), np.float32)), np.ones((3, 4)))
