@@ -144,6 +144,7 @@ def room(scenes: Path, weights: Path | None) -> Measured:
                 curve.x.append(best)
                 curve.y.append(means[0])
                 print("  ".join(table[-1]), flush=True)
+            curve.x, curve.y = map(list, zip(*sorted(zip(curve.x, curve.y))))
             found.curves.append(curve)
     found.table = table
     for label in ("dis, medium", "raft-small, 20 updates, stop at 0.05 px", "raft-sintel, 20 updates, stop at 0.05 px"):

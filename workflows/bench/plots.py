@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 MARKERS = "osD^vP*Xd<>p"
+MOST_INSIDE = 6  # entries of a legend
 DECADES = 1e4  # the least ratio of the ends of an axis of errors
 
 
@@ -55,7 +56,10 @@ def _draw_one(path: Path, curves: list[dict[str, Any]]) -> Path:
     axes.set_xlabel(curves[0]["x_title"])
     axes.set_ylabel(curves[0]["y_title"])
     axes.grid(True, which="both", alpha=0.25)
-    axes.legend(fontsize=8)
+    if len(drawn) > MOST_INSIDE:
+        axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))  # inside it would lie on points
+    else:
+        axes.legend(fontsize=8)
     # Without a date and with a fixed salt the same numbers give the same file.
     with matplotlib.rc_context({"svg.hashsalt": "e4dgs", "svg.fonttype": "none"}):
         figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=150)
