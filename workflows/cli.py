@@ -6,7 +6,6 @@ import json
 import signal
 import sys
 import traceback
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -16,6 +15,7 @@ from ..pipeline import Outcome, PipelineError, Row, Runner, Store, check_targets
 from . import show
 from .bench.cli import app as bench
 from .export import app as export
+from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
 from .reconstruction import EVALUATION, LIBRARIES
 from .session import DEFAULT_WORKSPACE, Options, Session, open_session
 
@@ -28,16 +28,6 @@ app = typer.Typer(
 app.add_typer(bench, name="bench")
 app.add_typer(export, name="export")
 console = Console()
-
-Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, or a folder with poses.")]
-Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
-Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast.")]
-Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
-Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
-Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
-Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
-Format = Annotated[str | None, typer.Option("--format", help="How to read the capture, where files fit two formats.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]
 
 
 @app.command()

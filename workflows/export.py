@@ -10,21 +10,13 @@ import typer
 from rich.console import Console
 
 from ..pipeline import Artifact, ArtifactError, CaptureError, Progress, SettingsError, StageError, make_plan
+from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
 from .session import DEFAULT_WORKSPACE, Options, Session, open_session
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
-Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="The capture, as it was given to `e4dgs run`.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/flow in the workspace by default.")]
 Largest = Annotated[float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; chosen by default.")]
-Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
-Preset = Annotated[str, typer.Option("--preset", help="The preset of the run.")]
-Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of the run; may be repeated.")]
-Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
-Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
-Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
-Format = Annotated[str | None, typer.Option("--format", help="How to read the capture, where files fit two formats.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]
 
 
 @app.command()

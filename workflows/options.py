@@ -1,0 +1,18 @@
+"""The options that every command about a capture takes, so that each is spelled and explained once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, or a folder with poses.")]
+Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
+Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast.")]
+Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
+Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
+Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
+Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
+Format = Annotated[str | None, typer.Option("--format", help="How to read the capture, where files fit two formats.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]
