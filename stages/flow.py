@@ -61,8 +61,8 @@ class Flow(Stage):
         return Applies.yes(f"{pairs} pairs of neighbouring frames of one camera; {means}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
-        """Two cores, from room_mono (90 frames 480x270, 89 pairs): seconds a pair and megapixel, both directions; the rest takes 0.16 s a
-        frame and megapixel, finding out whether anything moves 1.5 s."""
+        """Two cores, seconds a pair and megapixel, both directions: medium and the small network fitted to the stage on 90 frames of
+        480x270, the others to what their pairs take beside these. The rest takes 0.16 s a frame and megapixel."""
         from .flow_method import choice, size_within
 
         width, height = int(facts["width"]), int(facts["height"])

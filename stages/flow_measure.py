@@ -14,7 +14,7 @@ import numpy as np
 from ..pipeline import Context
 from .edge_masks import Seen, seen_by, stable_edges
 from .flow_method import FlowMethod, Prepared, open_method
-from .flow_scout import Glance, glance, no_motion, working_size
+from .flow_scout import glance, no_motion, working_size
 from .frameset import FrameSet
 from .motion_mask import MotionMask, sample
 from .optical_flow import FlowPair, consistency, flow_pair
@@ -27,7 +27,7 @@ class Looked(NamedTuple):
     """A frame as its pairs need it: edge weights uint8 [H, W], a glance for telling whether anything moved, and what the method wants."""
 
     edges: np.ndarray
-    glance: Glance | None
+    glance: np.ndarray | None
     prepared: Prepared | None
 
 

@@ -3,42 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .flow_method import Dis, size_within
-from .motion_mask import FLOOR, SMOOTH
+from .motion_mask import FLOOR, smoothed
 
 if TYPE_CHECKING:
     from .frameset import FrameSet
 
 SAMPLES = 8  # pairs that tell how much moves in a capture
 GLANCE = 320  # px, longest side of the pictures that tell
-LITTLE = 2.0  # px; motion below this is measured to a tenth of a pixel at half the size as well
+LITTLE = 2.0  # px; below it there is little to gain from the full size, and training compares flow at half of it
 ENOUGH = 480  # px, longest side below which nothing is saved by less
 FAST = 99.0  # percentile of the lengths of a pair's flow that counts as its motion
 
 
-class Glance(NamedTuple):
-    """A picture without its noise: float32 [H/2, W/2, 3]."""
-
-    smooth: np.ndarray
-
-
-def glance(picture: np.ndarray) -> Glance:
-    """``picture``: uint8 [H, W, 3]. Half the size and smoothed, as `MotionMask` smooths before it compares."""
+def glance(picture: np.ndarray) -> np.ndarray:
+    """``picture``, uint8 [H, W, 3], without its noise: float32 [H/2, W/2, 3], smoothed as `MotionMask` does before it compares."""
     import cv2
 
     height, width = picture.shape[:2]
-    half = cv2.resize(picture, (max(1, width // 2), max(1, height // 2)), interpolation=cv2.INTER_AREA)
-    return Glance(cv2.GaussianBlur(half.astype(np.float32), (0, 0), SMOOTH, borderType=cv2.BORDER_REPLICATE))
+    return smoothed(cv2.resize(picture, (max(1, width // 2), max(1, height // 2)), interpolation=cv2.INTER_AREA))
 
 
-def no_motion(first: Glance, second: Glance) -> bool:
-    """Whether two pictures are the same but for noise and a shift of brightness: no pixel differs by more than the 5 grey levels from which
-    `MotionMask` takes a pixel to change. With a camera that moves, this is never so."""
-    difference = second.smooth - first.smooth
+def no_motion(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether the pictures of two glances are the same but for noise and a shift of brightness.
+
+    No pixel may differ by more than the 5 grey levels from which `MotionMask` takes a pixel to change. With a camera that moves, this is
+    never so.
+    """
+    difference = second - first
     difference -= np.median(difference.reshape(-1, 3), axis=0)
     return float(np.abs(difference).max()) <= FLOOR
 

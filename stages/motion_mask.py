@@ -27,7 +27,7 @@ class MotionMask:
         """``sampled``: at least one frame, uint8 [H, W, 3], spread over the capture."""
         if not sampled:
             raise ValueError("sampled: expected at least one frame")
-        frames = np.stack([_smooth(frame) for frame in sampled])
+        frames = np.stack([smoothed(frame) for frame in sampled])
         self._background = np.median(frames, axis=0).astype(np.float32)
         self._largest = np.zeros(self._background.shape[:2], np.float32)
         self._inverse_threshold = 1.0 / _threshold(frames, self._background)
@@ -37,7 +37,7 @@ class MotionMask:
         """One frame of the camera, uint8 [H, W, 3]. In any order, from any thread: the result is the same."""
         import cv2
 
-        difference = _smooth(frame) - self._background
+        difference = smoothed(frame) - self._background
         difference -= np.median(difference[::SHIFT_STEP, ::SHIFT_STEP], axis=(0, 1))  # exposure and white balance of the frame
         np.abs(difference, out=difference)
         difference *= self._inverse_threshold
@@ -61,7 +61,8 @@ class MotionMask:
         return np.where(distance <= grow + 1e-3, 255, 0).astype(np.uint8)
 
 
-def _smooth(frame: np.ndarray) -> np.ndarray:
+def smoothed(frame: np.ndarray) -> np.ndarray:
+    """``frame`` [H, W, 3] as float32 with its sensor noise averaged away."""
     import cv2
 
     return cv2.GaussianBlur(frame.astype(np.float32), (0, 0), SMOOTH, borderType=cv2.BORDER_REPLICATE)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .motion_mask import SHIFT_STEP, MotionMask, _smooth
+from .motion_mask import SHIFT_STEP, MotionMask, smoothed
 from .moving_evidence import DECADE, Evidence
 from .moving_objects import moving_mask
 
@@ -22,7 +22,7 @@ class FrameForeground(MotionMask):
         """Difference of one frame, uint8 [H, W, 3], to the background, in thresholds of `MotionMask`; every pixel counts alike."""
         if frame.shape != self._background.shape or frame.dtype != np.uint8:
             raise ValueError(f"frame: expected uint8 {list(self._background.shape)}, got {frame.dtype} {list(frame.shape)}")
-        difference = _smooth(frame) - self._background
+        difference = smoothed(frame) - self._background
         difference -= np.median(difference[::SHIFT_STEP, ::SHIFT_STEP], axis=(0, 1))  # exposure and white balance of the frame
         ratio = (np.abs(difference) * self._inverse_threshold).max(-1)
         score = np.clip(np.log(np.maximum(ratio, 1e-6)) / np.log(DECADE), -1.0, 1.0).astype(np.float32)

@@ -97,7 +97,7 @@ def test_a_far_gaussian_under_a_long_lens() -> None:
 @pytest.mark.parametrize("z", [2.0, 300.0])
 def test_depth_of_one_faint_layer_pulls_at_nothing_but_its_place(instruction_set: str, z: float) -> None:
     """Depth is a mean, over an alpha of 0.02 and less here: of one layer it is that layer's z, whatever its alpha. Taken as a difference
-    of two large terms, a gradient of rounding over alpha would be left: 1e-5 z and more."""
+    of two large terms, a gradient of rounding over alpha would be left."""
     gaussians = Gaussians(
         means=torch.tensor([[0.0, 0.0, z]]),
         quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
