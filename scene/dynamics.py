@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -38,16 +40,14 @@ def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIX
     return int(still.sum())
 
 
-def dynamic_from_masks(points: np.ndarray, views: Views, masks: dict[int, np.ndarray], share: float = 0.3) -> np.ndarray:
-    """Which of ``points`` [P, 3] project onto changing pixels in at least ``share`` of the fixed cameras that see them: [P] bool.
+def dynamic_from_masks(points: np.ndarray, views: Views, looks: Iterable[tuple[int, np.ndarray]], share: float) -> np.ndarray:
+    """Which of ``points`` [P, 3] may move: they project onto what moves in at least ``share`` of the looks that see them. [P] bool.
 
-    masks: camera number -> [H, W] uint8, 255 where the pixel changes over time. A point that no camera sees counts as moving.
+    looks: frame number -> [H, W] uint8, 255 where something moves. A point that no look sees counts as moving.
     """
     seen = np.zeros(len(points))
     moving = np.zeros(len(points))
-    first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}
-    for camera, mask in masks.items():
-        i = first[camera]
+    for i, mask in looks:
         cam = points @ views.cam_from_world[i, :3, :3].T + views.cam_from_world[i, :3, 3]
         z = np.maximum(cam[:, 2], 1e-9)
         x = np.floor(views.K[i, 0, 0] * cam[:, 0] / z + views.K[i, 0, 2])

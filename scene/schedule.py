@@ -30,16 +30,16 @@ class Phase:
     alternation: int = 0
 
 
-def coarse_phases(strategy: Strategy, iterations: int, static: bool, full_from: float = 0.0) -> list[Phase]:
+def coarse_phases(strategy: Strategy, iterations: int, static: bool, full_from: float = 0.0, from_rest: bool = True) -> list[Phase]:
     """Gaussians alone: a static warm-up, then deformation. Images have half their size up to the fraction ``full_from`` of the steps, then
     their full size; ``progressive`` goes from a quarter to a half instead and leaves the full size to `fine`. ``joint`` ends after the
-    warm-up.
+    warm-up. Without ``from_rest`` the motion is known roughly, and there is no warm-up without it.
     """
     first, last = (QUARTER_RESOLUTION, HALF_RESOLUTION) if strategy == "progressive" else (HALF_RESOLUTION, 1.0)
     change = round(iterations * (0.5 if strategy == "progressive" else full_from))
     if static:
         return _split("static", False, 0, iterations, change, first, last)
-    warm_up = round(iterations * WARM_UP)
+    warm_up = round(iterations * WARM_UP) if from_rest or strategy == "joint" else 0
     phases = _split("warm-up", False, 0, warm_up, change, first, last)
     if strategy != "joint":
         phases += _split("deformation", True, warm_up, iterations, change, first, last)

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..scene.views import Views
-    from .frameset import FrameSet
 
 SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
 ITERATIONS = 6000
@@ -41,7 +40,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 4
+    version = 5
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
@@ -66,10 +65,12 @@ class Coarse(Stage):
         import torch
 
         from ..scene.model import Model
+        from ..scene.motion_start import STEPS, follow_tracks
         from ..scene.primitives import ConvexSet, GaussianSet
         from ..scene.schedule import PYRAMID, coarse_phases, pyramid_phases
         from ..scene.trainer import GAUSSIANS_PER_PIXEL, Trainer
         from .dataset import load_frameset, load_views, measured_flow
+        from .seeds import initial_dynamic, load_seeds, tracks_of_movers
         from .training_artifact import write_training
 
         settings = ctx.settings
@@ -86,20 +87,30 @@ class Coarse(Stage):
             few = max(500, int(GAUSSIANS_PER_PIXEL * pixels * max(smallest, PYRAMID[0][0]) ** 2))
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:few]
             points, colors = points[chosen], colors[chosen]
-        gaussians = GaussianSet.from_points(points, colors, settings.sh_degree, max_scale=0.05 * views.viewing_distance(points))
+        unit = views.viewing_distance(points)
+        tracks = None if static or nodes else tracks_of_movers(ctx, views, points)
+        dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, tracks is not None)
+        if tracks is not None:
+            points, colors = np.concatenate([points, tracks.rest]), np.concatenate([colors, tracks.colors])
+            dynamic = np.concatenate([dynamic, np.ones(len(tracks.rest), bool)])
+        gaussians = GaussianSet.from_points(points, colors, settings.sh_degree, max_scale=0.05 * unit)
         field = None
         if not static:
-            gaussians.dynamic = initial_dynamic(ctx, points, views)
-            moving = gaussians.dynamic.numpy()
+            gaussians.dynamic = torch.from_numpy(dynamic)
             make = make_nodes if nodes else make_field
-            field = make(points[moving] if moving.sum() >= 50 else points, views, settings)
+            field = make(points[dynamic] if dynamic.sum() >= 50 else points, views, settings)
+            if tracks is not None:
+                with ctx.progress(STEPS, "tracks") as bar:
+                    error = follow_tracks(field, tracks.rest, tracks.times, tracks.positions, tracks.alive, unit, settings, bar.advance)
+                off = f"{error / unit:.2%} of the viewing distance"
+                ctx.log(f"{len(tracks.rest)} seeds on what moves, followed along the flow; the field begins {off} beside them")
         model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree)
 
         steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
         if nodes and settings.strategy in ("two-stage", "alternating"):
             phases = pyramid_phases(steps, smallest)
         else:
-            phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from)
+            phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from, tracks is None)
         total = sum(phase.iterations for phase in phases)
         with ctx.progress(total, "coarse") as bar:
             trainer = Trainer(
@@ -174,51 +185,3 @@ def make_field(points: np.ndarray, views: Views, settings: TrainingSettings):
     margin = 0.2 * (high - low).max()
     times = len(np.unique(views.time))
     return DeformationField(torch.tensor(low - margin), torch.tensor(high + margin), times, seed=settings.seed)
-
-
-def load_seeds(ctx: Context, frames: FrameSet, views: Views) -> tuple[np.ndarray, np.ndarray]:
-    """Where Gaussians start and their colours in [0, 1]: points of the capture or SfM, else carved silhouettes, else triangulated."""
-    import numpy as np
-
-    from ..scene.seeding import carve, common_volume
-
-    settings = ctx.settings
-    if frames.points is not None and len(frames.points) >= 50:
-        ctx.log(f"seeds: {len(frames.points)} points of the capture or of SfM")
-        return np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
-    if ctx.facts.get("alpha"):
-        chosen = views.train[:: max(1, len(views.train) // 60)]
-        foreground = [frames.image(int(i))[..., 3] > 127 for i in chosen]
-        ctx.log(f"seeds: {settings.seeds} points inside the silhouettes of {len(chosen)} views")
-        return carve(views, foreground, chosen, settings.seeds, settings.seed)
-
-    from .sfm.triangulate import triangulate
-
-    ctx.log("seeds: triangulating points with the known poses")
-    points, colors, _ = triangulate(frames, seed=settings.seed)
-    colors = colors / 255.0
-    if len(points) < settings.seeds // 4:
-        centre, radius = common_volume(views)
-        rng = np.random.default_rng(settings.seed)
-        more = centre + rng.uniform(-radius, radius, (settings.seeds, 3))
-        ctx.log(f"seeds: only {len(points)} triangulated points; {len(more)} more spread over the volume that the cameras share")
-        return np.concatenate([points, more]), np.concatenate([colors, np.full((len(more), 3), 0.5)])
-    ctx.log(f"seeds: {len(points)} triangulated points")
-    return points, colors
-
-
-def initial_dynamic(ctx: Context, points: np.ndarray, views: Views):
-    """[N] bool. Fixed cameras show which pixels ever change; elsewhere everything may move until the field has shown otherwise."""
-    import numpy as np
-    import torch
-
-    from ..scene.dynamics import dynamic_from_masks
-
-    flow = ctx.inputs["flow"]
-    if flow is None or "moving" not in flow:
-        return torch.ones(len(points), dtype=torch.bool)
-    moving = flow.read("moving")
-    masks = {int(camera): moving[k] for k, camera in enumerate(flow.attrs["moving_cameras"])}
-    dynamic = dynamic_from_masks(points, views, masks)
-    ctx.log(f"fixed cameras: {int((~dynamic).sum())} of {len(points)} seeds lie where no camera sees a change and skip the field")
-    return torch.from_numpy(np.asarray(dynamic))

@@ -13,6 +13,7 @@ from .frameset import FrameSet
 if TYPE_CHECKING:
     from ..scene.views import Views
 
+STILL_WEIGHT = 0.1  # of measured flow where nothing moves
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
 
 
@@ -49,7 +50,11 @@ def load_views(frames: FrameSet, flow: Artifact | None) -> Views:
 
 
 def measured_flow(flow: Artifact | None, views: Views):
-    """``frame -> (flow [h, w, 2] px, confidence [h, w] in [0, 1])`` at half resolution, or None where nothing was measured."""
+    """``frame -> (flow [h, w, 2] px, weight [h, w] in [0, 1])`` at half resolution, or None where nothing was measured.
+
+    The weight is the flow's confidence, and a tenth of it where nothing moves: there the cameras alone make the flow, and the little that
+    these pixels can teach, that a primitive before them must not move, would drown what moves.
+    """
     if flow is None or "forward" not in flow:
         return None
     import cv2
@@ -58,6 +63,7 @@ def measured_flow(flow: Artifact | None, views: Views):
     pairs = {int(first): p for p, (first, second) in enumerate(flow.read("pair")) if int(views.next[first]) == int(second)}
     trained = {int(i) for i in views.train}
     forward, confidence = flow.array("forward"), flow.array("confidence")
+    movers = flow.array("movers") if "movers" in flow else None
 
     def of_frame(i: int):
         p = pairs.get(int(i))
@@ -67,6 +73,9 @@ def measured_flow(flow: Artifact | None, views: Views):
         shrink = np.array([size[0] / views.width, size[1] / views.height], np.float32)
         field = cv2.resize(np.asarray(forward[p]).astype(np.float32), size, interpolation=cv2.INTER_AREA) * shrink
         weight = cv2.resize(np.asarray(confidence[p]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+        if movers is not None:
+            moves = cv2.resize(np.asarray(movers[int(i)]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+            weight = weight * (STILL_WEIGHT + (1 - STILL_WEIGHT) * moves)
         return torch.from_numpy(np.ascontiguousarray(field)), torch.from_numpy(weight)
 
     return of_frame

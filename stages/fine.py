@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 4
+    version = 5
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True

@@ -34,6 +34,7 @@ class FlowSettings(Settings):
     detect_static: bool = Field(
         True, description="find out whether anything moves before measuring; nothing is measured where nothing does"
     )
+    movers: bool = Field(True, description="masks of what moves in each frame: flow minus camera motion, or change before a fixed camera")
     grow: int = Field(4, ge=0, le=100, description="px by which the mask of what changes before a fixed camera is widened")
 
 
@@ -41,7 +42,7 @@ class Flow(Stage):
     """Flow forward and backward with its consistency, edge weights, and masks of what moves."""
 
     name = "flow"
-    version = 2
+    version = 3
     inputs = ("frames", "poses")
     settings = FlowSettings
     reads_capture = True

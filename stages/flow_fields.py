@@ -44,6 +44,10 @@ class FlowFields:
         """What changes before a fixed camera, uint8 [H, W]; None where the artifact has no mask of this camera."""
         return self._read("moving", self._mask_of[camera]) if camera in self._mask_of else None
 
+    def movers(self, frame: int) -> np.ndarray | None:
+        """What moves in a training frame, uint8 [H, W]; None where the artifact has no masks of frames."""
+        return self._read("movers", frame) if "movers" in self._flow else None
+
     def _read(self, name: str, k: int) -> np.ndarray:
         array = self._flow.array(name)
         return checked(lambda: np.asarray(array[k]), f"{self._flow.path}: array {name!r}, row {k}")

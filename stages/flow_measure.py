@@ -17,10 +17,12 @@ from .flow_method import FlowMethod, Prepared, open_method
 from .flow_scout import glance, no_motion, working_size
 from .frameset import FrameSet
 from .motion_mask import MotionMask, sample
+from .movers import Movers
 from .optical_flow import FlowPair, consistency, flow_pair
 
 STEPS = 32  # stored flow is a multiple of 1/32 px: a tenth of DIS's error, and the array compresses to a third
 LIMIT = 65504.0  # px, the largest float16
+MOVERS = "255 = shows something that moves in the world; 0 outside training frames"
 
 
 class Looked(NamedTuple):
@@ -40,8 +42,8 @@ class Matched(NamedTuple):
 
 
 def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int]) -> dict[int, np.ndarray]:
-    """Fills `forward`, `backward`, `confidence` for the pairs that begin at ``wanted``, and `edges`; attrs `method`, `still_pairs` and
-    `working_size`.
+    """Fills `forward`, `backward`, `confidence` for the pairs that begin at ``wanted``, `edges` and, where asked for, `movers`; attrs
+    `method`, `still_pairs`, `working_size` and `movers_share`.
 
     cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras by their number.
     """
@@ -56,18 +58,25 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
         "confidence", shape[:3], "uint8", chunk[:3], doc="255 = consistent forward and backward and not hidden, in the first frame"
     )
     edges = ctx.out.create("edges", (len(frames), height, width), "uint8", (1, height, width), doc="255 = edge; 0 outside training frames")
+    movers = None
+    if ctx.settings.movers and wanted:
+        movers = ctx.out.create("movers", (len(frames), height, width), "uint8", (1, height, width), doc=MOVERS)
     method = _method(ctx, frames, wanted)
 
-    def look(moving: MotionMask | None, picture: np.ndarray, paired: bool) -> Looked:
+    def look(moving: MotionMask | None, gathered: Movers | None, k: int, picture: np.ndarray, paired: bool) -> Looked:
         if moving is not None:
             moving.add(picture)
+        if gathered is not None:
+            gathered.add_picture(k, picture)
         return Looked(edge_weights(picture), *((glance(picture), method.prepare(picture)) if method and paired else (None, None)))
 
-    def match(p: int, first: Future[Looked], second: Future[Looked]) -> Matched:
+    def match(p: int, gathered: Movers | None, k: int, first: Future[Looked], second: Future[Looked]) -> Matched:
         a, b = first.result(), second.result()
         assert method and a.prepared and b.prepared and a.glance is not None and b.glance is not None
         still = no_motion(a.glance, b.glance)
         pair = _rest(height, width) if still else flow_pair(method, a.prepared, b.prepared)
+        if gathered is not None:
+            gathered.add_pair(k, pair)
         forward[p], backward[p], confidence[p] = _stored(pair.forward), _stored(pair.backward), pair.confidence
         back = consistency(pair.backward, pair.forward)
         return Matched(seen_by(b.edges, pair.forward, pair.confidence), seen_by(a.edges, pair.backward, back), still)
@@ -81,13 +90,18 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
     for i in range(len(frames)):
         if i not in trained:
             edges[i] = 0
+            if movers is not None:
+                movers[i] = 0
     masks: dict[int, np.ndarray] = {}
-    still_pairs = 0
-    with ctx.progress(len(trained), f"{count} pairs, {ctx.out.attrs['method']}") as bar, _pool(method) as pool:
+    still_pairs, moved = 0, 0.0
+    fixed = bool(ctx.facts.get("fixed_cameras"))
+    with ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {ctx.out.attrs['method']}") as bar, _pool(method) as pool:
         for camera, mine in cameras.items():
-            moving = None
-            if ctx.facts.get("fixed_cameras") and len(mine) > 1:
-                moving = MotionMask(list(pool.map(frames.composited, sample(mine))))
+            moving = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None
+            gathered = None
+            if movers is not None and len(mine) > 1:
+                poses = (None, None) if frames.K is None or frames.cam_from_world is None else (frames.K[mine], frames.cam_from_world[mine])
+                gathered = Movers(width, height, *poses, fixed)
             busy = deque[Future[bool]]()
             waiting = deque[tuple[int, Future[Looked], Future[Matched] | None, Future[Matched] | None]]()
             own: Future[Looked] | None = None
@@ -95,9 +109,9 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
             for k, i in enumerate(mine):
                 # What a job waits for was handed to the pool before it, so that it never waits for one behind it.
                 last, joined = own, k > 0 and mine[k - 1] in number and int(frames.next[mine[k - 1]]) == i
-                own = pool.submit(look, moving, frames.composited(i), joined or i in number)
+                own = pool.submit(look, moving, gathered, k, frames.composited(i), joined or i in number)
                 if last is not None:
-                    after = pool.submit(match, number[mine[k - 1]], last, own) if joined else None
+                    after = pool.submit(match, number[mine[k - 1]], gathered, k - 1, last, own) if joined else None
                     waiting.append((mine[k - 1], last, before, after))
                     before = after
                 if len(waiting) > _threads():  # a frame's last pair is begun before its end is asked for: no thread idles until it is there
@@ -111,6 +125,15 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
             still_pairs += sum(future.result() for future in busy)
             if moving is not None:
                 masks[camera] = moving.mask(ctx.settings.grow)
+            if movers is not None:
+                made = (mask for job in gathered.masks(pool) for mask in job.result()) if gathered is not None else iter([0])
+                for i, mask in zip(mine, made, strict=True):
+                    movers[i] = mask
+                    moved += float(np.count_nonzero(mask)) / (width * height)
+                    bar.advance(1, frames.names[i])
+    if movers is not None:
+        ctx.out.attrs["movers_share"] = round(moved / max(len(trained), 1), 6)
+        ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
     ctx.out.attrs["still_pairs"] = still_pairs
     if still_pairs:
         ctx.log(f"nothing moves between the frames of {still_pairs} of {count} pairs: their flow is zero and was not measured")

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 MOST_PAIRS = 4
 FLOW_SIZE = 480  # px, longest side of these pictures
 WHEEL_SIZE = 128  # px
+EDGE = 128  # of 255, weight from which a pixel is at an edge
 TRUSTED = 128  # of 255, confidence from which a pixel counts in the difference
 COVERED = 0.5  # alpha from which a pixel counts in the difference, as in the flow loss
 
@@ -48,7 +49,9 @@ def add_flow(book: PictureBook, judge: Judge, flow: Artifact, most: int) -> None
         shown = rendered * np.minimum(alpha / COVERED, 1)[..., None]
         book.add(f"flow/{k}/rendered", flow_colours(shown, largest), size)
         book.add(f"flow/{k}/edges", overlay(picture, fields.edges(first), EDGE_COLOUR), size)
-        moving = fields.moving(int(frames.camera[first]))
+        moving = fields.movers(first)
+        if moving is None:
+            moving = fields.moving(int(frames.camera[first]))
         if moving is not None:
             book.add(f"flow/{k}/moving", overlay(picture, moving, MOVING_COLOUR, MASK_STRENGTH), size)
         rows.append(
@@ -56,23 +59,23 @@ def add_flow(book: PictureBook, judge: Judge, flow: Artifact, most: int) -> None
                 "stem": f"flow/{k}",
                 "frames": [frames.names[first], frames.names[second]],
                 "times": [float(frames.time[first]), float(frames.time[second])],
-                **difference(measured[p], rendered, (fields.confidence(p) >= TRUSTED) & (alpha > COVERED)),
+                **difference(measured[p], rendered, (fields.confidence(p) >= TRUSTED) & (alpha > COVERED), fields.edges(first) >= EDGE),
             }
         )
     book.add("flow/wheel", colour_wheel(WHEEL_SIZE), WHEEL_SIZE)
     book.flow = {"largest": largest, "method": str(flow.attrs.get("method", "")), "pairs": rows}
 
 
-def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray) -> dict[str, float | None]:
-    """Means over the pixels that count: `difference` between the flows and `motion`, the measured length, both px; None where none counts.
+def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray, edges: np.ndarray) -> dict[str, float | None]:
+    """Over the pixels that count, px: means of the `difference` between the flows and of `motion`, the measured length; `at_edges`, the
+    median difference where ``edges``. None where no pixel counts.
 
-    measured, rendered: float [H, W, 2] px. counts: bool [H, W]; a pixel with a value that is not finite does not count either.
+    measured, rendered: float [H, W, 2] px. counts, edges: bool [H, W]; a pixel with a value that is not finite does not count.
     """
     counts = counts & np.isfinite(rendered).all(-1) & np.isfinite(measured).all(-1)
-    if not counts.any():
-        return {"difference": None, "motion": None}
-    wrong, length = (np.linalg.norm(field[counts].astype(np.float64), axis=-1).mean() for field in (measured - rendered, measured))
-    return {"difference": round(float(wrong), 4), "motion": round(float(length), 4)}
+    wrong, length = (np.linalg.norm(field.astype(np.float64), axis=-1) for field in (measured - rendered, measured))
+    chosen = {"difference": (np.mean, wrong, counts), "motion": (np.mean, length, counts), "at_edges": (np.median, wrong, counts & edges)}
+    return {name: round(float(of(field[where])), 4) if where.any() else None for name, (of, field, where) in chosen.items()}
 
 
 def _rendered(judge: Judge, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:

@@ -57,13 +57,15 @@ def moving_masks(
     K: np.ndarray | None = None,
     cam_from_world: np.ndarray | None = None,
     gaps: Sequence[int] = GAPS,
+    only: range | None = None,
 ) -> Iterator[np.ndarray]:
-    """Masks uint8 [H, W] of the frames 0 .. len(pairs) of one camera, in order of time; 255 = moves.
+    """Masks uint8 [H, W] of the frames 0 .. len(pairs) of one camera, or of those in ``only``, in order of time; 255 = moves.
 
     picture(i): uint8 [H, W, 3]. pairs[i]: flow between frames i and i + 1, None where it was not measured; any sequence, also one that
     reads on demand: about `2 * max(gaps)` pairs are held at once. K [F, 3, 3], cam_from_world [F, 4, 4]: poses of the frames, or None;
     frames whose pose is not finite are neither neighbours nor judged (their mask is empty). Flow over longer gaps is chained. The
-    evidence of the frames before and after is carried over along the flow, so that masks do not flicker.
+    evidence of the frames before and after is carried over along the flow, so that masks do not flicker. A mask depends on the frames
+    within `max(gaps) + 1` of its own, so stretches of frames can be had side by side.
     """
     count = len(pairs) + 1
     posed = None if K is None or cam_from_world is None else np.isfinite(K).all((1, 2)) & np.isfinite(cam_from_world).all((1, 2))
@@ -101,7 +103,7 @@ def moving_masks(
             return None
         return frame_evidence(around) if posed is None else frame_evidence(around, K[i], cam_from_world[i])  # type: ignore[index]
 
-    for i in range(count):
+    for i in only if only is not None else range(count):
         image, mine = picture(i), own(i)
         if mine is None:
             yield np.zeros(image.shape[:2], np.uint8)

@@ -191,7 +191,14 @@ def test_fixed_cameras_tell_what_moves():
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[:, WIDTH // 2 :] = 255
     points = np.array([[-0.5, 0, 0], [0.5, 0, 0], [0, 0, -100.0]])
-    assert dynamic_from_masks(points, views(), {0: mask}).tolist() == [False, True, True]
+    assert dynamic_from_masks(points, views(), [(0, mask)], 0.3).tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize(("share", "moves"), [(0.5, True), (0.51, False)])
+def test_a_seed_may_move_from_its_share_of_looks_on(share, moves):
+    points = np.array([[0.0, 0, 0]])
+    nothing, everything = (np.full((HEIGHT, WIDTH), value, np.uint8) for value in (0, 255))
+    assert dynamic_from_masks(points, views(), [(0, nothing), (1, everything)], share).tolist() == [moves]
 
 
 def turning_field(quats, centre_shift):

@@ -294,6 +294,19 @@ def test_a_moving_camera_has_no_mask_and_no_memory_of_held_out_frames(nerfstudio
     assert len(flow.read("pair")) > 3
 
 
+def test_frames_have_masks_of_what_moves_but_held_out_ones(nerfstudio_capture, tmp_path):
+    flow, frames = run(nerfstudio_capture.root, tmp_path)
+    masks, held_out = flow.read("movers"), np.setdiff1d(np.arange(len(frames)), frames.train)
+    assert masks.shape == (len(frames), frames.height, frames.width) and len(held_out)
+    assert not masks[held_out].any()
+    assert flow.attrs["movers_share"] == pytest.approx((masks[frames.train] > 0).mean(), abs=1e-6)
+
+
+def test_masks_of_movers_can_be_left_out(nerfstudio_capture, tmp_path):
+    flow, _ = run(nerfstudio_capture.root, tmp_path, movers=False)
+    assert "movers" not in flow and "movers_share" not in flow.attrs
+
+
 def frameset(camera, time, nxt, train) -> SimpleNamespace:
     return SimpleNamespace(camera=np.array(camera), time=np.array(time), next=np.array(nxt), train=np.array(train))
 

@@ -170,6 +170,8 @@ def test_what_does_not_count_does_not_enter_the_difference():
     measured, rendered = np.zeros((2, 2, 2)), np.zeros((2, 2, 2))
     measured[0, 0] = (3, 4)
     measured[0, 1], rendered[1, 0] = 1e5, np.nan
-    counts = np.array([[True, False], [True, True]])
-    assert difference(measured, rendered, counts) == {"difference": 2.5, "motion": 2.5}
-    assert difference(measured, rendered, np.zeros((2, 2), bool)) == {"difference": None, "motion": None}
+    counts, edges = np.array([[True, False], [True, True]]), np.array([[True, True], [True, False]])
+    assert difference(measured, rendered, counts, edges) == {"difference": 2.5, "motion": 2.5, "at_edges": 5.0}
+    assert difference(measured, rendered, counts, ~edges) == {"difference": 2.5, "motion": 2.5, "at_edges": 0.0}
+    nothing = np.zeros((2, 2), bool)
+    assert difference(measured, rendered, nothing, edges) == {"difference": None, "motion": None, "at_edges": None}

@@ -50,8 +50,8 @@ class WithFlow(Evaluation):
         ends = self.arrays["png_offsets"][-1] + np.cumsum([len(blob) for blob in blobs])
         self.arrays["png_offsets"] = np.concatenate([self.arrays["png_offsets"], ends])
         self.attrs["png_names"] += names
-        pair = {"frames": [name, "r_001"], "times": [0.25, 0.5], "difference": 0.375, "motion": 2.5}
-        rows = [{**pair, "stem": "flow/0"}, {**pair, "stem": "flow/1", "difference": None, "motion": None}]
+        pair = {"frames": [name, "r_001"], "times": [0.25, 0.5], "difference": 0.375, "motion": 2.5, "at_edges": 0.25}
+        rows = [{**pair, "stem": "flow/0"}, {**pair, "stem": "flow/1", "difference": None, "motion": None, "at_edges": None}]
         self.attrs["flow"] = {"largest": 7.25, "method": name, "pairs": rows}
 
 
@@ -182,6 +182,7 @@ def test_pairs_of_frames_stand_beside_their_flow():
         "r_000 → r_001",
         "t = 0.250 → 0.500",
         "differ by 0.38 px",
+        "(0.25 px at edges, the median)",
         "motion 2.50 px",
         "differ by – px",
     ):

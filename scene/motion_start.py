@@ -1,0 +1,60 @@
+"""A deformation field that begins where measured tracks go, instead of at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .field import DeformationField
+from .optimiser import RowAdam
+from .rates import learning_rates
+from .settings import TrainingSettings
+
+STEPS = 1000
+SAMPLES = 2048  # tracks a step
+PRIOR_EVERY = 4
+
+
+def follow_tracks(
+    field: DeformationField,
+    rest: np.ndarray,
+    times: np.ndarray,
+    positions: np.ndarray,
+    alive: np.ndarray,
+    unit: float,
+    settings: TrainingSettings,
+    advance: Callable[[int], None] = lambda n: None,
+) -> float:
+    """Fits ``field`` to tracks, in place: ``rest`` [N, 3] is at ``positions`` [T, N, 3] at ``times`` [T] where it is ``alive`` [T, N].
+
+    unit: the viewing distance, world units. Distances count by their norm, as tracks jump on to something else now and then. Returns the
+    median distance at the end, world units.
+    """
+    named: dict[str, Tensor] = {f"field.{name}": p for name, p in field.named_parameters()}
+    optimiser = RowAdam(named, learning_rates(named, settings, unit, 1.0))
+    rows = np.flatnonzero(alive.any(1))
+    start, goal = torch.from_numpy(rest).float(), torch.from_numpy(positions).float()
+    there = torch.from_numpy(alive)
+    field.extend(0.0, 1.0)
+    dt = 1.0 / max(len(times) - 1, 1)
+    rng = np.random.default_rng(settings.seed)
+    for step in range(STEPS):
+        row = int(rng.choice(rows))
+        t = float(times[row])
+        index = there[row].nonzero()[:, 0]
+        index = index[torch.from_numpy(rng.permutation(len(index))[:SAMPLES])]
+        moved = start[index] + field(start[index], t).dx
+        loss = ((moved - goal[row, index]).square().sum(1) + (1e-3 * unit) ** 2).sqrt().mean() / unit
+        if step % PRIOR_EVERY == 0:
+            neighbours = start[index] + 0.025 * unit * torch.from_numpy(rng.standard_normal((len(index), 3))).float()
+            rigidity, inertia = field.priors(start[index], neighbours, t, dt)
+            loss = loss + PRIOR_EVERY * (settings.tv * field.regulariser() + settings.rigid * rigidity + settings.inertia * inertia)
+        loss.backward()
+        optimiser.step(step / STEPS, frozenset())
+        advance(1)
+    with torch.no_grad():
+        left = [(start[there[r]] + field(start[there[r]], float(times[r])).dx - goal[r, there[r]]).norm(dim=1) for r in rows]
+    return float(torch.cat(left).median())

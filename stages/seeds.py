@@ -1,0 +1,90 @@
+"""Where the Gaussians of `coarse` begin, and which of them may move."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..pipeline import Context
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..scene.views import Views
+    from .frameset import FrameSet
+    from .mover_tracks import Tracks
+
+# Shares of the looks at a seed that must find something that moves there, for the seed to be one that may move.
+FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever changes before it
+MOVERS_SHARE = 0.5  # of a moving camera's masks, frame by frame, where what moves has seeds of its own
+COVERED_SHARE = 0.05  # of the same, where seeds that it hides at times must stand in for it
+LOOKS = 60  # masks of a moving camera that are looked at
+
+
+def load_seeds(ctx: Context, frames: FrameSet, views: Views) -> tuple[np.ndarray, np.ndarray]:
+    """Where Gaussians start and their colours in [0, 1]: points of the capture or SfM, else carved silhouettes, else triangulated."""
+    import numpy as np
+
+    from ..scene.seeding import carve, common_volume
+
+    settings = ctx.settings
+    if frames.points is not None and len(frames.points) >= 50:
+        ctx.log(f"seeds: {len(frames.points)} points of the capture or of SfM")
+        return np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
+    if ctx.facts.get("alpha"):
+        chosen = views.train[:: max(1, len(views.train) // 60)]
+        foreground = [frames.image(int(i))[..., 3] > 127 for i in chosen]
+        ctx.log(f"seeds: {settings.seeds} points inside the silhouettes of {len(chosen)} views")
+        return carve(views, foreground, chosen, settings.seeds, settings.seed)
+
+    from .sfm.triangulate import triangulate
+
+    ctx.log("seeds: triangulating points with the known poses")
+    points, colors, _ = triangulate(frames, seed=settings.seed)
+    colors = colors / 255.0
+    if len(points) < settings.seeds // 4:
+        centre, radius = common_volume(views)
+        rng = np.random.default_rng(settings.seed)
+        more = centre + rng.uniform(-radius, radius, (settings.seeds, 3))
+        ctx.log(f"seeds: only {len(points)} triangulated points; {len(more)} more spread over the volume that the cameras share")
+        return np.concatenate([points, more]), np.concatenate([colors, np.full((len(more), 3), 0.5)])
+    ctx.log(f"seeds: {len(points)} triangulated points")
+    return points, colors
+
+
+def tracks_of_movers(ctx: Context, views: Views, points: np.ndarray) -> Tracks | None:
+    """Seeds on what moves before moving cameras, and where flow takes them; None without masks of movers and for fixed cameras."""
+    flow = ctx.inputs["flow"]
+    if flow is None or "movers" not in flow or "moving" in flow:
+        return None
+    from .mover_tracks import mover_tracks
+
+    with ctx.progress(len(views.train), "following what moves") as bar:
+        return mover_tracks(flow, views, points, bar.advance)
+
+
+def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seeded: bool) -> np.ndarray:
+    """[N] bool. Fixed cameras show which pixels ever change, masks of movers what a moving camera saw move; elsewhere everything may move
+    until the field has shown otherwise.
+
+    movers_seeded: what moves has seeds of its own, and these need not stand in for it.
+    """
+    import numpy as np
+
+    from ..scene.dynamics import dynamic_from_masks
+
+    flow = ctx.inputs["flow"]
+    if flow is not None and "moving" in flow:
+        moving = flow.read("moving")
+        first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}
+        looks = [(first[int(camera)], moving[k]) for k, camera in enumerate(flow.attrs["moving_cameras"])]
+        share, where = FIXED_SHARE, "no fixed camera sees a change"
+    elif flow is not None and "movers" in flow:
+        movers, train = flow.array("movers"), views.train
+        chosen = train[np.linspace(0, len(train) - 1, min(LOOKS, len(train))).round().astype(int)]
+        looks = [(int(i), np.asarray(movers[int(i)])) for i in chosen]
+        share, where = MOVERS_SHARE if movers_seeded else COVERED_SHARE, "hardly anything was seen to move"
+    else:
+        return np.ones(len(points), bool)
+    dynamic = dynamic_from_masks(points, views, looks, share)
+    ctx.log(f"{int((~dynamic).sum())} of {len(points)} seeds lie where {where} and skip the field")
+    return dynamic
