@@ -21,10 +21,11 @@ MINIMUM_SIDE = 64  # px; DIS reads outside its buffers on thin pictures (found a
 
 
 class Prepared(NamedTuple):
-    """A picture of ``size`` (height, width) px as one method wants it."""
+    """``picture``, uint8 [H, W, 3] of ``size`` (height, width) px, and ``data``: the same as one method wants it."""
 
     size: tuple[int, int]
     data: Any
+    picture: np.ndarray
 
 
 class FlowMethod:
@@ -45,7 +46,7 @@ class FlowMethod:
         height, width = picture.shape[:2]
         working = size_within(width, height, self.max_size)
         small = cv2.resize(picture, working, interpolation=cv2.INTER_AREA) if working != (width, height) else np.ascontiguousarray(picture)
-        return Prepared((height, width), self._prepare(small))
+        return Prepared((height, width), self._prepare(small), picture)
 
     def flow(self, first: Prepared, second: Prepared) -> np.ndarray:
         """Flow [H, W, 2] float32 px: pixel (x, y) of first is at (x+u, y+v) in second. Raises ValueError where their sizes differ."""

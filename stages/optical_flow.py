@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .flow_method import Dis, FlowMethod, Prepared, Preset
+from .flow_outlines import sharpened
 
 COVERED = 0.65  # of the density of arrivals that the flow's own stretch explains: fewer arrive where something is hidden
 SMOOTH = 1.0  # px, of the density: flow is not exact to a pixel at outlines
@@ -23,8 +24,9 @@ class FlowPair:
 
 
 def flow_pair(method: FlowMethod, first: Prepared, second: Prepared) -> FlowPair:
-    """Flow both ways and the confidence in the forward one: `consistency`, 0 where `occluded`."""
-    forward, backward = method.flow(first, second), method.flow(second, first)
+    """Flow both ways, `sharpened` at outlines, and the confidence in the forward one: `consistency`, 0 where `occluded`."""
+    forward = sharpened(method.flow(first, second), first.picture, second.picture)
+    backward = sharpened(method.flow(second, first), second.picture, first.picture)
     confidence = consistency(forward, backward)
     confidence[occluded(forward, backward)] = 0
     return FlowPair(forward, backward, confidence)
@@ -61,7 +63,7 @@ def occluded(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     comes from (the range map of Wang et al. 2018). Arrivals are spread bilinearly, smoothed, and compared with what the forward flow's
     stretch around there leaves to arrive: a camera that moves back, whose second picture holds all of the first in fewer pixels, hides
     nothing. Pixels that leave the picture are occluded too. The disagreement of the two flows, which errors of either cause as well, has
-    many more false alarms.
+    many more false alarms, and so has a match that fails. Smeared flow fills narrow bands that are hidden: `flow_pair` sharpens it first.
     """
     import cv2
 
