@@ -98,10 +98,7 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
     with ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {ctx.out.attrs['method']}") as bar, _pool(method) as pool:
         for camera, mine in cameras.items():
             moving = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None
-            gathered = None
-            if movers is not None and len(mine) > 1:
-                poses = (None, None) if frames.K is None or frames.cam_from_world is None else (frames.K[mine], frames.cam_from_world[mine])
-                gathered = Movers(width, height, *poses, fixed)
+            gathered = Movers.of_camera(frames, mine, fixed) if movers is not None else None
             busy = deque[Future[bool]]()
             waiting = deque[tuple[int, Future[Looked], Future[Matched] | None, Future[Matched] | None]]()
             own: Future[Looked] | None = None
@@ -125,11 +122,10 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
             still_pairs += sum(future.result() for future in busy)
             if moving is not None:
                 masks[camera] = moving.mask(ctx.settings.grow)
-            if movers is not None:
-                made = (mask for job in gathered.masks(pool) for mask in job.result()) if gathered is not None else iter([0])
-                for i, mask in zip(mine, made, strict=True):
+            if movers is not None and gathered is not None:
+                for i, mask in zip(mine, (mask for job in gathered.masks(pool) for mask in job.result()), strict=True):
                     movers[i] = mask
-                    moved += float(np.count_nonzero(mask)) / (width * height)
+                    moved += np.count_nonzero(mask) / mask.size
                     bar.advance(1, frames.names[i])
     if movers is not None:
         ctx.out.attrs["movers_share"] = round(moved / max(len(trained), 1), 6)

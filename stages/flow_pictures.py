@@ -74,8 +74,9 @@ def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray, e
     """
     counts = counts & np.isfinite(rendered).all(-1) & np.isfinite(measured).all(-1)
     wrong, length = (np.linalg.norm(field.astype(np.float64), axis=-1) for field in (measured - rendered, measured))
-    chosen = {"difference": (np.mean, wrong, counts), "motion": (np.mean, length, counts), "at_edges": (np.median, wrong, counts & edges)}
-    return {name: round(float(of(field[where])), 4) if where.any() else None for name, (of, field, where) in chosen.items()}
+    values = {"difference": wrong[counts], "motion": length[counts], "at_edges": wrong[counts & edges]}
+    mean = {name: float(np.median(chosen) if name == "at_edges" else chosen.mean()) for name, chosen in values.items() if chosen.size}
+    return {name: round(mean[name], 4) if name in mean else None for name in values}
 
 
 def _rendered(judge: Judge, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:

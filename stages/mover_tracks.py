@@ -108,10 +108,10 @@ def _uncovered(mask: np.ndarray, places: np.ndarray) -> np.ndarray:
     x, y = np.floor(places).astype(int).T if len(places) else np.zeros((2, 0), int)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     free[y[inside], x[inside]] = 0
-    free = cv2.erode(free, np.ones((4 * stride + 1, 4 * stride + 1), np.uint8), borderValue=1)
+    alone = cv2.erode(free, np.ones((4 * stride + 1, 4 * stride + 1), np.uint8), borderValue=1) > 0
     grid = np.zeros(mask.shape, bool)
     grid[stride // 2 :: stride, stride // 2 :: stride] = True
-    ys, xs = np.nonzero(mask & grid & (free > 0))
+    ys, xs = np.nonzero(mask & grid & alone)
     return np.stack([xs, ys], 1).astype(np.float32)
 
 

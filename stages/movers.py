@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from .flow_method import size_within
 from .moving_foreground import frame_foregrounds
 from .moving_objects import moving_masks
 from .optical_flow import FlowPair
+
+if TYPE_CHECKING:
+    from .frameset import FrameSet
 
 # px, longest side at which movers are looked for. On `room_mono` (480x270, true poses) masks made at 480, 320, 240 and 160 px agree with
 # the truth by 0.869, 0.855, 0.854 and 0.851 (intersection over union), in time that goes with the area.
@@ -33,6 +37,13 @@ class Movers:
         self._K = None if K is None else K * np.array([self._shrink[0], self._shrink[1], 1.0])[:, None]
         self._pictures: dict[int, np.ndarray] = {}
         self._pairs: dict[int, FlowPair] = {}
+
+    @classmethod
+    def of_camera(cls, frames: FrameSet, mine: list[int], fixed: bool) -> Movers:
+        """For the frames ``mine`` of one camera, in order of time."""
+        if frames.K is None or frames.cam_from_world is None:
+            return cls(frames.width, frames.height, None, None, fixed)
+        return cls(frames.width, frames.height, frames.K[mine], frames.cam_from_world[mine], fixed)
 
     def add_picture(self, k: int, picture: np.ndarray) -> None:
         """Frame ``k``, uint8 [H, W, 3]."""

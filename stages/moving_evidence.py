@@ -31,9 +31,9 @@ class Evidence:
 def evidence(residual: Residual, spread: np.ndarray) -> Evidence:
     """Score residuals against their own noise. spread [H, W] float32: see `spread_of_flow`.
 
-    The standard deviation is the mode of the density of log error: for Gaussian errors it lies at sigma times the root of the number of
-    equations left over (set d/dl of exp(n l - exp(2 l) / 2) to 0), and unlike median and MAD it does not shift when a large share of the
-    picture moves, as long as the still part is the largest group that agrees. Flow errs more beside edges of depth; so the pixels are
+    The standard deviation is the mode of the density of the error's root: for Gaussian errors it lies at sigma times the root of n - 1/2,
+    n equations left over (set d/dl of exp((n - 1/2) l - exp(2 l) / 2) to 0), and unlike median and MAD it does not shift when a large
+    share of the picture moves, as long as no larger group agrees on an error. Flow errs more beside edges of depth; so the pixels are
     split into bands of equal size by local spread, and each band's lower quartile shifts its threshold, by at most `WORST`.
     """
     error, weight = residual.error, residual.weight
@@ -48,14 +48,19 @@ def evidence(residual: Residual, spread: np.ndarray) -> Evidence:
 
 
 def _mode(log: np.ndarray) -> float:
-    """Of values spread over a few units: the highest bin of a histogram that was smoothed over 0.15."""
+    """Of values spread over a few units: the highest bin of a histogram that was smoothed over 0.15, in units of the root of the error.
+
+    On the log axis alone a rigid mover, whose pixels all err by about the same, makes a higher peak than a larger still part whose errors
+    spread over a decade; on the axis of the error itself one equation's density would have no peak but zero. Half way, the mode of n
+    equations lies at sigma times the root of n - 1/2, and of groups as dense in log the one that errs less wins.
+    """
     import cv2
 
     low, high, bins = np.log(FLOOR / 50), np.log(1e3), 512
     counts, edges = np.histogram(np.clip(log, low, high), bins, (low, high))
     smooth = cv2.GaussianBlur(counts.astype(np.float32)[None], (0, 0), 0.15 / (edges[1] - edges[0]), borderType=cv2.BORDER_CONSTANT)[0]
-    top = int(smooth.argmax())
-    return float(0.5 * (edges[top] + edges[top + 1]))
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    return float(centres[int((smooth * np.exp(-0.5 * np.maximum(centres, np.log(FLOOR)))).argmax())])
 
 
 def _shifts(log: np.ndarray, sure: np.ndarray, spread: np.ndarray) -> np.ndarray:

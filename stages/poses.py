@@ -24,7 +24,7 @@ MEDIAN_DISTANCE = 4.0  # world units from the cameras to the scene, after normal
 POINT_ERROR = 2.0  # px; points beyond are outliers
 FAR = 30.0  # times the median distance of points from their middle; beyond lies what triangulated under no angle
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
-LABELS = {"features": "features", "matches": "matching", "mapping": "registering"}
+LABELS = {"matches": "matching", "mapping": "registering", "movers": "what moves", "verify": "matches off movers"}
 
 
 class PosesSettings(Settings):
@@ -37,6 +37,9 @@ class PosesSettings(Settings):
     )
     max_features: int = Field(8192, ge=256, le=65_536, description="SIFT features an image")
     mapper: Literal["incremental", "global"] = Field("incremental", description="COLMAP's incremental mapper or the global one (GLOMAP)")
+    movers: Literal["auto", "off"] = Field(
+        "auto", description="auto: a second pass without the features on what moves, where these matter; the better of the two is kept"
+    )
     seed: int = Field(0, ge=0, le=2**31 - 1, description="of the random sampling")
 
 
@@ -44,7 +47,7 @@ class Poses(Stage):
     """Intrinsics and a pose for every frame that registers, sparse points, and a report of what did not register and why."""
 
     name = "poses"
-    version = 1
+    version = 2
     inputs = ("frames",)
     settings = PosesSettings
     reads_capture = True
@@ -52,20 +55,24 @@ class Poses(Stage):
     def applies(self, facts: Mapping[str, Any], settings: PosesSettings) -> Applies:
         if facts["poses"]:
             return Applies.no("the files hold poses")
-        return Applies.yes(f"structure from motion on {facts['frames']} frames")
+        again = "" if settings.movers == "off" or facts["static"] else "; a second pass where what moves could pull the cameras"
+        return Applies.yes(f"structure from motion on {facts['frames']} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
-        """Two cores, measured: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image."""
+        """Two cores, measured: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image, 0.2 s to adjust it, 0.15 s to
+        look for what moves. Without a second pass, which takes as long again as registering and a third of the pairs' time."""
         frames = facts["frames"]
         pairs = len(image_pairs(choose(settings.matcher, frames, facts["static"]), frames, settings.overlap))
-        return 2 + frames * (1.0 + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
+        looked = 0.15 if settings.movers == "auto" and not facts["static"] else 0.0
+        return 2 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
 
     def run(self, ctx: Context) -> None:
         import numpy as np
 
         from .frameset import FrameSet
         from .sfm.coverage import cover
-        from .sfm.runner import WorkerError, run_worker
+        from .sfm.runner import WorkerError, finished, run_worker
+        from .sfm.second_pass import second_pass
 
         settings = ctx.settings
         artifact = ctx.inputs["frames"]
@@ -88,12 +95,18 @@ class Poses(Stage):
             "init_angles": INIT_ANGLES,
             "seed": settings.seed,
         }
-        bars = _Bars(ctx)
+        bars, folder = _Bars(ctx), ctx.checkpoints / "colmap"
+        share, told = None, "poses.movers=off"
         try:
-            arrays, facts = run_worker(request, ctx.checkpoints / "colmap", bars)
+            arrays, facts = finished(request, folder) or run_worker(request, folder, bars)
+            if settings.movers == "auto":
+                passes = second_pass(frames, request, folder, (arrays, facts), bool(ctx.facts["static"]), bars)
+                arrays, facts, share, told = passes.arrays, passes.facts, passes.movers_share, passes.told
+                if passes.trouble:
+                    ctx.log(passes.trouble)
         except WorkerError as error:
             # not gone on with next time: the database may be what it failed on
-            (ctx.checkpoints / "colmap" / "database.db").unlink(missing_ok=True)
+            (folder / "database.db").unlink(missing_ok=True)
             raise StageError(str(error)) from error
         finally:
             bars.close()
@@ -104,9 +117,12 @@ class Poses(Stage):
         if coverage.registered < min(3, len(frames)) or not len(errors):
             raise StageError(nothing_registered(frames, facts["features"], matcher))
         ctx.log(f"{coverage.summary()}, mean reprojection error {mean_error:.2f} px")
+        if settings.movers == "auto":
+            ctx.log(f"what moves: {told}")
         for sentence in coverage.advice:
             ctx.log(sentence)
         _write(ctx, frames, arrays, coverage, matcher, mean_error)
+        ctx.out.attrs.update(movers_share=None if share is None else round(share, 4), second_pass=told)
 
 
 def write_images(ctx: Context, frames: FrameSet) -> list[str]:

@@ -67,9 +67,26 @@ def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], se
     report("matches", 0, len(pairs))
     for start in range(0, len(pairs), MATCH_CHUNK):
         chunk = pairs[start : start + MATCH_CHUNK]
-        listing.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in chunk), encoding="utf-8")
+        _list_pairs(listing, names, chunk)
         pycolmap.match_image_pairs(path, matching_options=matching, pairing_options=pairing, verification_options=verification)
         report("matches", start + len(chunk), len(pairs))
+
+
+def verify(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, report: Report) -> None:
+    """The two-view geometry of every pair (indices into `names`) that has matches; pairs that have one already are left alone."""
+    options = pycolmap.TwoViewGeometryOptions()
+    options.ransac.random_seed = seed
+    listing = path.with_suffix(".pairs.txt")
+    report("verify", 0, len(pairs))
+    for start in range(0, len(pairs), MATCH_CHUNK):
+        chunk = pairs[start : start + MATCH_CHUNK]
+        _list_pairs(listing, names, chunk)
+        pycolmap.verify_matches(path, listing, options)
+        report("verify", start + len(chunk), len(pairs))
+
+
+def _list_pairs(listing: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> None:
+    listing.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in pairs), encoding="utf-8")
 
 
 def image_ids(path: Path, names: Sequence[str]) -> list[int]:

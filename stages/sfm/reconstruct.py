@@ -10,7 +10,9 @@ import numpy as np
 import pycolmap
 
 from . import database as db
+from .refine import refine
 
+DATABASE = "database.db"  # in the request's folder
 DEFAULT_FOCAL = 1.2  # of the longer side; COLMAP's habit for images without EXIF, refined by the bundle adjustment
 
 
@@ -19,11 +21,12 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
 
     Returns arrays `registered` [n] bool, `K` [n,3,3], `cam_from_world` [n,4,4] (NaN where not registered), `distortion` [n,4]
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
-    (views of each point); and facts: `models` (images registered in each), `features` [n].
+    (views of each point), `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and place of every feature that made a point);
+    and facts: `models` (images registered in each), `features` [n].
     """
     folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
     seed = int(request["seed"])
-    path = folder / "database.db"
+    path = folder / DATABASE
     pycolmap.set_random_seed(seed)
 
     groups = list(request["cameras"])
@@ -32,8 +35,13 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
     ids = dict(zip(distinct, db.write_cameras(path, cameras), strict=True))
     db.extract(path, root, names, [ids[g] for g in groups], int(request["max_features"]), report)
     db.match(path, names, [(a, b) for a, b in request["pairs"]], seed, True, report)
-    models = _map(path, root, folder, request, report)
+    return map_database(path, request, report)
 
+
+def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Cameras and points from the verified matches in a database; returns what `reconstruct` returns."""
+    folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
+    models = _map(path, root, folder, request, report)
     with pycolmap.Database.open(path) as database:
         features = {image.name: database.num_keypoints_for_image(image.image_id) for image in database.read_all_images()}
     facts: dict[str, Any] = {
@@ -41,6 +49,10 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
         "features": [features.get(name, 0) for name in names],
     }
     largest = max(models, key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)
+    if largest is not None:
+        report("refining", 0, 1)
+        refine(largest)
+        report("refining", 1, 1)
     return _arrays(largest, names), facts
 
 
@@ -105,6 +117,8 @@ def _arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> dict[str
         "cam_from_world": np.full((n, 4, 4), np.nan),
         "distortion": np.zeros((n, 4)),
         "size": np.zeros((n, 2), np.int64),
+        "seen": np.zeros(0, np.int32),
+        "seen_xy": np.zeros((0, 2), np.float32),
     }
     points = [] if model is None else list(model.points3D.values())
     arrays["points"] = np.array([p.xyz for p in points]).reshape(-1, 3)
@@ -114,6 +128,7 @@ def _arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> dict[str
     if model is None:
         return arrays
     index = {name: i for i, name in enumerate(names)}
+    seen, places = [arrays["seen"]], [arrays["seen_xy"]]
     for image_id in model.reg_image_ids():
         image = model.image(image_id)
         i, camera = index[image.name], model.camera(image.camera_id)
@@ -122,6 +137,9 @@ def _arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> dict[str
         arrays["cam_from_world"][i] = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
         arrays["distortion"][i] = _distortion(camera)
         arrays["size"][i] = camera.width, camera.height
+        places.append(np.array([p.xy for p in image.get_observation_points2D()], np.float32).reshape(-1, 2))
+        seen.append(np.full(len(places[-1]), i, np.int32))
+    arrays["seen"], arrays["seen_xy"] = np.concatenate(seen), np.concatenate(places)
     return arrays
 
 

@@ -31,7 +31,7 @@ def run_worker(request: Mapping[str, Any], folder: Path, progress: Progress | No
     for name in ("result.json", "result.npz"):
         (folder / name).unlink(missing_ok=True)
     file, log = folder / "request.json", folder / "colmap.log"
-    file.write_text(json.dumps({**request, "folder": str(folder)}), encoding="utf-8")
+    file.write_text(json.dumps(_document(request, folder)), encoding="utf-8")
     command = [sys.executable, "-m", __name__.rpartition(".")[0] + ".worker", str(file)]
     # the worker runs threads of its own; BLAS threads on top of them spin, and cost four times the processor time
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -55,8 +55,28 @@ def run_worker(request: Mapping[str, Any], folder: Path, progress: Progress | No
                     pipe.close()
     if code != 0 or not (folder / "result.json").is_file():
         raise WorkerError(_story(code, log))
+    return _result(folder)
+
+
+def finished(request: Mapping[str, Any], folder: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+    """What `run_worker` returned for the same request and folder before the program was killed; None where it did not get there."""
+    try:
+        same = json.loads((folder / "request.json").read_text(encoding="utf-8")) == _document(request, folder)
+        return _result(folder) if same else None
+    except (OSError, ValueError):  # not there, or cut short
+        return None
+
+
+def _document(request: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The request as the worker reads it; through JSON and back, so that tuples compare equal to lists."""
+    document: dict[str, Any] = json.loads(json.dumps({**request, "folder": str(folder)}))
+    return document
+
+
+def _result(folder: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    facts = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     with np.load(folder / "result.npz", allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}, json.loads((folder / "result.json").read_text(encoding="utf-8"))
+        return {name: arrays[name] for name in arrays.files}, facts
 
 
 def _step(line: str) -> tuple[str, int, int] | None:

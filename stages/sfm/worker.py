@@ -30,6 +30,8 @@ def main(request_file: str) -> None:
     request = json.loads(Path(request_file).read_text(encoding="utf-8"))
     if request["task"] == "reconstruct":
         from .reconstruct import reconstruct as task
+    elif request["task"] == "reconstruct_masked":
+        from .masked import reconstruct_masked as task
     elif request["task"] == "triangulate":
         from .known_poses import triangulate_known as task
     else:
@@ -37,7 +39,9 @@ def main(request_file: str) -> None:
     arrays, facts = task(request, _report)
     folder = Path(request["folder"])
     np.savez(folder / "result.npz", allow_pickle=False, **arrays)
-    (folder / "result.json").write_text(json.dumps(facts), encoding="utf-8")
+    partial = folder / "result.partial"  # the facts come last and whole: where they are, so are the arrays
+    partial.write_text(json.dumps(facts), encoding="utf-8")
+    partial.replace(folder / "result.json")
 
 
 if __name__ == "__main__":

@@ -235,6 +235,17 @@ def test_noise_is_measured_however_much_moves(sigma, moving):
     assert (found.score[moves] > 0).all() and (found.score[~moves] < 0).all()
 
 
+def test_a_rigid_mover_does_not_pass_for_the_noise():
+    """Its pixels agree on their error far better than the still ones do, and in log they would be the higher peak."""
+    rng = np.random.default_rng(4)
+    error = np.exp(rng.normal(np.log(0.2), 0.8, (HEIGHT, WIDTH)))
+    moves = np.zeros(error.shape, bool)
+    moves[:, : round(0.35 * WIDTH)] = True
+    error[moves] = 7 * np.exp(rng.normal(0, 0.1, np.count_nonzero(moves)))
+    found = evidence(Residual(error.astype(np.float32), np.ones_like(error, np.float32)), np.zeros_like(error, np.float32))
+    assert found.sigma < 0.5 and (found.score[moves] > 0).all() and (found.score[~moves] < 0).mean() > 0.95
+
+
 def test_the_threshold_is_where_it_is_said_to_be():
     error = np.full((40, 40), 0.2, np.float32)
     error[0, :4] = 0.2 * NOISE_FACTOR * np.array([0.3, 0.9, 1.1, 3.3])

@@ -4,14 +4,10 @@ import json
 import shutil
 import subprocess
 import sys
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
-from e4dgs.stages.frameset import FrameSet
+from e4dgs.pipeline import StageError
 from e4dgs.stages.poses import MEDIAN_DISTANCE, Poses, PosesSettings, keep_points, normalise
 from e4dgs.stages.sfm import runner
 from e4dgs.stages.sfm.alignment import camera_centres, pose_error, similarity
@@ -19,50 +15,9 @@ from e4dgs.stages.sfm.coverage import cover, runs, spans
 from e4dgs.stages.sfm.pairs import choose, image_pairs
 from factory import Options, make, write_images
 from PIL import Image
+from poses_stage import run
 
 FRAMES = 9
-
-
-class Progress:
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
-
-    def advance(self, n=1, note=""):
-        pass
-
-
-def run(capture_path: Path, folder: Path, **settings) -> SimpleNamespace:
-    """`frames`, then `poses`; the context of `poses` with `.artifact` and `.lines` (what the user saw) added."""
-    capture = recognise_for(capture_path, FramesSettings())
-    lines: list[str] = []
-
-    def context(stage: str, options, inputs):
-        (folder / stage).mkdir(parents=True)
-        return SimpleNamespace(
-            capture=capture,
-            facts=capture.facts,
-            settings=options,
-            inputs=inputs,
-            out=ArtifactWriter(folder / stage),
-            checkpoints=folder / "checkpoints",
-            log=lines.append,
-            progress=lambda total, label: Progress(),
-        )
-
-    first = context("frames", FramesSettings(), {})
-    Frames().run(first)
-    first.out.finish({})
-    frames = Artifact(folder / "frames")
-    second = context("poses", PosesSettings(max_features=2000, **settings), {"frames": frames})
-    second.lines = lines
-    Poses().run(second)
-    second.out.finish({})
-    second.artifact = Artifact(folder / "poses")
-    second.frames = FrameSet(frames, capture.root, second.artifact)
-    return second
 
 
 @pytest.fixture(scope="module")
