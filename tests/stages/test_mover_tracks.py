@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.views import Views
+from e4dgs.stages import mover_chain
 from e4dgs.stages.mover_chain import Chain
 from e4dgs.stages.mover_depths import BEFORE, FEWEST, component_depths
 from e4dgs.stages.mover_tracks import mover_tracks
@@ -114,7 +115,9 @@ def test_a_depth_needs_a_few_hidden_points(hidden, known):
     assert depths[1] == pytest.approx(BEFORE * 5.0 if known else 0.0)
 
 
-def test_a_track_ends_where_the_mask_does(tmp_path):
+@pytest.mark.parametrize("size", [480, WIDTH // 2])
+def test_a_track_ends_where_the_mask_does(size, tmp_path, monkeypatch):
+    monkeypatch.setattr(mover_chain, "SIZE", size)
     flow = flow_of(tmp_path / "flow")
     chain = Chain(flow, list(range(FRAMES)))
     inside, outside = left_edge(0) + 20, left_edge(0) - 20
