@@ -22,6 +22,7 @@ COMMANDS = {
     "step": "e4dgs bench step --capture CAPTURE --out benchmarks/results/bench_step.json",
     "rig": "e4dgs bench step --rows split --capture RIG --out benchmarks/results/bench_rig.json",
     "flow": "python benchmarks/flow.py SCENES --weights DIR --out benchmarks/results/bench_flow.json",
+    "flow_terms": "python benchmarks/flow_terms.py SCENES --out benchmarks/results/bench_flow_terms.json",
     "knobs": "python benchmarks/knobs.py --out benchmarks/results/bench_knobs.json",
 }
 
