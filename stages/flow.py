@@ -63,7 +63,8 @@ class Flow(Stage):
 
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
         """Two cores, seconds a pair and megapixel, both directions: medium and the small network fitted to the stage on 90 frames of
-        480x270, the others to what their pairs take beside these. The rest takes 0.16 s a frame and megapixel."""
+        480x270, the others to what their pairs take beside these; putting outlines right takes 0.15 s. The rest takes 0.16 s a frame and
+        megapixel, and masks of movers, which are made small, take the same at any size."""
         from .flow_method import choice, size_within
 
         width, height = int(facts["width"]), int(facts["height"])
@@ -76,9 +77,11 @@ class Flow(Stage):
             encoding, step = (0.9, 0.22) if small else (3.3, 0.5)
             each = encoding + 2 * step * min(settings.iterations, 14 if settings.tolerance else 100)
         pairs = min(int(facts["pairs"]), settings.max_pairs)
+        movers = (0.012 if facts.get("fixed_cameras") else 0.035) if settings.movers else 0.0
         return (
             (2.0 if settings.detect_static else 0.5)
-            + each * pairs * small_width * small_height / 1e6
+            + (each * small_width * small_height + 0.15 * width * height) * pairs / 1e6
+            + movers * facts["frames"]
             + 0.16 * facts["frames"] * width * height / 1e6
         )
 
