@@ -25,7 +25,7 @@ SAMPLED_PAIRS = 32  # that many pairs tell which length gets full colour
 def export_flow(fields: FlowFields, frames: FrameSet, out: Path, largest: float, advance: Callable[[], None] = lambda: None) -> int:
     """Writes the files of every pair, named <stem> of `pair_stems` + one of `SUFFIXES`, and the legend `WHEEL`; returns their number.
 
-    .flo holds px as measured, .png its colours with full colour at ``largest`` px; edges and (before fixed cameras) what moves lie over the
+    .flo holds px as measured, .png its colours with full colour at ``largest`` px; edges, and what moves where that is known, lie over the
     first frame. Each file appears whole or not at all, and takes the place of one of its name. ``advance`` is called after each pair.
     Raises OSError where a file cannot be written, ArtifactError or CaptureError where one cannot be read.
     """
@@ -40,7 +40,7 @@ def export_flow(fields: FlowFields, frames: FrameSet, out: Path, largest: float,
             write_atomically(out / f"{stems[p]}{direction}.png", encode_png(flow_colours(field, largest)))
         picture = frames.composited(first)
         write_atomically(out / f"{stems[p]}_edges.png", encode_png(overlay(picture, fields.edges(first), EDGE_COLOUR)))
-        moving = fields.moving(int(frames.camera[first]))
+        moving = fields.moving(first, int(frames.camera[first]))
         if moving is None:
             return len(SUFFIXES) - 1
         covered = overlay(picture, moving, MOVING_COLOUR, MASK_STRENGTH)

@@ -40,13 +40,12 @@ class FlowFields:
         """Edge weight of a training frame, uint8 [H, W]."""
         return self._read("edges", frame)
 
-    def moving(self, camera: int) -> np.ndarray | None:
-        """What changes before a fixed camera, uint8 [H, W]; None where the artifact has no mask of this camera."""
+    def moving(self, frame: int, camera: int) -> np.ndarray | None:
+        """What moves in a training frame of a camera, uint8 [H, W]; where frames have no masks, what ever changes before the camera if it is
+        fixed, else None."""
+        if "movers" in self._flow:
+            return self._read("movers", frame)
         return self._read("moving", self._mask_of[camera]) if camera in self._mask_of else None
-
-    def movers(self, frame: int) -> np.ndarray | None:
-        """What moves in a training frame, uint8 [H, W]; None where the artifact has no masks of frames."""
-        return self._read("movers", frame) if "movers" in self._flow else None
 
     def _read(self, name: str, k: int) -> np.ndarray:
         array = self._flow.array(name)

@@ -49,9 +49,7 @@ def add_flow(book: PictureBook, judge: Judge, flow: Artifact, most: int) -> None
         shown = rendered * np.minimum(alpha / COVERED, 1)[..., None]
         book.add(f"flow/{k}/rendered", flow_colours(shown, largest), size)
         book.add(f"flow/{k}/edges", overlay(picture, fields.edges(first), EDGE_COLOUR), size)
-        moving = fields.movers(first)
-        if moving is None:
-            moving = fields.moving(int(frames.camera[first]))
+        moving = fields.moving(first, int(frames.camera[first]))
         if moving is not None:
             book.add(f"flow/{k}/moving", overlay(picture, moving, MOVING_COLOUR, MASK_STRENGTH), size)
         rows.append(

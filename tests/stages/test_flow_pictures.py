@@ -48,8 +48,8 @@ def make_judge(held_out: tuple[int, ...] = ()) -> Judge:
     return Judge(model, frames, None, False)  # type: ignore[arg-type]
 
 
-def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: float = 0.0) -> Artifact:
-    """What the model itself renders, ``offset`` px further right, as if it had been measured; camera 1 has a mask."""
+def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: float = 0.0, movers: np.ndarray | None = None) -> Artifact:
+    """What the model itself renders, ``offset`` px further right, as if it had been measured; camera 1 has a mask, frames have ``movers``."""
     folder.mkdir(parents=True)
     out = ArtifactWriter(folder)
     measured = []
@@ -71,6 +71,8 @@ def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: fl
     }
     for name, value in values.items():
         out.write(name, value)
+    if movers is not None:
+        out.write("movers", movers)
     out.attrs.update(moving_cameras=[1], method="dis-medium")
     out.finish({})
     return Artifact(folder)
@@ -112,6 +114,15 @@ def test_a_strip_shows_frame_measured_rendered_edges_and_what_moves(tmp_path):
     assert (pictures["flow/0/rendered"][0, 0] == 255).all(), "the background does not move"
     assert pictures["flow/1/edges"][5, 4].tolist() == [255, 40, 0] and (pictures["flow/1/edges"][5, 5] == 40).all()
     assert pictures["flow/1/moving"][0, 0].tolist() == [20, 85, 148]
+
+
+def test_a_frame_shows_its_own_mask_where_it_has_one(tmp_path):
+    judge = make_judge()
+    movers = np.zeros((COUNT, HEIGHT, WIDTH), np.uint8)
+    movers[4, 0, 0] = 255
+    _, pictures = strip(judge, flow_of(judge, [(0, 1), (4, 5)], tmp_path / "flow", movers=movers), tmp_path / "out")
+    assert pictures["flow/1/moving"][0, 0].tolist() == [20, 85, 148] and (pictures["flow/1/moving"][0, 1] == 40).all()
+    assert (pictures["flow/0/moving"] == 0).all(), "a mask of nothing shows the frame"
 
 
 def test_only_pairs_of_training_frames_are_shown(tmp_path):
