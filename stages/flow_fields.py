@@ -41,8 +41,8 @@ class FlowFields:
         return self._read("edges", frame)
 
     def moving(self, frame: int, camera: int) -> np.ndarray | None:
-        """What moves in a training frame of a camera, uint8 [H, W]; where frames have no masks, what ever changes before a fixed camera, and
-        None for others."""
+        """What moves in a training frame of a camera, uint8 [H, W]; where frames have no masks, what ever changes before a fixed camera,
+        None before others."""
         if "movers" in self._flow:
             return self._read("movers", frame)
         return self._read("moving", self._mask_of[camera]) if camera in self._mask_of else None

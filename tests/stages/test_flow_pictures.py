@@ -48,8 +48,8 @@ def make_judge(held_out: tuple[int, ...] = ()) -> Judge:
     return Judge(model, frames, None, False)  # type: ignore[arg-type]
 
 
-def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: float = 0.0, movers: np.ndarray | None = None) -> Artifact:
-    """What the model itself renders, ``offset`` px further right, as if it had been measured; camera 1 has a mask, frames have ``movers``."""
+def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: float = 0.0, movers: object = None) -> Artifact:
+    """What the model itself renders, ``offset`` px further right, as if it had been measured; camera 1 has a mask."""
     folder.mkdir(parents=True)
     out = ArtifactWriter(folder)
     measured = []
