@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -187,5 +188,6 @@ class Bench:
 
 
 if __name__ == "__main__":  # python toy_stages.py ROOT STEPS SECONDS: runs `slow` in a process of its own
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in a shell's background
     bench = Bench(Path(sys.argv[1]))
     print([outcome.state for outcome in Runner(bench.slow(steps=sys.argv[2], seconds=sys.argv[3])).run()])
