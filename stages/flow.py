@@ -77,7 +77,7 @@ class Flow(Stage):
             encoding, step = (0.9, 0.22) if small else (3.3, 0.5)
             each = encoding + 2 * step * min(settings.iterations, 14 if settings.tolerance else 100)
         pairs = min(int(facts["pairs"]), settings.max_pairs)
-        movers = (0.012 if facts.get("fixed_cameras") else 0.035) if settings.movers else 0.0
+        movers = (0.012 if facts.get("fixed_cameras") else 0.02) if settings.movers else 0.0
         return (
             (2.0 if settings.detect_static else 0.5)
             + (each * small_width * small_height + 0.15 * width * height) * pairs / 1e6

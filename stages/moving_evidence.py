@@ -89,5 +89,6 @@ def spread_of_flow(neighbours: Sequence[Neighbour]) -> np.ndarray:
         flow = flow - flow.mean((0, 1))  # keeps the difference of two large squares exact in float32
         mean = cv2.GaussianBlur(flow, (0, 0), WINDOW, borderType=cv2.BORDER_REPLICATE)
         square = cv2.GaussianBlur(flow * flow, (0, 0), WINDOW, borderType=cv2.BORDER_REPLICATE)
-        total = total + np.maximum(square - mean * mean, 0).sum(-1)
+        variance = np.maximum(square - mean * mean, 0)
+        total = total + (variance[..., 0] + variance[..., 1])
     return np.sqrt(total / len(neighbours)).astype(np.float32)
