@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from .field import DeformationField
+from .motion_terms import PRIOR_EVERY, motion_priors
 from .optimiser import RowAdam
 from .rates import learning_rates
 from .settings import TrainingSettings
 
 STEPS = 1000
 SAMPLES = 2048  # tracks a step
-PRIOR_EVERY = 4
 
 
 def follow_tracks(
@@ -49,9 +49,9 @@ def follow_tracks(
         moved = start[index] + field(start[index], t).dx
         loss = ((moved - goal[row, index]).square().sum(1) + (1e-3 * unit) ** 2).sqrt().mean() / unit
         if step % PRIOR_EVERY == 0:
-            neighbours = start[index] + 0.025 * unit * torch.from_numpy(rng.standard_normal((len(index), 3))).float()
-            rigidity, inertia = field.priors(start[index], neighbours, t, dt)
-            loss = loss + PRIOR_EVERY * (settings.tv * field.regulariser() + settings.rigid * rigidity + settings.inertia * inertia)
+            noise = torch.from_numpy(rng.standard_normal((len(index), 3))).float()
+            priors = motion_priors(field, start[index], noise, t, dt, unit, settings)
+            loss = loss + PRIOR_EVERY * (settings.tv * field.regulariser() + priors)
         loss.backward()
         optimiser.step(step / STEPS, frozenset())
         advance(1)

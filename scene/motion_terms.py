@@ -15,6 +15,7 @@ from torch import Tensor
 from ..rasterizer import Gaussians
 from .flow_loss import data_flow_loss, interval_loss
 from .model import Model
+from .motion import Motion
 from .settings import TrainingSettings
 from .views import Views
 
@@ -27,6 +28,12 @@ NEIGHBOURHOOD = 0.025  # of the viewing distance: how far apart two places are t
 def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
     """Mean displacement, world units, of those of ``rest`` [N, 3] that are ``dynamic`` [N]."""
     return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
+
+
+def motion_priors(motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: float, unit: float, settings: TrainingSettings) -> Tensor:
+    """Weighted priors towards rigid and steady motion at ``rest`` [n, 3], judged beside it where standard normal ``noise`` [n, 3] says."""
+    rigidity, inertia = motion.priors(rest, rest + NEIGHBOURHOOD * unit * noise, t, dt)
+    return settings.rigid * rigidity + settings.inertia * inertia
 
 
 class MotionTerms:
@@ -63,9 +70,7 @@ class MotionTerms:
         if not len(moving):
             return torch.zeros(())
         rest = model.gaussians.means.detach()[moving[torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator)]]
-        neighbours = rest + NEIGHBOURHOOD * self.unit * torch.randn(rest.shape, generator=generator)
-        rigidity, inertia = model.field.priors(rest, neighbours, t, self.dt)
-        return s.rigid * rigidity + s.inertia * inertia
+        return motion_priors(model.field, rest, torch.randn(rest.shape, generator=generator), t, self.dt, self.unit, s)
 
     def _flow(self, model: Model, i: int, t: float, scale: float) -> Tensor:
         s, views = self.settings, self.views

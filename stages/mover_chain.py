@@ -34,6 +34,7 @@ class Chain:
         pairs = {(int(a), int(b)): p for p, (a, b) in enumerate(flow.read("pair"))}
         self._pair = [pairs.get((a, b)) for a, b in pairwise(frames)]
         self._flow, self._frames = flow, frames
+        self._height, self._width = flow.array("movers").shape[1:]
         self._step = lru_cache(maxsize=KEPT)(self._read_step)
         self._small_mask = lru_cache(maxsize=KEPT)(self._read_small_mask)
 
@@ -84,9 +85,8 @@ class Chain:
         """``values`` [h, w] or [h, w, 2] float32 at ``places`` [n, 2], bilinearly; beyond the picture its border, or ``outside``."""
         import cv2
 
-        height, width = self._flow.array("movers").shape[1:]
         small_height, small_width = values.shape[:2]
-        x = (places[:, :1] + 0.5) * np.float32(small_width / width) - 0.5
-        y = (places[:, 1:] + 0.5) * np.float32(small_height / height) - 0.5
+        x = (places[:, :1] + 0.5) * np.float32(small_width / self._width) - 0.5
+        y = (places[:, 1:] + 0.5) * np.float32(small_height / self._height) - 0.5
         border = {"borderMode": cv2.BORDER_REPLICATE} if outside is None else {"borderMode": cv2.BORDER_CONSTANT, "borderValue": outside}
         return cv2.remap(values, x, y, cv2.INTER_LINEAR, **border)[:, 0]
