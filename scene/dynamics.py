@@ -48,11 +48,7 @@ def dynamic_from_masks(points: np.ndarray, views: Views, looks: Iterable[tuple[i
     seen = np.zeros(len(points))
     moving = np.zeros(len(points))
     for i, mask in looks:
-        cam = points @ views.cam_from_world[i, :3, :3].T + views.cam_from_world[i, :3, 3]
-        z = np.maximum(cam[:, 2], 1e-9)
-        x = np.floor(views.K[i, 0, 0] * cam[:, 0] / z + views.K[i, 0, 2])
-        y = np.floor(views.K[i, 1, 1] * cam[:, 1] / z + views.K[i, 1, 2])
-        inside = (cam[:, 2] > views.near) & (x >= 0) & (x < views.width) & (y >= 0) & (y < views.height)
-        seen += inside
-        moving[inside] += mask[y[inside].astype(int), x[inside].astype(int)] > 127
+        shown, x, y, _ = views.project(i, points)
+        seen[shown] += 1
+        moving[shown] += mask[y, x] > 127
     return (seen == 0) | (moving >= share * np.maximum(seen, 1))

@@ -44,9 +44,9 @@ def carve(
     candidates = centre + rng.uniform(-radius, radius, (max(12 * count, 50_000), 3))
     hits, seen = np.zeros(len(candidates)), np.zeros(len(candidates))
     for mask, i in zip(foreground, frames):
-        x, y, inside = _pixels(views, int(i), candidates)
-        seen += inside
-        hits[inside] += mask[y[inside], x[inside]]
+        shown, x, y, _ = views.project(int(i), candidates)
+        seen[shown] += 1
+        hits[shown] += mask[y, x]
     share = np.where(seen >= 0.5 * len(frames), hits / np.maximum(seen, 1), 0.0)
     order = np.argsort(-share, kind="stable")
     solid = int((share >= majority).sum())
@@ -55,17 +55,9 @@ def carve(
 
     color, weight = np.zeros((count, 3)), np.zeros(count)
     for mask, i in zip(foreground, frames):
-        x, y, inside = _pixels(views, int(i), points)
-        inside[inside] &= mask[y[inside], x[inside]]
+        shown, x, y, _ = views.project(int(i), points)
+        on = mask[y, x]
         image = views.target(int(i)).numpy()
-        color[inside] += image[y[inside], x[inside]]
-        weight += inside
+        color[shown[on]] += image[y[on], x[on]]
+        weight[shown[on]] += 1
     return points, np.where(weight[:, None] > 0, color / np.maximum(weight, 1)[:, None], 0.5)
-
-
-def _pixels(views: Views, i: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    cam = points @ views.cam_from_world[i, :3, :3].T + views.cam_from_world[i, :3, 3]
-    z = np.maximum(cam[:, 2], 1e-9)
-    x = np.floor(views.K[i, 0, 0] * cam[:, 0] / z + views.K[i, 0, 2]).clip(-1e6, 1e6).astype(int)
-    y = np.floor(views.K[i, 1, 1] * cam[:, 1] / z + views.K[i, 1, 2]).clip(-1e6, 1e6).astype(int)
-    return x, y, (cam[:, 2] > views.near) & (x >= 0) & (x < views.width) & (y >= 0) & (y < views.height)

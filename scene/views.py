@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,6 +16,16 @@ from ..rasterizer import Camera
 from .edges import edge_weights
 
 CACHE_BYTES = 4 << 30
+
+
+class Projected(NamedTuple):
+    """point [n] int: numbers of the points that a frame shows. x, y [n] int: the pixels that they lie in. depth [n]: world units along the
+    optical axis."""
+
+    point: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    depth: np.ndarray
 
 
 @dataclass
@@ -82,6 +93,17 @@ class Views:
         while self._bytes > CACHE_BYTES and len(self._images) > 1:
             self._bytes -= self._images.popitem(last=False)[1].nbytes
         return self._images[key]
+
+    def project(self, i: int, points: np.ndarray) -> Projected:
+        """Where frame ``i``, at full size, shows ``points`` [P, 3] (world units): those that lie further ahead than ``near`` and inside the
+        picture, in their order. Pixel (x, y) reaches from x to x + 1 and y to y + 1 px. Whether something else hides them is not asked.
+        """
+        cam = points @ self.cam_from_world[i, :3, :3].T + self.cam_from_world[i, :3, 3]
+        ahead = np.flatnonzero(cam[:, 2] > self.near)
+        cam = cam[ahead]
+        x, y = (np.floor(self.K[i, c, c] * cam[:, c] / cam[:, 2] + self.K[i, c, 2]) for c in (0, 1))
+        inside = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
+        return Projected(ahead[inside], x[inside].astype(int), y[inside].astype(int), cam[inside, 2])
 
     def centres(self) -> np.ndarray:
         """Camera centres [F, 3] in world units, -R^T t."""

@@ -27,13 +27,8 @@ def component_depths(mask: np.ndarray, views: Views, i: int, points: np.ndarray)
     inset = max(1, round(INSET * mask.shape[1]))
     labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[1]
     inner = np.where(cv2.erode(mask.astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
-    cam = points @ views.cam_from_world[i, :3, :3].T + views.cam_from_world[i, :3, 3]
-    ahead = cam[:, 2] > views.near
-    cam = cam[ahead]
-    x, y = (np.floor(views.K[i, c, c] * cam[:, c] / cam[:, 2] + views.K[i, c, 2]) for c in (0, 1))
-    inside = (x >= 0) & (x < views.width) & (y >= 0) & (y < views.height)
-    hit = inner[y[inside].astype(int), x[inside].astype(int)]
-    z = cam[inside, 2]
+    _, x, y, z = views.project(i, points)
+    hit = inner[y, x]
     depths = np.zeros(int(labels.max()) + 1, np.float32)
     for label in range(1, len(depths)):
         hidden = z[hit == label]
