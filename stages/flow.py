@@ -90,13 +90,14 @@ class Flow(Stage):
 
         from .flow_measure import measure
         from .frameset import FrameSet
+        from .sequences import camera_sequences
 
         frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs.get("poses"))  # type: ignore[arg-type]
         if ctx.settings.detect_static and nothing_moves(ctx, frames):
             ctx.out.write("pair", np.zeros((0, 2), np.int32), doc="frame and the same camera's next frame")
             return
         wanted = choose_pairs(frames, ctx.settings.max_pairs)
-        cameras = {int(c): _by_time(frames, c) for c in np.unique(frames.camera[frames.train])}
+        cameras = camera_sequences(frames.camera, frames.time, frames.train)
         ctx.out.write(
             "pair",
             np.array([(i, frames.next[i]) for i in wanted], np.int32).reshape(-1, 2),
@@ -135,14 +136,10 @@ def choose_pairs(frames: FrameSet, limit: int) -> list[int]:
     """Training frames whose camera's next frame is a training frame too, by camera and time; evenly thinned to ``limit``."""
     import numpy as np
 
+    from .sequences import camera_sequences
+
     usable = {int(i) for i in frames.train}
-    order = sorted(usable, key=lambda i: (int(frames.camera[i]), float(frames.time[i]), i))
-    pairs = [i for i in order if int(frames.next[i]) in usable]
+    pairs = [i for mine in camera_sequences(frames.camera, frames.time, usable).values() for i in mine if int(frames.next[i]) in usable]
     if len(pairs) <= limit:
         return pairs
     return [pairs[int(k)] for k in np.linspace(0, len(pairs), limit, endpoint=False)]
-
-
-def _by_time(frames: FrameSet, camera: int) -> list[int]:
-    mine = [int(i) for i in frames.train if frames.camera[i] == camera]
-    return sorted(mine, key=lambda i: (float(frames.time[i]), i))

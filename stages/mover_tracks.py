@@ -13,6 +13,7 @@ import numpy as np
 
 from .mover_chain import Chain
 from .mover_depths import component_depths, depth_at, steady
+from .sequences import camera_sequences
 
 if TYPE_CHECKING:
     from ..pipeline import Artifact
@@ -42,7 +43,7 @@ def mover_tracks(flow: Artifact, views: Views, points: np.ndarray, advance: Call
     by the nearest track that does. advance: called with the number of frames that are done; every training frame counts once.
     """
     kept = []
-    for frames in _sequences(views):
+    for frames in camera_sequences(views.camera, views.time, views.train).values():
         one = camera_tracks(flow, views, frames, points) if len(frames) >= FEWEST_FRAMES else None
         kept += [one] if one is not None else []
         advance(len(frames))
@@ -59,13 +60,6 @@ def mover_tracks(flow: Artifact, views: Views, points: np.ndarray, advance: Call
         positions[rows, start:end], alive[rows, start:end] = one.positions, one.alive
         start = end
     return Tracks(rest, colors, times, positions, alive)
-
-
-def _sequences(views: Views) -> list[list[int]]:
-    """Training frames of each camera in order of time."""
-    train = [int(i) for i in views.train]
-    cameras = sorted({int(views.camera[i]) for i in train})
-    return [sorted((i for i in train if views.camera[i] == c), key=lambda i: float(views.time[i])) for c in cameras]
 
 
 def camera_tracks(flow: Artifact, views: Views, frames: list[int], points: np.ndarray) -> Tracks | None:

@@ -14,6 +14,7 @@ from .moving_objects import frame_evidence, moving_mask
 from .moving_residual import Neighbour
 from .moving_two_view import TwoView
 from .optical_flow import consistency, dis_flow
+from .sequences import camera_sequences
 from .static_matches import Features, PairEvidence, compare, features
 
 SIZE = 480  # px, longest side at which features are compared
@@ -67,7 +68,7 @@ def static_scene(
     if len(camera) < 2:
         return StaticScene(False, 0.0, "one picture cannot tell what moves", {"pictures": len(camera)})
     order = sorted(range(len(camera)), key=lambda i: (float(time[i]), int(camera[i]), i))
-    by_camera = [[i for i in order if camera[i] == c] for c in np.unique(camera)]
+    by_camera = list(camera_sequences(camera, time).values())
     if fixed_cameras:
         return _fixed(picture, [mine for mine in by_camera if len(mine) > 1])
     return _moving(picture, order, by_camera, K, cam_from_world)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from ..sequences import camera_sequences
 
 if TYPE_CHECKING:
     from ..frameset import FrameSet
@@ -36,7 +37,7 @@ def mover_masks(
     small[:, 0] *= width / np.maximum(size[:, :1], 1)
     small[:, 1] *= height / np.maximum(size[:, 1:], 1)
     masks = np.zeros((len(frames), height, width), bool)
-    for mine in _by_time(frames.camera, frames.time):
+    for mine in camera_sequences(frames.camera, frames.time).values():
         if len(mine) >= FEWEST and np.isfinite(cam_from_world[mine]).all((1, 2)).sum() >= 2:
             lens = _Lens(small[mine], distortion[mine], width, height)
             picture = lru_cache(maxsize=2 * REACH)(lambda k, mine=mine, lens=lens: lens.pinhole(_small(frames, mine[k], width, height)))
@@ -127,9 +128,3 @@ def _small(frames: FrameSet, i: int, width: int, height: int) -> np.ndarray:
     from ..pictures import composite, resize
 
     return resize(composite(frames.original(i), frames.background), width, height)
-
-
-def _by_time(camera: np.ndarray, time: np.ndarray) -> Iterator[list[int]]:
-    order = sorted(range(len(camera)), key=lambda i: (int(camera[i]), float(time[i]), i))
-    for _, mine in itertools.groupby(order, key=lambda i: int(camera[i])):
-        yield list(mine)
