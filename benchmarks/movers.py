@@ -23,7 +23,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from e4dgs.pipeline import Artifact, ArtifactWriter
+from e4dgs.pipeline import Artifact, ArtifactWriter, Progress
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from e4dgs.stages.frameset import FrameSet
 from e4dgs.stages.moving_foreground import frame_foregrounds
@@ -36,17 +36,6 @@ STATIC = {"sceaux/images": True, "stage, time stopped": True, "balloon1/images":
 STATIC |= {"room_mono": False, "stage": False, "basketball": False, "lego": False, "robot": False}
 MASKS = ("room_mono", "room_mono without poses", "balloon1", "basketball")
 TILE = (400, 225)
-
-
-class _Quiet:
-    def __enter__(self) -> _Quiet:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-    def advance(self, n: int = 1, note: str = "") -> None:
-        return None
 
 
 def read(path: Path, folder: Path, **settings: Any) -> tuple[FrameSet, dict[str, Any]]:
@@ -62,7 +51,7 @@ def read(path: Path, folder: Path, **settings: Any) -> tuple[FrameSet, dict[str,
         inputs={},
         out=ArtifactWriter(out),
         log=lambda text: None,
-        progress=lambda total, label: _Quiet(),
+        progress=Progress,
     )
     Frames().run(context)  # type: ignore[arg-type]
     context.out.finish({})

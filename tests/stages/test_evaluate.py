@@ -17,6 +17,7 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, Judge, choose_views, means, spread
 from e4dgs.stages.evaluation_pictures import depth_picture, error_picture, read_pictures
+from run_stage import run_stage
 from safetensors.torch import save_file
 
 SIZE = (48, 40)  # width, height
@@ -89,34 +90,13 @@ def trained(folder: Path, model: Model) -> Artifact:
     return Artifact(folder)
 
 
-class Progress:
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
-
-    def advance(self, n=1, note=""):
-        pass
-
-
 def evaluate(
     folder: Path, frames: Artifact, coarse=None, fine=None, flow=None, fixed: bool = False, **settings
 ) -> tuple[Artifact, list[str]]:
-    (folder / "out").mkdir(parents=True)
-    lines: list[str] = []
-    context = SimpleNamespace(
-        capture=SimpleNamespace(root=folder),
-        facts={"fixed_cameras": fixed},
-        settings=EvaluateSettings(**settings),
-        inputs={"frames": frames, "poses": None, "flow": flow, "coarse": coarse, "fine": fine},
-        out=ArtifactWriter(folder / "out"),
-        log=lines.append,
-        progress=lambda total, label: Progress(),
-    )
-    Evaluate().run(context)
-    context.out.finish({})
-    return Artifact(folder / "out"), lines
+    capture = SimpleNamespace(root=folder, facts={"fixed_cameras": fixed})
+    inputs = {"frames": frames, "poses": None, "flow": flow, "coarse": coarse, "fine": fine}
+    ran = run_stage(Evaluate(), capture, folder, EvaluateSettings(**settings), inputs)
+    return ran.artifact, ran.lines
 
 
 @pytest.fixture(scope="module")

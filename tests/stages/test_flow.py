@@ -8,61 +8,30 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
+from e4dgs.pipeline import Artifact, StageError
 from e4dgs.scene.edges import edge_weights
 from e4dgs.scene.raft.architecture import SMALL
 from e4dgs.stages.dataset import measured_flow
 from e4dgs.stages.flow import Flow, FlowSettings, choose_pairs
 from e4dgs.stages.flow_method import Dis, FlowMethod
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from e4dgs.stages.frameset import FrameSet
 from e4dgs.stages.motion_mask import MotionMask, motion_mask
 from e4dgs.stages.optical_flow import FlowPair, consistency, dis_flow, flow_pair
 from factory import Options, make, optical_flow, render, write_n3v
 from raft_weights import random_state, torchvisions
+from run_stage import run_frames, run_stage
 from safetensors.torch import save_file
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 BASE = {"static": False, "pairs": 10, "width": 64, "height": 48, "frames": 11}
 
 
-class Progress:
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
-
-    def advance(self, n=1, note=""):
-        pass
-
-
 def run(capture_path, folder: Path, holdout: int = 8, detect_static: bool = False, **settings) -> tuple[Artifact, FrameSet]:
     """`frames`, then `flow`."""
-    capture = recognise_for(capture_path, FramesSettings(holdout=holdout))
-    said: list[str] = []
-
-    def context(stage: str, options, inputs):
-        (folder / stage).mkdir(parents=True)
-        return SimpleNamespace(
-            capture=capture,
-            facts=capture.facts,
-            settings=options,
-            inputs=inputs,
-            out=ArtifactWriter(folder / stage),
-            log=said.append,
-            device="cpu",
-            progress=lambda total, label: Progress(),
-        )
-
-    first = context("frames", FramesSettings(holdout=holdout), {})
-    Frames().run(first)
-    first.out.finish({})
-    frames = Artifact(folder / "frames")
-    second = context("flow", FlowSettings(detect_static=detect_static, **settings), {"frames": frames, "poses": None})
-    Flow().run(second)
-    second.out.finish({})
-    return Artifact(folder / "flow"), FrameSet(frames, capture.root)
+    frames = run_frames(capture_path, folder, holdout=holdout)
+    capture, options = frames.context.capture, FlowSettings(detect_static=detect_static, **settings)
+    flow = run_stage(Flow(), capture, folder, options, {"frames": frames.artifact, "poses": None})
+    return flow.artifact, FrameSet(frames.artifact, capture.root)
 
 
 def both_ways(first: np.ndarray, second: np.ndarray, method: FlowMethod | None = None) -> FlowPair:

@@ -2,49 +2,20 @@
 
 import shutil
 import struct
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from e4dgs.pipeline import Artifact, ArtifactWriter, CaptureError
+from e4dgs.pipeline import CaptureError
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from factory import render
 from factory.writers import flatten
 from PIL import Image
-
-
-class Progress:
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
-
-    def advance(self, n=1, note=""):
-        pass
+from run_stage import run_frames
 
 
 def run(path, folder, **settings):
-    """Run the stage alone and open what it wrote."""
-    options = FramesSettings(**settings)
-    capture = recognise_for(path, options)
-    folder.mkdir()
-    out = ArtifactWriter(folder)
-    Frames().run(
-        SimpleNamespace(
-            capture=capture,
-            facts=capture.facts,
-            settings=options,
-            inputs={},
-            out=out,
-            checkpoints=folder,
-            device="cpu",
-            log=lambda text: None,
-            progress=lambda total, label: Progress(),
-        )
-    )
-    out.finish({})
-    return Artifact(folder)
+    """What the stage alone wrote."""
+    return run_frames(path, folder, **settings).artifact
 
 
 def luma_error(picture, truth):

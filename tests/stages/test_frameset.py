@@ -4,48 +4,28 @@ import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.stages import pictures
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from e4dgs.stages.frameset import FrameSet
 from factory import Camera, render
 from factory.writers import flatten
-
-
-class Progress:
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
-
-    def advance(self, n=1, note=""):
-        pass
+from run_stage import run_frames
 
 
 def frames_of(path, folder, **settings):
-    options = FramesSettings(**settings)
-    capture = recognise_for(path, options)
-    folder.mkdir()
-    out = ArtifactWriter(folder)
-    Frames().run(
-        SimpleNamespace(
-            capture=capture, settings=options, out=out, log=lambda text: None, progress=lambda total, label: Progress(), facts=capture.facts
-        )
-    )
-    out.finish({})
-    return Artifact(folder), capture.root
+    """The artifact of `frames`, and the capture's folder."""
+    ran = run_frames(path, folder, **settings)
+    return ran.artifact, ran.context.capture.root
 
 
 @pytest.fixture
 def open_set(tmp_path):
     def make(path, **settings):
-        return FrameSet(*frames_of(path, tmp_path / "frames", **settings))
+        return FrameSet(*frames_of(path, tmp_path, **settings))
 
     return make
 
@@ -125,7 +105,7 @@ def test_pictures_from_video(open_set, video_capture):
 
 
 def test_poses_of_structure_from_motion_replace_the_capture_s(tmp_path, video_capture):
-    frames, root = frames_of(video_capture.root, tmp_path / "frames")
+    frames, root = frames_of(video_capture.root, tmp_path)
     (tmp_path / "poses").mkdir()
     out = ArtifactWriter(tmp_path / "poses")
     cam_from_world = np.stack([v.camera.cam_from_world for v in video_capture.views])

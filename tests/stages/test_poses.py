@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 from e4dgs.pipeline import StageError
+from e4dgs.stages.frameset import FrameSet
 from e4dgs.stages.poses import MEDIAN_DISTANCE, Poses, PosesSettings, keep_points, normalise
 from e4dgs.stages.sfm import runner
 from e4dgs.stages.sfm.alignment import camera_centres, pose_error, similarity
@@ -15,7 +16,7 @@ from e4dgs.stages.sfm.coverage import cover, runs, spans
 from e4dgs.stages.sfm.pairs import choose, image_pairs
 from factory import Options, make, write_images
 from PIL import Image
-from poses_stage import run
+from run_stage import run_poses
 
 FRAMES = 9
 
@@ -32,7 +33,7 @@ def room(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def solved(room, tmp_path_factory):
-    return run(room.root, tmp_path_factory.mktemp("solved"))
+    return run_poses(room.root, tmp_path_factory.mktemp("solved"))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,8 @@ def test_intrinsics_are_found_without_exif(solved, room):
 def test_rows_of_missing_frames_are_nan_and_the_frameset_leaves_them_out(solved):
     assert np.isnan(solved.artifact.read("cam_from_world")[FRAMES]).all()
     assert np.isnan(solved.artifact.read("K")[FRAMES]).all()
-    assert FRAMES not in {*solved.frames.train, *solved.frames.val, *solved.frames.test}
+    frames = FrameSet(solved.context.inputs["frames"], solved.context.capture.root, solved.artifact)
+    assert FRAMES not in {*frames.train, *frames.val, *frames.test}
 
 
 def test_a_missing_frame_is_named_with_a_reason_and_a_remedy(solved):
@@ -81,7 +83,7 @@ def test_world_is_normalised_and_points_lie_in_front_of_the_cameras(solved):
 
 
 def test_a_second_run_gives_the_same_bits(solved, room, tmp_path):
-    again = run(room.root, tmp_path)
+    again = run_poses(room.root, tmp_path)
     for name in solved.artifact.names():
         assert np.array_equal(solved.artifact.read(name), again.artifact.read(name), equal_nan=name in ("K", "cam_from_world")), name
     assert solved.artifact.attrs == again.artifact.attrs
@@ -89,7 +91,7 @@ def test_a_second_run_gives_the_same_bits(solved, room, tmp_path):
 
 def test_a_killed_run_keeps_its_features(solved, tmp_path):
     folder = tmp_path / "colmap"
-    request = json.loads((solved.checkpoints / "colmap" / "request.json").read_text())
+    request = json.loads((solved.context.checkpoints / "colmap" / "request.json").read_text())
     request["pairs"] = request["pairs"][:3]
 
     def stop(phase: str, done: int, total: int) -> None:
@@ -112,7 +114,7 @@ def test_a_capture_that_cannot_be_reconstructed_is_refused_with_a_remedy(tmp_pat
     for i in range(4):  # nothing in one picture is in another
         Image.fromarray(noise.integers(0, 256, (96, 128, 3), dtype=np.uint8)).save(folder / f"{i:03d}.png")
     with pytest.raises(StageError, match=r"no cameras for the 4 frames .* features an image(.|\n)*poses\.matcher=exhaustive"):
-        run(folder, tmp_path / "work")
+        run_poses(folder, tmp_path / "work")
 
 
 def test_a_native_crash_is_one_error_with_the_signal(tmp_path, monkeypatch):
@@ -220,7 +222,7 @@ def test_real_captures_register_whole(shared_scenes, tmp_path, scene, frames):
     for file in sorted((shared_scenes / scene).glob("*.[jJ]*")):
         with Image.open(file) as image:
             image.reduce(3).save(small / file.name, quality=95)
-    result = run(small, tmp_path / "work")
+    result = run_poses(small, tmp_path / "work")
     assert result.artifact.attrs["registered"] == frames
     assert result.artifact.attrs["mean_reprojection_error"] < 0.6
     shutil.rmtree(tmp_path / "work")

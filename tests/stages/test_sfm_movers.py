@@ -6,14 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from e4dgs.stages.frames import FramesSettings, recognise_for
+from e4dgs.stages.frameset import FrameSet
 from e4dgs.stages.sfm import runner, second_pass
 from e4dgs.stages.sfm.alignment import pose_error
 from e4dgs.stages.sfm.movers import FEWEST, mover_masks, on_movers, still_matches
 from e4dgs.stages.sfm.pose_agreement import Matches, agreement
 from e4dgs.stages.sfm.second_pass import LEAST, choose_pass, needless
 from factory import Box, Cells, Motion, Object, Options, make, render, write_images
-from poses_stage import Progress, run
+from run_stage import run_frames, run_poses
 
 WIDTH, HEIGHT, TIMES = 240, 180, 8
 FEATURES = 700  # an image
@@ -37,7 +37,7 @@ def truth(busy) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def solved(busy, tmp_path_factory):
-    return run(busy.root, tmp_path_factory.mktemp("solved"), max_features=FEATURES)
+    return run_poses(busy.root, tmp_path_factory.mktemp("solved"), max_features=FEATURES)
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +62,10 @@ def test_a_second_pass_without_movers_runs_and_is_no_worse(solved, truth, box):
     attrs = solved.artifact.attrs
     assert box.mean() > 0.2
     assert 0.01 < attrs["movers_share"] < 1 and attrs["registered"] == TIMES
-    assert (solved.checkpoints / "colmap" / "masked" / "result.json").is_file()
+    assert (solved.context.checkpoints / "colmap" / "masked" / "result.json").is_file()
     assert "of the features used lie on movers" in attrs["second_pass"] and "is kept: its cameras explain" in attrs["second_pass"]
     assert f"what moves: {attrs['second_pass']}" in solved.lines
-    with np.load(solved.checkpoints / "colmap" / "result.npz") as first:
+    with np.load(solved.context.checkpoints / "colmap" / "result.npz") as first:
         before = pose_error(first["cam_from_world"], truth)
     after = pose_error(solved.artifact.read("cam_from_world"), truth)
     assert after["percent"] < 0.1 and after["percent"] <= before["percent"] + 0.02
@@ -86,7 +86,7 @@ def killed(busy, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(second_pass, "run_worker", stop)
         with pytest.raises(KeyboardInterrupt):
-            run(busy.root, folder, max_features=FEATURES)
+            run_poses(busy.root, folder, max_features=FEATURES)
     return folder
 
 
@@ -99,10 +99,10 @@ def resumed(killed):
 
 
 def test_off_leaves_the_first_pass(busy, resumed):
-    off = run(busy.root, resumed, movers="off", max_features=FEATURES)
+    off = run_poses(busy.root, resumed, movers="off", max_features=FEATURES)
     assert off.artifact.attrs["movers_share"] is None and off.artifact.attrs["second_pass"] == "poses.movers=off"
     assert not any("what moves" in line for line in off.lines)
-    with np.load(resumed / "checkpoints" / "colmap" / "result.npz") as first:
+    with np.load(resumed / "checkpoints" / "poses" / "colmap" / "result.npz") as first:
         assert np.array_equal(first["cam_from_world"][:, :3, :3], off.artifact.read("cam_from_world")[:, :3, :3])
 
 
@@ -111,7 +111,7 @@ def test_a_second_pass_that_crashes_leaves_the_first(busy, resumed, monkeypatch)
         raise runner.WorkerError("COLMAP was ended by SIGSEGV. The end of its log: ...")
 
     monkeypatch.setattr(second_pass, "run_worker", crash)
-    result = run(busy.root, resumed, max_features=FEATURES)
+    result = run_poses(busy.root, resumed, max_features=FEATURES)
     assert "the second pass without them failed, the first is kept" in result.artifact.attrs["second_pass"]
     assert result.artifact.attrs["registered"] == TIMES and any("SIGSEGV" in line for line in result.lines)
 
@@ -127,13 +127,14 @@ def test_a_run_killed_in_the_second_pass_goes_on_there(busy, resumed, solved, mo
     for module in (runner, second_pass):
         monkeypatch.setattr(module, "run_worker", watched)
     monkeypatch.setattr(second_pass, "mover_masks", lambda *_: pytest.fail("the masks were there"))
-    again = run(busy.root, resumed, max_features=FEATURES)
+    again = run_poses(busy.root, resumed, max_features=FEATURES)
     assert tasks == ["reconstruct_masked"], "what the first pass found was kept"
     assert np.array_equal(again.artifact.read("cam_from_world"), solved.artifact.read("cam_from_world"))
 
 
 def test_masks_lie_on_the_box_and_frames_without_a_pose_have_none(busy, truth, box, tmp_path):
-    frames = frameset(busy, tmp_path)
+    ran = run_frames(busy.root, tmp_path)
+    frames = FrameSet(ran.artifact, ran.context.capture.root)
     arrays, advanced = posed(truth, busy), []
     arrays["cam_from_world"][3] = np.nan
     arrays["K"][3] = np.nan
@@ -143,22 +144,6 @@ def test_masks_lie_on_the_box_and_frames_without_a_pose_have_none(busy, truth, b
     assert not masks[3].any()
     others = np.arange(TIMES) != 3
     assert (masks & box)[others].sum() / (masks | box)[others].sum() > 0.75
-
-
-def frameset(busy, folder):
-    from e4dgs.pipeline import Artifact, ArtifactWriter
-    from e4dgs.stages.frames import Frames
-    from e4dgs.stages.frameset import FrameSet
-
-    capture = recognise_for(busy.root, FramesSettings())
-    (folder / "frames").mkdir()
-    context = SimpleNamespace(
-        capture=capture, facts=capture.facts, settings=FramesSettings(), inputs={}, out=ArtifactWriter(folder / "frames")
-    )
-    context.log, context.progress = lambda line: None, lambda total, label: Progress()
-    Frames().run(context)
-    context.out.finish({})
-    return FrameSet(Artifact(folder / "frames"), capture.root)
 
 
 def test_masks_follow_the_lens(busy):
