@@ -83,6 +83,22 @@ def test_images_grow_to_full_size_during_coarse(full_from, expected):
     assert sum(p.iterations for p in coarse_phases("two-stage", 777, True, full_from)) == 777
 
 
+@pytest.mark.parametrize("strategy", ["two-stage", "alternating", "progressive"])
+def test_motion_that_is_known_has_no_warm_up_without_it(strategy):
+    rest, known = (coarse_phases(strategy, 1000, False, 0.75, from_rest=from_rest) for from_rest in (True, False))
+    assert sum(p.iterations for p in rest if p.name == "warm-up" and not p.move) == 100 and not rest[0].move
+    assert [p.name for p in known] == ["deformation"] * len(known) and all(p.move for p in known)
+    for phases in (rest, known):
+        small = sum(p.iterations for p in phases if p.scale == phases[0].scale)
+        assert sum(p.iterations for p in phases) == 1000 and small == (500 if strategy == "progressive" else 750)
+
+
+@pytest.mark.parametrize(("strategy", "static"), [("joint", False), ("joint", True), ("two-stage", True)])
+def test_stages_that_do_not_move_are_as_they_were_where_motion_is_known(strategy, static):
+    known = coarse_phases(strategy, 1000, static, from_rest=False)
+    assert known == coarse_phases(strategy, 1000, static, from_rest=True) and known and not any(p.move for p in known)
+
+
 def test_static_scenes_never_move():
     assert not any(p.move for p in coarse_phases("two-stage", 1000, True) + fine_phases("two-stage", 1000, 300, True))
     assert sum(p.iterations for p in fine_phases("joint", 1000, 300, True)) == 300

@@ -1,0 +1,125 @@
+"""The whole stage `coarse` on a ball that crosses a room before a moving camera: it begins with tracks of the ball, or without."""
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from e4dgs.scene import motion_start, schedule
+from e4dgs.stages.coarse import Coarse, CoarseSettings
+from e4dgs.stages.dataset import load_frameset, load_views
+from e4dgs.stages.training_artifact import read_model
+from factory import Cells, Motion, Object, Options, Sphere, make, optical_flow, render, write_colmap
+from run_stage import run_frames, run_stage
+from write_artifact import write_artifact
+
+WIDTH, HEIGHT, FRAMES = 96, 72, 9
+ITERATIONS = 24
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory) -> SimpleNamespace:
+    """The capture; frames and flow as artifacts, flow and masks of the ball being exact; `shown` [F, H, W] bool: where the ball is."""
+    options = Options(
+        backdrop="room", rig="path", boxes=0, spheres=0, times=FRAMES, width=WIDTH, height=HEIGHT, samples=2, fov_degrees=60.0
+    )
+    made = make(options)
+    thing = Object("ball", Sphere(0.45), Cells(0.4, 1), Motion((0.0, 0.0, 0.45), slide=(2.0, 0.0, 0.0)))
+    scene, views = replace(made.scene, objects=(*made.scene.objects, thing)), made.views
+    folder = tmp_path_factory.mktemp("ball")
+    frames = run_frames(write_colmap(replace(made, scene=scene), folder / "capture").root, folder, holdout=0)
+    pairs = [(views[k], views[k + 1]) for k in range(FRAMES - 1)]
+    forth = [optical_flow(scene, a.camera, a.time, b.time, b.camera) for a, b in pairs]
+    back = [optical_flow(scene, b.camera, b.time, a.time, a.camera) for a, b in pairs]
+    shown = np.stack([render(scene, view.camera, view.time, samples=1).object > 0 for view in views])
+    flow = {
+        "pair": np.array([(k, k + 1) for k in range(FRAMES - 1)], np.int32),
+        "forward": np.stack([found.flow for found in forth]).astype(np.float16),
+        "backward": np.stack([found.flow for found in back]).astype(np.float16),
+        "confidence": np.stack([255 * found.visible for found in forth]).astype(np.uint8),
+    }
+    masks = {"movers": 255 * shown.astype(np.uint8)}
+    inputs = {"frames": frames.artifact, "poses": None}
+    return SimpleNamespace(
+        capture=frames.context.capture,
+        shown=shown,
+        with_masks={**inputs, "flow": write_artifact(folder / "masks", flow | masks)},
+        without_masks={**inputs, "flow": write_artifact(folder / "no masks", flow)},
+    )
+
+
+def train(ball, inputs, folder):
+    """What ran, and the phases of its training. The field is fitted to tracks in fewer steps, to stay quick."""
+    phases: list[schedule.Phase] = []
+    planned = schedule.coarse_phases
+
+    def plan(*given):
+        phases.extend(planned(*given))
+        return phases
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(motion_start, "STEPS", 300)
+        patch.setattr(schedule, "coarse_phases", plan)
+        ran = run_stage(Coarse(), ball.capture, folder, CoarseSettings(iterations=ITERATIONS), inputs)
+    return ran, phases
+
+
+@pytest.fixture(scope="module")
+def tracked(ball, tmp_path_factory):
+    return train(ball, ball.with_masks, tmp_path_factory.mktemp("tracked"))
+
+
+@pytest.fixture(scope="module")
+def untracked(ball, tmp_path_factory):
+    return train(ball, ball.without_masks, tmp_path_factory.mktemp("untracked"))
+
+
+@pytest.mark.parametrize("which", ["tracked", "untracked"])
+def test_training_stays_finite_and_learns(which, request):
+    artifact = request.getfixturevalue(which)[0].artifact
+    assert all(np.isfinite(artifact.read(name)).all() for name in artifact.names())
+    assert artifact.attrs["model"]["field"]["kind"] == "planes" and artifact.attrs["iterations"] == ITERATIONS
+    training = artifact.info["training"]
+    assert training["iterations"] == ITERATIONS and training["nonfinite_steps"] == 0
+    losses = [loss for _, loss in training["loss"]]
+    assert len(losses) > 1 and losses[-1] < 0.97 * losses[0]
+
+
+def test_with_tracks_what_moves_has_seeds_and_motion_needs_no_warm_up(tracked):
+    ran, phases = tracked
+    (told,) = [line for line in ran.lines if "seeds on what moves, followed along the flow" in line]
+    seeds, off = re.fullmatch(r"(\d+) seeds on .*; the field begins ([\d.]+)% of the viewing distance beside them", told).groups()
+    assert int(seeds) > 300 and float(off) < 2
+    assert len(ran.artifact.read("gaussians_means")) > 300, "more than the points of the capture"
+    assert phases and all(phase.move for phase in phases)
+
+
+def test_without_tracks_training_begins_at_rest(untracked):
+    ran, phases = untracked
+    assert not any("seeds on what moves" in line for line in ran.lines)
+    assert len(ran.artifact.read("gaussians_means")) < 300
+    assert not phases[0].move and phases[-1].move
+
+
+def on_the_ball(ball, ran, moved: bool) -> list[float]:
+    """For each frame the share, of the Gaussians that may move, of those within the ball's outline; without `moved` at rest."""
+    model, views = read_model(ran.artifact), load_views(load_frameset(ran.context.inputs, ball.capture.root), None)
+    rest = model.gaussians.means[model.gaussians.dynamic].detach()
+    shares = []
+    for i, t in enumerate(views.time):
+        with torch.no_grad():
+            places = rest + model.field(rest, float(t)).dx if moved else rest
+        found = views.project(i, places.double().numpy())
+        shares.append(float(ball.shown[i, found.y, found.x].sum() / len(rest)))
+    return shares
+
+
+def test_what_has_tracks_follows_the_ball(ball, tracked):
+    """It crosses more than half of the picture: at the ends of its way no place is left that it covers in the middle."""
+    ran, _ = tracked
+    moved, rest = (np.array(on_the_ball(ball, ran, moved)) for moved in (True, False))
+    middle, ends = FRAMES // 2, [0, FRAMES - 1]
+    assert not (ball.shown[middle] & ball.shown[ends]).any() and rest[ends].max() < 0.05
+    assert rest[middle] > 0.7 and moved[ends].min() > 0.2 and moved.mean() > rest.mean() + 0.1

@@ -1,0 +1,115 @@
+"""Which seeds may move: the shares of the looks from which on, and when what moves has seeds of its own."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from e4dgs.pipeline import Artifact, Progress
+from e4dgs.scene.views import Views
+from e4dgs.stages import mover_tracks
+from e4dgs.stages.seeds import initial_dynamic, tracks_of_movers
+from write_artifact import write_artifact
+
+LOOKS = 20
+WIDTH = HEIGHT = LOOKS + 2
+FIRST = 7  # number of the first fixed camera
+HELD_OUT = 3  # frames of the moving camera, before the others
+
+
+def views(fixed: bool) -> Views:
+    """`LOOKS` cameras that stand, with two frames each, or as many training frames of one that moves and `HELD_OUT` others. The camera
+    or frame k is moved by k pixels, so that `points` lie in its row k."""
+    look = np.repeat(np.arange(LOOKS), 2) if fixed else np.array([0] * HELD_OUT + [*range(LOOKS)])
+    count, blank = len(look), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, 1, 3] = look
+    return Views(
+        K=np.tile(np.eye(3), (count, 1, 1)),
+        cam_from_world=poses,
+        time=np.linspace(0, 1, count),
+        camera=FIRST + look if fixed else np.zeros(count, int),
+        next=np.full(count, -1),
+        train=np.arange(0 if fixed else HELD_OUT, count),
+        width=WIDTH,
+        height=HEIGHT,
+        load=lambda i: blank,
+    )
+
+
+def points() -> np.ndarray:
+    """Point x appears in column x of each look; all of them at depth 1."""
+    return np.array([[x + 0.5, 0.5, 1.0] for x in range(WIDTH)])
+
+
+def masks() -> np.ndarray:
+    """[LOOKS, H, W]: point x is seen to move in x of the looks, at most in all."""
+    found = np.zeros((LOOKS, HEIGHT, WIDTH), np.uint8)
+    for k in range(LOOKS):
+        found[k, k, k + 1 :] = 255
+    return found
+
+
+def flow(folder: Path, fixed: bool = False, movers: bool = False) -> Artifact:
+    """With masks of what ever moves before each fixed camera, or of movers in each frame, or of both, or of neither."""
+    arrays = {"pair": np.zeros((0, 2), np.int32)}
+    if movers:
+        # In frames that are held out everything moves; nobody must look at them.
+        arrays["movers"] = np.concatenate([np.full((HELD_OUT, HEIGHT, WIDTH), 255, np.uint8), masks()])
+    if fixed:
+        arrays["moving"] = masks()[::-1]
+    return write_artifact(folder, arrays, **({"moving_cameras": [FIRST + k for k in reversed(range(LOOKS))]} if fixed else {}))
+
+
+def context(flow: Artifact | None) -> SimpleNamespace:
+    lines: list[str] = []
+    return SimpleNamespace(inputs={"flow": flow}, log=lines.append, lines=lines, progress=Progress)
+
+
+@pytest.mark.parametrize(
+    ("fixed", "movers_seeded", "first"),
+    [
+        (True, False, 6),  # 0.3 of 20 fixed cameras
+        (True, True, 6),
+        (False, True, 10),  # half of the frames, where what moves has seeds of its own
+        (False, False, 1),  # a twentieth of them, where these must do
+    ],
+)
+def test_a_seed_may_move_from_a_share_of_the_looks_on(fixed, movers_seeded, first, tmp_path):
+    ctx = context(flow(tmp_path / "flow", fixed, movers=not fixed))
+    dynamic = initial_dynamic(ctx, points(), views(fixed), movers_seeded)
+    assert dynamic.dtype == bool and dynamic.tolist() == [x >= first for x in range(WIDTH)]
+    (line,) = ctx.lines
+    assert line.startswith(f"{first} of {WIDTH} seeds lie where") and ("fixed camera" in line) is fixed
+
+
+def test_what_fixed_cameras_see_counts_before_masks_of_movers(tmp_path):
+    ctx = context(flow(tmp_path / "flow", fixed=True, movers=True))
+    assert initial_dynamic(ctx, points(), views(True), False).tolist() == [x >= 6 for x in range(WIDTH)]
+
+
+def test_without_masks_every_seed_may_move(tmp_path):
+    for found in (None, flow(tmp_path / "flow")):
+        ctx = context(found)
+        assert initial_dynamic(ctx, points(), views(False), False).all() and not ctx.lines
+
+
+@pytest.mark.parametrize(
+    ("fixed", "movers", "followed"), [(False, True, True), (True, True, False), (True, False, False), (False, False, False)]
+)
+def test_what_moves_is_followed_before_moving_cameras_alone(fixed, movers, followed, tmp_path, monkeypatch):
+    """Nobody follows anything without masks of movers, or where the cameras stand."""
+    asked = []
+
+    def found(*given):
+        asked.append(given[:3])
+        return "tracks"
+
+    monkeypatch.setattr(mover_tracks, "mover_tracks", found)
+    ctx, seen, still = context(flow(tmp_path / "flow", fixed, movers)), views(fixed), points()
+    assert tracks_of_movers(ctx, seen, still) == ("tracks" if followed else None)
+    assert asked == ([(ctx.inputs["flow"], seen, still)] if followed else [])
+
+
+def test_without_flow_nothing_is_followed():
+    assert tracks_of_movers(context(None), views(False), points()) is None
