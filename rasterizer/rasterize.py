@@ -37,21 +37,24 @@ def rasterize(
     validate: True raises on non-finite or out-of-range values of primitives; False culls those primitives alone, with zero
         gradient. A non-finite camera or background always raises.
 
-    Inputs are float32 or float64 tensors on one device; gradients reach every one of them, K and cam_from_world included.
+    Inputs are float32 or float64 tensors on one device; gradients reach every one of them, K and cam_from_world included. Beside
+    primitives on a CUDA device, camera and background may stay on the CPU, which saves waiting for the device. Inside the capture of a
+    CUDA graph their values are not checked.
 
     Raises TypeError for what is not a float tensor, ValueError for shapes and values (both name the field), RuntimeError
     where the backend cannot be loaded.
     """
-    check_camera(camera)
-    gaussians = _empty_gaussians(camera) if gaussians is None else gaussians
-    convexes = _empty_convexes(camera) if convexes is None else convexes
+    capturing = torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
+    check_camera(camera, values=not capturing)
+    device = _device_of(camera, gaussians, convexes)
+    gaussians = _empty_gaussians(camera, device) if gaussians is None else gaussians
+    convexes = _empty_convexes(camera, device) if convexes is None else convexes
     _check_gaussians(gaussians)
     _check_convexes(convexes)
-    device = camera.K.device
     if background is None:
-        background = torch.zeros(3, dtype=camera.K.dtype, device=device)
-    _check("background", background, (3,), device)
-    if not bool(torch.isfinite(background).all()):
+        background = torch.zeros(3, dtype=camera.K.dtype, device=camera.K.device)
+    _check("background", background, (3,), None if device.type == "cuda" and background.device.type == "cpu" else device)
+    if not capturing and not bool(torch.isfinite(background).all()):
         raise ValueError(f"background must be finite, got {background.tolist()}")
     for owner in (gaussians, convexes):
         _check_device(owner, device)
@@ -85,7 +88,12 @@ def rasterize(
         camera = _cast(camera, torch.float64)
         return rasterize_cpu(camera, _cast(gaussians, single), _cast(convexes, single), background.to(single).contiguous())
     if backend == "cuda":
-        raise RuntimeError("backend 'cuda' is not built in this version; use backend='cpu' or backend='reference'")
+        from .cuda_backend import rasterize_cuda
+
+        single = torch.float32
+        if not capturing:
+            camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
+        return rasterize_cuda(camera, _cast(gaussians, single), _cast(convexes, single), background)
     raise ValueError(f"backend must be 'auto', 'cpu', 'cuda' or 'reference', got {backend!r}")
 
 
@@ -100,6 +108,14 @@ def _check(name: str, value: object, shape: tuple[int | None, ...], device: torc
         raise ValueError(f"{name} must have shape [{wanted}], got {list(value.shape)}")
     if device is not None and value.device != device:
         raise ValueError(f"{name} is on {value.device}, but camera.K is on {device}; all tensors must be on one device")
+
+
+def _device_of(camera: Camera, gaussians: Gaussians | None, convexes: Convexes | None) -> torch.device:
+    """The device that all tensors must be on: the camera's, or the primitives' where that is a CUDA device and the camera's is the CPU."""
+    for value in (getattr(gaussians, "means", None), getattr(convexes, "points", None)):
+        if isinstance(value, Tensor) and value.device.type == "cuda" and camera.K.device.type == "cpu":
+            return value.device
+    return camera.K.device
 
 
 def _check_device(owner: Gaussians | Convexes, device: torch.device) -> None:
@@ -160,16 +176,16 @@ def _pad_extras(gaussians: Gaussians, convexes: Convexes) -> tuple[Gaussians, Co
     return gaussians, convexes
 
 
-def _empty_gaussians(camera: Camera) -> Gaussians:
+def _empty_gaussians(camera: Camera, device: torch.device | None = None) -> Gaussians:
     def zeros(*shape: int) -> Tensor:
-        return torch.zeros(shape, dtype=camera.K.dtype, device=camera.K.device)
+        return torch.zeros(shape, dtype=camera.K.dtype, device=device or camera.K.device)
 
     return Gaussians(zeros(0, 3), zeros(0, 4), zeros(0, 3), zeros(0), colors=zeros(0, 3))
 
 
-def _empty_convexes(camera: Camera) -> Convexes:
+def _empty_convexes(camera: Camera, device: torch.device | None = None) -> Convexes:
     def zeros(*shape: int) -> Tensor:
-        return torch.zeros(shape, dtype=camera.K.dtype, device=camera.K.device)
+        return torch.zeros(shape, dtype=camera.K.dtype, device=device or camera.K.device)
 
     return Convexes(zeros(0, POINTS[0], 3), zeros(0), zeros(0), zeros(0), colors=zeros(0, 3))
 
@@ -195,6 +211,6 @@ def _recentre(camera: Camera, gaussians: Gaussians, convexes: Convexes) -> tuple
     moved = world[:, 3:] + world[:, :3] @ centre.double()[:, None]
     return (
         replace(camera, cam_from_world=torch.cat([world[:, :3], moved], 1)),
-        replace(gaussians, means=gaussians.means - centre.to(gaussians.means.dtype)),
-        replace(convexes, points=convexes.points - centre.to(convexes.points.dtype)),
+        replace(gaussians, means=gaussians.means - centre.to(gaussians.means)),
+        replace(convexes, points=convexes.points - centre.to(convexes.points)),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import fields
 
@@ -22,8 +23,8 @@ _RANGES: dict[str, tuple[str, Callable[[Tensor], Tensor]]] = {
 }
 
 
-def check_camera(camera: Camera) -> None:
-    """Raise TypeError or ValueError, naming the field, unless this camera can be rendered from."""
+def check_camera(camera: Camera, values: bool = True) -> None:
+    """Raise TypeError or ValueError, naming the field, unless this camera can be rendered from. Without `values` none is looked at."""
     if not isinstance(camera, Camera):
         raise TypeError(f"camera must be a Camera, got {type(camera).__name__}")
     for name, shape in (("K", (3, 3)), ("cam_from_world", (4, 4))):
@@ -34,8 +35,6 @@ def check_camera(camera: Camera) -> None:
             raise TypeError(f"camera.{name} must be float32 or float64, got {value.dtype}")
         if value.shape != shape:
             raise ValueError(f"camera.{name} must have shape {list(shape)}, got {list(value.shape)}")
-        if not bool(torch.isfinite(value).all()):
-            raise ValueError(f"camera.{name} must be finite, got {value.tolist()}")
     if camera.cam_from_world.device != camera.K.device:
         raise ValueError(f"camera.cam_from_world is on {camera.cam_from_world.device}, but camera.K is on {camera.K.device}")
     for name in ("width", "height"):
@@ -46,12 +45,19 @@ def check_camera(camera: Camera) -> None:
             raise ValueError(f"camera.{name} must be at least 1, got {value}")
     if not 0 < camera.near < float("inf"):
         raise ValueError(f"camera.near must be positive and finite, got {camera.near}")
-    K = camera.K.detach().cpu().tolist()
+    if not values:
+        return
+    # One transfer: on another device each would wait for all that was asked of it before.
+    numbers = torch.cat([camera.K.detach().double().flatten(), camera.cam_from_world.detach().double().flatten()]).tolist()
+    K, pose = [numbers[at : at + 3] for at in (0, 3, 6)], [numbers[at : at + 4] for at in (9, 13, 17, 21)]
+    for name, rows in (("K", K), ("cam_from_world", pose)):
+        if not all(math.isfinite(value) for row in rows for value in row):
+            raise ValueError(f"camera.{name} must be finite, got {rows}")
     if K[0][0] <= 0 or K[1][1] <= 0:
         raise ValueError(f"camera.K must have positive focal lengths, got fx={K[0][0]}, fy={K[1][1]}")
     if max(abs(K[0][1]), abs(K[1][0])) > SKEW * K[0][0]:
         raise ValueError(f"camera.K has skew ({K[0][1]}, {K[1][0]}), which is not supported; undistort or rectify the images first")
-    last = camera.cam_from_world[3].tolist()
+    last = pose[3]
     if max(abs(a - b) for a, b in zip(last, (0.0, 0.0, 0.0, 1.0))) > LAST_ROW:
         raise ValueError(f"camera.cam_from_world must end with the row 0 0 0 1, got {last}; is it transposed?")
 

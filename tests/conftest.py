@@ -28,6 +28,26 @@ from factory import (
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--kernels",
+        choices=("cpu", "cuda"),
+        default="cpu",
+        help="which kernels the tests of tests/stress hold against the reference; cuda: on a GPU where there is one, else emulated",
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests marked `cuda` are left out, not skipped, where the CUDA kernels cannot be used: nothing is missing there."""
+    marked = [item for item in items if item.get_closest_marker("cuda")]
+    if marked:
+        from e4dgs.rasterizer.cuda.available import why_not
+
+        if why_not() is not None:
+            config.hook.pytest_deselected(items=marked)
+            items[:] = [item for item in items if item not in marked]
+
+
 @pytest.fixture(scope="session")
 def shared_scenes() -> Path:
     """The folder of real captures beside the repository; tests that need it skip where it is absent."""

@@ -11,7 +11,7 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
-from .devices import why_not_cuda
+from .devices import why_not_cuda, why_not_training
 from .reconstruction import LIBRARIES
 
 _MIN_FREE_GB = 5.0
@@ -28,8 +28,9 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
     found.append(("threads", *_try(_threads)))
     found.append(("pycolmap loads", *_try(_pycolmap)))
     found.append(("zarr writes and reads", *_try(_zarr)))
-    problem = why_not_cuda()
-    found.append(("CUDA", True if problem is None else None, problem or "usable"))
+    problem = why_not_cuda() or why_not_training()
+    found.append(("CUDA", True if problem is None else None, f"--device auto takes the CPU: {problem}" if problem else "usable"))
+    found += _cuda()
     free = shutil.disk_usage(_existing(workspace)).free / 1e9
     writable = os.access(_existing(workspace), os.W_OK)
     found.append(("workspace", free >= _MIN_FREE_GB and writable, f"{workspace}: {free:.0f} GB free{'' if writable else ', NOT writable'}"))
@@ -84,6 +85,15 @@ def _threads() -> str:
     import torch
 
     return f"{torch.get_num_threads()} used, {os.cpu_count()} processors, {len(os.sched_getaffinity(0))} allowed"
+
+
+def _cuda() -> list[tuple[str, bool | None, str]]:
+    try:
+        from ..rasterizer.cuda.available import describe
+
+        return describe()
+    except Exception as error:  # torch may be what is broken
+        return [("CUDA kernels", False, f"{type(error).__name__}: {error}")]
 
 
 def _pycolmap() -> str:

@@ -24,7 +24,17 @@ constexpr int kMaxPoints = 8;                     // points of a convex
 
 constexpr double kLn2 = 0.6931471805599453;
 constexpr double kLog2E = 1.4426950408889634;
-constexpr double kLog2MinAlpha = __builtin_log2(double(kMinAlpha));  // exponents below it are alphas below kMinAlpha
+
+// log2 of a number in (0, 1], for constants: not every device compiler has it as one.
+E4DGS_HD constexpr double constant_log2(double a) {
+    int octaves = 0;
+    for (; a < 1.0; a *= 2) --octaves;
+    const double s = (a - 1) / (a + 1);  // ln a = 2 atanh s, and a <= 2
+    double power = s, sum = 0.0;
+    for (int i = 1; i < 60; i += 2, power *= s * s) sum += power / i;
+    return octaves + 2 * sum * kLog2E;
+}
+constexpr double kLog2MinAlpha = constant_log2(double(kMinAlpha));  // exponents below it are alphas below kMinAlpha
 
 // What a comparison of two T gives: T may be a vector of numbers.
 template <class T>

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from .kernels import instruction_set  # noqa: F401
+from .kernels import backend, instruction_set, kernels  # noqa: F401
 
 
 @pytest.fixture(autouse=True)

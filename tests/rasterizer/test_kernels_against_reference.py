@@ -1,13 +1,11 @@
-"""The CPU kernels against the float64 oracle: images within 2e-5 outside threshold pixels, every gradient within 1e-3."""
+"""All kernels against the float64 oracle: images within 2e-5 outside threshold pixels, every gradient within 1e-3."""
 
 import pytest
 import torch
 
 from .compare import assert_gradients_close, assert_images_close, cotangents, decided_by_threshold, gradients
-from .kernels import needs_cpu
+from .kernels import ALL_KERNELS, EMULATED, needs_cpu
 from .scenes import F64, Scene, needles, one_convex, prism, random_scene
-
-pytestmark = needs_cpu
 
 SCENES = {
     "gaussians sh0": {"gaussians": 60, "degree": 0},
@@ -29,10 +27,20 @@ SCENES = {
 }
 
 
-def check(scene: Scene, seed: int = 0, **limits: float) -> None:
+# What differs between the CUDA kernels' programs; all scenes run on a GPU, and with `--kernels=cuda` emulated.
+FEW = ("gaussians sh0", "gaussians colors extras", "many small gaussians", "convexes K=3", "convexes K=8", "both sh3 extras", "both 33x17")
+CASES = [
+    pytest.param(kernels.values[0], name, seed, marks=kernels.marks, id=f"{kernels.values[0]}-{name}-{seed}")
+    for kernels in ALL_KERNELS
+    for name in (FEW if kernels.values[0] == EMULATED else SCENES)
+    for seed in ((0,) if kernels.values[0] == EMULATED else (0, 1))
+]
+
+
+def check(scene: Scene, kernels: str, seed: int = 0, **limits: float) -> None:
     """Render the same float32 numbers with both backends; compare images, visibility and all gradients."""
     single = scene.to(torch.float32)
-    got, want = single.render("cpu"), single.render("reference")
+    got, want = single.render(kernels), single.render("reference")
     assert got.color.dtype == torch.float32
     decided = decided_by_threshold(single)
     assert_images_close(got, want, decided, **limits)
@@ -42,71 +50,73 @@ def check(scene: Scene, seed: int = 0, **limits: float) -> None:
         assert seen.dtype == torch.bool and seen.shape == blended.shape
         assert int((blended & ~seen).sum()) <= int(decided.sum())
     weights = cotangents(want, ignore=decided, seed=seed)
-    assert_gradients_close(gradients(single, "cpu", weights), gradients(single, "reference", weights))
+    assert_gradients_close(gradients(single, kernels, weights), gradients(single, "reference", weights))
 
 
-@pytest.mark.parametrize("options", SCENES.values(), ids=SCENES.keys())
-@pytest.mark.parametrize("seed", [0, 1])
-def test_random_scenes(options: dict, seed: int) -> None:  # type: ignore[type-arg]
+@pytest.mark.parametrize(("kernels", "name", "seed"), CASES, indirect=["kernels"])
+def test_random_scenes(kernels: str, name: str, seed: int) -> None:
+    options = SCENES[name]
     max_decided = 1.0 if options.get("width") == 1 else 0.05
-    check(random_scene(seed, **options), seed, max_decided=max_decided)
+    check(random_scene(seed, **options), kernels, seed, max_decided=max_decided)
 
 
 @pytest.mark.parametrize("output", ["color", "alpha", "depth", "extras"])
-def test_each_output_alone_backpropagates(output: str) -> None:
+def test_each_output_alone_backpropagates(kernels: str, output: str) -> None:
     """A loss on one output only: the backward pass must not need the others' gradients, nor mix them up."""
     scene = random_scene(5, gaussians=30, convexes=15, degree=1, extras=2).to(torch.float32)
     want = scene.render("reference")
     weights = cotangents(want, ignore=decided_by_threshold(scene), outputs=(output,))
-    assert_gradients_close(gradients(scene, "cpu", weights), gradients(scene, "reference", weights))
+    assert_gradients_close(gradients(scene, kernels, weights), gradients(scene, "reference", weights))
 
 
-def test_opaque_layers_that_stop_pixels() -> None:
+def test_opaque_layers_that_stop_pixels(kernels: str) -> None:
     scene = random_scene(6, gaussians=60, convexes=30, degree=1, size=1.2)
     assert scene.gaussians is not None and scene.convexes is not None
     scene.gaussians.opacities[:] = scene.gaussians.opacities**0.05
     scene.convexes.opacities[:] = 1.0
-    check(scene)
+    check(scene, kernels)
 
 
-def test_needles_and_plates() -> None:
-    check(needles())
+def test_needles_and_plates(kernels: str) -> None:
+    check(needles(), kernels)
 
 
 @pytest.mark.parametrize("tau", [1.0, 30.0, 1000.0])
 @pytest.mark.parametrize("kappa", [1.0, 30.0, 1000.0])
-def test_soft_and_sharp_convexes(tau: float, kappa: float) -> None:
+def test_soft_and_sharp_convexes(kernels: str, tau: float, kappa: float) -> None:
     scene = random_scene(7, convexes=15, degree=0)
     assert scene.convexes is not None
     scene.convexes.tau[:] = tau
     scene.convexes.kappa[:] = kappa
-    check(scene)
+    check(scene, kernels)
 
 
-def test_convexes_with_inner_and_duplicate_points_and_points_on_edges() -> None:
+def test_convexes_with_inner_and_duplicate_points_and_points_on_edges(kernels: str) -> None:
     square = [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]
     for more in ([[0.0, 0.0]], [[0.5, 0.5]], [[0.1, 0.2], [0.1, 0.2]], [[0.3, -0.1], [-0.5, -0.5], [0.0, 0.1]]):
         scene = one_convex(prism(square + more))
         scene.camera.cam_from_world[:3, :3] = torch.linalg.matrix_exp(
             torch.tensor([[0.0, -0.1, 0.2], [0.1, 0, -0.15], [-0.2, 0.15, 0]], dtype=F64)
         )
-        check(scene)
+        check(scene, kernels)
 
 
-def test_gradients_reach_float64_inputs_in_their_own_precision() -> None:
+def test_gradients_reach_float64_inputs_in_their_own_precision(kernels: str) -> None:
     scene = random_scene(8, gaussians=20, convexes=10, degree=1, extras=1)
     want = scene.render("reference")
     weights = cotangents(want, ignore=decided_by_threshold(scene))
-    got = gradients(scene, "cpu", weights)
+    got = gradients(scene, kernels, weights)
     assert {g.dtype for g in got.values()} == {F64}
     assert_gradients_close(got, gradients(scene, "reference", weights))
 
 
+@needs_cpu
 def test_auto_is_the_cpu_kernels_for_tensors_on_the_cpu() -> None:
     scene = random_scene(0, gaussians=5).to(torch.float32)
     assert torch.equal(scene.render("auto").color, scene.render("cpu").color)
 
 
+@needs_cpu
 def test_two_runs_and_any_number_of_threads_are_bit_equal() -> None:
     scene = random_scene(9, gaussians=100, convexes=50, degree=2, extras=2, width=64, height=48).to(torch.float32)
     weights = cotangents(scene.render("cpu"))

@@ -1,0 +1,40 @@
+// Convexes' sums go back through hull, projection and colour to the inputs, a thread each, in double. Features: POINTS, SH_DEGREE (-1:
+// colors), CAMERA.
+#include "camera_sum.cuh"
+#include "convex_hull.cuh"
+#include "inputs.cuh"
+#include "records.cuh"
+
+using namespace e4dgs;
+
+// sums: see kConvexSums. Gradients may be null; their rows are written where `visible`, and must be zero elsewhere. camera_rows [blocks, 16].
+extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
+    backproject_convexes(const double* camera, int width, int height, int n, const float* points, const float* taus, const float* kappas,
+                         const float* opacities, const float* looks, const ConvexRecord* records, const uint8* visible, const float* sums, float* dpoints,
+                         float* dtaus, float* dkappas, float* dopacities, float* dlooks, double* camera_rows) {
+    const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
+    CameraPart part = no_camera_part();
+    if (i < n && visible[i]) {
+        const Camera<double> cam = camera_of(camera, width, height);
+        const float *corners = points + 3 * POINTS * int64(i), *sum = sums + kConvexSums * int64(i);
+        ConvexView<double> view;
+        see_convex(cam, corners, view);
+        const double tau = taus[i], kappa = kappas[i], rho = kappa / tau;
+        double gA[kMaxPoints], gB[kMaxPoints], gC[kMaxPoints], out[3 * POINTS], dtau = 0.0, dkappa = 0.0, centre[3], dcentre[3] = {0, 0, 0}, dcolor[3];
+        for (int e = 0; e < view.slots; ++e) {  // E = 2^(rho lse), alpha = opacity / (1 + E)
+            const float* edge = sum + kConvexEdges + 3 * e;
+            gA[e] = -kLn2 * rho * edge[0], gB[e] = -kLn2 * rho * edge[1], gC[e] = -kLn2 * rho * edge[2];
+        }
+        for (double& d : out) d = 0.0;
+        project_convex_backward(cam, view, corners, tau, kappa, records[i].x0, records[i].y0, gA, gB, gC, -kLn2 * sum[5], -kLn2 * sum[6], double(sum[3]),
+                                out, dtau, dkappa, part);
+        centroid_of(corners, centre);
+        for (int c = 0; c < 3; ++c) dcolor[c] = sum[c];
+        color_backward(cam, centre, looks, i, dcolor, dlooks, dcentre, part);
+        for (int j = 0; dpoints && j < 3 * POINTS; ++j) dpoints[3 * POINTS * int64(i) + j] = saturated(out[j] + dcentre[j % 3] / POINTS);
+        if (dtaus) dtaus[i] = saturated(dtau);
+        if (dkappas) dkappas[i] = saturated(dkappa);
+        if (dopacities) dopacities[i] = saturated(double(sum[4]) / double(opacities[i]));
+    }
+    add_camera_parts(part, camera_rows);
+}

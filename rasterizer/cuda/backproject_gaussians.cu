@@ -1,0 +1,36 @@
+// Gaussians' sums go back through projection and colour to the inputs, a thread each, in double. Features: SH_DEGREE (-1: colors), CAMERA.
+#include "camera_sum.cuh"
+#include "inputs.cuh"
+#include "records.cuh"
+//
+#include "gaussian.h"
+
+using namespace e4dgs;
+
+// sums: see kGaussianSums. Gradients may be null; their rows are written where `visible`, and must be zero elsewhere. camera_rows [blocks, 16].
+extern "C" __global__ void __launch_bounds__(kBackThreads)
+    backproject_gaussians(const double* camera, int width, int height, int n, const float* means, const float* quats, const float* scales,
+                          const float* opacities, const float* looks, const GaussianRecord* records, const uint8* visible, const float* sums, float* dmeans,
+                          float* dquats, float* dscales, float* dopacities, float* dlooks, double* camera_rows) {
+    const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
+    CameraPart part = no_camera_part();
+    if (i < n && visible[i]) {
+        const Camera<double> cam = camera_of(camera, width, height);
+        const float *mean = means + 3 * int64(i), *quat = quats + 4 * int64(i), *scale = scales + 3 * int64(i), *sum = sums + kGaussianSums * int64(i);
+        GaussianView<double> view;
+        project_gaussian(cam, mean, quat, scale, view);
+        double moments[5], dmean2[2], dcov[3], dcolor[3];
+        for (int j = 0; j < 5; ++j) moments[j] = kLn2 * double(sum[5 + j]);  // alpha = 2^e
+        moments_backward(records[i].f, moments, dmean2, dcov);
+        double dmean[3] = {0, 0, 0}, dquat[4] = {0, 0, 0, 0}, dscale[3] = {0, 0, 0};
+        project_gaussian_backward(cam, view, mean, scale, dmean2, dcov, double(sum[3]), dmean, dquat, dscale, part);
+        const double position[3] = {mean[0], mean[1], mean[2]};
+        for (int c = 0; c < 3; ++c) dcolor[c] = sum[c];
+        color_backward(cam, position, looks, i, dcolor, dlooks, dmean, part);
+        for (int j = 0; dmeans && j < 3; ++j) dmeans[3 * int64(i) + j] = saturated(dmean[j]);
+        for (int j = 0; dquats && j < 4; ++j) dquats[4 * int64(i) + j] = saturated(dquat[j]);
+        for (int j = 0; dscales && j < 3; ++j) dscales[3 * int64(i) + j] = saturated(dscale[j]);
+        if (dopacities) dopacities[i] = saturated(double(sum[4]) / double(opacities[i]));
+    }
+    add_camera_parts(part, camera_rows);
+}

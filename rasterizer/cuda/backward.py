@@ -1,0 +1,107 @@
+"""Gradients of an image's to its primitives' and its camera's, on the GPU."""
+
+from __future__ import annotations
+
+from ctypes import c_int32, c_int64
+
+import torch
+from torch import Tensor
+
+from . import programs
+from .forward import THREADS, primitives_of
+from .launcher import Launcher
+from .state import Inputs, State, looks_of
+
+GAUSSIAN_SUMS = 10  # as in records.cuh
+CONVEX_EDGES = 7
+
+
+def backward(
+    launcher: Launcher, inputs: Inputs, state: State, images: dict[str, Tensor], grads: dict[str, Tensor | None], wanted: dict[str, bool]
+) -> dict[str, Tensor]:
+    """The gradients that are `wanted`, by name: "camera" [16] float64 (fx fy cx cy, then the 3x4 of cam_from_world), "background" [3], and
+    "gaussians.means", ..., "convexes.looks", "convexes.extras", each in its input's shape.
+
+    images: alpha and depth, as `forward` made them; grads: of color, alpha, depth and extras, contiguous float32 or None.
+    """
+    out = _zeros(inputs, wanted)
+    if wanted.get("background"):
+        assert state.transmittance is not None
+        color = grads["color"]
+        lit = (
+            torch.zeros(3, dtype=torch.float64, device=inputs.device)
+            if color is None
+            else (color.double() * state.transmittance[..., None]).sum((0, 1))
+        )
+        out["background"] = lit.float()
+    sums = _sums(launcher, inputs, state, images, grads, out)
+    rows = _backproject(launcher, inputs, state, sums, out, bool(wanted.get("camera")))
+    if wanted.get("camera"):
+        out["camera"] = rows.sum(0)
+    return {name: value for name, value in out.items() if wanted.get(name)}
+
+
+def _zeros(inputs: Inputs, wanted: dict[str, bool]) -> dict[str, Tensor]:
+    """Gradients that start at zero: rows of what no pixel blends stay so."""
+    found = {}
+    for name, kind in (("gaussians", inputs.gaussians), ("convexes", inputs.convexes)):
+        fields = ("means", "quats", "scales", "opacities") if name == "gaussians" else ("points", "tau", "kappa", "opacities")
+        values = {field: getattr(kind, field) for field in fields} | {"looks": looks_of(kind)[0], "extras": kind.extras}
+        for field, value in values.items():
+            if value is not None and (wanted.get(f"{name}.{field}") or field == "extras"):
+                found[f"{name}.{field}"] = torch.zeros_like(value)
+    return found
+
+
+def _sums(
+    launcher: Launcher, inputs: Inputs, state: State, images: dict[str, Tensor], grads: dict[str, Tensor | None], out: dict[str, Tensor]
+) -> tuple[Tensor, Tensor]:
+    """What the pixels give to each primitive, [n, GAUSSIAN_SUMS] and [m, *]; its extras' gradients are written to `out`."""
+    n, m, device, pairs = inputs.n, inputs.m, inputs.device, state.entries.shape[0]
+    convex_sums = CONVEX_EDGES + 3 * inputs.points
+    gaussians = torch.zeros(n, GAUSSIAN_SUMS, dtype=torch.float32, device=device)
+    convexes = torch.zeros(m, convex_sums, dtype=torch.float32, device=device)
+    if not pairs:
+        return gaussians, convexes
+    with_extras = inputs.channels > 0 and grads["extras"] is not None
+    size = (c_int32(inputs.width), c_int32(inputs.height))
+    for first in range(0, inputs.channels if with_extras else 1, programs.CHANNELS):
+        some = min(inputs.channels - first, programs.CHANNELS) if with_extras else 0
+        color, alpha, depth = (grads["color"], grads["alpha"], grads["depth"]) if first == 0 else (None, None, None)
+        program = programs.blend_backward(inputs.points, some, depth is not None)
+        shape_sums = max(convex_sums if m else 0, GAUSSIAN_SUMS)
+        slots = torch.zeros(pairs, shape_sums + some, dtype=torch.float32, device=device) if state.pair is not None else None
+        to = (gaussians, convexes, out.get("gaussians.extras"), out.get("convexes.extras"))
+        scene = (*primitives_of(inputs, state), c_int32(first), state.begins, state.entries, state.touched, *size, inputs.background)
+        pixels = (state.transmittance, state.last, color, alpha, depth, grads["extras"], images["alpha"], images["depth"])
+        launcher.launch(program, "blend_backward", inputs.tiles, 128, *scene, *pixels, *to, state.pair, slots)
+        if slots is not None:
+            blocks = -(-(n + m) * slots.shape[1] // 256)
+            lists = (c_int32(n + m), c_int32(n), state.order, state.ends, c_int64(pairs), slots)
+            launcher.launch(program, "sum_slots", blocks, 256, *lists, c_int32(inputs.channels), c_int32(first), *to)
+    return gaussians, convexes
+
+
+def _backproject(
+    launcher: Launcher, inputs: Inputs, state: State, sums: tuple[Tensor, Tensor], out: dict[str, Tensor], camera: bool
+) -> Tensor:
+    """Writes the gradients in `out`; returns the camera's as rows [*, 16] to be added up."""
+    g, c, n, m = inputs.gaussians, inputs.convexes, inputs.n, inputs.m
+    blocks, convex_blocks = -(-n // THREADS), -(-m // THREADS)
+    rows = torch.zeros(blocks + convex_blocks if camera else 0, 16, dtype=torch.float64, device=inputs.device)
+    view = (inputs.camera, c_int32(inputs.width), c_int32(inputs.height))
+    if n:
+        looks, degree = looks_of(g)
+        names = ("means", "quats", "scales", "opacities", "looks")
+        grads = [out.get(f"gaussians.{name}") for name in names]
+        program = programs.backproject_gaussians(degree, camera)
+        shape = (c_int32(n), g.means, g.quats, g.scales, g.opacities, looks, state.gaussians, state.visible, sums[0])
+        launcher.launch(program, "backproject_gaussians", blocks, THREADS, *view, *shape, *grads, rows if camera else None)
+    if m:
+        looks, degree = looks_of(c)
+        names = ("points", "tau", "kappa", "opacities", "looks")
+        grads = [out.get(f"convexes.{name}") for name in names]
+        program = programs.backproject_convexes(inputs.points, degree, camera)
+        shape = (c_int32(m), c.points, c.tau, c.kappa, c.opacities, looks, state.convexes, state.visible[n:], sums[1])
+        launcher.launch(program, "backproject_convexes", convex_blocks, THREADS, *view, *shape, *grads, rows[blocks:] if camera else None)
+    return rows

@@ -1,0 +1,166 @@
+"""Kernels to machine code, by NVRTC.
+
+Through cuda-bindings' `nvrtc` alone, which needs no driver: `cuda.core.Program.compile` asks the driver for its version, so machines
+without a GPU (CI, a build host) could not compile.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal
+
+from .program import Program
+
+# No fast maths: kernels choose their approximations themselves. -v has ptxas say what each kernel uses.
+FLAGS = ("--std=c++20", "--fmad=true", "--ptxas-options=-v")
+INSTALL = "install what compiles the kernels with pip install 'e4dgs[cuda13]', or 'e4dgs[cuda12]' where torch.version.cuda starts with 12"
+SHOWN = 12  # lines of a failed compilation's log
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What a kernel uses on one architecture. Bytes are a thread's, shared memory (the static part) a block's."""
+
+    registers: int
+    spill_bytes: int  # stores and loads of registers that did not fit
+    stack_bytes: int
+    shared_bytes: int
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """A program for one architecture. PTX is finished by the driver, so its kernels' resources are not known here."""
+
+    code: bytes
+    form: Literal["cubin", "ptx"]
+    resources: dict[str, Resources]
+
+
+def compile_cubin(program: Program, arch: str) -> Compiled:
+    """Compile a program for an architecture such as "sm_90".
+
+    An architecture newer than all that this NVRTC knows gets PTX of the newest known one, which the driver compiles when it is loaded.
+
+    Raises RuntimeError where NVRTC is not installed (with what to install), where it knows only newer architectures, and where the
+    program has errors (with the first of them).
+    """
+    nvrtc = load_nvrtc()
+    target = target_of(arch)
+    folders = (program.source.parent, *program.includes)
+    options = [f"--gpu-architecture={target}", *FLAGS, *(f"-D{name}={value}" for name, value in sorted(program.defines))]
+    options += [f"-I{os.fspath(folder)}" for folder in folders]
+    text = program.source.read_bytes()
+    handle = _check(nvrtc, nvrtc.nvrtcCreateProgram(text, os.fsencode(program.source), 0, None, None))
+    try:
+        status = nvrtc.nvrtcCompileProgram(handle, len(options), [os.fsencode(option) for option in options])[0]
+        log = _text(nvrtc, nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog, handle).rstrip(b"\0 \n").decode(errors="replace")
+        if status != nvrtc.nvrtcResult.NVRTC_SUCCESS:
+            raise RuntimeError(_complaint(program, target, status, log))
+        if target.startswith("compute_"):
+            return Compiled(_text(nvrtc, nvrtc.nvrtcGetPTXSize, nvrtc.nvrtcGetPTX, handle), "ptx", {})
+        return Compiled(_text(nvrtc, nvrtc.nvrtcGetCUBINSize, nvrtc.nvrtcGetCUBIN, handle), "cubin", resources_in(log))
+    finally:
+        nvrtc.nvrtcDestroyProgram(handle)
+
+
+@lru_cache(maxsize=1)
+def nvrtc_version() -> tuple[int, int]:
+    """(major, minor) of the CUDA release that NVRTC belongs to. Raises RuntimeError where it is not installed."""
+    nvrtc = load_nvrtc()
+    status, major, minor = nvrtc.nvrtcVersion()
+    _check(nvrtc, (status,))
+    return int(major), int(minor)
+
+
+@lru_cache(maxsize=1)
+def architectures() -> tuple[int, ...]:
+    """The architectures that this NVRTC compiles for, ascending, e.g. (75, 80, 86, 90)."""
+    nvrtc = load_nvrtc()
+    return tuple(sorted(_check(nvrtc, nvrtc.nvrtcGetSupportedArchs())))
+
+
+def target_of(arch: str) -> str:
+    """What a device of this architecture is compiled for: itself where known, else PTX ("compute_90") of the newest older one."""
+    match = re.fullmatch(r"sm_(\d+)", arch)
+    if match is None:
+        raise ValueError(f"an architecture is sm_ and a number, e.g. sm_90, got {arch!r}")
+    wanted, known = int(match[1]), architectures()
+    if wanted in known:
+        return arch
+    older = [number for number in known if number < wanted]
+    if not older:
+        version = ".".join(map(str, nvrtc_version()))
+        raise RuntimeError(f"NVRTC {version} compiles for sm_{known[0]} and newer, and this device is {arch}; use backend='cpu'")
+    return f"compute_{older[-1]}"
+
+
+@lru_cache(maxsize=1)
+def load_nvrtc() -> Any:
+    """The module `cuda.bindings.nvrtc`, with its library found. Raises RuntimeError with what to install."""
+    try:
+        from cuda.bindings import nvrtc
+
+        status = nvrtc.nvrtcVersion()[0]  # the library is looked for at the first call
+    except Exception as cause:  # ImportError, or one of cuda-pathfinder's own
+        raise RuntimeError(
+            f"NVRTC was not found ({str(cause).splitlines()[0] if str(cause) else type(cause).__name__}); {INSTALL}"
+        ) from cause
+    if status != nvrtc.nvrtcResult.NVRTC_SUCCESS:
+        raise RuntimeError(f"NVRTC does not answer ({status.name}); {INSTALL}")
+    return nvrtc
+
+
+def resources_in(log: str) -> dict[str, Resources]:
+    """What ptxas said about each kernel, by name.
+
+    Functions that were not inlined are listed apart, without saying who calls them; their spills count for every kernel.
+    """
+    found: dict[str, dict[str, int]] = {}
+    elsewhere, kernel, function = 0, "", ""
+    for line in log.splitlines():
+        if match := re.search(r"Compiling entry function '([^']+)'", line):
+            kernel = match[1]
+            found[kernel] = dict.fromkeys(("registers", "spill_bytes", "stack_bytes", "shared_bytes"), 0)
+        elif match := re.search(r"Function properties for (\S+)", line):
+            function = match[1]
+        elif match := re.search(r"(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+) bytes spill loads", line):
+            stack, spills = int(match[1]), int(match[2]) + int(match[3])
+            if function in found:
+                found[function] |= {"spill_bytes": spills, "stack_bytes": max(stack, found[function]["stack_bytes"])}
+            else:
+                elsewhere += spills
+        elif (match := re.search(r"Used (\d+) registers", line)) and kernel:
+            used = found[kernel]
+            used["registers"] = int(match[1])
+            for name, pattern in (("shared_bytes", r"(\d+) bytes smem"), ("stack_bytes", r"(\d+) bytes cumulative stack size")):
+                if match := re.search(pattern, line):
+                    used[name] = max(used[name], int(match[1]))
+    return {name: Resources(**used | {"spill_bytes": used["spill_bytes"] + elsewhere}) for name, used in sorted(found.items())}
+
+
+def _text(nvrtc: Any, size: Any, get: Any, handle: Any) -> bytes:
+    buffer = bytes(_check(nvrtc, size(handle)))
+    _check(nvrtc, get(handle, buffer))  # cuda-bindings fills the object itself
+    return buffer
+
+
+def _check(nvrtc: Any, answer: tuple[Any, ...]) -> Any:
+    """The value beside NVRTC's status; raises RuntimeError with the status where it is an error."""
+    status, *values = answer
+    if status != nvrtc.nvrtcResult.NVRTC_SUCCESS:
+        raise RuntimeError(f"NVRTC failed: {status.name}; {INSTALL}")
+    return values[0] if values else None
+
+
+def _complaint(program: Program, target: str, status: Any, log: str) -> str:
+    lines = log.splitlines()
+    first = next((place for place, line in enumerate(lines) if re.search(r"\berror\b", line)), 0)
+    version = ".".join(map(str, nvrtc_version()))
+    return (
+        f"{program} does not compile for {target} (NVRTC {version}, {status.name}):\n"
+        + "\n".join(lines[first : first + SHOWN])
+        + f"\nThe source is {program.source}; correct it, or, if you did not change it, install e4dgs again and report this text"
+    )

@@ -1,0 +1,151 @@
+"""Kernels on an NVIDIA GPU: compiled or taken from the cache at their first use, launched through cuda-core on torch's stream."""
+
+from __future__ import annotations
+
+import threading
+from ctypes import c_double, c_float, c_uint64
+from typing import Any, get_args
+
+import torch
+from torch import Tensor
+
+from . import cache
+from .launcher import Argument, Scalar
+from .program import Program
+
+MAX_BLOCKS = 2**31 - 1  # of a grid's first axis
+KEPT = 4096  # launch shapes and streams that are remembered; sizes of grids follow the data, so there is no end of them
+SCALARS = frozenset(get_args(Scalar))
+# Passed as Python's int, which cuda-core takes ten times faster than a ctypes object: hosts with an NVIDIA GPU are little-endian, so the
+# first bytes of 8 are the number in any narrower type. (Of c_uint64 the upper half would not fit.)
+WHOLE = SCALARS - {c_uint64, c_float, c_double}
+
+# A loaded library (CUlibrary) belongs to the process, not to a device: its kernels run in the context of the stream or, for the
+# default stream, in the current one. So GPUs of one architecture share it.
+_LIBRARIES: dict[tuple[Program, str], Any] = {}
+_LOCK = threading.Lock()
+
+
+class _Thread(threading.local):
+    """The devices whose context this thread has been given."""
+
+    def __init__(self) -> None:
+        self.devices: set[int] = set()
+
+
+_THREAD = _Thread()
+
+
+class CudaLauncher:
+    """See `Launcher`. One for each device; use it from any thread. A launch synchronises nothing and allocates nothing on the device,
+    so it can be captured in a CUDA graph, once its kernel has been launched before."""
+
+    def __init__(self, device: torch.device) -> None:
+        from cuda.core import Device, LaunchConfig, Stream, launch
+
+        self.device = device
+        self.index: int = device.index
+        major, minor = torch.cuda.get_device_capability(device)
+        self.arch = f"sm_{major}{minor}"
+        self._Device, self._LaunchConfig, self._Stream, self._launch = Device, LaunchConfig, Stream, launch
+        self._kernels: dict[tuple[Program, str], Any] = {}
+        self._configs: dict[tuple[int, int], Any] = {}
+        self._streams: dict[int, Any] = {}
+
+    def launch(self, program: Program, kernel: str, blocks: int, threads: int, *arguments: Argument) -> None:
+        if blocks == 0:
+            return
+        if not 0 < blocks <= MAX_BLOCKS:
+            raise ValueError(
+                f"kernel {kernel} wants {blocks} blocks, and a grid has at most {MAX_BLOCKS}; render fewer primitives or pixels"
+            )
+        values = self._values(kernel, arguments)
+        if torch.cuda.current_device() == self.index and self.index in _THREAD.devices:
+            self._run(program, kernel, blocks, threads, values)
+            return
+        with torch.cuda.device(self.index):
+            if self.index not in _THREAD.devices:
+                # torch leaves a thread without a context until its first runtime call, and autograd's threads may start with ours. It
+                # stays: torch's later switches between devices go by the same (primary) contexts.
+                self._Device(self.index).set_current()
+                _THREAD.devices.add(self.index)
+            self._run(program, kernel, blocks, threads, values)
+
+    def prepare(self, program: Program) -> None:
+        """Compile a program, or find it in the cache, without loading it."""
+        cache.compiled(program, self.arch)
+
+    def _run(self, program: Program, kernel: str, blocks: int, threads: int, values: list[Any]) -> None:
+        ready = self._kernels.get((program, kernel)) or self._load(program, kernel)
+        config = self._configs.get((blocks, threads))
+        if config is None:
+            config = _remember(self._configs, (blocks, threads), self._LaunchConfig(grid=blocks, block=threads))
+        handle = torch.cuda.current_stream(self.index).cuda_stream
+        stream = self._streams.get(handle)
+        if stream is None:
+            stream = _remember(self._streams, handle, self._Stream.from_handle(handle))
+        try:
+            self._launch(stream, config, ready, *values)
+        except Exception as cause:  # cuda-core's CUDAError has no public name
+            raise RuntimeError(
+                f"kernel {kernel} of {program} was not launched on {self.device} (grid {blocks}, block {threads}): {cause}. The error may "
+                "be an earlier kernel's; run again with CUDA_LAUNCH_BLOCKING=1 to have it named"
+            ) from cause
+
+    def _values(self, kernel: str, arguments: tuple[Argument, ...]) -> list[Any]:
+        """What cuda-core takes: an int is 8 bytes, of which the driver reads as many as the parameter has; others have their own width."""
+        values: list[Any] = []
+        for argument in arguments:
+            if isinstance(argument, Tensor):
+                if argument.get_device() != self.index:
+                    raise ValueError(f"{_place(values, kernel)} is on {argument.device}, and the kernel runs on {self.device}")
+                if not argument.is_contiguous():
+                    raise ValueError(f"{_place(values, kernel)} is not contiguous; pass it through .contiguous()")
+                values.append(argument.data_ptr())
+            elif argument is None:
+                values.append(0)
+            elif type(argument) in WHOLE:
+                values.append(argument.value)
+            elif type(argument) in SCALARS:
+                values.append(argument)
+            else:
+                raise TypeError(
+                    f"{_place(values, kernel)} must be a tensor, None or a ctypes scalar of fixed width such as ctypes.c_int32, got "
+                    f"{type(argument).__name__}"
+                )
+        return values
+
+    def _load(self, program: Program, kernel: str) -> Any:
+        from cuda.core import ObjectCode
+
+        if torch.cuda.is_current_stream_capturing():
+            raise RuntimeError(
+                f"kernel {kernel} of {program} is used for the first time inside a CUDA graph capture, where nothing can be loaded; run "
+                "the same pass once before capturing it"
+            )
+        with _LOCK:
+            library = _LIBRARIES.get((program, self.arch))
+            if library is None:
+                code = cache.compiled(program, self.arch)
+                load = ObjectCode.from_ptx if code.form == "ptx" else ObjectCode.from_cubin
+                library = _LIBRARIES[program, self.arch] = load(code.code, name=str(program))
+            try:
+                ready = library.get_kernel(kernel)
+            except Exception as cause:
+                known = ", ".join(cache.compiled(program, self.arch).resources) or "none"
+                raise RuntimeError(
+                    f"kernel {kernel} of {program} could not be loaded on {self.device}: {cause}; the program has {known}"
+                ) from cause
+        self._kernels[program, kernel] = ready
+        return ready
+
+
+def _place(before: list[Any], kernel: str) -> str:
+    return f"argument {len(before)} of kernel {kernel}"
+
+
+def _remember(kept: dict[Any, Any], key: Any, value: Any) -> Any:
+    if len(kept) >= KEPT:
+        kept.clear()
+    kept[key] = value
+    return value

@@ -1,0 +1,119 @@
+"""Primitives to an image on the GPU: project, sort by depth, list by tile, blend."""
+
+from __future__ import annotations
+
+from ctypes import c_int32, c_int64
+
+import torch
+from torch import Tensor
+
+from . import programs
+from .launcher import Launcher
+from .state import Inputs, State, looks_of
+
+THREADS = 128  # of a block of the kernels that take a thread a primitive
+MOST_PAIRS = 2**31 - 1
+
+
+def forward(
+    launcher: Launcher, inputs: Inputs, keep: bool, deterministic: bool, room: int | None = None
+) -> tuple[dict[str, Tensor], State]:
+    """The images (color, alpha, depth, extras) and the state; with `keep` the state holds what `backward` needs.
+
+    room: pairs of a tile and a primitive to make room for, where the device must not be waited for (inside a CUDA graph); those beyond it,
+        which lie furthest away, are left out. None: wait for the number and take exactly as many.
+
+    Raises MemoryError for more pairs than can be numbered, torch.OutOfMemoryError as torch does.
+    """
+    state = _lists(launcher, inputs, deterministic, room)
+    return _blend(launcher, inputs, state, keep), state
+
+
+def _lists(launcher: Launcher, inputs: Inputs, deterministic: bool, room: int | None) -> State:
+    n, m, device = inputs.n, inputs.m, inputs.device
+    total, size = n + m, (c_int32(inputs.width), c_int32(inputs.height))
+    records = torch.empty(n, 64, dtype=torch.uint8, device=device)
+    record_bytes = -(-(48 + 24 * inputs.points) // 16) * 16
+    convex_records = torch.empty(m, record_bytes, dtype=torch.uint8, device=device)
+    depth = torch.empty(total, dtype=torch.float64, device=device)
+    boxes = torch.empty(total, 4, dtype=torch.int16, device=device)
+    _project(launcher, inputs, records, convex_records, depth, boxes)
+
+    order = torch.sort(depth, stable=True).indices
+    del depth
+    tiles = programs.tiles(inputs.points, 16 if inputs.tiles < programs.SHORT_KEYS else 32)
+    common = (c_int32(total), c_int32(n), records, convex_records, boxes, *size)
+    counts = torch.empty(total, dtype=torch.int32, device=device)
+    blocks = -(-total // THREADS)
+    _launch(launcher, tiles, "count_tiles", blocks, THREADS, *common, counts)
+    ends = counts[order].cumsum(0)
+    pairs = room if room is not None else int(ends[-1]) if total else 0
+    if pairs > MOST_PAIRS:
+        raise MemoryError(
+            f"{total} primitives cover {pairs:.3g} pairs of a tile and a primitive in this {inputs.width} x {inputs.height} "
+            f"image, more than the {MOST_PAIRS} that can be numbered; render fewer or smaller primitives, or a smaller image"
+        )
+    # A key that no pair fills stays behind all tiles.
+    dtype = torch.int16 if inputs.tiles < programs.SHORT_KEYS else torch.int32
+    make = torch.empty if room is None else torch.zeros
+    keys = (
+        torch.empty(pairs, dtype=dtype, device=device) if room is None else torch.full((pairs,), inputs.tiles, dtype=dtype, device=device)
+    )
+    primitives = make(pairs, dtype=torch.int32, device=device)
+    _launch(launcher, tiles, "write_pairs", blocks, THREADS, *common, order, ends, c_int64(pairs), keys, primitives)
+    keys, pair = torch.sort(keys, stable=True)
+    entries = primitives[pair]
+    begins = torch.empty(inputs.tiles + 1, dtype=torch.int32, device=device)
+    _launch(launcher, tiles, "find_tiles", -(-(pairs + 1) // 256), 256, c_int64(pairs), keys, c_int32(inputs.tiles), begins)
+    visible = torch.zeros(total, dtype=torch.uint8, device=device)
+    return State(records, convex_records, boxes, order, ends, begins, entries, pair if deterministic else None, visible)
+
+
+def _project(launcher: Launcher, inputs: Inputs, records: Tensor, convex_records: Tensor, depth: Tensor, boxes: Tensor) -> None:
+    g, c, n, m = inputs.gaussians, inputs.convexes, inputs.n, inputs.m
+    view = (inputs.camera, c_int32(inputs.width), c_int32(inputs.height))
+    channels = c_int32(inputs.channels)
+    if n:
+        looks, degree = looks_of(g)
+        shape = (g.means, g.quats, g.scales, g.opacities, looks, inputs.extras(g), channels)
+        program = programs.project_gaussians(degree)
+        _launch(launcher, program, "project_gaussians", -(-n // THREADS), THREADS, *view, c_int32(n), *shape, records, depth, boxes)
+    if m:
+        looks, degree = looks_of(c)
+        shape = (c.points, c.tau, c.kappa, c.opacities, looks, inputs.extras(c), channels)
+        program = programs.project_convexes(inputs.points, degree)
+        out = (convex_records, depth[n:], boxes[n:])
+        _launch(launcher, program, "project_convexes", -(-m // THREADS), THREADS, *view, c_int32(m), *shape, *out)
+
+
+def _blend(launcher: Launcher, inputs: Inputs, state: State, keep: bool) -> dict[str, Tensor]:
+    height, width, device, channels = inputs.height, inputs.width, inputs.device, inputs.channels
+    shapes = {"color": (height, width, 3), "alpha": (height, width), "depth": (height, width), "extras": (height, width, channels)}
+    images = {name: torch.empty(shape, dtype=torch.float32, device=device) for name, shape in shapes.items()}
+    if keep:
+        state.touched = torch.zeros(state.entries.shape[0], dtype=torch.uint8, device=device)
+        state.transmittance = torch.empty(height, width, dtype=torch.float32, device=device)
+        state.last = torch.empty(height, width, dtype=torch.int32, device=device)
+    for first in range(0, max(channels, 1), programs.CHANNELS):
+        some = min(channels - first, programs.CHANNELS)
+        own = (images["color"], images["alpha"], images["depth"]) if first == 0 else (None, None, None)
+        kept = (state.transmittance, state.last, state.touched) if first == 0 else (None, None, None)
+        scene = (*primitives_of(inputs, state), c_int32(first), state.begins, state.entries)
+        out = (*own, images["extras"] if channels else None, *kept, state.visible)
+        program = programs.blend_forward(inputs.points, some)
+        size = (c_int32(width), c_int32(height), inputs.background)
+        _launch(launcher, program, "blend_forward", inputs.tiles, 128, *scene, *size, *out)
+    return images
+
+
+def primitives_of(inputs: Inputs, state: State) -> tuple[Tensor | c_int32 | None, ...]:
+    """What both blending kernels read of the primitives."""
+    extras = inputs.extras(inputs.gaussians), inputs.extras(inputs.convexes)
+    return state.gaussians, state.convexes, *extras, c_int32(inputs.n), c_int32(inputs.channels)
+
+
+def _launch(
+    launcher: Launcher, program: programs.Program, kernel: str, blocks: int, threads: int, *arguments: Tensor | c_int32 | c_int64 | None
+) -> None:
+    if blocks:
+        launcher.launch(program, kernel, blocks, threads, *arguments)

@@ -1,0 +1,61 @@
+// The camera, and the looks that both kinds share: colour from SH or given, extras that must be finite.
+#pragma once
+#include "device.cuh"
+//
+#include "sh.h"
+
+#if !defined(SH_DEGREE)
+#define SH_DEGREE -1  // colours are given
+#endif
+
+namespace e4dgs {
+
+constexpr int kShDegree = SH_DEGREE < 0 ? 0 : SH_DEGREE;
+constexpr int kShCoefficients = (kShDegree + 1) * (kShDegree + 1);
+
+// numbers: fx fy cx cy, R [9], t [3], near.
+__device__ inline Camera<double> camera_of(const double* numbers, int width, int height) {
+    Camera<double> cam;
+    cam.fx = numbers[0], cam.fy = numbers[1], cam.cx = numbers[2], cam.cy = numbers[3];
+    for (int i = 0; i < 9; ++i) cam.R[i] = numbers[4 + i];
+    for (int i = 0; i < 3; ++i) cam.t[i] = numbers[13 + i];
+    cam.near_z = numbers[16];
+    cam.width = width, cam.height = height;
+    set_centre(cam);
+    return cam;
+}
+
+// looks: sh [n, (D+1)^2, 3], or colors [n, 3] where SH_DEGREE is -1.
+__device__ inline bool usable_looks(const float* looks, const float* extras, int channels, int64 i) {
+    constexpr int width = 3 * (SH_DEGREE < 0 ? 1 : kShCoefficients);
+    bool good = true;
+    for (int k = 0; k < width; ++k) good &= is_finite(looks[i * width + k]);
+    for (int e = 0; e < channels; ++e) good &= is_finite(extras[i * channels + e]);
+    return good;
+}
+
+// position [3]: the centre or centroid, world.
+__device__ inline void color_of(const Camera<double>& cam, const double* position, const float* looks, int64 i, float* color) {
+#if SH_DEGREE < 0
+    for (int c = 0; c < 3; ++c) color[c] = looks[3 * i + c];
+#else
+    double value[3];
+    sh_color<kShDegree>(cam, position, looks + 3 * kShCoefficients * i, value);
+    for (int c = 0; c < 3; ++c) color[c] = float(value[c]);
+#endif
+}
+
+// dlooks may be null; dposition is added to.
+template <class G>
+__device__ inline void color_backward(const Camera<double>& cam, const double* position, const float* looks, int64 i, const double* dcolor, float* dlooks,
+                                      double* dposition, G& grad) {
+#if SH_DEGREE < 0
+    if (dlooks)
+        for (int c = 0; c < 3; ++c) dlooks[3 * i + c] = saturated(dcolor[c]);
+#else
+    constexpr int width = 3 * kShCoefficients;
+    sh_color_backward<kShDegree>(cam, position, looks + width * i, dcolor, dlooks ? dlooks + width * i : nullptr, dposition, grad);
+#endif
+}
+
+}  // namespace e4dgs

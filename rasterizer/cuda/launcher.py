@@ -1,0 +1,102 @@
+"""Who runs kernels on a device: the CUDA driver, or an emulator that a test has put in its place."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, Protocol, TypeAlias
+
+import torch
+from torch import Tensor
+
+from .program import Program
+
+# Exactly these map to one type of kernel parameter each. Python's int, float and bool are refused: their width would be a guess.
+Scalar: TypeAlias = (
+    ctypes.c_bool
+    | ctypes.c_int8
+    | ctypes.c_uint8
+    | ctypes.c_int16
+    | ctypes.c_uint16
+    | ctypes.c_int32
+    | ctypes.c_uint32
+    | ctypes.c_int64
+    | ctypes.c_uint64
+    | ctypes.c_float
+    | ctypes.c_double
+)
+Argument: TypeAlias = Tensor | Scalar | None
+
+
+class Launcher(Protocol):
+    """Runs kernels on one device, in the order of the calls on torch's current stream; it does not wait for them."""
+
+    def launch(self, program: Program, kernel: str, blocks: int, threads: int, *arguments: Argument) -> None:
+        """Run `kernel` of `program` on a line of `blocks` blocks of `threads` threads; no blocks, no launch.
+
+        arguments: in the kernel's order. A tensor on this device, contiguous, is passed as its address; None as a null pointer; a
+            ctypes scalar (`ctypes.c_int32(n)`, `ctypes.c_float(x)`) as its value. The kernel's parameters must have these very types.
+            A tensor that was allocated on another stream is the caller's to keep alive (`Tensor.record_stream`).
+
+        Raises TypeError and ValueError for arguments, naming their place; RuntimeError where the kernel cannot be compiled,
+        loaded or launched.
+        """
+        ...
+
+
+_REGISTERED: dict[str, Launcher] = {}
+_CUDA: dict[int, Launcher] = {}
+_LOCK = threading.Lock()
+
+
+def launcher_for(device: torch.device) -> Launcher:
+    """The launcher of a device; the same object each time.
+
+    Raises ValueError for a device that is no CUDA device (unless `launching` has put a launcher there), RuntimeError with the reason
+    where its kernels cannot be run.
+    """
+    registered = _REGISTERED.get(device.type)
+    if registered is not None:
+        return registered
+    if device.type != "cuda":
+        raise ValueError(f"backend 'cuda' wants tensors on a CUDA device, got {device}; move them with .cuda() or use backend='cpu'")
+    index = torch.cuda.current_device() if device.index is None else device.index
+    found = _CUDA.get(index)
+    if found is None:
+        from .available import why_not
+        from .cuda_launcher import CudaLauncher
+
+        problem = why_not(index)
+        if problem:
+            raise RuntimeError(f"backend 'cuda' cannot be used: {problem}")
+        with _LOCK:
+            found = _CUDA.setdefault(index, CudaLauncher(torch.device("cuda", index)))
+    return found
+
+
+@contextmanager
+def launching(device: str | torch.device, launcher: Launcher) -> Iterator[None]:
+    """For tests: inside, `launcher_for` returns this object for every device of the type, e.g. an emulator for "cpu"."""
+    kind = torch.device(device).type
+    before = _REGISTERED.get(kind)
+    _REGISTERED[kind] = launcher
+    try:
+        yield
+    finally:
+        if before is None:
+            del _REGISTERED[kind]
+        else:
+            _REGISTERED[kind] = before
+
+
+def warm_up(programs: Sequence[Program], device: torch.device) -> None:
+    """Compile programs beside one another before they are needed, where the cache does not have them; raises what compiling raises."""
+    launcher: Any = launcher_for(device)
+    prepare = getattr(launcher, "prepare", None)  # an emulator has nothing to prepare
+    if prepare is not None and programs:
+        with ThreadPoolExecutor(min(len(programs), os.cpu_count() or 1)) as pool:
+            list(pool.map(prepare, programs))

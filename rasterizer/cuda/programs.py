@@ -1,0 +1,74 @@
+"""Our kernels as programs: one for each set of features that a call uses, so that nobody pays for what others ask."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from .program import HERE, Program
+
+CHANNELS = 8  # extras that one launch blends; for more there are more launches
+SHORT_KEYS = 2**15 - 1  # fewer tiles than this have numbers of 16 bits, which are sorted in half the time
+
+
+@cache
+def program(name: str, **features: int) -> Program:
+    """The .cu file of this name beside this one, with these features; the same object each time."""
+    return Program(HERE / f"{name}.cu", tuple(sorted((key.upper(), value) for key, value in features.items())))
+
+
+def project_gaussians(degree: int) -> Program:
+    """degree: of SH, -1 where colours are given."""
+    return program("project_gaussians", sh_degree=degree)
+
+
+def project_convexes(points: int, degree: int) -> Program:
+    return program("project_convexes", points=points, sh_degree=degree)
+
+
+def tiles(points: int, key_bits: int) -> Program:
+    """points: of each convex, 0 where there is none."""
+    return program("tiles", points=points, key_bits=key_bits)
+
+
+def blend_forward(points: int, extras: int) -> Program:
+    return program("blend_forward", points=points, extras=extras)
+
+
+def blend_backward(points: int, extras: int, depth: bool) -> Program:
+    return program("blend_backward", points=points, extras=extras, depth=int(depth))
+
+
+def backproject_gaussians(degree: int, camera: bool) -> Program:
+    return program("backproject_gaussians", sh_degree=degree, camera=int(camera))
+
+
+def backproject_convexes(points: int, degree: int, camera: bool) -> Program:
+    return program("backproject_convexes", points=points, sh_degree=degree, camera=int(camera))
+
+
+def needed(
+    points: int = 0, degree: int = 3, extras: int = 0, depth: bool = False, camera: bool = False, backward: bool = True
+) -> list[Program]:
+    """All programs that rendering such a scene takes: to compile them beside one another before the first frame (`warm_up`)."""
+    found = [project_gaussians(degree), tiles(points, 16), blend_forward(points, min(extras, CHANNELS))]
+    if points:
+        found.append(project_convexes(points, degree))
+    if backward:
+        found += [blend_backward(points, min(extras, CHANNELS), depth), backproject_gaussians(degree, camera)]
+        if points:
+            found.append(backproject_convexes(points, degree, camera))
+    return found
+
+
+# What CI compiles for every architecture: every file, at the ends of what its features ask of registers.
+RECORDED: dict[str, Program] = {
+    str(one): one
+    for one in (
+        *needed(points=0, degree=0),
+        *needed(points=0, degree=3, extras=2, depth=True, camera=True),
+        *needed(points=6, degree=3, extras=2, depth=True),
+        *needed(points=8, degree=3, extras=CHANNELS, depth=True, camera=True),
+        *needed(points=6, degree=-1),
+        tiles(6, 32),
+    )
+}

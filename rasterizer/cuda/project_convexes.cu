@@ -1,0 +1,83 @@
+// Convexes to records, a thread each, in double: cull, project, hull, colour. One with a bad value is culled here and touches nobody else.
+// Features: POINTS, SH_DEGREE (-1: colors).
+#include "convex_hull.cuh"
+#include "inputs.cuh"
+#include "records.cuh"
+
+namespace e4dgs {
+
+struct ConvexInputs {
+    const float *points, *tau, *kappa, *opacities, *looks, *extras;
+    int channels;
+};
+
+// The box of the polygon L_i <= limit for every edge. Normals (A, B) turn once around from edge to edge, so the extreme in a direction
+// is bounded by the two edges whose normals enclose it: never too small, and exact where both touch the polygon.
+__device__ inline void polygon_box(int n, const double* A, const double* B, const double* C, double limit, double x0, double y0, double* low, double* high) {
+    constexpr double loose = 1e-6;  // px
+    for (int i = 0; i < n; ++i) {
+        const int j = i + 1 < n ? i + 1 : 0;
+        const double det = A[i] * B[j] - A[j] * B[i], ri = limit - C[i], rj = limit - C[j];
+        if (!(det > 0.0)) continue;
+        const double x = x0 + (ri * B[j] - rj * B[i]) / det, y = y0 + (A[i] * rj - A[j] * ri) / det;  // where the two meet
+        if (B[i] <= 0.0 && B[j] > 0.0 && x < high[0]) high[0] = x + loose;
+        if (B[i] >= 0.0 && B[j] < 0.0 && x > low[0]) low[0] = x - loose;
+        if (A[i] >= 0.0 && A[j] < 0.0 && y < high[1]) high[1] = y + loose;
+        if (A[i] <= 0.0 && A[j] > 0.0 && y > low[1]) low[1] = y - loose;
+    }
+}
+
+__device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam, int64 i, ConvexRecord& record, TileBox& box, double& depth) {
+    const float *points = in.points + 3 * POINTS * i, opacity = in.opacities[i];
+    const double tau = in.tau[i], kappa = in.kappa[i];
+    constexpr float inverse = 1.0f / kMinAlpha;  // fainter ones never reach the cut
+    bool good = opacity * inverse > 1.0f && opacity <= 1.0f && tau > 0.0 && is_bounded(tau) && kappa > 0.0 && is_bounded(kappa);
+    for (int j = 0; j < 3 * POINTS; ++j) good = good && is_finite(points[j]);
+    ConvexView<double> view;
+    if (!good || !see_convex(cam, points, view)) return false;
+
+    double centre[3], c[3], A[kMaxPoints], B[kMaxPoints], C[kMaxPoints];
+    centroid_of(points, centre);
+    to_camera(cam, centre, c);
+    const double x0 = cam.fx * c[0] / c[2] + cam.cx, y0 = cam.fy * c[1] / c[2] + cam.cy, rho = kappa / tau;
+    edge_lines(cam, view, tau, x0, y0, A, B, C);
+    // alpha >= kMinAlpha where tau S / ln 2 <= limit
+    const double exact = log2(double(inverse) * double(opacity) - 1.0) * tau / kappa, limit = exact + kSlack + 1e-5 * fabs(exact);
+    double sum = limit + x0 + y0;
+    for (int k = 0; k < view.slots; ++k) sum += fabs(A[k]) + fabs(B[k]) + fabs(C[k]);
+    if (!(fabs(sum) <= 1e300 && is_bounded(rho) && is_bounded(limit) && is_bounded(view.zc))) return false;
+    double low[2] = {0.5, 0.5}, high[2] = {cam.width - 0.5, cam.height - 0.5};
+    polygon_box(view.slots, A, B, C, limit, x0, y0, low, high);
+    for (int j = 0; j < 2; ++j) low[j] = larger(low[j], 0.5), high[j] = smaller(high[j], (j ? cam.height : cam.width) - 0.5);
+    if (!(low[0] <= high[0] && low[1] <= high[1])) return false;
+    if (!usable_looks(in.looks, in.extras, in.channels, i) || !tile_box(low[0], high[0], low[1], high[1], box)) return false;
+
+    depth = view.zc;
+    record.x0 = x0, record.y0 = y0, record.n = view.slots;
+    for (int k = 0; k < POINTS; ++k) {
+        const bool there = k < view.slots;
+        record.line[k][0] = there ? A[k] : 0.0, record.line[k][1] = there ? B[k] : 0.0, record.line[k][2] = there ? C[k] : double(kNoEdge);
+    }
+    record.opacity = opacity, record.rho = float(rho), record.limit = float(limit), record.z = float(view.zc);
+    color_of(cam, centre, in.looks, i, record.color);
+    return true;
+}
+
+}  // namespace e4dgs
+
+using namespace e4dgs;
+
+// depth [n]: z of the centroid, infinite where culled. boxes [n]: empty where culled.
+extern "C" __global__ void __launch_bounds__(128)
+    project_convexes(const double* camera, int width, int height, int n, const float* points, const float* tau, const float* kappa, const float* opacities,
+                     const float* looks, const float* extras, int channels, ConvexRecord* records, double* depth, TileBox* boxes) {
+    const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
+    if (i >= n) return;
+    const Camera<double> cam = camera_of(camera, width, height);
+    const ConvexInputs in = {points, tau, kappa, opacities, looks, extras, channels};
+    TileBox box = {0, 0, 0, 0};
+    double z;
+    const bool there = project(in, cam, i, records[i], box, z);
+    depth[i] = there ? z : culled_depth();
+    boxes[i] = there ? box : TileBox{0, 0, 0, 0};
+}

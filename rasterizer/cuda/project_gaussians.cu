@@ -1,0 +1,63 @@
+// Gaussians to records, a thread each, in double: cull, project, colour. One with a bad value is culled here and touches nobody else.
+// Features: SH_DEGREE (-1: colors).
+#include "inputs.cuh"
+#include "records.cuh"
+//
+#include "gaussian.h"
+
+namespace e4dgs {
+
+struct GaussianInputs {
+    const float *means, *quats, *scales, *opacities, *looks, *extras;
+    int channels;
+};
+
+__device__ inline bool project(const GaussianInputs& in, const Camera<double>& cam, int64 i, GaussianRecord& record, TileBox& box,
+                               double& depth) {
+    const float *mean = in.means + 3 * i, *quat = in.quats + 4 * i, *scale = in.scales + 3 * i, opacity = in.opacities[i];
+    bool good = opacity >= kMinAlpha && opacity <= 1.0f;  // fainter ones never reach the cut
+    for (int j = 0; j < 3; ++j) good = good && is_finite(mean[j]) && is_finite(scale[j]) && scale[j] > 0.0f;
+    for (int j = 0; j < 4; ++j) good = good && is_finite(quat[j]);
+    GaussianView<double> view;
+    if (!good || !project_gaussian(cam, mean, quat, scale, view)) return false;
+
+    double f[3];
+    exponent_factor(view, f);
+    const double exponent = log2(double(opacity)), radius2 = exponent + (kSlack - kLog2MinAlpha), reach = radius2 * (2 / kLog2E);
+    const double rx = sqrt(reach * view.cov[0]) * 1.00001, ry = sqrt(reach * view.cov[2]) * 1.00001;
+    const double x = view.mean[0], y = view.mean[1], z = view.p[2];
+    const double low_x = larger(x - rx, 0.5), high_x = smaller(x + rx, cam.width - 0.5);
+    const double low_y = larger(y - ry, 0.5), high_y = smaller(y + ry, cam.height - 0.5);
+    good = view.det <= 1e300 && view.cov[0] + view.cov[2] <= 1e300 && is_bounded(z) && fabs(x) <= 1e300 && fabs(y) <= 1e300;
+    if (!(good && low_x <= high_x && low_y <= high_y)) return false;
+    if (!usable_looks(in.looks, in.extras, in.channels, i) || !tile_box(low_x, high_x, low_y, high_y, box)) return false;
+
+    depth = z;
+    record.x = x, record.y = y, record.z = float(z);
+    for (int j = 0; j < 3; ++j) record.f[j] = f[j];
+    record.exponent = float(exponent), record.radius = float(sqrt(radius2) * 1.00001);
+    const double position[3] = {mean[0], mean[1], mean[2]};
+    color_of(cam, position, in.looks, i, record.color);
+    return true;
+}
+
+}  // namespace e4dgs
+
+using namespace e4dgs;
+
+// depth [n]: z, infinite where culled. boxes [n]: empty where culled.
+extern "C" __global__ void __launch_bounds__(128)
+    project_gaussians(const double* camera, int width, int height, int n, const float* means, const float* quats, const float* scales,
+                      const float* opacities, const float* looks, const float* extras, int channels, GaussianRecord* records, double* depth, TileBox* boxes) {
+    const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
+    if (i >= n) return;
+    const Camera<double> cam = camera_of(camera, width, height);
+    const GaussianInputs in = {means, quats, scales, opacities, looks, extras, channels};
+    GaussianRecord record;
+    TileBox box = {0, 0, 0, 0};
+    double z;
+    const bool there = project(in, cam, i, record, box, z);
+    if (there) records[i] = record;
+    depth[i] = there ? z : culled_depth();
+    boxes[i] = box;
+}

@@ -1,0 +1,92 @@
+"""What a frame on the GPU is made of: its inputs, and what its forward pass computes and its backward pass needs again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..types import Camera, Convexes, Gaussians
+
+TILE = 16  # px, as in device.cuh
+
+
+@dataclass(eq=False)
+class Inputs:
+    """camera: [17] float64, fx fy cx cy, R, t, near. All tensors of primitives are contiguous float32 on one device; extras of both
+    kinds have `channels` columns."""
+
+    camera: Tensor
+    width: int
+    height: int
+    background: Tensor
+    gaussians: Gaussians
+    convexes: Convexes
+    channels: int
+
+    @property
+    def device(self) -> torch.device:
+        return self.gaussians.means.device
+
+    @property
+    def n(self) -> int:
+        return self.gaussians.means.shape[0]
+
+    @property
+    def m(self) -> int:
+        return self.convexes.points.shape[0]
+
+    @property
+    def points(self) -> int:
+        """K, or 0 where there are no convexes: kernels without them are smaller."""
+        return self.convexes.points.shape[1] if self.m else 0
+
+    @property
+    def tiles(self) -> int:
+        return -(-self.width // TILE) * -(-self.height // TILE)
+
+    def extras(self, kind: Gaussians | Convexes) -> Tensor | None:
+        return kind.extras if self.channels else None
+
+
+@dataclass(eq=False)
+class State:
+    """With None nobody goes backward.
+
+    gaussians [n, 64], convexes [m, *] uint8: records. boxes [n + m, 4] int16.
+    order [n + m] int64: primitives from front to back; ends [n + m] int64: running sums of their numbers of pairs.
+    begins [tiles + 1] int32, entries [pairs] int32: the tiles' lists.
+    pair [pairs] int64: which pair, in order of depth, an entry is; None unless sums must be deterministic.
+    visible [n + m] uint8; touched [pairs] uint8: the regions of its tile that blend an entry, a bit each.
+    transmittance [H, W] float32 and last [H, W] int32: of each pixel behind its last layer.
+    """
+
+    gaussians: Tensor
+    convexes: Tensor
+    boxes: Tensor
+    order: Tensor
+    ends: Tensor
+    begins: Tensor
+    entries: Tensor
+    pair: Tensor | None
+    visible: Tensor
+    touched: Tensor | None = None
+    transmittance: Tensor | None = None
+    last: Tensor | None = None
+
+
+def camera_numbers(camera: Camera, device: torch.device) -> Tensor:
+    """`Inputs.camera` of this camera, on this device, without waiting for it."""
+    K, pose = camera.K.detach().double(), camera.cam_from_world.detach().double()
+    near = torch.full((1,), camera.near, dtype=torch.float64, device=K.device)
+    intrinsics = torch.stack([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
+    return torch.cat([intrinsics, pose[:3, :3].reshape(9), pose[:3, 3], near]).to(device, non_blocking=True)
+
+
+def looks_of(kind: Gaussians | Convexes) -> tuple[Tensor, int]:
+    """sh and its degree, or colors and -1."""
+    if kind.sh is None:
+        assert kind.colors is not None
+        return kind.colors, -1
+    return kind.sh, {1: 0, 4: 1, 9: 2, 16: 3}[kind.sh.shape[1]]

@@ -1,0 +1,141 @@
+// From projected primitives to each tile's list: how many tiles a primitive may touch, its (tile, primitive) pairs in order of depth,
+// and after a stable sort by tile where each tile's pairs begin. Features: POINTS, KEY_BITS (16: fewer
+// than 2^15 tiles, half the passes of the sort).
+#include "records.cuh"
+
+#if !defined(KEY_BITS)
+#define KEY_BITS 32
+#endif
+
+namespace e4dgs {
+
+#if KEY_BITS == 16
+using Key = short;
+#else
+using Key = int;
+#endif
+
+// The tiles of one row that a support takes, last excluded.
+struct Span {
+    int first, last;
+};
+
+__device__ inline Span span_between(double low, double high, const TileBox& box, int width) {
+    low = larger(low, 0.5), high = smaller(high, width - 0.5);
+    if (!(low <= high)) return {0, 0};  // before anything becomes an integer: it may lie far outside
+    const int a = int(ceil((low - (kTile - 0.5)) / kTile)), b = int(floor((high - 0.5) / kTile)) + 1;
+    return {a > box.x0 ? a : box.x0, b < box.x1 ? b : box.x1};
+}
+
+// The range of x that the ellipse u^2 + v^2 <= radius^2 takes within a row's pixel centres.
+struct GaussianBounds {
+    double x, y, f1, f2, inverse, radius2, high_y, rightmost;
+
+    __device__ explicit GaussianBounds(const GaussianRecord& r) {
+        x = r.x, y = r.y, f1 = r.f[1], f2 = r.f[2], inverse = 1.0 / r.f[0];
+        radius2 = double(r.radius) * double(r.radius), high_y = double(r.radius) / f2;
+        rightmost = -high_y * f1 / sqrt(f1 * f1 + f2 * f2);  // the y, from the centre, where the ellipse's right end lies
+    }
+    __device__ double half(double dy) const {
+        const double v = f2 * dy;
+        return sqrt(larger(radius2 - v * v, 0.0));
+    }
+    __device__ bool x_range(double top, double bottom, double& low, double& high) const {
+        const double a = larger(top - y, -high_y), b = smaller(bottom - y, high_y);
+        if (!(a <= b)) return false;
+        const double right = larger(smaller(rightmost, b), a), left = larger(smaller(-rightmost, b), a);
+        low = x + (-half(left) - f1 * left) * inverse, high = x + (half(right) - f1 * right) * inverse;
+        return true;
+    }
+};
+
+#if POINTS
+// The polygon L_i <= limit for every edge, a little larger where a corner lies between the rows.
+struct ConvexBounds {
+    const ConvexRecord& r;
+
+    __device__ explicit ConvexBounds(const ConvexRecord& record) : r(record) {}
+    __device__ bool x_range(double top, double bottom, double& low, double& high) const {
+        constexpr double loose = 1e-6;  // px
+        low = -1e300, high = 1e300;
+        for (int i = 0; i < r.n; ++i) {
+            const double A = r.line[i][0];
+            if (A == 0.0) continue;
+            const double inverse = 1.0 / A, slope = -r.line[i][1] * inverse, at = r.x0 + (r.limit - r.line[i][2]) * inverse - slope * r.y0;
+            const double a = at + slope * top, b = at + slope * bottom;
+            if (A > 0.0)
+                high = smaller(high, larger(a, b));
+            else
+                low = larger(low, smaller(a, b));
+        }
+        low -= loose, high += loose;
+        return low <= high;
+    }
+};
+#endif
+
+// f(row, span) for each row of tiles with a span that is not empty.
+template <class Bounds, class F>
+__device__ inline void for_rows(const Bounds& bounds, const TileBox& box, int width, int height, F&& f) {
+    for (int row = box.y0; row < box.y1; ++row) {
+        const double top = row * kTile + 0.5, bottom = smaller(top + (kTile - 1), height - 0.5);
+        double low, high;
+        if (!bounds.x_range(top, bottom, low, high)) continue;
+        const Span span = span_between(low, high, box, width);
+        if (span.first < span.last) f(row, span);
+    }
+}
+
+// Tiles of the primitive; written to `tiles` [room], as row * tiles_x + column, where that is given. One function for counting and for writing,
+// never inlined: compiled twice it could round differently, and count other tiles than it writes.
+__device__ __noinline__ int tiles_of(const GaussianRecord* gaussians, const ConvexRecord* convexes, int n_gaussians, int id, TileBox box, int width,
+                                     int height, Key* tiles, int room) {
+    const int tiles_x = (width + kTile - 1) / kTile;
+    int count = 0;
+    const auto take = [&](int row, Span span) {
+        for (int x = span.first; x < span.last; ++x, ++count)
+            if (tiles && count < room) tiles[count] = Key(row * tiles_x + x);
+    };
+    if (box.x1 - box.x0 <= 1 || box.y1 - box.y0 <= 1) {  // nothing to gain from looking closer
+        for (int row = box.y0; row < box.y1; ++row) take(row, Span{box.x0, box.x1});
+    } else if (id < n_gaussians) {
+        for_rows(GaussianBounds(gaussians[id]), box, width, height, take);
+    } else {
+#if POINTS
+        for_rows(ConvexBounds(convexes[id - n_gaussians]), box, width, height, take);
+#endif
+    }
+    return count;
+}
+
+}  // namespace e4dgs
+
+using namespace e4dgs;
+
+// counts [n]: tiles that primitive i may touch.
+extern "C" __global__ void __launch_bounds__(128)
+    count_tiles(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height, int* counts) {
+    const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
+    if (i < n) counts[i] = tiles_of(gaussians, convexes, n_gaussians, i, boxes[i], width, height, nullptr, 0);
+}
+
+// order [n]: primitives from front to back; ends [n]: sums of their counts up to and with each. Pairs beyond `room` are left out.
+extern "C" __global__ void __launch_bounds__(128, 7)
+    write_pairs(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
+                const int64* order, const int64* ends, int64 room, Key* tiles, int* primitives) {
+    const int rank = int(blockIdx.x * blockDim.x + threadIdx.x);
+    if (rank >= n) return;
+    const int64 begin = rank ? ends[rank - 1] : 0, end = ends[rank] < room ? ends[rank] : room;
+    if (begin >= end) return;
+    const int id = int(order[rank]), count = int(end - begin);
+    tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, tiles + begin, count);
+    for (int k = 0; k < count; ++k) primitives[begin + k] = id;
+}
+
+// sorted [n]: tiles of all pairs, ascending. begins [tiles + 1] is written in full.
+extern "C" __global__ void __launch_bounds__(256) find_tiles(int64 n, const Key* sorted, int tiles, int* begins) {
+    const int64 i = int64(blockIdx.x) * blockDim.x + threadIdx.x;
+    if (i > n) return;
+    const int from = i ? sorted[i - 1] + 1 : 0, to = i < n ? sorted[i] : tiles;
+    for (int tile = from; tile <= to; ++tile) begins[tile] = int(i);
+}

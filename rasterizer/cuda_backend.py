@@ -1,0 +1,117 @@
+"""The CUDA backend: a torch.autograd.Function around the kernels. float32; sums in a fixed order where torch is asked for determinism."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from .cuda.backward import backward
+from .cuda.capacity import room_of, took
+from .cuda.forward import forward
+from .cuda.launcher import Launcher, launcher_for
+from .cuda.state import Inputs, camera_numbers
+from .types import Camera, Convexes, Frame, Gaussians
+
+GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh", "colors", "extras")
+CONVEX_FIELDS = ("points", "tau", "kappa", "opacities", "sh", "colors", "extras")
+IMAGES = ("color", "alpha", "depth", "extras")
+LEADING = 3  # K, cam_from_world and background come before the primitives' fields
+
+
+def rasterize_cuda(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor) -> Frame:
+    """Render with the CUDA kernels; see `rasterize`, which checks the arguments and makes them uniform before it calls this.
+
+    All tensors of primitives are contiguous float32 on one device; extras of both kinds have one width E. Camera and background may lie on
+    the CPU, which saves waiting for the device. Gradients are computed only for inputs that require them; with
+    `torch.use_deterministic_algorithms(True)` they are bit-equal from run to run.
+
+    Raises what `launcher_for` raises, MemoryError and torch.OutOfMemoryError where the frame does not fit.
+    """
+    launcher = launcher_for(gaussians.means.device)
+    tensors = [camera.K, camera.cam_from_world, background]
+    tensors += [getattr(gaussians, name) for name in GAUSSIAN_FIELDS]
+    tensors += [getattr(convexes, name) for name in CONVEX_FIELDS]
+    outputs = _Rasterize.apply(launcher, (camera.width, camera.height, camera.near), *tensors)
+    return Frame(*outputs)
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, launcher: Launcher, view: tuple[int, int, float], *tensors: Tensor | None) -> tuple[Tensor, ...]:
+        inputs = _inputs(view, tensors)
+        keep = any(ctx.needs_input_grad)
+        deterministic = torch.are_deterministic_algorithms_enabled()
+        room = room_of(inputs)
+        try:
+            images, state = forward(launcher, inputs, keep, deterministic, room)
+        except torch.OutOfMemoryError as cause:
+            raise torch.OutOfMemoryError(_what_to_lower(inputs, keep, cause)) from cause
+        if room is None:
+            took(inputs, state.entries.shape[0])
+        ctx.set_materialize_grads(False)
+        if keep:
+            ctx.launcher, ctx.view, ctx.state = launcher, view, state
+            # Versions are checked by autograd: an input changed in place between forward and backward is an error, not a wrong gradient.
+            ctx.save_for_backward(images["alpha"], images["depth"], *tensors)
+        visible = state.visible.bool()
+        seen = visible[: inputs.n], visible[inputs.n :]
+        ctx.mark_non_differentiable(*seen)
+        return images["color"], images["alpha"], images["depth"], images["extras"], *seen
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Any, ...]:
+        alpha, depth, *tensors = ctx.saved_tensors
+        inputs = _inputs(ctx.view, tensors)
+        needs = dict(zip(_names(inputs), ctx.needs_input_grad[2:]))
+        wanted = {name: bool(need) for name, need in needs.items() if name} | {"camera": needs["K"] or needs["cam_from_world"]}
+        images = {"alpha": alpha.detach(), "depth": depth.detach()}
+        incoming = {name: None if g is None else g.float().contiguous() for name, g in zip(IMAGES, grads)}
+        try:
+            found = backward(ctx.launcher, inputs, ctx.state, images, incoming, wanted)
+        except torch.OutOfMemoryError as cause:
+            raise torch.OutOfMemoryError(_what_to_lower(inputs, True, cause)) from cause
+        if wanted["camera"]:
+            limit = torch.finfo(torch.float32).max  # scales at the end of float32's range would give infinities here
+            numbers = found["camera"].clamp(-limit, limit)
+            fx, fy, cx, cy = numbers[:4].unbind()
+            zero = torch.zeros_like(fx)
+            found["K"] = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, zero]).reshape(3, 3)
+            pose = numbers[4:].reshape(3, 4)
+            found["cam_from_world"] = torch.cat([pose, torch.zeros_like(pose[:1])])
+        out = [found.get(name) if need else None for name, need in needs.items()]
+        out = [None if g is None else g.to(t.device, t.dtype) for g, t in zip(out, tensors)]
+        return None, None, *out
+
+
+def _names(inputs: Inputs) -> list[str]:
+    """The gradients' names in the order of the tensors; a kind has either sh or colors, the other one's name leads nowhere."""
+    names = ["K", "cam_from_world", "background"]
+    for kind, owner, fields in (("gaussians", inputs.gaussians, GAUSSIAN_FIELDS), ("convexes", inputs.convexes, CONVEX_FIELDS)):
+        for field in fields:
+            given = field not in ("sh", "colors") or getattr(owner, field) is not None
+            names.append(f"{kind}.{'looks' if field in ('sh', 'colors') and given else field}")
+    return names
+
+
+def _inputs(view: tuple[int, int, float], tensors: Any) -> Inputs:
+    plain: list[Any] = [None if t is None else t.detach().contiguous() for t in tensors]
+    K, cam_from_world, background = plain[:LEADING]
+    gaussians = Gaussians(**dict(zip(GAUSSIAN_FIELDS, plain[LEADING:])))
+    convexes = Convexes(**dict(zip(CONVEX_FIELDS, plain[LEADING + len(GAUSSIAN_FIELDS) :])))
+    width, height, near = view
+    device = gaussians.means.device
+    numbers = camera_numbers(Camera(K, cam_from_world, width, height, near), device)
+    channels = gaussians.extras.shape[1] if gaussians.extras is not None else 0
+    return Inputs(numbers, width, height, background.to(device, torch.float32, non_blocking=True), gaussians, convexes, channels)
+
+
+def _what_to_lower(inputs: Inputs, keep: bool, cause: BaseException) -> str:
+    gradients = ", or without gradients (torch.no_grad)" if keep else ""
+    return (
+        f"the GPU has no memory left to render {inputs.n} Gaussians and {inputs.m} convexes at {inputs.width} x {inputs.height}; "
+        f"render a smaller image, fewer or smaller primitives{gradients}. {cause}"
+    )

@@ -1,0 +1,99 @@
+"""Which device is taken, and the reason where it is not CUDA; found without importing torch."""
+
+import ctypes
+import types
+
+import pytest
+from e4dgs.pipeline import SettingsError
+from e4dgs.workflows import devices
+from e4dgs.workflows.devices import resolve_device, why_not_cuda
+
+
+@pytest.fixture
+def machine(monkeypatch, tmp_path):
+    """Everything is installed, torch is built for CUDA, the driver has one device."""
+    (tmp_path / "torch").mkdir()
+    version = tmp_path / "torch" / "version.py"
+    version.write_text("__version__ = '2.13.0+cu130'\ncuda: Optional[str] = '13.0'\n")
+    present = {"torch", "cuda.core", "cuda.bindings.nvrtc", "nvidia.cu13"}
+
+    def find_spec(name):
+        if name == "cuda.core" and "cuda" not in {found.split(".")[0] for found in present}:
+            raise ModuleNotFoundError("No module named 'cuda'")  # as the real one does
+        return types.SimpleNamespace(origin=str(tmp_path / "torch" / "__init__.py")) if name in present else None
+
+    def count(pointer):
+        pointer._obj.value = machine.devices
+        return 0
+
+    machine = types.SimpleNamespace(present=present, version=version, devices=1, cuInit=lambda flags: 0, cuDeviceGetCount=count)
+    monkeypatch.setattr(devices, "find_spec", find_spec)
+    monkeypatch.setattr(devices, "TOOLKITS", ())
+    monkeypatch.setattr(devices, "SYSTEM_TOOLKIT", str(tmp_path / "none"))
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: machine)
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
+    return machine
+
+
+def test_a_machine_with_all_can_use_cuda(machine):
+    assert why_not_cuda() is None
+
+
+def test_training_on_cuda_is_not_wired_in_this_version(machine):
+    assert resolve_device("auto") == resolve_device("cpu") == "cpu"
+    with pytest.raises(SettingsError, match="--device cuda: training on CUDA is not wired in this version; use --device cpu"):
+        resolve_device("cuda")
+
+
+def test_once_it_is_wired_auto_takes_cuda_where_it_can_be_used(machine, monkeypatch):
+    monkeypatch.setattr(devices, "TRAINS_ON_CUDA", True)
+    assert resolve_device("auto") == resolve_device("cuda") == "cuda" and resolve_device("cpu") == "cpu"
+    machine.devices = 0
+    assert resolve_device("auto") == "cpu"
+    with pytest.raises(SettingsError, match="--device cuda: the NVIDIA driver finds no device"):
+        resolve_device("cuda")
+
+
+@pytest.mark.parametrize(
+    ("absent", "reason"),
+    [
+        ({"torch"}, "torch is not installed"),
+        ({"cuda.core"}, "cuda-core is not installed; install e4dgs[cuda13], or e4dgs[cuda12] where"),
+        ({"cuda.core", "cuda.bindings.nvrtc"}, "cuda-core is not installed; install e4dgs[cuda13]"),
+        ({"cuda.bindings.nvrtc"}, "cuda-bindings is not installed; install e4dgs[cuda13]"),
+        ({"nvidia.cu13"}, "NVRTC, which compiles the kernels, was not found; install e4dgs[cuda13]"),
+    ],
+)
+def test_what_is_missing_is_named(machine, absent, reason):
+    machine.present -= absent
+    assert why_not_cuda().startswith(reason) and "\n" not in why_not_cuda()
+
+
+@pytest.mark.parametrize("line", ["cuda: Optional[str] = None", "cuda = None"])
+def test_a_torch_without_cuda_is_named_first(machine, line):
+    machine.version.write_text(line + "\nhip = None\n")
+    machine.present -= {"cuda.core"}
+    assert why_not_cuda() == "the installed torch was built without CUDA"
+
+
+def test_a_missing_driver_is_named(machine, monkeypatch):
+    def absent(name):
+        raise OSError("cannot open shared object file")
+
+    monkeypatch.setattr(ctypes, "CDLL", absent)
+    assert why_not_cuda() == "no NVIDIA driver was found (libcuda.so.1)"
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: types.SimpleNamespace(cuInit=lambda flags: 100))
+    assert why_not_cuda() == "the NVIDIA driver finds no device"
+
+
+def test_nvrtc_of_a_toolkit_counts(machine, monkeypatch, tmp_path):
+    machine.present -= {"nvidia.cu13"}
+    (tmp_path / "toolkit" / "lib64").mkdir(parents=True)
+    (tmp_path / "toolkit" / "lib64" / "libnvrtc.so.13").write_text("")
+    monkeypatch.setattr(devices, "TOOLKITS", ("CUDA_HOME",))
+    monkeypatch.setenv("CUDA_HOME", str(tmp_path / "toolkit"))
+    assert why_not_cuda() is None
+    monkeypatch.delenv("CUDA_HOME")
+    assert why_not_cuda() is not None
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: "libnvrtc.so.13" if name == "nvrtc" else None)
+    assert why_not_cuda() is None
