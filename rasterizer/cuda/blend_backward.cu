@@ -32,7 +32,9 @@ struct Layer {  // what both kinds share
 // Adds to sums: color 3, z; to extras. Returns dL/dalpha alpha, 0 where alpha is capped.
 __device__ __forceinline__ float layer_backward(Pixel& px, const Layer& layer, float raw, bool counted, float* sums, float* extras) {
     const float alpha = counted && px.last >= layer.index ? fminf(raw, kMaxAlpha) : 0.0f;
-    const float inverse = reciprocal(1.0f - alpha), before = px.transmittance * inverse, behind = px.behind, w = before * alpha;
+    // Refined once: over thousands of layers of one alpha, the same error of the approximation would add up in the transmittance.
+    const float through = 1.0f - alpha, rough = reciprocal(through), inverse = fmaf(rough, fmaf(-through, rough, 1.0f), rough);
+    const float before = px.transmittance * inverse, behind = px.behind, w = before * alpha;
     float f = fmaf(px.red, layer.tint.x, fmaf(px.green, layer.tint.y, px.blue * layer.tint.z));
     sums[0] = fmaf(w, px.red, sums[0]), sums[1] = fmaf(w, px.green, sums[1]), sums[2] = fmaf(w, px.blue, sums[2]);
 #if DEPTH
