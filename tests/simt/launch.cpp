@@ -11,6 +11,8 @@
 #include "faults.h"
 #include "races.h"
 
+extern "C" void* __tls_get_addr(size_t* module_and_offset);  // the dynamic linker's
+
 namespace simt {
 
 void run_thread();
@@ -46,35 +48,28 @@ private:
 };
 Stacks stacks;
 
-// The __shared__ variables of all kernels of this library: it has no other thread-local ones, but for the first here.
+// The __shared__ variables of all kernels of this library: its only thread-local ones (simt.h), in this thread.
 struct Shared {
     char* begin = nullptr;
     size_t bytes = 0;
 
-    Shared() {
-        static __thread volatile char one;
-        one = 0;  // nobody has any of them before somebody touches one
-        address_ = const_cast<char*>(&one);
-        dl_iterate_phdr(find, this);
-    }
+    Shared() { dl_iterate_phdr(find, this); }
 
 private:
     static int find(dl_phdr_info* library, size_t, void* self) {
-        Shared& shared = *static_cast<Shared*>(self);
-        char* const begin = static_cast<char*>(library->dlpi_tls_data);
-        for (int i = 0; begin && i < library->dlpi_phnum; ++i) {
-            const auto& segment = library->dlpi_phdr[i];
-            if (segment.p_type != PT_TLS || shared.address_ < begin || shared.address_ >= begin + segment.p_memsz) continue;
-            shared.begin = begin, shared.bytes = segment.p_memsz;
-            return 1;
+        if (library->dlpi_addr != uintptr_t(&__ehdr_start)) return 0;
+        for (int i = 0; i < library->dlpi_phnum; ++i) {
+            if (library->dlpi_phdr[i].p_type != PT_TLS) continue;
+            size_t first[] = {library->dlpi_tls_modid, 0};
+            *static_cast<Shared*>(self) = {static_cast<char*>(__tls_get_addr(first)), library->dlpi_phdr[i].p_memsz};
         }
-        return 0;
+        return 1;
     }
-    const char* address_;
+    Shared(char* begin, size_t bytes) : begin(begin), bytes(bytes) {}
 };
 
 void prepare_block(uint32_t index, int threads, const Shared& shared) {
-    std::memset(shared.begin, 0xff, shared.bytes);
+    if (shared.bytes) std::memset(shared.begin, 0xff, shared.bytes);
     races.order_block();
     blockIdx = {index, 0, 0};
     block.n_warps = (threads + kWarp - 1) / kWarp;
@@ -96,10 +91,6 @@ void run_grid(uint32_t blocks, int threads, uint64_t seed, double seconds) {
         return;
     }
     const Shared shared;
-    if (!shared.begin) {
-        block.error = "shared memory was not found in the library";
-        return;
-    }
     const Faults faults(stacks.low(), stacks.high(), seconds);
     races.start_launch(stacks.low(), stacks.high() - stacks.low(), shared.begin, shared.bytes);
     std::vector<uint32_t> order(blocks);

@@ -32,9 +32,12 @@ extern "C" __global__ void __launch_bounds__(256) rotate(bool barriers, int time
     out[i] = kept[i];
 }
 
-// The order in which threads come to this.
+// The order in which threads come to this, twice.
 extern "C" __global__ void __launch_bounds__(256) line_up(int* length, int* order) {
-    order[atomicAdd(length, 1)] = int(blockIdx.x * blockDim.x + threadIdx.x);
+    for (int i = 0; i < 2; ++i) {
+        order[atomicAdd(length, 1)] = int(blockIdx.x * blockDim.x + threadIdx.x);
+        __syncthreads();
+    }
 }
 
 // Threads without a number leave; the others still meet.
