@@ -2,9 +2,9 @@
 
     python benchmarks/cuda_resources.py [--out FILE.json]
 
-Compiles every program of `rasterizer/cuda/programs.py::RECORDED` for sm_80, sm_86, sm_89 and sm_90, which takes no GPU, and writes
-tests/rasterizer/cuda_resources.json. `tests/rasterizer/test_cuda_compiles.py` holds the kernels to it: run this after a change of a
-kernel whose registers are meant to rise, and commit the file with the change.
+Compiles every program in RECORDED of `rasterizer/cuda/programs.py` and `scene/cuda/programs.py` for sm_80, sm_86, sm_89 and sm_90, which
+takes no GPU, and writes tests/rasterizer/cuda_resources.json. `tests/rasterizer/test_cuda_compiles.py` holds the kernels to it: run this
+after a change of a kernel whose registers are meant to rise, and commit the file with the change.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 from e4dgs.rasterizer.cuda.compiler import Compiled, compile_cubin, nvrtc_version
-from e4dgs.rasterizer.cuda.programs import RECORDED
+from e4dgs.rasterizer.cuda.programs import RECORDED as RASTERIZER
+from e4dgs.scene.cuda.programs import RECORDED as SCENE
 
+RECORDED = {**RASTERIZER, **SCENE}
 ARCHITECTURES = ("sm_80", "sm_86", "sm_89", "sm_90")
 RECORD = Path(__file__).resolve().parents[1] / "tests" / "rasterizer" / "cuda_resources.json"
 

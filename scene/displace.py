@@ -14,11 +14,16 @@ def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displ
     """What ``heads`` [N, 10] do to ``rest`` [N, 3].
 
     Columns 0-2 are a translation in units of ``reach`` (world units), 3-6 a rotation about ``centre`` [3] (w x y z, added to the
-    identity, then normalised), 7-9 are added to the scales' logarithms. Gradients reach heads and rest. float32 on the CPU takes a
-    kernel, anything else plain torch.
+    identity, then normalised), 7-9 are added to the scales' logarithms. Gradients reach heads and rest. float32 on the CPU or on an
+    NVIDIA GPU takes a kernel, anything else plain torch.
     """
     if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (heads, rest)):
         return Displacement(*_Displace.apply(heads, rest, tuple(centre.tolist()), reach))
+    if all(p.is_cuda and p.dtype == torch.float32 for p in (heads, rest, centre)):
+        from ..rasterizer.cuda.launcher import launcher_for
+        from .cuda.displace import displace as on_gpu
+
+        return on_gpu(launcher_for(rest.device), heads, rest, centre, reach)
     turn = torch.cat([1 + heads[:, 3:4], heads[:, 4:7]], 1)
     turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-6)
     arm = rest - centre

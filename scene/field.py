@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -14,8 +16,12 @@ from .motion import Displacement
 class DeformationField(nn.Module):
     """Implements `Motion`. Heads start at zero, so an untrained field moves nothing.
 
+    ``reach``: world units that one unit of the displacement head means, a quarter of the box's diagonal. A number of the host's, so that a
+    GPU is waited for where the field is made, loaded or moved, not where it is used.
+
     Args:
-        low, high: [3] corners of the box (world units) that the planes cover; positions outside are clamped to its faces.
+        low, high: [3] corners of the box (world units) that the planes cover; positions outside are clamped to its faces. The field lies on
+            their device.
         times: number of distinct times in the capture, the resolution of the time planes.
         resolutions: spatial resolution of each level.
         channels: features of a level.
@@ -25,6 +31,7 @@ class DeformationField(nn.Module):
 
     low: Tensor
     high: Tensor
+    reach: float
 
     def __init__(
         self,
@@ -42,7 +49,7 @@ class DeformationField(nn.Module):
         size = torch.maximum(size, (size.max() * 1e-3).clamp(min=1e-6))
         self.register_buffer("low", low.float().clone())
         # Far from the origin a small size may vanish in rounding.
-        self.register_buffer("high", torch.maximum(low.float() + size, torch.nextafter(low.float(), torch.tensor(torch.inf))))
+        self.register_buffer("high", torch.maximum(low.float() + size, torch.nextafter(self.low, torch.full_like(self.low, torch.inf))))
         self.planes = HexPlanes(resolutions, times, channels, seed)
         generator = torch.Generator().manual_seed(seed + 1)
         self.trunk = nn.Sequential(nn.Linear(self.planes.features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
@@ -55,6 +62,7 @@ class DeformationField(nn.Module):
                 layer.bias.zero_()
             self.head.weight.zero_()
             self.head.bias.zero_()
+        self.to(low.device)  # the initial values are the same on every device
         self.config = {"kind": "planes", "times": times, "resolutions": list(resolutions), "channels": channels, "width": width}
 
     @classmethod
@@ -66,10 +74,19 @@ class DeformationField(nn.Module):
         field.load_state_dict(state)
         return field
 
-    @property
-    def reach(self) -> float:
-        """World units that one unit of the displacement head means: a quarter of the box's diagonal."""
-        return 0.25 * float((self.high - self.low).norm())
+    def _apply(self, *args: Any, **kwargs: Any) -> DeformationField:
+        """Where torch moves a module or changes its type."""
+        super()._apply(*args, **kwargs)
+        self._measure()
+        return self
+
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        """Where torch gives a module its part of a state."""
+        super()._load_from_state_dict(*args, **kwargs)
+        self._measure()
+
+    def _measure(self) -> None:
+        self.reach = 0.25 * float((self.high.cpu() - self.low.cpu()).norm())
 
     def _heads(self, rest: Tensor, t: float) -> Tensor:
         layers = [layer for layer in (*self.trunk, self.head) if isinstance(layer, nn.Linear)]
@@ -92,7 +109,7 @@ class DeformationField(nn.Module):
         rigidity = (here - there).norm(dim=1).mean()
         middle = min(max(t, dt), 1 - dt)
         if dt > 0.5 or dt <= 0:
-            return rigidity, torch.zeros(())
+            return rigidity, torch.zeros((), device=rest.device)
         if middle != t:
             here = self.rigid_motion(rest, middle)
         change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)

@@ -1,4 +1,4 @@
-"""The deformation field's heavy part in one kernel: six-plane look-up, product, concatenation and a perceptron, forward and backward."""
+"""The deformation field's heavy part: six-plane look-up, product, concatenation and a perceptron, forward and backward."""
 
 from __future__ import annotations
 
@@ -26,20 +26,31 @@ def field_outputs(
         box: low and high corner [3] that the planes cover; None for the unit box.
         t: time in [0, 1] (clamped, NaN to 0), one for all positions.
 
-    float32 on the CPU takes the kernel, whose result and gradients are bit-equal for any number of threads; anything else takes plain
-    torch. Gradients of gradients are not there, and asking for them is an error.
+    float32 on the CPU takes one kernel, whose result and gradients are bit-equal for any number of threads. float32 on an NVIDIA GPU takes
+    kernels for the features and torch's layers, which may use TF32 where torch is told so. Anything else takes plain torch. Gradients of
+    gradients are not there, and asking for them is an error.
     """
     tensors = [*space, *time, *weights]
     if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (points, *tensors)):
         corners = ((0.0,) * 3, (1.0,) * 3) if box is None else (box[0].tolist(), box[1].tolist())
         keep = torch.is_grad_enabled() and any(p.requires_grad for p in tensors)
         return _Field.apply(len(space), points.detach().contiguous(), corners, float(t), keep, *tensors)
-    u = points.detach() if box is None else (points.detach() - box[0]) / (box[1] - box[0])
-    features = lookup_reference(u, float(t), *[p for pair in zip(space, time) for p in pair])
+    features = _features(space, time, points.detach(), box, float(t))
     if not weights:
         return features
     w1, b1, w2, b2, w3, b3 = weights
     return F.linear(F.relu(F.linear(F.relu(F.linear(features, w1, b1)), w2, b2)), w3, b3)
+
+
+def _features(space: Sequence[Tensor], time: Sequence[Tensor], points: Tensor, box: tuple[Tensor, Tensor] | None, t: float) -> Tensor:
+    if all(p.is_cuda and p.dtype == torch.float32 for p in (points, *space, *time)):
+        from ..rasterizer.cuda.launcher import launcher_for
+        from .cuda.field import look_up, takes
+
+        if takes(space):
+            return look_up(launcher_for(points.device), space, time, points, box, t)
+    u = points if box is None else (points - box[0]) / (box[1] - box[0])
+    return lookup_reference(u, t, *[p for pair in zip(space, time) for p in pair])
 
 
 class _Field(torch.autograd.Function):
@@ -86,7 +97,8 @@ def lookup_reference(u: Tensor, t: float, *parameters: Tensor) -> Tensor:
     for space, time in zip(parameters[0::2], parameters[1::2]):
         r = space.shape[1]
         taps = [_taps(u[:, axis], r) for axis in range(3)]
-        low, high, f = _taps(torch.tensor([t], dtype=u.dtype, device=u.device), time.shape[1])
+        low, high, here = _taps(torch.tensor([t], dtype=u.dtype), time.shape[1])
+        f = torch.full_like(here, float(here), device=u.device)  # filled there: nothing waits for the device
         lines = time[:, int(low)] * (1 - f) + time[:, int(high)] * f
         feature = torch.ones(u.shape[0], space.shape[3], dtype=u.dtype, device=u.device)
         for plane, (a, b) in enumerate(SPACE_AXES):

@@ -50,6 +50,11 @@ class HexPlanes(nn.Module):
         planes = [*self.space, *self.time]
         if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in planes):
             return _Smoothness.apply(len(self.space), *planes)
+        if all(p.is_cuda and p.dtype == torch.float32 for p in planes):
+            from ..rasterizer.cuda.launcher import launcher_for
+            from .cuda.smoothness import total_variation
+
+            return total_variation(launcher_for(planes[0].device), list(self.space), list(self.time))
         return smoothness_reference(list(self.space), list(self.time))
 
 
@@ -59,7 +64,7 @@ def smoothness_reference(space: list[Tensor], time: list[Tensor]) -> Tensor:
     for s, t in zip(space, time):
         differences += [s.diff(dim=1), s.diff(dim=2), t.diff(dim=2), t.diff(n=2, dim=1) if t.shape[1] > 2 else t[:, :0]]
     terms = [d.square().mean() for d in differences if d.numel()]
-    return torch.stack(terms).sum() if terms else torch.zeros(())
+    return torch.stack(terms).sum() if terms else torch.zeros((), device=space[0].device)
 
 
 class _Smoothness(torch.autograd.Function):

@@ -39,16 +39,16 @@ class ControlNodes(nn.Module):
     def __init__(self, positions: Tensor, keys: int, reach: float, exclusive: Tensor | None = None) -> None:
         super().__init__()
         positions = torch.as_tensor(positions).float()
-        count = len(positions)
+        count, device = len(positions), positions.device
         self.register_buffer("positions", positions.clone())
-        self.register_buffer("exclusive", torch.zeros(count) if exclusive is None else exclusive.float().clone())
+        self.register_buffer("exclusive", torch.zeros(count, device=device) if exclusive is None else exclusive.float().clone())
         # A node's influence falls off over the distance to its third neighbour; a lone node carries everything.
         near = min(3, count - 1)
-        gap = torch.cdist(positions, positions).topk(near + 1, largest=False).values[:, 1:] if near else torch.ones(count, 1)
+        gap = torch.cdist(positions, positions).topk(near + 1, largest=False).values[:, 1:] if near else torch.ones(count, 1, device=device)
         self.register_buffer("spread", gap.mean(1).clamp(min=1e-6))
-        self.register_buffer("opened", torch.tensor([(keys - 1) // 2, keys // 2]))
-        self.quats = nn.Parameter(torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(keys, count, 1))
-        self.shifts = nn.Parameter(torch.zeros(keys, count, 3))
+        self.register_buffer("opened", torch.tensor([(keys - 1) // 2, keys // 2], device=device))
+        self.quats = nn.Parameter(torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(keys, count, 1))
+        self.shifts = nn.Parameter(torch.zeros(keys, count, 3, device=device))
         self.reach = reach
 
     @property
@@ -88,7 +88,7 @@ class ControlNodes(nn.Module):
         quats, shifts = self.pose(t)
         now = self.positions + shifts
         free = (self.exclusive == 0).nonzero()[:, 0]
-        rigidity = torch.zeros(())
+        rigidity = torch.zeros((), device=self.positions.device)
         if len(free) > 1:
             home = self.positions[free]
             gaps = torch.cdist(home, home)
@@ -98,19 +98,19 @@ class ControlNodes(nn.Module):
             turned = rotate(quats[free][:, None].expand(b, k, 4).reshape(-1, 4), at_rest.reshape(-1, 3)).reshape(b, k, 3)
             strain = (now[edge] - now[free][:, None] - turned).norm(dim=2) / at_rest.norm(dim=2).clamp(min=1e-6)
             rigidity = strain.mean()
-        low, high = (int(key) for key in self.opened)
-        course = torch.zeros(())
+        low, high = self.opened.tolist()
+        course = torch.zeros((), device=self.positions.device)
         if high - low >= 2:
             course = sum((p[low : high + 1].diff(n=2, dim=0).norm(dim=2).mean() for p in (self.quats, self.shifts)), course)
         return rigidity, course
 
     def regulariser(self) -> Tensor:
         """Nodes have no planes to smooth."""
-        return torch.zeros(())
+        return torch.zeros((), device=self.positions.device)
 
     def extend(self, low: float, high: float) -> None:
         """Frames of the times from ``low`` to ``high`` are about to be seen: keys that come in go on as the two before them went."""
-        first, last = (int(key) for key in self.opened)
+        first, last = self.opened.tolist()
         for k in range(last + 1, min(int(np.ceil(high * (self.keys - 1) - 1e-9)) + 1, self.keys)):
             self._continue(k, k - 1, k - 2)
             last = k
@@ -133,7 +133,9 @@ class ControlNodes(nn.Module):
             weights = torch.exp(-0.5 * (value / self.spread[index]) ** 2) + 1e-8
             weights = torch.where(torch.isinf(value), 0.0, weights)
             owned = value[:, :1] < 0
-            weights = torch.where(owned, torch.zeros_like(weights).index_fill_(1, torch.tensor([0]), 1.0), weights)
+            alone = torch.zeros_like(weights)
+            alone[:, 0] = 1.0
+            weights = torch.where(owned, alone, weights)
             total = weights.sum(1, keepdim=True)
             return torch.where(total > 0, weights / total.clamp(min=1e-12), 1.0 / weights.shape[1]), index
 
@@ -153,7 +155,7 @@ class ControlNodes(nn.Module):
             self.quats[k], self.shifts[k] = self.quats[before], self.shifts[before]
             return
         quat = nn.functional.normalize(self.quats[before], dim=1)
-        inverse = nn.functional.normalize(self.quats[earlier], dim=1) * torch.tensor([1.0, -1.0, -1.0, -1.0])
+        inverse = nn.functional.normalize(self.quats[earlier], dim=1) * torch.tensor([1.0, -1.0, -1.0, -1.0], device=self.quats.device)
         self.quats[k] = compose(compose(quat, inverse), quat)
         self.shifts[k] = 2 * self.shifts[before] - self.shifts[earlier]
 
@@ -173,7 +175,7 @@ class ControlNodes(nn.Module):
         ``path`` [T, 3], both at the keys."""
         keep = ((self.positions - centre).norm(dim=1) > radius).nonzero()[:, 0]
         positions = torch.cat([self.positions[keep], centre[None]])
-        nodes = ControlNodes(positions, self.keys, self.reach, torch.cat([self.exclusive[keep], torch.tensor([radius])]))
+        nodes = ControlNodes(positions, self.keys, self.reach, torch.cat([self.exclusive[keep], self.exclusive.new_tensor([radius])]))
         nodes.quats.copy_(torch.cat([self.quats[:, keep], aligned(quats[:, None])], 1))
         nodes.shifts.copy_(torch.cat([self.shifts[:, keep], (path - centre)[:, None] / self.reach], 1))
         nodes.opened.copy_(self.opened)

@@ -16,7 +16,8 @@ class RowAdam:
     """Adam with a name for every tensor, steps only for the rows (first axis) that got a gradient, and surgery on rows.
 
     A row whose gradient is zero throughout was seen by no ray: it keeps its value and its moments. ``rates`` maps a name to a
-    function of progress in [0, 1] that gives the learning rate. Parameters are contiguous float32 on the CPU.
+    function of progress in [0, 1] that gives the learning rate. Parameters are contiguous float32, on the CPU or a CUDA device, which
+    is not waited for. A step's number and rate are the host's: a CUDA graph would repeat the ones it was captured with.
     """
 
     def __init__(
@@ -38,17 +39,8 @@ class RowAdam:
             if state is None:
                 state = self._state[name] = {"step": torch.zeros(()), "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
             state["step"] += 1
-            _kernels.adam_rows(
-                p.detach(),
-                p.grad.contiguous(),
-                state["exp_avg"],
-                state["exp_avg_sq"],
-                int(state["step"]),
-                self.rates[name](progress),
-                *self.betas,
-                EPSILON,
-                torch.get_num_threads(),
-            )
+            tensors = p.detach(), p.grad.contiguous(), state["exp_avg"], state["exp_avg_sq"]
+            _step_rows(*tensors, int(state["step"]), self.rates[name](progress), self.betas)
         self.zero_grad()
 
     def zero_grad(self) -> None:
@@ -76,6 +68,18 @@ class RowAdam:
 
     def load_state(self, tensors: dict[str, Tensor]) -> None:
         """Inverse of `state`."""
-        for name in self._parameters:
+        for name, p in self._parameters.items():
             if f"{name}/step" in tensors:
-                self._state[name] = {key: tensors[f"{name}/{key}"].clone() for key in ("step", "exp_avg", "exp_avg_sq")}
+                state = {"step": tensors[f"{name}/step"].to("cpu", copy=True)}
+                self._state[name] = state | {key: tensors[f"{name}/{key}"].to(p.device, copy=True) for key in ("exp_avg", "exp_avg_sq")}
+
+
+def _step_rows(parameter: Tensor, grad: Tensor, first: Tensor, second: Tensor, step: int, rate: float, betas: tuple[float, float]) -> None:
+    """By the kernels of the parameter's device."""
+    if parameter.device.type == "cuda":
+        from ..rasterizer.cuda.launcher import launcher_for
+        from .cuda.adam import adam_rows
+
+        adam_rows(launcher_for(parameter.device), parameter, grad, first, second, step, rate, *betas, EPSILON)
+    else:
+        _kernels.adam_rows(parameter, grad, first, second, step, rate, *betas, EPSILON, torch.get_num_threads())

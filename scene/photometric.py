@@ -13,7 +13,7 @@ def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float
     """``l1 * mean|image - target| + ssim * (1 - SSIM(image, target))``, a scalar.
 
     Args:
-        image: [H, W, 3] float32, carries gradients.
+        image: [H, W, 3] float32, carries gradients. On a CUDA device, which is not waited for, the loss is there too.
         target: [H, W, 3] float32, does not.
         l1, ssim: the weights lambda_1 and lambda_2 of Eq. 9.
     """
@@ -21,6 +21,11 @@ def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float
         raise ValueError(f"image and target must both be [H, W, 3]; got {tuple(image.shape)} and {tuple(target.shape)}")
     if image.device.type == "cpu" and image.dtype == torch.float32:
         return _Photometric.apply(image, target, l1, ssim)
+    if image.device.type == "cuda" and image.dtype == torch.float32:
+        from ..rasterizer.cuda.launcher import launcher_for
+        from .cuda import photometric
+
+        return photometric.photometric_loss(launcher_for(image.device), image, target, l1, ssim)
     return l1 * (image - target).abs().mean() + ssim * (1 - ssim_reference(image, target))
 
 

@@ -1,0 +1,30 @@
+"""The scene's kernels as programs, one for each set of features."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from ...rasterizer.cuda.program import Program
+
+HERE = Path(__file__).resolve().parent
+
+
+@cache
+def program(name: str, **features: int) -> Program:
+    """The .cu file of this name beside this one, with these features; the same object each time."""
+    return Program(HERE / f"{name}.cu", tuple(sorted((key.upper(), value) for key, value in features.items())))
+
+
+# What CI compiles for every architecture.
+RECORDED: dict[str, Program] = {
+    str(one): one
+    for one in (
+        program("adam"),
+        program("photometric"),
+        program("displace"),
+        program("smoothness"),
+        *(program("field", channels=c, levels=l) for c, l in ((16, 2), (64, 4))),
+        *(program("field_backward", channels=c, levels=l, lines=n) for c, l, n in ((16, 2, 576), (16, 2, 0), (4, 1, 2496), (64, 4, 0))),
+    )
+}

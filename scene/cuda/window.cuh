@@ -1,0 +1,34 @@
+// SSIM's window: 11 taps of a Gaussian of sigma 1.5, along one axis.
+#pragma once
+#include "device.cuh"
+
+namespace e4dgs {
+
+constexpr int kRadius = 5;
+
+// exp(-(k - 5)^2 / 4.5), divided by the sum over all taps. A function, since device code cannot read a host's array by an index.
+__device__ constexpr float tap(int k) {
+    const int d = k < kRadius ? kRadius - k : k - kRadius;
+    return d == 0   ? 0.26601172486179436f
+           : d == 1 ? 0.2130055377112537f
+           : d == 2 ? 0.10936068950970002f
+           : d == 3 ? 0.03600077212843083f
+           : d == 4 ? 0.007598758135239185f
+                    : 0.00102838008447911f;
+}
+
+// out [N], of in(0) ... in(N + 2 kRadius - 1), each of which is asked for once: few of them need a register at a time.
+template <int N, class F>
+__device__ __forceinline__ void blur(F&& in, float* out) {
+#pragma unroll
+    for (int j = 0; j < N + 2 * kRadius; ++j) {
+        const float value = in(j);
+#pragma unroll
+        for (int i = 0; i < N; ++i) {
+            if (j == i) out[i] = tap(0) * value;
+            if (j > i && j <= i + 2 * kRadius) out[i] = fmaf(tap(j - i), value, out[i]);
+        }
+    }
+}
+
+}  // namespace e4dgs
