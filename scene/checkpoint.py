@@ -20,7 +20,7 @@ def save_checkpoint(folder: Path, tensors: dict[str, Tensor], state: dict[str, A
     folder.mkdir(parents=True, exist_ok=True)
     temporary = folder / f".{FILE}.tmp"
     # safetensors refuses tensors that share memory; clones are cheap beside the write.
-    save_file({k: v.detach().clone().contiguous() for k, v in tensors.items()}, temporary, metadata={"state": json.dumps(state)})
+    save_file({k: v.detach().cpu().clone().contiguous() for k, v in tensors.items()}, temporary, metadata={"state": json.dumps(state)})
     with open(temporary, "rb") as handle:
         os.fsync(handle.fileno())
     os.replace(temporary, folder / FILE)

@@ -32,14 +32,15 @@ class Responsibility:
 def measure_responsibility(model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility:
     """Render ``frames`` and attribute their absolute error (mean over channels) to the primitives that blended it."""
     n, m = len(model.gaussians), len(model.convexes)
-    total = [torch.zeros(n, 2), torch.zeros(m, 2)]
-    seen = [torch.zeros(n), torch.zeros(m)]
+    device = model.device
+    total = [torch.zeros(n, 2, device=device), torch.zeros(m, 2, device=device)]
+    seen = [torch.zeros(n, device=device), torch.zeros(m, device=device)]
     background = torch.tensor(views.background)
     for i in frames:
         camera = views.rasterizer_camera(i, scale)
         with torch.no_grad():
             gaussians, convexes = model.at(float(views.time[i]), camera, move)
-        probes = [torch.zeros(n, 2, requires_grad=True), torch.zeros(m, 2, requires_grad=True)]
+        probes = [torch.zeros(count, 2, device=device, requires_grad=True) for count in (n, m)]
         frame = rasterize(camera, replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1]), background)
         error = (frame.color.detach() - views.target(i, scale)).abs().mean(-1)
         gradients = torch.autograd.grad((frame.extras * torch.stack([torch.ones_like(error), error], -1)).sum(), probes, allow_unused=True)
@@ -76,7 +77,7 @@ def split_along_longest_axis(gaussians: GaussianSet, index: Tensor) -> tuple[Gau
     with torch.no_grad():
         p = parent.parameters
         axis = p["log_scales"].argmax(1)
-        rows = torch.arange(len(index))
+        rows = torch.arange(len(index), device=index.device)
         rotation = quats_to_matrices(p["quats"])
         offset = rotation[rows, :, axis] * (0.5 * p["log_scales"][rows, axis].exp())[:, None]
         shrink = torch.full_like(p["log_scales"], 0.9).log()
@@ -89,16 +90,16 @@ def split_along_longest_axis(gaussians: GaussianSet, index: Tensor) -> tuple[Gau
             child["log_scales"] += shrink
             child["opacity_logits"] = torch.logit(opacity.clamp(1e-4, 1 - 1e-4))
             halves.append(child)
-    rest = torch.ones(len(gaussians), dtype=torch.bool)
+    rest = torch.ones(len(gaussians), dtype=torch.bool, device=gaussians.device)
     rest[index] = False
     kept = rest.nonzero()[:, 0]
     remaining = gaussians.select(kept)
     parameters = {name: torch.cat([remaining.parameters[name].detach(), halves[0][name], halves[1][name]]) for name in GaussianSet.FIELDS}
     dynamic = torch.cat([remaining.dynamic, parent.dynamic, parent.dynamic])
-    return GaussianSet(parameters, dynamic), torch.cat([kept, torch.full((2 * len(index),), -1)])
+    return GaussianSet(parameters, dynamic), torch.cat([kept, kept.new_full((2 * len(index),), -1)])
 
 
 def choose_to_split(gaussians: GaussianSet, error: Tensor, count: int) -> Tensor:
     """The ``count`` Gaussians with the largest attributed ``error`` [N]; those that no probed pixel saw are never chosen."""
     count = min(count, int((error > 0).sum()))
-    return error.topk(count).indices.sort().values if count > 0 else torch.zeros(0, dtype=torch.long)
+    return error.topk(count).indices.sort().values if count > 0 else torch.zeros(0, dtype=torch.long, device=error.device)

@@ -31,7 +31,7 @@ def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIX
     if model.field is None or not len(index):
         return 0
     mean, travel = mean_path(model, index)
-    centres = torch.tensor(views.centres()[views.train], dtype=torch.float32)
+    centres = torch.tensor(views.centres()[views.train], dtype=torch.float32, device=model.device)
     with torch.no_grad():
         nearest = torch.cdist(model.gaussians.means[index], centres).amin(1)
     focal = float(views.K[views.train, 0, 0].max())

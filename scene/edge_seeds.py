@@ -17,16 +17,16 @@ def edge_density(model: Model, views: Views, frames: list[int]) -> tuple[np.ndar
 
     Both are gradients of an extra channel, as in `density.measure_responsibility`, so occluded Gaussians count for nothing.
     """
-    total = torch.zeros(len(model.gaussians), 2)
+    total = torch.zeros(len(model.gaussians), 2, device=model.device)
     for i in frames:
         camera = views.rasterizer_camera(i)
         with torch.no_grad():
             gaussians, _ = model.at(float(views.time[i]), camera)
-        probe = torch.zeros(len(model.gaussians), 2, requires_grad=True)
+        probe = torch.zeros(len(model.gaussians), 2, device=model.device, requires_grad=True)
         frame = rasterize(camera, replace(gaussians, extras=probe))
         edges = views.edges(i)
         (frame.extras * torch.stack([torch.ones_like(edges), edges], -1)).sum().backward()
         if probe.grad is not None:
             total += probe.grad
-    weight, edge = total.double().numpy().T
+    weight, edge = total.double().cpu().numpy().T
     return np.where(weight > 0, edge / np.maximum(weight, 1e-9), 0.0), weight

@@ -26,8 +26,12 @@ class NonFiniteGuard:
 
     def accepts(self, loss: Tensor, parameters: dict[str, Tensor], iteration: int, frame: int) -> bool:
         """True if the step may be taken. Raises `TrainingDiverged` after too many refusals in a row, naming step, frame and field."""
-        bad = [name for name, p in parameters.items() if p.grad is not None and not all_finite(p.grad)]
-        if bool(torch.isfinite(loss)) and not bad:
+        grads = {name: p.grad for name, p in parameters.items() if p.grad is not None}
+        # One question for all: each answer that leaves a GPU waits for all that was asked of it before.
+        sums = torch.stack([loss.detach(), *(g.sum() for g in grads.values())])
+        doubtful = not bool(torch.isfinite(sums).all())
+        bad = [name for name, g in grads.items() if not all_finite(g)] if doubtful else []
+        if not doubtful or (bool(torch.isfinite(loss)) and not bad):  # a sum may overflow though no number has
             self._in_a_row = 0
             return True
         self.count += 1

@@ -28,6 +28,17 @@ class Model:
         self.field = field
         self.sh_degree = sh_degree
 
+    @property
+    def device(self) -> torch.device:
+        return self.gaussians.device
+
+    def to(self, device: str | torch.device) -> Model:
+        """Moves the model to this device, in place, and returns it. Cameras stay where they are: `rasterize` takes them from the CPU."""
+        self.gaussians, self.convexes = self.gaussians.to(device), self.convexes.to(device)
+        if self.field is not None:
+            self.field.to(device)
+        return self
+
     def at(self, t: float, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None) -> tuple[Gaussians, Convexes]:
         """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
 
@@ -80,7 +91,7 @@ class Model:
         """Every tensor of the model by name; with `config` all that `from_arrays` needs."""
         arrays = {**self.gaussians.to_arrays(), **self.convexes.to_arrays()}
         if self.field is not None:
-            arrays |= {"field_" + name: p.numpy() for name, p in self.field.state_dict().items()}
+            arrays |= {"field_" + name: p.cpu().numpy() for name, p in self.field.state_dict().items()}
         return arrays
 
     @property

@@ -36,8 +36,9 @@ def follow_tracks(
     named: dict[str, Tensor] = {f"field.{name}": p for name, p in field.named_parameters()}
     optimiser = RowAdam(named, learning_rates(named, settings, unit, 1.0))
     rows = np.flatnonzero(alive.any(1))
-    start, goal = torch.from_numpy(rest).float(), torch.from_numpy(positions).float()
-    there = torch.from_numpy(alive)
+    device = next(field.parameters()).device
+    start, goal = torch.from_numpy(rest).float().to(device), torch.from_numpy(positions).float().to(device)
+    there = torch.from_numpy(alive).to(device)
     field.extend(0.0, 1.0)
     dt = 1.0 / max(len(times) - 1, 1)
     rng = np.random.default_rng(settings.seed)
@@ -45,11 +46,11 @@ def follow_tracks(
         row = int(rng.choice(rows))
         t = float(times[row])
         index = there[row].nonzero()[:, 0]
-        index = index[torch.from_numpy(rng.permutation(len(index))[:SAMPLES])]
+        index = index[torch.from_numpy(rng.permutation(len(index))[:SAMPLES]).to(device)]
         moved = start[index] + field(start[index], t).dx
         loss = ((moved - goal[row, index]).square().sum(1) + (1e-3 * unit) ** 2).sqrt().mean() / unit
         if step % PRIOR_EVERY == 0:
-            noise = torch.from_numpy(rng.standard_normal((len(index), 3))).float()
+            noise = torch.from_numpy(rng.standard_normal((len(index), 3))).float().to(device)
             priors = motion_priors(field, start[index], noise, t, dt, unit, settings)
             loss = loss + PRIOR_EVERY * (settings.tv * field.regulariser() + priors)
         loss.backward()

@@ -68,13 +68,16 @@ class MotionTerms:
         generator = torch.Generator().manual_seed(s.seed * 1_000_003 + iteration)
         moving = model.gaussians.dynamic.nonzero()[:, 0]
         if not len(moving):
-            return torch.zeros(())
-        rest = model.gaussians.means.detach()[moving[torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator)]]
-        return motion_priors(model.field, rest, torch.randn(rest.shape, generator=generator), t, self.dt, self.unit, s)
+            return torch.zeros((), device=model.device)
+        # Drawn on the CPU: the same numbers on every device.
+        chosen = torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator).to(moving.device)
+        rest = model.gaussians.means.detach()[moving[chosen]]
+        noise = torch.randn(rest.shape, generator=generator).to(rest.device)
+        return motion_priors(model.field, rest, noise, t, self.dt, self.unit, s)
 
     def _flow(self, model: Model, i: int, t: float, scale: float) -> Tensor:
         s, views = self.settings, self.views
-        total = torch.zeros(())
+        total = torch.zeros((), device=model.device)
         if s.interval and self.times >= 3:
             start = min(t, 1 - 2 * self.dt)
             camera = views.rasterizer_camera(i, scale * 0.5)
@@ -84,6 +87,6 @@ class MotionTerms:
             flow, weight = measured
             later = int(views.next[i])
             camera, next_camera = views.rasterizer_camera(i, 0.5), views.rasterizer_camera(later, 0.5)
-            edges = weight * views.edges(i, 0.5)
-            total = total + s.data_flow * data_flow_loss(model, camera, t, next_camera, float(views.time[later]), flow, edges)
+            edges = weight.to(model.device) * views.edges(i, 0.5)
+            total = total + s.data_flow * data_flow_loss(model, camera, t, next_camera, float(views.time[later]), flow.to(model.device), edges)
         return total

@@ -53,8 +53,8 @@ class NodeTraining:
         self.searched = True
         nodes, gaussians = model.field, model.gaussians
         assert isinstance(nodes, ControlNodes)
-        solid = gaussians.means.detach()[gaussians.opacities.detach() > SOLID].numpy()
-        positions = torch.tensor(farthest_points(solid, NODES)) if len(solid) else nodes.positions
+        solid = gaussians.means.detach()[gaussians.opacities.detach() > SOLID].cpu().numpy()
+        positions = torch.tensor(farthest_points(solid, NODES), device=model.device) if len(solid) else nodes.positions
         model.field = nodes.resampled(positions, 2 * nodes.keys - 1)
         error = measure_responsibility(model, views, frames, True, scale).error_gaussians
         source = bodies_for_turning_parts(model, views, error, self.seed, log)

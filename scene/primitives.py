@@ -28,7 +28,7 @@ class PrimitiveSet:
             raise ValueError(f"{self.KIND}: every field must have the same number of rows, got {rows}")
         self.parameters = {name: p.detach().float().contiguous().requires_grad_() for name, p in parameters.items()}
         count = len(self)
-        self.dynamic = torch.ones(count, dtype=torch.bool) if dynamic is None else dynamic.bool()
+        self.dynamic = torch.ones(count, dtype=torch.bool, device=self.device) if dynamic is None else dynamic.bool().to(self.device)
         if self.dynamic.shape != (count,):
             raise ValueError(f"{self.KIND}: dynamic must be [{count}], got {list(self.dynamic.shape)}")
 
@@ -40,6 +40,14 @@ class PrimitiveSet:
         if name in parameters:
             return parameters[name]
         raise AttributeError(name)
+
+    @property
+    def device(self) -> torch.device:
+        return next(iter(self.parameters.values())).device
+
+    def to(self, device: str | torch.device) -> Self:
+        """The same set on this device; a copy where that is another one."""
+        return type(self)({name: p.detach().to(device) for name, p in self.parameters.items()}, self.dynamic)
 
     @property
     def opacities(self) -> Tensor:
@@ -61,8 +69,8 @@ class PrimitiveSet:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays, prefixed by the kind: ``gaussians_means`` and so on."""
-        arrays = {f"{self.KIND}_{name}": p.detach().numpy() for name, p in self.parameters.items()}
-        arrays[f"{self.KIND}_dynamic"] = self.dynamic.numpy()
+        arrays = {f"{self.KIND}_{name}": p.detach().cpu().numpy() for name, p in self.parameters.items()}
+        arrays[f"{self.KIND}_dynamic"] = self.dynamic.cpu().numpy()
         return arrays
 
     @classmethod

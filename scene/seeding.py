@@ -57,7 +57,7 @@ def carve(
     for mask, i in zip(foreground, frames):
         shown, x, y, _ = views.project(int(i), points)
         on = mask[y, x]
-        image = views.target(int(i)).numpy()
+        image = views.target(int(i)).cpu().numpy()
         color[shown[on]] += image[y[on], x[on]]
         weight[shown[on]] += 1
     return points, np.where(weight[:, None] > 0, color / np.maximum(weight, 1)[:, None], 0.5)

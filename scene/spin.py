@@ -101,7 +101,7 @@ class SpinSearch:
         """[3, PATCH, PATCH], the part and its surroundings, blurred by `BLUR` of the sphere."""
         half = float(self.half[f])
         scale = min(1.0, PATCH / (2 * half))
-        image = views.target(int(self.frames[f]), 2.0 ** round(float(np.log2(max(scale, 1 / 16))))).numpy()
+        image = views.target(int(self.frames[f]), 2.0 ** round(float(np.log2(max(scale, 1 / 16))))).cpu().numpy()
         shrink = image.shape[1] / views.width
         zoom = PATCH / (2 * half * shrink)
         u, v = (float(x) * shrink for x in self.pixels[f])

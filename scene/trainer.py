@@ -91,12 +91,13 @@ class Trainer:
         self.curriculum = Curriculum(views.train, times, settings.seed, still, opened, self.nodes.start if self.nodes else 0)
         self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
         several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
-        self.affine = CameraAffine(len(self.camera_numbers)) if settings.affine and several else None
-        self.unit = views.viewing_distance(model.gaussians.means.detach().numpy())
+        self.affine = CameraAffine(len(self.camera_numbers)).to(model.device) if settings.affine and several else None
+        self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
         self.motion_terms = MotionTerms(views, settings, self.unit, len(np.unique(views.time)), measured_flow)
         self.optimiser = self._make_optimiser()
         self._froze_still = False
-        self._ema = 0.0  # smoothed image loss
+        self._ema = 0.0  # smoothed image loss, of all steps but those in `_losses`
+        self._losses: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
 
     # -- set-up -------------------------------------------------------------------------------------------------------------------
 
@@ -162,7 +163,7 @@ class Trainer:
         if self.iteration % 50 == 0:
             mse = float((color.detach() - target).square().mean())
             self.log.psnr.append([self.iteration, -10 * float(np.log10(max(mse, 1e-10)))])
-        image_loss = float(loss.detach())
+        image_loss = loss.detach()
         loss = loss + s.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, self.iteration, self.total)
@@ -173,9 +174,17 @@ class Trainer:
         else:
             self.optimiser.zero_grad()
             self._event(f"step {self.iteration}: not finite, rolled back")
-        self._ema = image_loss if self.iteration == 0 else 0.98 * self._ema + 0.02 * image_loss
+        self._losses[self.iteration] = image_loss
         if self.iteration % 20 == 0:
-            self.log.loss.append([self.iteration, self._ema])
+            self.log.loss.append([self.iteration, self._smoothed_loss()])
+
+    def _smoothed_loss(self) -> float:
+        """Of the images, over the steps so far."""
+        if self._losses:
+            for iteration, value in zip(self._losses, torch.stack(list(self._losses.values())).tolist()):
+                self._ema = value if iteration == 0 else 0.98 * self._ema + 0.02 * value
+            self._losses.clear()
+        return self._ema
 
     def _frozen(self, phase: Phase, step: int) -> frozenset[str]:
         if self.nodes and self.nodes.holds(self.iteration):
@@ -210,7 +219,7 @@ class Trainer:
         source = nodes.renew(self.model, self.views, frames, phase.scale, self.iteration, self._event)
         assert self.model.field is not None
         for name, parameter in self.model.field.named_parameters():
-            self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1))
+            self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
         if source is not None:
             self._replace(self.model.gaussians, source)
 
@@ -268,7 +277,7 @@ class Trainer:
         return now > before * (1 - CONVERGED)
 
     def _note(self, phase: Phase) -> str:
-        return f"{phase.name}, loss {self._ema:.4f}, {len(self.model.gaussians)} Gaussians, {len(self.model.convexes)} convexes"
+        return f"{phase.name}, loss {self._smoothed_loss():.4f}, {len(self.model.gaussians)} Gaussians, {len(self.model.convexes)} convexes"
 
     def _event(self, message: str) -> None:
         self.log.events.append(message)
@@ -285,7 +294,7 @@ class Trainer:
             tensors |= {f"motion/{name}": value for name, value in self.model.field.state_dict().items()}
         state = {
             "iteration": self.iteration,
-            "ema": self._ema,
+            "ema": self._smoothed_loss(),
             "froze": self._froze_still,
             "nodes": None if self.nodes is None else [self.nodes.searched, self.nodes.hold_until],
             "field": None if self.model.field is None else self.model.field.config,
@@ -299,12 +308,13 @@ class Trainer:
         if found is None:
             return
         tensors, state = found
+        device = self.model.device
         for kind, name in ((GaussianSet, "gaussians"), (ConvexSet, "convexes")):
             parameters = {f: tensors[f"parameter/{name}.{f}"] for f in kind.FIELDS}
-            setattr(self.model, name, kind(parameters, tensors[f"dynamic/{name}"]))
+            setattr(self.model, name, kind(parameters, tensors[f"dynamic/{name}"]).to(device))
         if state["field"] is not None:
             motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
-            self.model.field = motion_from_state(motion, state["field"])
+            self.model.field = motion_from_state(motion, state["field"]).to(device)
         if self.affine is not None:
             with torch.no_grad():
                 for name, p in self.affine.named_parameters():

@@ -27,7 +27,7 @@ def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: in
     where nothing turns.
     """
     source = None
-    for part in compact_parts(model.gaussians.means.detach().numpy(), error.numpy())[:MOST_PARTS]:
+    for part in compact_parts(model.gaussians.means.detach().cpu().numpy(), error.cpu().numpy())[:MOST_PARTS]:
         frames = views.train[np.argsort(views.time[views.train], kind="stable")]
         search = SpinSearch(views, frames, part_path(model, part, views.time[frames]), part.radius)
         spin = search.find()
@@ -38,7 +38,7 @@ def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: in
         log(f"a part that holds {part.share:.0%} of the error turns by {degrees:.1f} degrees a frame; it moves as one body from here")
         kept = _give_body(model, part, spin, search, views.time[frames], seed)
         source = kept if source is None else torch.where(kept >= 0, source[kept.clamp(min=0)], kept)
-        error = torch.where(kept >= 0, error[kept.clamp(min=0)], torch.zeros(()))
+        error = torch.where(kept >= 0, error[kept.clamp(min=0)], torch.zeros((), device=error.device))
     return source
 
 
@@ -47,31 +47,31 @@ def part_path(model: Model, part: Part, times: np.ndarray) -> np.ndarray:
     """[n, 3] where the mean of the part's Gaussians is at ``times`` [n], world units."""
     assert model.field is not None
     means = model.gaussians.means.detach()
-    members = means[(means - torch.tensor(part.centre)).norm(dim=1) <= part.radius]
-    return np.stack([(members + model.field(members, float(t)).dx).mean(0).numpy() for t in times])
+    members = means[(means - torch.tensor(part.centre, device=means.device)).norm(dim=1) <= part.radius]
+    return np.stack([(members + model.field(members, float(t)).dx).mean(0).cpu().numpy() for t in times])
 
 
 @torch.no_grad()
 def _give_body(model: Model, part: Part, spin: Spin, search: SpinSearch, times: np.ndarray, seed: int) -> Tensor:
     nodes, gaussians = model.field, model.gaussians
     assert isinstance(nodes, ControlNodes)
-    centre = torch.tensor(part.centre + spin.offset, dtype=torch.float32)
+    means, device = gaussians.means.detach(), model.device
+    centre = torch.tensor(part.centre + spin.offset, dtype=torch.float32, device=device)
     radius = BODY * part.radius
     at = np.interp(np.linspace(0, 1, nodes.keys), times, np.arange(len(times)))
     turns = Rotation.from_rotvec((at - 0.5 * (len(times) - 1))[:, None] * spin.omega).as_quat()[:, [3, 0, 1, 2]]
     path = search.path.numpy() + spin.offset
     path = np.stack([np.interp(at, np.arange(len(times)), path[:, axis]) for axis in range(3)], 1)
-    model.field = nodes.with_body(centre, radius, torch.tensor(turns).float(), torch.tensor(path).float())
+    model.field = nodes.with_body(centre, radius, torch.tensor(turns).float().to(device), torch.tensor(path).float().to(device))
 
-    means = gaussians.means.detach()
-    outside = (means - centre).norm(dim=1).minimum((means - torch.tensor(part.centre)).norm(dim=1)) > radius
+    outside = (means - centre).norm(dim=1).minimum((means - torch.tensor(part.centre, device=device)).norm(dim=1)) > radius
     kept = outside.nonzero()[:, 0]
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(FRESH, 3))
     points *= part.radius * rng.uniform(size=(FRESH, 1)) ** (1 / 3) / np.linalg.norm(points, axis=1, keepdims=True)
     bands = 1 + gaussians.sh_rest.shape[1]
-    fresh = GaussianSet.from_points(centre.numpy() + points, np.full((FRESH, 3), 0.5), round(bands**0.5) - 1)
+    fresh = GaussianSet.from_points(centre.cpu().numpy() + points, np.full((FRESH, 3), 0.5), round(bands**0.5) - 1).to(device)
     old = gaussians.select(kept)
     parameters = {name: torch.cat([old.parameters[name].detach(), fresh.parameters[name].detach()]) for name in GaussianSet.FIELDS}
     model.gaussians = GaussianSet(parameters, torch.cat([old.dynamic, fresh.dynamic]))
-    return torch.cat([kept, torch.full((FRESH,), -1)])
+    return torch.cat([kept, kept.new_full((FRESH,), -1)])

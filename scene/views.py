@@ -1,4 +1,5 @@
-"""The posed frames of a capture as training sees them: cameras as tensors, images decoded once and kept within a budget."""
+"""The posed frames of a capture as training sees them: cameras as tensors, images decoded once and kept within a budget, in memory and
+on the device that learns from them."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ class Views:
 
     K [F,3,3] px and cam_from_world [F,4,4], float64; time [F] in [0,1]; camera [F] int; next [F] int, the same camera's frame at its
     next time or -1; train [n] int, the frames to learn from. ``load(i)`` returns uint8 [H,W,3], composited on the background.
-    background [3] in [0,1]. near: world units.
+    background [3] in [0,1]. near: world units. device: where pictures are wanted; cameras are always on the CPU.
     """
 
     K: np.ndarray
@@ -49,9 +50,12 @@ class Views:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     near: float = 0.01
     stored_edges: Callable[[int], np.ndarray] | None = None
+    device: str | torch.device = "cpu"
     _images: OrderedDict[tuple[int, float], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _edges: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     _bytes: int = 0
+    _there: OrderedDict[tuple[int, float], Tensor] = field(default_factory=OrderedDict, repr=False)  # on `device`, where that is not the CPU
+    _there_bytes: int = 0
 
     def rasterizer_camera(self, i: int, scale: float = 1.0) -> Camera:
         """Camera of frame ``i``, its image resized by ``scale`` (1 = full size)."""
@@ -69,7 +73,16 @@ class Views:
 
     def target(self, i: int, scale: float = 1.0) -> Tensor:
         """[H, W, 3] float32 in [0, 1]."""
-        return torch.from_numpy(self._image(i, scale)).float().div_(255.0)
+        if self.device == "cpu":
+            return torch.from_numpy(self._image(i, scale)).float().div_(255.0)
+        key = (int(i), scale)
+        if key not in self._there:
+            self._there[key] = torch.from_numpy(self._image(i, scale)).to(self.device)
+            self._there_bytes += self._there[key].nbytes
+        self._there.move_to_end(key)
+        while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
+            self._there_bytes -= self._there.popitem(last=False)[1].nbytes
+        return self._there[key].float().div_(255.0)
 
     def edges(self, i: int, scale: float = 1.0) -> Tensor:
         """[H, W] float32 in [0, 1], the weight of an edge at each pixel."""
@@ -78,7 +91,7 @@ class Views:
         edges = self._edges[i]
         if scale != 1.0:
             edges = cv2.resize(edges, self.size(scale), interpolation=cv2.INTER_AREA)
-        return torch.from_numpy(edges).float().div_(255.0)
+        return torch.from_numpy(edges).to(self.device).float().div_(255.0)
 
     def _image(self, i: int, scale: float) -> np.ndarray:
         key = (int(i), scale)

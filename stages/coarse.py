@@ -76,7 +76,7 @@ class Coarse(Stage):
         settings = ctx.settings
         torch.manual_seed(settings.seed)
         frames = load_frameset(ctx.inputs, ctx.capture.root)
-        views = load_views(frames, ctx.inputs["flow"])
+        views = load_views(frames, ctx.inputs["flow"], ctx.device)
         static = is_static(ctx)
 
         points, colors = load_seeds(ctx, frames, views)
@@ -99,12 +99,13 @@ class Coarse(Stage):
             gaussians.dynamic = torch.from_numpy(dynamic)
             make = make_nodes if nodes else make_field
             field = make(points[dynamic] if dynamic.sum() >= 50 else points, views, settings)
+            field.to(ctx.device)
             if tracks is not None:
                 with ctx.progress(STEPS, "tracks") as bar:
                     error = follow_tracks(field, tracks.rest, tracks.times, tracks.positions, tracks.alive, unit, settings, bar.advance)
                 off = f"{error / unit:.2%} of the viewing distance"
                 ctx.log(f"{len(tracks.rest)} seeds on what moves, followed along the flow; the field begins {off} beside them")
-        model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree)
+        model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree).to(ctx.device)
 
         steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
         if nodes and settings.strategy in ("two-stage", "alternating"):

@@ -22,8 +22,8 @@ def load_frameset(inputs: Any, root: Path) -> FrameSet:
     return FrameSet(inputs["frames"], root, inputs.get("poses"))
 
 
-def load_views(frames: FrameSet, flow: Artifact | None) -> Views:
-    """Views over all frames. ``train`` holds the registered training frames; raises StageError where there is none."""
+def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu") -> Views:
+    """Views over all frames, with their pictures on ``device``. ``train`` holds the registered training frames; raises StageError where there is none."""
     from ..scene.views import Views
 
     if not len(frames.train):
@@ -46,6 +46,7 @@ def load_views(frames: FrameSet, flow: Artifact | None) -> Views:
         load=frames.composited,
         background=BACKGROUNDS[frames.background],
         stored_edges=edges,
+        device=device,
     )
 
 

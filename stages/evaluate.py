@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -70,7 +71,7 @@ class Evaluate(Stage):
         if artifact is None:
             raise StageError("there is no trained model: both coarse and fine were skipped; set coarse.iterations above 0")
         frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs["poses"])  # type: ignore[arg-type]
-        model = read_model(artifact)
+        model = read_model(artifact).to(ctx.device)
         views, notes = choose_views(frames, ctx.settings.splits)
         for note in notes:
             ctx.log(note)
@@ -127,7 +128,7 @@ class Judge:
         """Colour float32 [H, W, 3] clamped to [0, 1] of frame i's camera at its own time or ``at``, and the whole frame."""
         import torch
 
-        frame = self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at, self.background)
+        frame = on_the_cpu(self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at, self.background))
         if not torch.isfinite(frame.color).all():
             raise StageError(
                 f"evaluate: the render of frame {self.frames.names[i]!r} holds non-finite colours, so the model is damaged; "
@@ -164,6 +165,7 @@ class Judge:
     def frames_per_second(self, indices: Sequence[int]) -> float:
         """1 / median time of up to `FPS_RENDERS` renders (deformation included) of held-out views, after one that is not counted."""
         import numpy as np
+        import torch
 
         seconds: list[float] = []
         begin = time.perf_counter()
@@ -172,11 +174,18 @@ class Judge:
             camera, at = self.camera(i), float(self.frames.time[i])
             start = time.perf_counter()
             self.model.render(camera, at, self.background)
+            if self.model.device.type == "cuda":
+                torch.cuda.synchronize()
             if k:
                 seconds.append(time.perf_counter() - start)
             if seconds and time.perf_counter() - begin > FPS_SECONDS:
                 break
         return round(1.0 / float(np.median(seconds)), 3)
+
+
+def on_the_cpu(frame: Frame) -> Frame:
+    """The same frame, wherever it was rendered."""
+    return replace(frame, **{field.name: getattr(frame, field.name).cpu() for field in fields(frame)})
 
 
 def choose_views(frames: FrameSet, splits: Sequence[str]) -> tuple[dict[str, list[int]], list[str]]:

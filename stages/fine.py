@@ -51,12 +51,13 @@ class Fine(Stage):
         torch.manual_seed(settings.seed)
         coarse, hulls = required(ctx.inputs["coarse"]), ctx.inputs["hulls"]
         model = read_model(coarse)
-        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"])
+        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device)
         if hulls is not None and hulls.array("points").shape[0]:
             model.convexes = ConvexSet.from_hulls(hulls.read("points"), hulls.read("colors"), model.sh_degree, settings.convex_opacity)
             model.convexes.dynamic = model.gaussians.dynamic[torch.from_numpy(hulls.read("seed")).long()]
         else:
             ctx.log("no convexes: no seed lies on enough edges; Gaussians alone are refined")
+        model.to(ctx.device)
 
         strategy = coarse.attrs["strategy"]
         phases = fine_phases(strategy, coarse.attrs["iterations"], settings.iterations, is_static(ctx))

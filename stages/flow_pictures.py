@@ -86,4 +86,4 @@ def _rendered(judge: Judge, first: int, second: int) -> tuple[np.ndarray, np.nda
     times = judge.frames.time
     with torch.no_grad():
         flow, alpha = rendered_flow(judge.model, judge.camera(first), float(times[first]), judge.camera(second), float(times[second]))
-    return flow.numpy(), alpha.numpy()
+    return flow.cpu().numpy(), alpha.cpu().numpy()

@@ -26,6 +26,7 @@ class Hulls(Stage):
     inputs = ("frames", "poses", "flow", "coarse")
     settings = HullSettings
     reads_capture = True
+    device_class = True
 
     def applies(self, facts: Mapping[str, Any], settings: HullSettings) -> Applies:
         if settings.budget == 0:
@@ -45,18 +46,18 @@ class Hulls(Stage):
         from .training_artifact import read_model, required
 
         settings = ctx.settings
-        model = read_model(required(ctx.inputs["coarse"]))
-        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"])
+        model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)
+        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device)
         chosen = views.train[np.linspace(0, len(views.train) - 1, min(settings.views, len(views.train))).round().astype(int)]
         density, weight = edge_density(model, views, [int(i) for i in chosen])
 
         eligible = np.flatnonzero((density >= settings.min_edge_density) & (weight > 1.0))
         order = eligible[np.argsort(-(density * np.sqrt(weight))[eligible], kind="stable")][: settings.budget]
         order = np.sort(order)
-        centres = model.gaussians.means.detach().numpy()[order].astype(np.float64)
+        centres = model.gaussians.means.detach().cpu().numpy()[order].astype(np.float64)
         limit = 0.05 * views.viewing_distance(centres) if len(centres) else 1.0
         radii = np.minimum(neighbour_radius(centres) * settings.radius, limit)
-        colors = model.gaussians.sh_dc.detach().numpy()[order, 0] * SH_C0 + 0.5
+        colors = model.gaussians.sh_dc.detach().cpu().numpy()[order, 0] * SH_C0 + 0.5
 
         reason = f"{len(order)} of {len(density)} Gaussians lie on edges (mean edge weight >= {settings.min_edge_density})"
         ctx.log(reason)

@@ -18,14 +18,16 @@ class Ran:
     lines: list[str]
 
 
-def run_stage(stage: Stage, capture: Capture, folder: Path, settings: Settings, inputs: Mapping[str, Artifact | None] = {}) -> Ran:
-    """`stage` alone, on the CPU. Its artifact goes to `folder`/NAME, which must not exist, and what survives a kill to
+def run_stage(
+    stage: Stage, capture: Capture, folder: Path, settings: Settings, inputs: Mapping[str, Artifact | None] = {}, device: str = "cpu"
+) -> Ran:
+    """`stage` alone. Its artifact goes to `folder`/NAME, which must not exist, and what survives a kill to
     `folder`/checkpoints/NAME, where another run finds it."""
     out, lines = folder / stage.name, []
     out.mkdir(parents=True)
     checkpoints = folder / "checkpoints" / stage.name
     checkpoints.mkdir(parents=True, exist_ok=True)
-    context = Context(capture, capture.facts, settings, inputs, ArtifactWriter(out), checkpoints, "cpu", lines.append, Progress)
+    context = Context(capture, capture.facts, settings, inputs, ArtifactWriter(out), checkpoints, device, lines.append, Progress)
     stage.run(context)
     context.out.finish({})
     return Ran(Artifact(out), context, lines)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import hashlib
 import os
 import re
+import subprocess
+import sys
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
 from ..pipeline import SettingsError
 
 DEVICES = ("auto", "cpu", "cuda")
-TRAINS_ON_CUDA = False  # True once the stages hand the rasterizer CUDA tensors
+SELFTEST_SECONDS = 300  # at most; the first time the kernels are compiled
 EXTRAS = "install e4dgs[cuda13], or e4dgs[cuda12] where torch.version.cuda starts with 12"
 NVRTC_PACKAGES = ("nvidia.cu13", "nvidia.cuda_nvrtc")  # where NVIDIA's wheels for CUDA 13 and 12 put it
 TOOLKITS = ("CUDA_HOME", "CUDA_PATH", "CONDA_PREFIX")  # environment variables with the folder of one
@@ -25,7 +29,7 @@ def resolve_device(choice: str) -> str:
         raise SettingsError(f"--device {choice}: choose one of {', '.join(DEVICES)}")
     if choice == "cpu":
         return "cpu"
-    problem = why_not_cuda() or why_not_training()
+    problem = why_not_cuda() or why_not_trusted()
     if choice == "cuda" and problem:
         raise SettingsError(f"--device cuda: {problem}; use --device cpu")
     return "cpu" if problem else "cuda"
@@ -55,9 +59,40 @@ def why_not_cuda() -> str | None:
     return None
 
 
-def why_not_training() -> str | None:
-    """Why nothing is trained on CUDA even where the kernels can be used, or None."""
-    return None if TRAINS_ON_CUDA else "training on CUDA is not wired in this version"
+def why_not_trusted() -> str | None:
+    """What a small render on the GPU says that is not what the CPU says, or None where they agree. Run in a process of its own; that they
+    agreed is remembered for this version of e4dgs, torch and driver."""
+    proof = _proof()
+    if proof.is_file():
+        return None
+    command = [sys.executable, "-m", "e4dgs.rasterizer.cuda.selftest"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SELFTEST_SECONDS)
+    except (OSError, subprocess.TimeoutExpired) as cause:
+        return f"a small render on the GPU did not end: {type(cause).__name__}"
+    if done.returncode:
+        said = (done.stdout.strip() or done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
+        return f"a small render on the GPU went wrong: {said}"
+    with suppress(OSError):  # then it is asked again next time
+        proof.parent.mkdir(parents=True, exist_ok=True)
+        proof.touch()
+    return None
+
+
+def _proof() -> Path:
+    """A file that is there once the kernels have agreed with the CPU's on this machine: for these kernels, this torch and this driver."""
+    state = hashlib.sha256()
+    kernels = Path(__file__).resolve().parents[1] / "rasterizer"
+    for path in sorted([*kernels.glob("cuda/*"), *kernels.glob("math/*")]):
+        if path.is_file():
+            state.update(path.name.encode() + path.read_bytes())
+    spec, driver = find_spec("torch"), ctypes.c_int(0)
+    assert spec is not None and spec.origin is not None
+    state.update((Path(spec.origin).parent / "version.py").read_bytes())
+    ctypes.CDLL("libcuda.so.1").cuDriverGetVersion(ctypes.byref(driver))
+    state.update(f"{driver.value} {os.environ.get('CUDA_VISIBLE_DEVICES')}".encode())
+    cache = Path(os.environ.get("E4DGS_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "e4dgs")
+    return cache / f"cuda-agrees-{state.hexdigest()[:20]}"
 
 
 def _is_there(module: str) -> bool:

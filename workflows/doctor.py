@@ -11,7 +11,7 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
-from .devices import why_not_cuda, why_not_training
+from .devices import why_not_cuda, why_not_trusted
 from .reconstruction import LIBRARIES
 
 _MIN_FREE_GB = 5.0
@@ -28,7 +28,7 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
     found.append(("threads", *_try(_threads)))
     found.append(("pycolmap loads", *_try(_pycolmap)))
     found.append(("zarr writes and reads", *_try(_zarr)))
-    problem = why_not_cuda() or why_not_training()
+    problem = why_not_cuda() or why_not_trusted()
     found.append(("CUDA", True if problem is None else None, f"--device auto takes the CPU: {problem}" if problem else "usable"))
     found += _cuda()
     free = shutil.disk_usage(_existing(workspace)).free / 1e9

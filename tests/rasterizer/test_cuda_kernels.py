@@ -1,5 +1,6 @@
 """What holds for the CUDA kernels alone: determinism, any order of threads, many extras, sizes that are fixed beforehand, and refusals."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 from e4dgs.rasterizer import Frame, cuda_backend, rasterize
-from e4dgs.rasterizer.cuda import capacity
+from e4dgs.rasterizer.cuda import capacity, selftest
 from e4dgs.rasterizer.cuda import forward as passes
 from e4dgs.rasterizer.cuda.forward import forward
 from e4dgs.rasterizer.cuda.launcher import launching
@@ -187,6 +188,16 @@ def test_gradients_are_made_only_of_what_is_asked_for() -> None:
             loss = sum((getattr(frame, output) * weight).sum() for output, weight in weights.items())
             (alone,) = torch.autograd.grad(loss, leaf)  # type: ignore[arg-type]
             assert torch.equal(alone, whole[name]), name
+
+
+@needs_compiler
+def test_the_selftest_agrees_and_notices_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    with launching("cpu", Emulator()):
+        assert selftest.problem("cpu") is None
+        right = cuda_backend.backward
+        monkeypatch.setattr(cuda_backend, "backward", lambda *given: {name: 1.002 * value for name, value in right(*given).items()})
+        assert re.search(r"compute something else.*: the gradient of \S+ is off by 2.0e-03", selftest.problem("cpu") or "")
+    assert "do not run here: ValueError" in (selftest.problem("cpu") or "")
 
 
 @pytest.mark.cuda

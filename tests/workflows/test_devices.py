@@ -39,19 +39,44 @@ def test_a_machine_with_all_can_use_cuda(machine):
     assert why_not_cuda() is None
 
 
-def test_training_on_cuda_is_not_wired_in_this_version(machine):
-    assert resolve_device("auto") == resolve_device("cpu") == "cpu"
-    with pytest.raises(SettingsError, match="--device cuda: training on CUDA is not wired in this version; use --device cpu"):
-        resolve_device("cuda")
-
-
-def test_once_it_is_wired_auto_takes_cuda_where_it_can_be_used(machine, monkeypatch):
-    monkeypatch.setattr(devices, "TRAINS_ON_CUDA", True)
+def test_auto_takes_cuda_where_it_can_be_used(machine, monkeypatch):
+    monkeypatch.setattr(devices, "why_not_trusted", lambda: None)
     assert resolve_device("auto") == resolve_device("cuda") == "cuda" and resolve_device("cpu") == "cpu"
     machine.devices = 0
     assert resolve_device("auto") == "cpu"
     with pytest.raises(SettingsError, match="--device cuda: the NVIDIA driver finds no device"):
         resolve_device("cuda")
+
+
+def test_kernels_are_trusted_once_they_agree_with_the_cpu_s(machine, monkeypatch, tmp_path):
+    """A wrong answer is asked for again each time; a right one is remembered until kernels, torch or driver change."""
+    answers, asked = [(1, "the gradient of gaussians.means is off by 2e-1"), (0, "fine"), (0, "fine")], []
+
+    def run(command, **_):
+        asked.append(command)
+        code, said = answers[len(asked) - 1]
+        return types.SimpleNamespace(returncode=code, stdout=said + "\n", stderr="")
+
+    monkeypatch.setenv("E4DGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(devices.subprocess, "run", run)
+    machine.cuDriverGetVersion = lambda pointer: setattr(pointer._obj, "value", machine.driver)
+    machine.driver = 13000
+    with pytest.raises(SettingsError, match=r"a small render on the GPU went wrong: the gradient of gaussians\.means is off"):
+        resolve_device("cuda")
+    assert resolve_device("auto") == "cuda" and resolve_device("auto") == "cuda" and len(asked) == 2
+    assert asked[0][1:] == ["-m", "e4dgs.rasterizer.cuda.selftest"]
+    machine.driver = 13010
+    assert resolve_device("auto") == "cuda" and len(asked) == 3
+
+
+def test_a_selftest_that_does_not_end_is_no_proof(machine, monkeypatch, tmp_path):
+    def run(command, timeout, **_):
+        raise devices.subprocess.TimeoutExpired(command, timeout)
+
+    monkeypatch.setenv("E4DGS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(devices.subprocess, "run", run)
+    machine.cuDriverGetVersion = lambda pointer: 0
+    assert resolve_device("auto") == "cpu"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,113 @@
+"""Training with everything on a CUDA device. There is none here: `pretending_cuda` makes tensors carry the mark of one, refuses what a GPU
+would refuse, and runs the CUDA kernels in the emulator. The scene is that of test_trainer.py."""
+
+from collections import OrderedDict
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from e4dgs.scene.edge_seeds import edge_density
+from e4dgs.scene.model import Model
+from e4dgs.scene.motion_start import follow_tracks
+from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import Phase, fine_phases
+from e4dgs.scene.trainer import Trainer
+from e4dgs.stages.coarse import make_nodes
+from pretend_cuda import pretending_cuda
+from simt import needs_compiler
+
+from .test_trainer import SETTINGS, SIZE, fresh, make_views
+
+pytestmark = needs_compiler
+
+PHASES = [Phase("still", 6, move=False), Phase("moving", 24, move=True)]
+QUICK = SETTINGS.model_copy(update={"iterations": 30, "densify_every": 10, "flow_every": 4})
+
+
+@pytest.fixture(scope="module")
+def views():
+    return make_views()
+
+
+def there(views):
+    return replace(views, device="cuda", _there=OrderedDict(), _there_bytes=0)
+
+
+def measured(i):
+    """A flow of one pixel to the right, everywhere, on the CPU as the stages hand it in."""
+    return torch.tensor([1.0, 0.0]).expand(SIZE // 2, SIZE // 2, 2).clone(), torch.ones(SIZE // 2, SIZE // 2)
+
+
+def trained(model, views, phases=PHASES, **options):
+    torch.manual_seed(0)
+    trainer = Trainer(model, views, phases, QUICK, 90, measured_flow=measured, **options)
+    return trainer.run(), trainer
+
+
+def test_planes_train_as_on_the_cpu(views, tmp_path):
+    """Warm-up, motion, flow terms, priors, density control, freezing and checkpoints; the same numbers to rounding at first."""
+    on_cpu = fresh(views)
+    want, _ = trained(on_cpu, views)
+    with pretending_cuda():
+        model = fresh(views).to("cuda")
+        got, _ = trained(model, there(views), checkpoints=tmp_path)
+        assert model.device.type == "cuda" and model.gaussians.dynamic.device.type == "cuda"
+        arrays = model.to_arrays()
+    assert got.iterations == want.iterations == 30 and got.nonfinite_steps == 0
+    assert np.allclose([row[1] for row in got.loss], [row[1] for row in want.loss], rtol=5e-3)
+    assert [row[1:] for row in got.primitives] == [row[1:] for row in want.primitives]
+    assert all(isinstance(array, np.ndarray) and np.isfinite(array).all() for array in arrays.values())
+
+
+def test_a_checkpoint_goes_on_on_the_device(views, tmp_path):
+    with pretending_cuda():
+        trained(fresh(views).to("cuda"), there(views), phases=[PHASES[0], replace(PHASES[1], iterations=14)], checkpoints=tmp_path)
+        model = fresh(views).to("cuda")
+        log, trainer = trained(model, there(views), checkpoints=tmp_path)
+        assert any(event.startswith("continued from the checkpoint") for event in log.events)
+        assert model.device.type == "cuda" and all(p.is_cuda for p in trainer.optimiser.parameters().values())
+
+
+def test_nodes_train_and_are_renewed(views):
+    with pretending_cuda():
+        model = fresh(views)
+        model.field = make_nodes(model.gaussians.means.detach().numpy(), views, QUICK)
+        log, _ = trained(model.to("cuda"), there(views), phases=[Phase("moving", 30, move=True)])
+    assert log.iterations == 30 and log.nonfinite_steps == 0
+
+
+def test_hulls_are_seeded_and_refined_with_the_gaussians(views):
+    with pretending_cuda():
+        model = fresh(views).to("cuda")
+        density, weight = edge_density(model, there(views), [0, 1])
+        assert density.shape == weight.shape == (60,) and weight.max() > 0
+        points = np.random.default_rng(1).uniform(-0.8, 0.8, (8, 1, 3)) + np.random.default_rng(2).uniform(-0.2, 0.2, (8, 6, 3))
+        model.convexes = ConvexSet.from_hulls(points.astype(np.float32), np.full((8, 3), 0.5, np.float32), 0).to("cuda")
+        log, _ = trained(model, there(views), phases=fine_phases("two-stage", 0, 12, False), grow=False, lr_scale=0.3)
+        assert log.iterations == 12 and len(model.convexes) and model.convexes.device.type == "cuda"
+
+
+def test_a_field_follows_tracks(views, monkeypatch):
+    monkeypatch.setattr("e4dgs.scene.motion_start.STEPS", 8)
+    rest = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
+    times = np.linspace(0, 1, 4)
+    positions = np.stack([rest + [t, 0, 0] for t in times])
+    with pretending_cuda():
+        field = fresh(views).field.to("cuda")
+        left = follow_tracks(field, rest, times, positions, np.ones((4, 20), bool), 4.0, QUICK)
+    assert np.isfinite(left)
+
+
+def test_a_step_waits_for_the_device_a_few_times_only(views):
+    """Each wait lets the GPU run dry. Of a usual step: what moves and is in view, for each kind; the number of pairs; the guard's verdict."""
+    with pretending_cuda() as pretending:
+        model: Model = fresh(views).to("cuda")
+        quiet = QUICK.model_copy(update={"flow_every": 1000, "densify_every": 1000, "tv": 0.0, "rigid": 0.0, "inertia": 0.0})
+        trainer = Trainer(model, there(views), [Phase("moving", 100, move=True)], quiet, 90)
+        for step in range(1, 8):  # not the first one, which is logged
+            trainer.iteration = step
+            pretending.syncs.clear()
+            trainer._step(trainer.phases[0], step)
+        waits = [f"{sync.what} {sync.where}" for sync in pretending.syncs if sync.what not in ("upload",)]
+        assert len(waits) <= 5, waits

@@ -1,0 +1,36 @@
+"""The stages that learn and render, with `--device cuda`: on `pretending_cuda`, which refuses what a GPU would refuse."""
+
+import numpy as np
+import pytest
+from e4dgs.stages.coarse import Coarse, CoarseSettings
+from e4dgs.stages.evaluate import Evaluate, EvaluateSettings
+from e4dgs.stages.fine import Fine, FineSettings
+from e4dgs.stages.flow import Flow, FlowSettings
+from e4dgs.stages.hulls import Hulls, HullSettings
+from factory import Options, make, write_n3v
+from pretend_cuda import pretending_cuda
+from run_stage import run_frames, run_stage
+from simt import needs_compiler
+
+
+@needs_compiler
+@pytest.mark.parametrize("motion", ["planes", "nodes"])
+def test_a_rig_is_trained_refined_and_evaluated(tmp_path, motion):
+    options = Options(backdrop="room", rig="arc", cameras=3, times=3, width=48, height=36, samples=1, fov_degrees=60.0)
+    frames = run_frames(write_n3v(make(options), tmp_path / "capture").root, tmp_path / "work")
+    capture, made = frames.context.capture, {"frames": frames.artifact}
+    few = {"iterations": 12, "sh_degree": 1, "densify_every": 5, "flow_every": 4, "seeds": 300, "full_from": 0.0, "motion": motion}
+    stages = [
+        (Flow(), FlowSettings(method="dis")),
+        (Coarse(), CoarseSettings(**few)),
+        (Hulls(), HullSettings(min_edge_density=0.0, budget=12)),
+        (Fine(), FineSettings(iterations=6, sh_degree=1, flow_every=2)),
+        (Evaluate(), EvaluateSettings(splits=("test",), max_views=1)),
+    ]
+    with pretending_cuda():
+        for stage, settings in stages:
+            inputs = {name: made.get(name) for name in stage.inputs}
+            made[stage.name] = run_stage(stage, capture, tmp_path / "work", settings, inputs, device="cuda").artifact
+    assert made["fine"].info["training"]["nonfinite_steps"] == 0
+    assert made["fine"].array("convexes_points").shape[0] > 0
+    assert np.isfinite(made["evaluate"].attrs["metrics"]["splits"]["test"]["psnr"])
