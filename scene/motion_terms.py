@@ -88,5 +88,7 @@ class MotionTerms:
             later = int(views.next[i])
             camera, next_camera = views.rasterizer_camera(i, 0.5), views.rasterizer_camera(later, 0.5)
             edges = weight.to(model.device) * views.edges(i, 0.5)
-            total = total + s.data_flow * data_flow_loss(model, camera, t, next_camera, float(views.time[later]), flow.to(model.device), edges)
+            total = total + s.data_flow * data_flow_loss(
+                model, camera, t, next_camera, float(views.time[later]), flow.to(model.device), edges
+            )
         return total

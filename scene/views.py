@@ -54,7 +54,9 @@ class Views:
     _images: OrderedDict[tuple[int, float], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _edges: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     _bytes: int = 0
-    _there: OrderedDict[tuple[int, float], Tensor] = field(default_factory=OrderedDict, repr=False)  # on `device`, where that is not the CPU
+    _there: OrderedDict[tuple[int, float], Tensor] = field(
+        default_factory=OrderedDict, repr=False
+    )  # on `device`, where that is not the CPU
     _there_bytes: int = 0
 
     def rasterizer_camera(self, i: int, scale: float = 1.0) -> Camera:

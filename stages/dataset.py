@@ -23,7 +23,8 @@ def load_frameset(inputs: Any, root: Path) -> FrameSet:
 
 
 def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu") -> Views:
-    """Views over all frames, with their pictures on ``device``. ``train`` holds the registered training frames; raises StageError where there is none."""
+    """Views over all frames, with their pictures on ``device``. ``train`` holds the registered training frames; raises StageError where
+    there is none."""
     from ..scene.views import Views
 
     if not len(frames.train):

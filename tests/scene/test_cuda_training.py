@@ -92,7 +92,7 @@ def test_a_field_follows_tracks(views, monkeypatch):
     monkeypatch.setattr("e4dgs.scene.motion_start.STEPS", 8)
     rest = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
     times = np.linspace(0, 1, 4)
-    positions = np.stack([rest + [t, 0, 0] for t in times])
+    positions = np.stack([rest + np.array([t, 0, 0]) for t in times])
     with pretending_cuda():
         field = fresh(views).field.to("cuda")
         left = follow_tracks(field, rest, times, positions, np.ones((4, 20), bool), 4.0, QUICK)
@@ -100,7 +100,7 @@ def test_a_field_follows_tracks(views, monkeypatch):
 
 
 def test_a_step_waits_for_the_device_a_few_times_only(views):
-    """Each wait lets the GPU run dry. Of a usual step: what moves and is in view, for each kind; the number of pairs; the guard's verdict."""
+    """Each wait lets the GPU run dry. Of a usual step: what moves and is in view, of each kind; the number of pairs; the guard's word."""
     with pretending_cuda() as pretending:
         model: Model = fresh(views).to("cuda")
         quiet = QUICK.model_copy(update={"flow_every": 1000, "densify_every": 1000, "tv": 0.0, "rigid": 0.0, "inertia": 0.0})
