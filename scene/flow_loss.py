@@ -22,7 +22,7 @@ Moved = tuple[Gaussians, Convexes]
 def project(camera: Camera, points: Tensor) -> Tensor:
     """Pixel positions [N, 2] of ``points`` [N, 3] in world units; depth is clamped at the near plane, so the result is finite."""
     R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
-    x, y, z = (points @ R.T.to(points) + T.to(points)).unbind(1)
+    x, y, z = (points @ R.T.to(points, non_blocking=True) + T.to(points, non_blocking=True)).unbind(1)
     z = z.clamp(min=camera.near)
     return torch.stack([camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]], 1)
 

@@ -119,7 +119,7 @@ def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) ->
 def inside_image(camera: Camera, points: Tensor, margin: float = 0.0) -> Tensor:
     """Which of ``points`` [N, 3] (world units) project into the image, widened on each side by ``margin`` of its size: [N] bool."""
     R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
-    x, y, z = (points @ R.T.to(points) + T.to(points)).unbind(1)
+    x, y, z = (points @ R.T.to(points, non_blocking=True) + T.to(points, non_blocking=True)).unbind(1)
     fx, fy, cx, cy = (float(camera.K[row, column]) for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))
     depth = z.clamp(min=1e-6)
     px, py = fx * x / depth + cx, fy * y / depth + cy

@@ -196,14 +196,29 @@ def test_what_lies_behind_a_single_sample_is_not_touched(channels, resolutions):
 
 def test_tensors_that_lie_across_others_are_taken():
     """Not contiguous, or not at a multiple of 16 bytes."""
-    space, time = make(16, (5, 9), 4)
+    space, time = make(12, (1, 6), 3)
     points = positions(20)
     expected = outcome(Emulator(), space, time, points, BOX, 0.3)
     shifted = [torch.cat([torch.zeros(1), p.detach().flatten()])[1:].view(p.shape).requires_grad_() for p in space]
     turned = [p.detach().transpose(1, 2).contiguous().transpose(1, 2).requires_grad_() for p in time]
-    assert shifted[0].data_ptr() % 16 and not turned[0].is_contiguous()
-    found = outcome(Emulator(), shifted, turned, points.t().contiguous().t(), BOX, 0.3)
+    assert shifted[0].data_ptr() % 16 and not turned[1].is_contiguous()
+    found = outcome(Emulator(flags=CHECKED), shifted, turned, points.t().contiguous().t(), BOX, 0.3)
     assert all(torch.equal(a, b) for a, b in zip(found, expected))
+
+
+@pytest.mark.parametrize(("channels", "resolutions", "lines"), [(16, (5, 9), 192), (64, (1, 6, 3, 50), 0)])
+def test_lines_that_a_block_has_no_room_for_are_not_summed_there(channels, resolutions, lines):
+    used = set()
+
+    class Noting(Emulator):
+        def launch(self, program, *rest):
+            used.add(dict(program.defines).get("LINES"))
+            super().launch(program, *rest)
+
+    outcome(Noting(), *make(channels, resolutions, 2), positions(5), BOX, 0.3)
+    assert used == {None, lines}
+    beside = [16 * 3 * field.BACK_THREADS + 8 * 3 * (field.BACK_THREADS // quads) for quads in range(1, field.MOST_CHANNELS // 4 + 1)]
+    assert 16 * field.LINE_QUADS + max(beside) <= 48 * 1024
 
 
 def test_planes_changed_in_place_before_backward_are_an_error():

@@ -13,6 +13,8 @@ from e4dgs.workflows.bench.compare import relative_l2
 from e4dgs.workflows.bench.rows import Bench, Check
 from e4dgs.workflows.bench.suites import SUITES
 from e4dgs.workflows.bench.timing import interleaved
+from pretend_cuda import pretending_cuda
+from simt import needs_compiler
 
 TINY = ("--scale", "0.001", "--repeats", "1", "--seconds", "0")
 ROWS = [(suite, row.name) for suite, rows in SUITES.items() for row in rows]
@@ -35,9 +37,23 @@ def cli(cli, monkeypatch):
     return cli
 
 
-@pytest.mark.parametrize(("suite", "row"), ROWS)
-def test_every_row_measures_and_writes(cli, tmp_path, suite, row):
+@pytest.fixture
+def gpu(monkeypatch):
+    """A pretended one, with what the benchmark asks of torch beside tensors. Its times mean nothing."""
+    asked = {"memory_allocated": 0, "max_memory_allocated": 1 << 20, "reset_peak_memory_stats": None, "mem_get_info": (1 << 27, 1 << 27)}
+    with pretending_cuda(), monkeypatch.context() as patch:
+        for name, value in asked.items():
+            patch.setattr(torch.cuda, name, lambda value=value: value)
+        patch.setattr(torch.cuda, "get_device_name", lambda index: "pretended")
+        patch.setattr("e4dgs.workflows.bench.cuda.first_use._seconds", lambda cache: 1.0)
+        yield
+
+
+@pytest.mark.parametrize(("suite", "row"), [pytest.param(*row, marks=needs_compiler if row[0] == "cuda" else ()) for row in ROWS])
+def test_every_row_measures_and_writes(request, cli, tmp_path, suite, row):
     out = tmp_path / "out.json"
+    if suite == "cuda":
+        request.getfixturevalue("gpu")
     result = cli("bench", suite, "--rows", row, "--out", out, "--debug", *TINY)
     assert result.code == 0, result.err
     written = json.loads(out.read_text())
@@ -65,6 +81,7 @@ def test_list_names_every_row_and_measures_nothing(cli):
         (("raster", "--garden", "nope.npz"), "--garden nope.npz: there is no such file"),
         (("field", "--plot", "curves.bmp"), "must end in .svg or .png"),
         (("step", "--capture", "nope", "--rows", "step"), "nope"),
+        (("cuda", "--rows", "convexes"), "there is nothing to measure on"),
     ],
 )
 def test_a_bad_argument_is_one_message(cli, arguments, message):

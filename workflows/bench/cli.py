@@ -1,4 +1,4 @@
-"""`e4dgs bench raster | field | step`: the command line. Nothing heavy is imported before a row is measured."""
+"""`e4dgs bench raster | field | cuda | step`: the command line. Nothing heavy is imported before a row is measured."""
 
 from __future__ import annotations
 
@@ -63,6 +63,28 @@ def field(
 ) -> None:
     """The deformation field, the image loss and the optimiser, against torch."""
     _run("field", rows, list, Bench(scale, repeats, seconds), threads, out, plot)
+
+
+@app.command()
+def cuda(
+    rows: Rows = None,
+    list: List = False,
+    garden: Annotated[
+        Path | None, typer.Option("--garden", metavar="FILE.npz", help="gsplat's test_garden.npz; a synthetic scene without it.")
+    ] = None,
+    capture: Annotated[Path | None, typer.Option("--capture", metavar="CAPTURE", help="For the step; the sample without it.")] = None,
+    out: Out = None,
+    plot: Plot = None,
+    threads: Threads = 0,
+    repeats: Repeats = 15,
+    seconds: Seconds = 20.0,
+    scale: Scale = 1.0,
+    debug: Debug = False,
+) -> None:
+    """The CUDA kernels on the first GPU: against the CPU's, gsplat and themselves."""
+    if garden is not None and not garden.is_file():
+        raise SettingsError(f"--garden {garden}: there is no such file")
+    _run("cuda", rows, list, Bench(scale, repeats, seconds, garden=garden, capture=capture), threads, out, plot)
 
 
 @app.command()

@@ -30,6 +30,15 @@ SUITES: dict[str, list[Row]] = {
         _row("field", "loss", "L1 + SSIM at 400x400 against separable convolutions in torch"),
         _row("field", "adam", "the optimiser on 30,000 Gaussians against torch's foreach and fused Adam"),
     ],
+    "cuda": [
+        _row("cuda", "agreement", "images and gradients against the CPU kernels"),
+        _row("cuda", "gsplat", "time and memory beside gsplat on its garden scene, tiled 1, 4 and 16 times, at two sizes"),
+        _row("cuda", "convexes", "cost of a (pixel, convex) pair against that of a (pixel, Gaussian) pair"),
+        _row("cuda", "step", "a whole training step, and rendering with deformation"),
+        _row("cuda", "determinism", "bit-equal sums over ten runs, and their cost"),
+        _row("cuda", "memory", "what does not fit is refused, and the process goes on"),
+        _row("cuda", "first_use", "compiling all kernels, and a start from the cache"),
+    ],
     "step": [
         _row("step", "step", "a whole training step on 30,000 Gaussians against the same step composed of torch operations"),
         _row("step", "split", "where the time of our step goes"),

@@ -1,0 +1,57 @@
+"""Sums in a fixed order: bit-equal over ten runs, and what they cost."""
+
+from __future__ import annotations
+
+import torch
+
+from ..compare import cotangents, weigh
+from ..render import both
+from ..rows import Bench, Check, Measured
+from ..scenes import garden, mixed
+from ..timing import interleaved, ratio
+from .gpu import ending, gpu_name, need_gpu, on_gpu
+from .gsplat import on_device
+
+RUNS, BAR = 10, 1.5
+
+
+def measure(bench: Bench) -> Measured:
+    need_gpu()
+    width, height = bench.size(400, 300)
+    scene = on_gpu(mixed(bench.count(10_000, 20), width, height, extras=2))
+    large, name = garden(bench)
+    large = on_gpu(large)
+    usual = on_device(both, large)
+
+    def fixed() -> None:
+        torch.use_deterministic_algorithms(True)
+        try:
+            usual()
+        finally:
+            torch.use_deterministic_algorithms(False)
+
+    bench.expect(RUNS)
+    differing, first = 0, None
+    torch.use_deterministic_algorithms(True)
+    try:
+        for run in range(RUNS):
+            leaves = scene.leaves()
+            frame = scene.having(leaves).render("cuda")
+            weights = {key: value.cuda() for key, value in cotangents(frame).items()}
+            weigh(frame, weights).backward()
+            found = [frame.color.detach(), frame.depth.detach(), *(leaf.grad for leaf in leaves.values() if leaf.grad is not None)]
+            first = found if first is None else first
+            differing += sum(int((a != b).sum()) for a, b in zip(found, first))
+            bench.tick(f"run {run + 1}")
+    finally:
+        torch.use_deterministic_algorithms(False)
+    times = interleaved(bench, {"usual": ending(usual), "fixed order": ending(fixed)})
+    value, note = ratio(times["fixed order"], times["usual"])
+    return Measured(
+        f"{RUNS} runs of Gaussians and convexes with extras at {width}x{height}; time of forward + backward of {name}; {gpu_name()}",
+        [
+            Check("numbers that differ from the first run's", float(differing), 0.0, unit=""),
+            Check("time over the usual", value, BAR, note=note),
+        ],
+        {"times": {key: timing.json() for key, timing in times.items()}},
+    )
