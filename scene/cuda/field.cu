@@ -3,24 +3,24 @@
 
 using namespace e4dgs;
 
-// The time planes [3, T, R, CHANNELS] of all levels at time t in [0, 1]: lines [sum of 3 R, CHANNELS], level after level. A thread four channels of
-// each level that has so many.
+// The time planes [3, T, R, CHANNELS] of all levels at time t in [0, 1]: lines [sum of 3 R, CHANNELS], level after level. A thread four channels.
 extern "C" __global__ void __launch_bounds__(256)
     blend_lines(float t, const float* time0, const float* time1, const float* time2, const float* time3, int times0, int times1, int times2, int times3,
                 int resolution0, int resolution1, int resolution2, int resolution3, float* lines) {
     const float* const time[kMostLevels] = {time0, time1, time2, time3};
     const int times_of[kMostLevels] = {times0, times1, times2, times3}, resolution[kMostLevels] = {resolution0, resolution1, resolution2, resolution3};
-    const int k = int(blockIdx.x * blockDim.x + threadIdx.x);
+    const int place = int(blockIdx.x * blockDim.x + threadIdx.x);
+    int k = place;
 #pragma unroll
     for (int l = 0; l < LEVELS; ++l) {
         const int row = resolution[l] * kQuads;
-        if (k < 3 * row) {
+        if (k >= 0 && k < 3 * row) {
             const Tap tap = tap_of(t, times_of[l]);
             const float* from = time[l] + 4 * ((int64(k / row) * times_of[l] + tap.low) * row + k % row);
             const float* next = from + (times_of[l] > 1 ? 4 * row : 0);
-            store_quad(lines + 4 * k, plus(times(1.0f - tap.fraction, load_quad(from)), tap.fraction, load_quad(next)));
+            store_quad(lines + 4 * int64(place), plus(times(1.0f - tap.fraction, load_quad(from)), tap.fraction, load_quad(next)));
         }
-        lines += 12 * row;
+        k -= 3 * row;
     }
 }
 

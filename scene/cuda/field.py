@@ -52,11 +52,11 @@ class _LookUp(torch.autograd.Function):
     ) -> Tensor:
         points, plain = _plain(points), [_plain(p) for p in planes]
         n, channels = points.shape[0], plain[0].shape[3]
-        rows = [3 * p.shape[1] for p in plain[:levels]]  # of lines
+        rows = [3 * p.shape[1] for p in plain[:levels]]
         lines = points.new_empty(sum(rows), channels)
         look = program("field", channels=channels, levels=levels)
         times = (*_four(plain[levels:]), *_sizes(plain[levels:]), *_sizes(plain[:levels]))
-        launcher.launch(look, "blend_lines", _blocks(max(rows) * channels), THREADS, c_float(t), *times, lines)
+        launcher.launch(look, "blend_lines", -(-lines.numel() // (4 * THREADS)), THREADS, c_float(t), *times, lines)
         features = points.new_empty(n, levels * channels)
         each = THREADS // (channels // 4)
         space = (*_four(plain[:levels]), *_sizes(plain[:levels]))
@@ -83,7 +83,7 @@ class _LookUp(torch.autograd.Function):
         inputs = (c_int32(n), points, low, high, *_four(space), *_sizes(space), lines, _plain(grad))
         ctx.launcher.launch(back, "look_up_backward", blocks, BACK_THREADS, *inputs, *_four(flat), line_grads)
         time_grads = [torch.empty_like(p, memory_format=torch.contiguous_format) for p in time]
-        spread = _blocks(max(p.numel() for p in time))
+        spread = -(-sum(p.numel() for p in time) // (4 * THREADS))
         sizes = (*_sizes(time), *_sizes(space))
         ctx.launcher.launch(back, "spread_lines", spread, THREADS, c_float(ctx.t), *sizes, line_grads, *_four(time_grads))
         return *given, *(g.view_as(p) for g, p in zip(flat, space)), *time_grads
@@ -121,11 +121,6 @@ def _plain(tensor: Tensor) -> Tensor:
     """Contiguous, and where 16 bytes can be read at once."""
     tensor = tensor.detach().contiguous()
     return tensor if tensor.data_ptr() % 16 == 0 else tensor.clone()
-
-
-def _blocks(numbers: int) -> int:
-    """Of threads that take four numbers each."""
-    return -(-numbers // (4 * THREADS))
 
 
 def _four(tensors: Sequence[Tensor]) -> list[Argument]:

@@ -124,18 +124,18 @@ extern "C" __global__ void __launch_bounds__(kFieldThreads, 4)
 }
 
 // The lines' gradients to the two samples in time that they lie between, zeros to all others: dtime [3, T, R, CHANNELS] of each level is written in
-// full. A thread four channels of each level that has so many.
+// full. A thread four channels.
 extern "C" __global__ void __launch_bounds__(256)
     spread_lines(float t, int times0, int times1, int times2, int times3, int resolution0, int resolution1, int resolution2, int resolution3,
                  const float* dlines, float* dtime0, float* dtime1, float* dtime2, float* dtime3) {
     const int times_of[kMostLevels] = {times0, times1, times2, times3}, resolution[kMostLevels] = {resolution0, resolution1, resolution2, resolution3};
     float* const dtime[kMostLevels] = {dtime0, dtime1, dtime2, dtime3};
-    const int64 k = int64(blockIdx.x) * blockDim.x + threadIdx.x;
+    int64 k = int64(blockIdx.x) * blockDim.x + threadIdx.x;
 #pragma unroll
     for (int l = 0; l < LEVELS; ++l) {
         const int row = resolution[l] * kQuads;
         const int64 plane = int64(times_of[l]) * row;
-        if (k < 3 * plane) {
+        if (k >= 0 && k < 3 * plane) {
             const Tap tap = tap_of(t, times_of[l]);
             const int axis = int(k / plane), time = int(k % plane / row);
             float4 value = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
@@ -143,6 +143,7 @@ extern "C" __global__ void __launch_bounds__(256)
                 value = times(time == tap.low ? 1.0f - tap.fraction : tap.fraction, load_quad(dlines + 4 * (axis * row + k % row)));
             store_quad(dtime[l] + 4 * k, value);
         }
-        dlines += 12 * row;
+        k -= 3 * plane;
+        dlines += 3 * resolution[l] * CHANNELS;
     }
 }
