@@ -33,7 +33,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--kernels",
         choices=("cpu", "cuda"),
         default="cpu",
-        help="which kernels the tests of tests/stress hold against the reference; cuda: on a GPU where there is one, else emulated",
+        help="which kernels the tests of tests/stress hold against the reference; cuda: on a GPU where there is one, else emulated; "
+        "and compile the CUDA kernels for every architecture",
     )
 
 

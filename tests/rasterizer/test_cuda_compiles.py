@@ -16,6 +16,7 @@ from e4dgs.scene.cuda.programs import RECORDED as SCENE
 
 RECORDED = {**RASTERIZER, **SCENE}
 ARCHITECTURES = ("sm_80", "sm_86", "sm_89", "sm_90")
+BETWEEN = ("sm_86", "sm_89")
 RECORD = Path(__file__).parent / "cuda_resources.json"
 COMMAND = "python benchmarks/cuda_resources.py"
 
@@ -42,7 +43,9 @@ def complaints(arch: str, found: dict[str, dict[str, Resources]], recorded: dict
 
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
-def test_kernels_do_not_spill_nor_outgrow_their_record(arch):
+def test_kernels_do_not_spill_nor_outgrow_their_record(request, arch):
+    if arch in BETWEEN and request.config.getoption("--kernels") == "cpu":
+        pytest.skip(f"{arch} is compiled with --kernels=cuda, as CI does; its neighbours always are")
     record = json.loads(RECORD.read_text())
     version = ".".join(map(str, nvrtc_version()))
     same = version == record["nvrtc"]

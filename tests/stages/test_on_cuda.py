@@ -1,7 +1,6 @@
 """The stages that learn and render, with `--device cuda`: on `pretending_cuda`, which refuses what a GPU would refuse."""
 
 import numpy as np
-import pytest
 from e4dgs.stages.coarse import Coarse, CoarseSettings
 from e4dgs.stages.evaluate import Evaluate, EvaluateSettings
 from e4dgs.stages.fine import Fine, FineSettings
@@ -14,12 +13,11 @@ from simt import needs_compiler
 
 
 @needs_compiler
-@pytest.mark.parametrize("motion", ["planes", "nodes"])
-def test_a_rig_is_trained_refined_and_evaluated(tmp_path, motion):
+def test_a_rig_is_trained_refined_and_evaluated(tmp_path):
     options = Options(backdrop="room", rig="arc", cameras=3, times=3, width=48, height=36, samples=1, fov_degrees=60.0)
     frames = run_frames(write_n3v(make(options), tmp_path / "capture").root, tmp_path / "work")
     capture, made = frames.context.capture, {"frames": frames.artifact}
-    few = {"iterations": 12, "sh_degree": 1, "densify_every": 5, "flow_every": 4, "seeds": 300, "full_from": 0.0, "motion": motion}
+    few = {"iterations": 12, "sh_degree": 1, "densify_every": 5, "flow_every": 4, "seeds": 300, "full_from": 0.0}
     stages = [
         (Flow(), FlowSettings(method="dis")),
         (Coarse(), CoarseSettings(**few)),
