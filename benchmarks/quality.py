@@ -1,6 +1,7 @@
 """Quality and run time on real captures: `e4dgs run all` on each, then a table of what metrics.json says.
 
     python benchmarks/quality.py SCENES [--only lego robot] [--workspace DIR] [--out benchmarks/results/quality.json]
+    python benchmarks/quality.py SCENES --device cuda          results go to quality_cuda.json
 
 SCENES is a folder with the captures named in CASES below (see README, "Results"). Every case is a fresh run in its own workspace
 unless --keep is given. Results of earlier cases in --out are kept, so cases can be measured one at a time.
@@ -30,9 +31,10 @@ CASES: dict[str, tuple[str, list[str]]] = {
 }
 
 
-def measure(name: str, scenes: Path, workspace: Path) -> dict[str, object]:
+def measure(name: str, scenes: Path, workspace: Path, device: str) -> dict[str, object]:
     capture, options = CASES[name]
     command = [sys.executable, "-m", "e4dgs.workflows.cli", "run", "all", str(scenes / capture), "--workspace", str(workspace)]
+    command += ["--device", device]
     started = time.monotonic()
     done = subprocess.run([*command, "--name", name, *options], text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     seconds = time.monotonic() - started
@@ -75,21 +77,23 @@ def main() -> None:
     parser.add_argument("scenes", type=Path)
     parser.add_argument("--only", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--workspace", type=Path, default=Path("e4dgs-workspace/quality"))
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "quality.json")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--out", type=Path, help="default: results/quality.json beside this file, quality_cuda.json with --device cuda")
     parser.add_argument("--keep", action="store_true", help="reuse what the workspace already holds")
     args = parser.parse_args()
-    results = json.loads(args.out.read_text())["results"] if args.out.is_file() else {}
+    out: Path = args.out or Path(__file__).parent / "results" / ("quality.json" if args.device == "cpu" else "quality_cuda.json")
+    results = json.loads(out.read_text())["results"] if out.is_file() else {}
     for name in args.only:
         workspace = args.workspace / name
         if workspace.exists() and not args.keep:
             shutil.rmtree(workspace)
         workspace.mkdir(parents=True, exist_ok=True)
         print(f"{name} ...", flush=True)
-        results[name] = measure(name, args.scenes, workspace) | {"machine": machine()}
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        args.out.write_text(json.dumps({"results": results}, indent=1) + "\n")
-        args.out.with_suffix(".md").write_text(
-            "# Quality and run time\n\nMachine and protocol of every row: `quality.json`.\n\n" + table(results) + "\n"
+        results[name] = measure(name, args.scenes, workspace, args.device) | {"machine": machine()}
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps({"results": results}, indent=1) + "\n")
+        out.with_suffix(".md").write_text(
+            f"# Quality and run time\n\nMachine and protocol of every row: `{out.name}`.\n\n" + table(results) + "\n"
         )
         print(table({name: results[name]}), flush=True)
 

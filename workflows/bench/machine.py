@@ -13,7 +13,7 @@ LIBRARIES = ("e4dgs", "torch", "numpy", "pycolmap", "opencv-contrib-python-headl
 
 
 def machine() -> dict[str, object]:
-    """Processor, cores, load before the run, memory, compiler, versions, date and commit."""
+    """Processor, cores, load before the run, memory, GPU and its driver (unknown without one), compiler, versions, date and commit."""
     import psutil
 
     return {
@@ -23,6 +23,7 @@ def machine() -> dict[str, object]:
         "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
         "system": platform.platform(),
         "python": platform.python_version(),
+        "gpu": _first_line("nvidia-smi", "--query-gpu=name,driver_version,memory.total", "--format=csv,noheader"),
         "compiler": _first_line(os.environ.get("CXX", "c++"), "--version"),
         "versions": {name: _version(name) for name in LIBRARIES},
         "date": datetime.now(UTC).date().isoformat(),
