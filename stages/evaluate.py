@@ -128,12 +128,13 @@ class Judge:
         """Colour float32 [H, W, 3] clamped to [0, 1] of frame i's camera at its own time or ``at``, and the whole frame."""
         import torch
 
-        frame = on_the_cpu(self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at, self.background))
+        frame = self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at, self.background)
         if not torch.isfinite(frame.color).all():
             raise StageError(
                 f"evaluate: the render of frame {self.frames.names[i]!r} holds non-finite colours, so the model is damaged; "
                 "train it again with --force, and look at nonfinite_steps of its training log"
             )
+        frame = on_the_cpu(frame)
         return frame.color.clamp(0, 1).numpy(), frame
 
     def view(self, i: int) -> tuple[dict[str, Any], Frame, np.ndarray]:

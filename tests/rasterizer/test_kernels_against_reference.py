@@ -28,7 +28,7 @@ SCENES = {
 
 
 # What differs between the CUDA kernels' programs; all scenes run on a GPU, and with `--kernels=cuda` emulated.
-FEW = ("gaussians sh0", "gaussians colors extras", "many small gaussians", "convexes K=3", "convexes K=8", "both sh3 extras", "both 33x17")
+FEW = ("gaussians colors extras", "convexes K=8", "both sh3 extras", "both 33x17")
 CASES = [
     pytest.param(kernels.values[0], name, seed, marks=kernels.marks, id=f"{kernels.values[0]}-{name}-{seed}")
     for kernels in ALL_KERNELS

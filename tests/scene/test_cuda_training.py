@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.edge_seeds import edge_density
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion_start import follow_tracks
-from e4dgs.scene.primitives import ConvexSet
-from e4dgs.scene.schedule import Phase, fine_phases
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.trainer import Trainer
 from e4dgs.stages.coarse import make_nodes
 from pretend_cuda import pretending_cuda
@@ -75,17 +73,6 @@ def test_nodes_train_and_are_renewed(views):
         model.field = make_nodes(model.gaussians.means.detach().numpy(), views, QUICK)
         log, _ = trained(model.to("cuda"), there(views), phases=[Phase("moving", 30, move=True)])
     assert log.iterations == 30 and log.nonfinite_steps == 0
-
-
-def test_hulls_are_seeded_and_refined_with_the_gaussians(views):
-    with pretending_cuda():
-        model = fresh(views).to("cuda")
-        density, weight = edge_density(model, there(views), [0, 1])
-        assert density.shape == weight.shape == (60,) and weight.max() > 0
-        points = np.random.default_rng(1).uniform(-0.8, 0.8, (8, 1, 3)) + np.random.default_rng(2).uniform(-0.2, 0.2, (8, 6, 3))
-        model.convexes = ConvexSet.from_hulls(points.astype(np.float32), np.full((8, 3), 0.5, np.float32), 0).to("cuda")
-        log, _ = trained(model, there(views), phases=fine_phases("two-stage", 0, 12, False), grow=False, lr_scale=0.3)
-        assert log.iterations == 12 and len(model.convexes) and model.convexes.device.type == "cuda"
 
 
 def test_a_field_follows_tracks(views, monkeypatch):
