@@ -12,7 +12,7 @@ import torch
 
 HERE = Path(__file__).resolve().parent
 PACKAGE = Path(e4dgs.rasterizer.__file__).resolve().parents[1]
-OUTSIDE = ("tests", ".venv", "build")  # beside the package's folders where it is used as checked out
+OUTSIDE = ("tests", "build")  # beside the package's folders where it is used as checked out, as an environment may be
 PASSED = (str(HERE), str(HERE.parent / "pretend_cuda.py"), str(Path(torch.__file__).resolve().parent), "<")
 
 
@@ -45,7 +45,7 @@ def _where() -> str:
             path = Path(name)
             inside = path.is_relative_to(PACKAGE)
             at = f"{path.relative_to(PACKAGE) if inside else path}:{frame.f_lineno}"
-            if inside and path.relative_to(PACKAGE).parts[0] not in OUTSIDE:
+            if inside and path.relative_to(PACKAGE).parts[0] not in OUTSIDE and "site-packages" not in path.relative_to(PACKAGE).parts:
                 return at
             other = other or at
         frame = frame.f_back
