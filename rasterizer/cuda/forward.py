@@ -45,7 +45,7 @@ def _lists(launcher: Launcher, inputs: Inputs, deterministic: bool, room: int | 
     common = (c_int32(total), c_int32(n), records, convex_records, boxes, *size)
     counts = torch.empty(total, dtype=torch.int32, device=device)
     blocks = -(-total // THREADS)
-    _launch(launcher, tiles, "count_tiles", blocks, THREADS, *common, counts)
+    launcher.launch(tiles, "count_tiles", blocks, THREADS, *common, counts)
     ends = counts[order].cumsum(0)
     pairs = room if room is not None else int(ends[-1]) if total else 0
     if pairs > MOST_PAIRS:
@@ -53,18 +53,16 @@ def _lists(launcher: Launcher, inputs: Inputs, deterministic: bool, room: int | 
             f"{total} primitives cover {pairs:.3g} pairs of a tile and a primitive in this {inputs.width} x {inputs.height} "
             f"image, more than the {MOST_PAIRS} that can be numbered; render fewer or smaller primitives, or a smaller image"
         )
-    # A key that no pair fills stays behind all tiles.
-    dtype = torch.int16 if inputs.tiles < programs.SHORT_KEYS else torch.int32
-    make = torch.empty if room is None else torch.zeros
-    keys = (
-        torch.empty(pairs, dtype=dtype, device=device) if room is None else torch.full((pairs,), inputs.tiles, dtype=dtype, device=device)
-    )
-    primitives = make(pairs, dtype=torch.int32, device=device)
-    _launch(launcher, tiles, "write_pairs", blocks, THREADS, *common, order, ends, c_int64(pairs), keys, primitives)
+    keys = torch.empty(pairs, dtype=torch.int16 if inputs.tiles < programs.SHORT_KEYS else torch.int32, device=device)
+    primitives = torch.empty(pairs, dtype=torch.int32, device=device)
+    if room is not None:  # a key that no pair fills stays behind all tiles
+        keys.fill_(inputs.tiles)
+        primitives.zero_()
+    launcher.launch(tiles, "write_pairs", blocks, THREADS, *common, order, ends, c_int64(pairs), keys, primitives)
     keys, pair = torch.sort(keys, stable=True)
     entries = primitives[pair]
     begins = torch.empty(inputs.tiles + 1, dtype=torch.int32, device=device)
-    _launch(launcher, tiles, "find_tiles", -(-(pairs + 1) // 256), 256, c_int64(pairs), keys, c_int32(inputs.tiles), begins)
+    launcher.launch(tiles, "find_tiles", -(-(pairs + 1) // 256), 256, c_int64(pairs), keys, c_int32(inputs.tiles), begins)
     visible = torch.zeros(total, dtype=torch.uint8, device=device)
     return State(records, convex_records, boxes, order, ends, begins, entries, pair if deterministic else None, visible)
 
@@ -77,13 +75,13 @@ def _project(launcher: Launcher, inputs: Inputs, records: Tensor, convex_records
         looks, degree = looks_of(g)
         shape = (g.means, g.quats, g.scales, g.opacities, looks, inputs.extras(g), channels)
         program = programs.project_gaussians(degree)
-        _launch(launcher, program, "project_gaussians", -(-n // THREADS), THREADS, *view, c_int32(n), *shape, records, depth, boxes)
+        launcher.launch(program, "project_gaussians", -(-n // THREADS), THREADS, *view, c_int32(n), *shape, records, depth, boxes)
     if m:
         looks, degree = looks_of(c)
         shape = (c.points, c.tau, c.kappa, c.opacities, looks, inputs.extras(c), channels)
         program = programs.project_convexes(inputs.points, degree)
         out = (convex_records, depth[n:], boxes[n:])
-        _launch(launcher, program, "project_convexes", -(-m // THREADS), THREADS, *view, c_int32(m), *shape, *out)
+        launcher.launch(program, "project_convexes", -(-m // THREADS), THREADS, *view, c_int32(m), *shape, *out)
 
 
 def _blend(launcher: Launcher, inputs: Inputs, state: State, keep: bool) -> dict[str, Tensor]:
@@ -102,7 +100,7 @@ def _blend(launcher: Launcher, inputs: Inputs, state: State, keep: bool) -> dict
         out = (*own, images["extras"] if channels else None, *kept, state.visible)
         program = programs.blend_forward(inputs.points, some)
         size = (c_int32(width), c_int32(height), inputs.background)
-        _launch(launcher, program, "blend_forward", inputs.tiles, 128, *scene, *size, *out)
+        launcher.launch(program, "blend_forward", inputs.tiles, 128, *scene, *size, *out)
     return images
 
 
@@ -110,10 +108,3 @@ def primitives_of(inputs: Inputs, state: State) -> tuple[Tensor | c_int32 | None
     """What both blending kernels read of the primitives."""
     extras = inputs.extras(inputs.gaussians), inputs.extras(inputs.convexes)
     return state.gaussians, state.convexes, *extras, c_int32(inputs.n), c_int32(inputs.channels)
-
-
-def _launch(
-    launcher: Launcher, program: programs.Program, kernel: str, blocks: int, threads: int, *arguments: Tensor | c_int32 | c_int64 | None
-) -> None:
-    if blocks:
-        launcher.launch(program, kernel, blocks, threads, *arguments)
