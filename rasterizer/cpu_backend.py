@@ -9,11 +9,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from . import _cpu  # type: ignore[attr-defined]
-from .types import Camera, Convexes, Frame, Gaussians
+from .types import CONVEX_FIELDS, GAUSSIAN_FIELDS, IMAGES, Camera, Convexes, Frame, Gaussians
 
-GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh", "colors", "extras")
-CONVEX_FIELDS = ("points", "tau", "kappa", "opacities", "sh", "colors", "extras")
-IMAGES = ("color", "alpha", "depth", "extras")
 LEADING = 3  # K, cam_from_world and background come before the primitives' fields
 
 

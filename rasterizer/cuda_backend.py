@@ -13,11 +13,8 @@ from .cuda.capacity import room_of, took
 from .cuda.forward import forward
 from .cuda.launcher import Launcher, launcher_for
 from .cuda.state import Inputs, camera_numbers
-from .types import Camera, Convexes, Frame, Gaussians
+from .types import CONVEX_FIELDS, GAUSSIAN_FIELDS, IMAGES, Camera, Convexes, Frame, Gaussians
 
-GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh", "colors", "extras")
-CONVEX_FIELDS = ("points", "tau", "kappa", "opacities", "sh", "colors", "extras")
-IMAGES = ("color", "alpha", "depth", "extras")
 LEADING = 3  # K, cam_from_world and background come before the primitives' fields
 
 

@@ -6,6 +6,11 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+# In the order in which backends hand them to autograd.
+GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh", "colors", "extras")
+CONVEX_FIELDS = ("points", "tau", "kappa", "opacities", "sh", "colors", "extras")
+IMAGES = ("color", "alpha", "depth", "extras")
+
 
 @dataclass(eq=False)
 class Camera:
