@@ -18,11 +18,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from e4dgs.rasterizer.cuda.compiler import Compiled, compile_cubin, nvrtc_version
+from e4dgs.rasterizer.cuda.programs import ARCHITECTURES
 from e4dgs.rasterizer.cuda.programs import RECORDED as RASTERIZER
 from e4dgs.scene.cuda.programs import RECORDED as SCENE
 
 RECORDED = {**RASTERIZER, **SCENE}
-ARCHITECTURES = ("sm_80", "sm_86", "sm_89", "sm_90")
 RECORD = Path(__file__).resolve().parents[1] / "tests" / "rasterizer" / "cuda_resources.json"
 
 Table = dict[str, dict[str, dict[str, dict[str, int]]]]

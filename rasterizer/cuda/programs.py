@@ -60,6 +60,7 @@ def needed(
     return found
 
 
+ARCHITECTURES = ("sm_80", "sm_86", "sm_89", "sm_90")  # whose registers and spills are recorded
 # What CI compiles for every architecture: every file, at the ends of what its features ask of registers.
 RECORDED: dict[str, Program] = {
     str(one): one

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 from e4dgs.rasterizer.cuda.compiler import Resources, compile_cubin, load_nvrtc, nvrtc_version
+from e4dgs.rasterizer.cuda.programs import ARCHITECTURES
 from e4dgs.rasterizer.cuda.programs import RECORDED as RASTERIZER
 from e4dgs.scene.cuda.programs import RECORDED as SCENE
 
 RECORDED = {**RASTERIZER, **SCENE}
-ARCHITECTURES = ("sm_80", "sm_86", "sm_89", "sm_90")
 BETWEEN = ("sm_86", "sm_89")
 RECORD = Path(__file__).parent / "cuda_resources.json"
 COMMAND = "python benchmarks/cuda_resources.py"
