@@ -49,7 +49,7 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
     pixels that move, and of Eq. 8's difference of rendered flows at edges that move."""
     import torch
     from e4dgs.pipeline import Records, Store
-    from e4dgs.scene.flow_loss import rendered_flow
+    from e4dgs.scene.losses.flow_loss import rendered_flow
     from e4dgs.stages.evaluate import Judge, spread
     from e4dgs.stages.flow_fields import FlowFields
     from e4dgs.stages.flow_pictures import COVERED, EDGE, TRUSTED
@@ -131,9 +131,9 @@ def steps(capture: str, workspace: str, name: str, interval: str, data: str, eve
     import time
 
     from e4dgs.pipeline import Records, Store
-    from e4dgs.scene.schedule import Phase
     from e4dgs.scene.settings import TrainingSettings
-    from e4dgs.scene.trainer import Trainer
+    from e4dgs.scene.training.schedule import Phase
+    from e4dgs.scene.training.trainer import Trainer
     from e4dgs.stages.dataset import load_views, measured_flow
     from e4dgs.stages.frameset import FrameSet
     from e4dgs.stages.training_artifact import read_model

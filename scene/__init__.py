@@ -10,10 +10,10 @@ _PUBLIC = {
     "Model": ".model",
     "GaussianSet": ".primitives",
     "ConvexSet": ".primitives",
-    "DeformationField": ".field",
-    "ControlNodes": ".nodes",
-    "Motion": ".motion",
-    "Trainer": ".trainer",
+    "DeformationField": ".motion.field",
+    "ControlNodes": ".motion.nodes",
+    "Motion": ".motion.interface",
+    "Trainer": ".training.trainer",
     "Views": ".views",
 }
 

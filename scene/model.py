@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
-from .field import DeformationField
-from .nodes import ControlNodes
+from .motion.field import DeformationField
+from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 from .rotation import compose
 

@@ -65,10 +65,10 @@ class Coarse(Stage):
         import torch
 
         from ..scene.model import Model
-        from ..scene.motion_start import STEPS, follow_tracks
         from ..scene.primitives import ConvexSet, GaussianSet
-        from ..scene.schedule import PYRAMID, coarse_phases, pyramid_phases
-        from ..scene.trainer import GAUSSIANS_PER_PIXEL, Trainer
+        from ..scene.training.motion_start import STEPS, follow_tracks
+        from ..scene.training.schedule import PYRAMID, coarse_phases, pyramid_phases
+        from ..scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
         from .dataset import load_frameset, load_views, measured_flow
         from .seeds import initial_dynamic, load_seeds, tracks_of_movers
         from .training_artifact import write_training
@@ -152,7 +152,7 @@ def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
 
 def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
     """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; 8400 for control nodes."""
-    from ..scene.curriculum import MIN_CAMERAS
+    from ..scene.training.curriculum import MIN_CAMERAS
 
     if use_nodes(facts, settings):
         return ITERATIONS_NODES
@@ -166,7 +166,7 @@ def make_nodes(points: np.ndarray, views: Views, settings: TrainingSettings):
     import numpy as np
     import torch
 
-    from ..scene.nodes import ControlNodes, farthest_points
+    from ..scene.motion.nodes import ControlNodes, farthest_points
 
     low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
     inside = points[((points >= low) & (points <= high)).all(1)]
@@ -180,7 +180,7 @@ def make_field(points: np.ndarray, views: Views, settings: TrainingSettings):
     import numpy as np
     import torch
 
-    from ..scene.field import DeformationField
+    from ..scene.motion.field import DeformationField
 
     low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
     margin = 0.2 * (high - low).max()

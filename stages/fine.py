@@ -41,8 +41,8 @@ class Fine(Stage):
         import torch
 
         from ..scene.primitives import ConvexSet
-        from ..scene.schedule import fine_phases
-        from ..scene.trainer import Trainer
+        from ..scene.training.schedule import fine_phases
+        from ..scene.training.trainer import Trainer
         from .coarse import auto_budget, is_static
         from .dataset import load_frameset, load_views, measured_flow
         from .training_artifact import read_model, required, write_training

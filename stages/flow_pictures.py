@@ -81,7 +81,7 @@ def _rendered(judge: Judge, first: int, second: int) -> tuple[np.ndarray, np.nda
     """The model's flow float32 [H, W, 2] px from one frame to another, and alpha [H, W] of the first."""
     import torch
 
-    from ..scene.flow_loss import rendered_flow
+    from ..scene.losses.flow_loss import rendered_flow
 
     times = judge.frames.time
     with torch.no_grad():

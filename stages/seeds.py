@@ -70,7 +70,7 @@ def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seede
     """
     import numpy as np
 
-    from ..scene.dynamics import dynamic_from_masks
+    from ..scene.training.dynamics import dynamic_from_masks
 
     flow = ctx.inputs["flow"]
     if flow is not None and "moving" in flow:

@@ -8,7 +8,7 @@ from ..pipeline import Artifact, ArtifactWriter, StageError
 
 if TYPE_CHECKING:
     from ..scene.model import Model
-    from ..scene.trainer import TrainingLog
+    from ..scene.training.trainer import TrainingLog
 
 UNITS = {"means": "world unit", "points": "world unit", "log_tau": "ln(1/world unit)", "log_kappa": "ln(1/world unit)", "quats": "w x y z"}
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.launcher import Launcher
-from ..motion import Displacement
+from ..motion.interface import Displacement
 from .programs import program
 
 THREADS = 128

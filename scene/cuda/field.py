@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.launcher import Argument, Launcher
-from ..field_kernel import lookup_reference
+from ..motion.field_kernel import lookup_reference
 from .programs import program
 
 MOST_LEVELS, MOST_CHANNELS = 4, 64

@@ -5,7 +5,7 @@ import torch
 from e4dgs.rasterizer.cuda.launcher import launcher_for, launching
 from e4dgs.scene import _kernels
 from e4dgs.scene.cuda.adam import CHUNK, adam_rows
-from e4dgs.scene.optimiser import RowAdam
+from e4dgs.scene.training.optimiser import RowAdam
 from simt import CHECKED, RACES, Emulator, needs_compiler
 
 pytestmark = needs_compiler

@@ -3,9 +3,9 @@
 import pytest
 import torch
 from e4dgs.rasterizer.cuda.launcher import launcher_for, launching
-from e4dgs.scene import photometric
 from e4dgs.scene.cuda.photometric import photometric_loss
-from e4dgs.scene.photometric import ssim_reference
+from e4dgs.scene.losses import photometric
+from e4dgs.scene.losses.photometric import ssim_reference
 from simt import CHECKED, RACES, Emulator, needs_compiler
 
 pytestmark = needs_compiler

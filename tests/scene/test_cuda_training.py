@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion_start import follow_tracks
-from e4dgs.scene.schedule import Phase
-from e4dgs.scene.trainer import Trainer
+from e4dgs.scene.training.motion_start import follow_tracks
+from e4dgs.scene.training.schedule import Phase
+from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.coarse import make_nodes
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler
@@ -76,7 +76,7 @@ def test_nodes_train_and_are_renewed(views):
 
 
 def test_a_field_follows_tracks(views, monkeypatch):
-    monkeypatch.setattr("e4dgs.scene.motion_start.STEPS", 8)
+    monkeypatch.setattr("e4dgs.scene.training.motion_start.STEPS", 8)
     rest = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
     times = np.linspace(0, 1, 4)
     positions = np.stack([rest + np.array([t, 0, 0]) for t in times])

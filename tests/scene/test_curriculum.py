@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from e4dgs.scene.curriculum import FRONT, MIN_CAMERAS, Curriculum
+from e4dgs.scene.training.curriculum import FRONT, MIN_CAMERAS, Curriculum
 
 
 def rig(cameras=5, times=9, first=100, last=500, seed=3):

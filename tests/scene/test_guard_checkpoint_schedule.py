@@ -2,9 +2,9 @@
 
 import pytest
 import torch
-from e4dgs.scene.checkpoint import FILE, load_checkpoint, save_checkpoint
-from e4dgs.scene.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
-from e4dgs.scene.schedule import coarse_phases, fine_phases, pyramid_phases
+from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
+from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
+from e4dgs.scene.training.schedule import coarse_phases, fine_phases, pyramid_phases
 
 
 def parameter(gradient):

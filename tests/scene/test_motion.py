@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera
-from e4dgs.scene.dynamics import dynamic_from_masks, freeze_still_gaussians
-from e4dgs.scene.field import DeformationField
-from e4dgs.scene.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
+from e4dgs.scene.losses.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
+from e4dgs.scene.training.dynamics import dynamic_from_masks, freeze_still_gaussians
 from e4dgs.scene.views import Views
 
 WIDTH, HEIGHT = 48, 32
@@ -24,7 +24,7 @@ class Path(torch.nn.Module):
         self.acceleration = torch.nn.Parameter(torch.tensor(acceleration).float())
 
     def forward(self, rest, t):
-        from e4dgs.scene.motion import Displacement
+        from e4dgs.scene.motion.interface import Displacement
 
         dx = (self.velocity * t + self.acceleration * t * t).expand(len(rest), 3)
         return Displacement(dx, torch.tensor([1.0, 0, 0, 0]).expand(len(rest), 4), torch.zeros(len(rest), 3))

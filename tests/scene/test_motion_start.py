@@ -2,9 +2,9 @@
 
 import numpy as np
 import torch
-from e4dgs.scene.field import DeformationField
-from e4dgs.scene.motion_start import follow_tracks
+from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.settings import TrainingSettings
+from e4dgs.scene.training.motion_start import follow_tracks
 
 TIMES = 12
 

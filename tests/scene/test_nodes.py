@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.nodes import ControlNodes, aligned, farthest_points
+from e4dgs.scene.motion.nodes import ControlNodes, aligned, farthest_points
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from e4dgs.scene.optimiser import EPSILON, RowAdam
+from e4dgs.scene.training.optimiser import EPSILON, RowAdam
 
 
 def parameters(dtype=torch.float32):

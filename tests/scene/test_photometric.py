@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from e4dgs.scene.photometric import photometric_loss, ssim_reference
+from e4dgs.scene.losses.photometric import photometric_loss, ssim_reference
 
 
 def images(height, width, seed=0):

@@ -6,10 +6,10 @@ import torch
 from e4dgs.rasterizer import Gaussians, rasterize
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
-from e4dgs.scene.nodes import ControlNodes
+from e4dgs.scene.motion.nodes import ControlNodes
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.spin import MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
-from e4dgs.scene.turning import BODY, FRESH, bodies_for_turning_parts
+from e4dgs.scene.training.spin import MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
+from e4dgs.scene.training.turning import BODY, FRESH, bodies_for_turning_parts
 from e4dgs.scene.views import Views
 from scipy.spatial.transform import Rotation
 

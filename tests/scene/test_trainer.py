@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.schedule import Phase, coarse_phases, fine_phases, pyramid_phases
 from e4dgs.scene.settings import TrainingSettings
-from e4dgs.scene.trainer import GAUSSIANS_PER_PIXEL, Trainer
+from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
+from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, pyramid_phases
+from e4dgs.scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
 from e4dgs.scene.views import Views
 from e4dgs.stages.coarse import make_field, make_nodes
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene import motion_start, schedule
+from e4dgs.scene.training import motion_start, schedule
 from e4dgs.stages.coarse import Coarse, CoarseSettings
 from e4dgs.stages.dataset import load_frameset, load_views
 from e4dgs.stages.training_artifact import read_model

@@ -11,9 +11,9 @@ import torch
 from blake3 import blake3
 from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
 from e4dgs.rasterizer import Camera
-from e4dgs.scene.field import DeformationField
 from e4dgs.scene.metrics.lpips import expected_shapes
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, Judge, choose_views, means, spread
 from e4dgs.stages.evaluation_pictures import depth_picture, error_picture, read_pictures

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.pipeline import Artifact, ArtifactWriter
-from e4dgs.scene.flow_loss import rendered_flow
+from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.evaluate import Judge

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ....scene.optimiser import RowAdam
+from ....scene.training.optimiser import RowAdam
 from ..compare import relative_l2
 from ..rows import Bench, Check, Measured
 from ..timing import interleaved, ratio

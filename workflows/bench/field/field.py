@@ -8,8 +8,8 @@ from copy import deepcopy
 import torch
 from torch import Tensor
 
-from ....scene.field import DeformationField
-from ....scene.motion import Displacement
+from ....scene.motion.field import DeformationField
+from ....scene.motion.interface import Displacement
 from ..compare import relative_l2
 from ..peers.field import Lookup, TorchField
 from ..rows import Bench, Check, Curve, Measured

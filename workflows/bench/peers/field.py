@@ -13,8 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ....scene.hexplane import lookup_reference
-from ....scene.motion import Displacement
+from ....scene.motion.hexplane import lookup_reference
+from ....scene.motion.interface import Displacement
 from ....scene.rotation import rotate
 
 Lookup = Literal["grid_sample", "gather"]

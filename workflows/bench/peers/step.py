@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ....scene import flow_loss, trainer
 from ....scene.model import Model
-from ....scene.trainer import Trainer
+from ....scene.training.trainer import Trainer
 from .field import TorchField
 from .loss import torch_loss
 from .rasterizer import rasterize_torch

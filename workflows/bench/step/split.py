@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.utils.hooks import RemovableHandle
 
 from ....scene import trainer as training
-from ....scene.motion import Displacement
-from ....scene.trainer import Trainer
+from ....scene.motion.interface import Displacement
+from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured
 from .clock import Clock, nodes_behind
 from .training import PERIOD, make_model, make_trainer, views_of

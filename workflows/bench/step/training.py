@@ -11,13 +11,13 @@ import numpy as np
 import torch
 
 from ....pipeline import Runner, SettingsError
-from ....scene.field import DeformationField
 from ....scene.model import Model
+from ....scene.motion.field import DeformationField
 from ....scene.primitives import ConvexSet, GaussianSet
-from ....scene.schedule import Phase
 from ....scene.seeding import carve, common_volume
 from ....scene.settings import TrainingSettings
-from ....scene.trainer import Trainer
+from ....scene.training.schedule import Phase
+from ....scene.training.trainer import Trainer
 from ....scene.views import Views
 from ...session import Options, open_session
 from ..rows import Bench

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from .fibonacci import fibonacci_sphere
-from .views import Views
+from ..fibonacci import fibonacci_sphere
+from ..views import Views
 
 ERROR_SHARE = 0.15  # of the whole error: a part below is left alone
 SURFACE = 0.68  # radius of the sphere that stands in for the surface, as a share of the part's radius

@@ -12,25 +12,25 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..rasterizer import rasterize
+from ...rasterizer import rasterize
+from ..colour import CameraAffine
+from ..losses.motion_terms import MeasuredFlow, MotionTerms
+from ..losses.photometric import photometric_loss
+from ..model import Model, motion_from_state
+from ..motion.nodes import ControlNodes
+from ..primitives import ConvexSet, GaussianSet
+from ..settings import TrainingSettings
+from ..views import Views
 from .checkpoint import load_checkpoint, save_checkpoint
-from .colour import CameraAffine
 from .curriculum import Curriculum
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .dynamics import STILL_PIXELS, freeze_still_gaussians
 from .guard import NonFiniteGuard
-from .model import Model, motion_from_state
-from .motion_terms import MeasuredFlow, MotionTerms
 from .node_training import FREEZE_AT as FREEZE_NODES_AT
 from .node_training import NodeTraining
-from .nodes import ControlNodes
 from .optimiser import RowAdam
-from .photometric import photometric_loss
-from .primitives import ConvexSet, GaussianSet
 from .rates import learning_rates
 from .schedule import Phase
-from .settings import TrainingSettings
-from .views import Views
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from . import _kernels
+from .. import _kernels
 
 EPSILON = 1e-15
 
@@ -77,8 +77,8 @@ class RowAdam:
 def _step_rows(parameter: Tensor, grad: Tensor, first: Tensor, second: Tensor, step: int, rate: float, betas: tuple[float, float]) -> None:
     """By the kernels of the parameter's device."""
     if parameter.device.type == "cuda":
-        from ..rasterizer.cuda.launcher import launcher_for
-        from .cuda.adam import adam_rows
+        from ...rasterizer.cuda.launcher import launcher_for
+        from ..cuda.adam import adam_rows
 
         adam_rows(launcher_for(parameter.device), parameter, grad, first, second, step, rate, *betas, EPSILON)
     else:

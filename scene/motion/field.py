@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from .displace import displace
 from .field_kernel import field_outputs
 from .hexplane import HexPlanes
-from .motion import Displacement
+from .interface import Displacement
 
 
 class DeformationField(nn.Module):

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..model import Model
+from ..motion.nodes import ControlNodes, farthest_points
+from ..views import Views
 from .density import measure_responsibility
-from .model import Model
-from .nodes import ControlNodes, farthest_points
 from .turning import bodies_for_turning_parts
-from .views import Views
 
 # Fractions of the stage's steps, unless they say otherwise.
 OPEN = 0.21  # nodes have seen all times by then

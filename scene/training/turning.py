@@ -9,11 +9,11 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from .model import Model
-from .nodes import ControlNodes
-from .primitives import GaussianSet
+from ..model import Model
+from ..motion.nodes import ControlNodes
+from ..primitives import GaussianSet
+from ..views import Views
 from .spin import Part, Spin, SpinSearch, compact_parts
-from .views import Views
 
 BODY = 1.2  # radius of the body over the part's: what the part's ragged rim left out belongs to it
 FRESH = 500  # Gaussians that a body begins with

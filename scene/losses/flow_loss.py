@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from ..rasterizer import Camera, Convexes, Gaussians, rasterize
-from .model import Model
+from ...rasterizer import Camera, Convexes, Gaussians, rasterize
+from ..model import Model
 
 Kind = TypeVar("Kind", Gaussians, Convexes)
 Moved = tuple[Gaussians, Convexes]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from .settings import TrainingSettings
+from ..settings import TrainingSettings
 
 Rate = Callable[[float], float]
 

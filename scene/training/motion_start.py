@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .field import DeformationField
-from .motion_terms import PRIOR_EVERY, motion_priors
+from ..losses.motion_terms import PRIOR_EVERY, motion_priors
+from ..motion.field import DeformationField
+from ..settings import TrainingSettings
 from .optimiser import RowAdam
 from .rates import learning_rates
-from .settings import TrainingSettings
 
 STEPS = 1000
 SAMPLES = 2048  # tracks a step

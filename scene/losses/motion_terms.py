@@ -12,12 +12,12 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ..rasterizer import Gaussians
+from ...rasterizer import Gaussians
+from ..model import Model
+from ..motion.interface import Motion
+from ..settings import TrainingSettings
+from ..views import Views
 from .flow_loss import data_flow_loss, interval_loss
-from .model import Model
-from .motion import Motion
-from .settings import TrainingSettings
-from .views import Views
 
 MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
 PRIOR_EVERY = 4  # steps between two evaluations of the priors and of the planes' smoothness, whose weight makes up for it

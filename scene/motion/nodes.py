@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from .motion import Displacement
-from .rotation import compose, rotate
+from ..rotation import compose, rotate
+from .interface import Displacement
 
 NEAREST = 4  # nodes that share a position
 GRAPH = 6  # neighbours of a node in the rigidity term

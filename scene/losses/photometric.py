@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from . import _kernels
+from .. import _kernels
 
 
 def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float = 0.2) -> Tensor:
@@ -22,8 +22,8 @@ def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float
     if image.device.type == "cpu" and image.dtype == torch.float32:
         return _Photometric.apply(image, target, l1, ssim)
     if image.device.type == "cuda" and image.dtype == torch.float32:
-        from ..rasterizer.cuda.launcher import launcher_for
-        from .cuda import photometric
+        from ...rasterizer.cuda.launcher import launcher_for
+        from ..cuda import photometric
 
         return photometric.photometric_loss(launcher_for(image.device), image, target, l1, ssim)
     return l1 * (image - target).abs().mean() + ssim * (1 - ssim_reference(image, target))

@@ -1,0 +1,1 @@
+"""What moves primitives: one face (`interface.py`) and its implementations."""
