@@ -11,9 +11,9 @@ from torch import Tensor
 
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .motion.field import DeformationField
+from .motion.interface import Rest
 from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
-from .rotation import compose
 
 
 class Model:
@@ -27,6 +27,7 @@ class Model:
         self.convexes = convexes
         self.field = field
         self.sh_degree = sh_degree
+        self._links: dict[str, tuple[PrimitiveSet, Tensor | None]] = {}
 
     @property
     def device(self) -> torch.device:
@@ -37,12 +38,14 @@ class Model:
         self.gaussians, self.convexes = self.gaussians.to(device), self.convexes.to(device)
         if self.field is not None:
             self.field.to(device)
+        self.relink()
         return self
 
     def at(self, t: float, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None) -> tuple[Gaussians, Convexes]:
         """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
 
-        Only primitives that move, and that a ``camera`` (if given) could see, enter the field. move=False renders the rest state.
+        Only primitives that move enter the motion, and of those, where that is worth the look, only what a ``camera`` (if given) could see.
+        move=False renders the rest state.
         """
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         g, c = self.gaussians, self.convexes
@@ -50,27 +53,65 @@ class Model:
         if self.field is not None and move:
             index = self._moving(g, camera, margin=0.25)
             hulls = self._moving(c, camera, margin=0.25)
-            corners = points.shape[1]
-            rest = torch.cat([means[index], points[hulls].reshape(-1, 3)])
-            if len(rest):
-                dx, dr, ds = self.field(rest, t)
-                n = len(index)
+            n = len(index)
+            if n + len(hulls):
+                moved = self.field.carry(self._rest(index, hulls), t)
                 if n == len(means):  # the usual case of small scenes, without copies by index
-                    means, quats, log_scales = means + dx[:n], compose(dr[:n], quats), log_scales + ds[:n]
+                    means, quats = moved.points[:n], moved.quats
+                    log_scales = log_scales if moved.log_scales is None else log_scales + moved.log_scales
                 else:
-                    means = means.index_add(0, index, dx[:n])
-                    quats = quats.index_copy(0, index, compose(dr[:n], quats[index]))
-                    log_scales = log_scales.index_add(0, index, ds[:n])
+                    means = means.index_copy(0, index, moved.points[:n])
+                    quats = quats.index_copy(0, index, moved.quats)
+                    log_scales = log_scales if moved.log_scales is None else log_scales.index_add(0, index, moved.log_scales)
                 if len(hulls):
-                    points = points.index_add(0, hulls, dx[n:].reshape(-1, corners, 3))
+                    points = points.index_copy(0, hulls, moved.points[n:].reshape(-1, *points.shape[1:]))
         gaussians = Gaussians(means, quats, torch.exp(log_scales), g.opacities, sh=g.sh(degree))
         convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), c.opacities, sh=c.sh(degree))
         return gaussians, convexes
 
+    def centres_at(self, index: Tensor, t: float) -> Tensor:
+        """[m, 3] where the motion carries the centres of the Gaussians ``index`` at time ``t``, whether they are dynamic or not."""
+        assert self.field is not None
+        return self.field.carry(self._rest(index, index[:0]), t).points
+
+    def relink(self) -> None:
+        """Search anew which parts of the motion carry each primitive; to be called when primitives have moved about at rest."""
+        self._links.clear()
+
+    def links(self, primitives: PrimitiveSet) -> Tensor | None:
+        """`Motion.links` of all rest points of the Gaussians or the convexes of this model, kept until `relink` or another set."""
+        assert self.field is not None
+        known = self._links.get(primitives.KIND)
+        if known is None or known[0] is not primitives:
+            points = primitives.rest_points().detach()
+            hyper = primitives.hyper.detach().repeat_interleave(len(points) // max(len(primitives), 1), 0)
+            known = self._links[primitives.KIND] = primitives, self.field.links(points, hyper)
+        return known[1]
+
+    def set_links(self, primitives: PrimitiveSet, link: Tensor) -> None:
+        """Go on with ``link`` of a checkpoint."""
+        self._links[primitives.KIND] = primitives, link
+
+    def _rest(self, index: Tensor, hulls: Tensor) -> Rest:
+        """The Gaussians ``index`` and the corners of the convexes ``hulls``."""
+        g, c = self.gaussians, self.convexes
+        whole = len(index) == len(g)
+        points, quats, hyper = (p if whole else p[index] for p in (g.means, g.quats, g.hyper))
+        link = self.links(g)
+        link = link if whole or link is None else link[index]
+        if len(hulls):
+            corners = c.points.shape[1]
+            points = torch.cat([points, c.points[hulls].reshape(-1, 3)])
+            hyper = torch.cat([hyper, c.hyper[hulls].repeat_interleave(corners, 0)])
+            other = self.links(c)
+            if link is not None and other is not None:
+                link = torch.cat([link, other.reshape(len(c), corners, -1)[hulls].flatten(0, 1)])
+        return Rest(points, quats, hyper, link)
+
     def _moving(self, primitives: PrimitiveSet, camera: Camera | None, margin: float) -> Tensor:
         """Indices [m] of the primitives that move and whose rest position lies in the camera's view, widened by ``margin`` of its size."""
         moving = primitives.dynamic
-        if camera is not None and len(primitives):
+        if camera is not None and len(primitives) and self.field is not None and self.field.worth_culling:
             centres = primitives.rest_points().reshape(len(primitives), -1, 3).mean(1)
             moving = moving & inside_image(camera, centres, margin)
         return moving.nonzero()[:, 0]

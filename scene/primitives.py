@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
+HYPER = 2  # coordinates beside x, y, z in which control nodes lie
 
 
 class PrimitiveSet:
@@ -82,10 +83,10 @@ class PrimitiveSet:
 
 class GaussianSet(PrimitiveSet):
     """Eq. 2: means [N,3] world units, quats [N,4] w x y z of any norm, log_scales [N,3], opacity_logits [N], sh_dc [N,1,3],
-    sh_rest [N,R,3]."""
+    sh_rest [N,R,3], hyper [N,2] (see `Rest`)."""
 
     KIND = "gaussians"
-    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
+    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "hyper")
 
     def rest_points(self) -> Tensor:
         return self.means
@@ -109,15 +110,17 @@ class GaussianSet(PrimitiveSet):
                 "opacity_logits": torch.full((n,), float(np.log(opacity / (1 - opacity)))),
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(n, (sh_degree + 1) ** 2 - 1, 3),
+                "hyper": torch.zeros(n, HYPER),
             }
         )
 
 
 class ConvexSet(PrimitiveSet):
-    """Eq. 3: points [M,K,3] world units, log_tau and log_kappa [M] (1/world unit), opacity_logits [M], sh_dc [M,1,3], sh_rest [M,R,3]."""
+    """Eq. 3: points [M,K,3] world units, log_tau and log_kappa [M] (1/world unit), opacity_logits [M], sh_dc [M,1,3], sh_rest [M,R,3],
+    hyper [M,2] (see `Rest`)."""
 
     KIND = "convexes"
-    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest")
+    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest", "hyper")
 
     def rest_points(self) -> Tensor:
         return self.points.reshape(-1, 3)
@@ -133,6 +136,7 @@ class ConvexSet(PrimitiveSet):
                 "opacity_logits": zero,
                 "sh_dc": torch.zeros(0, 1, 3),
                 "sh_rest": torch.zeros(0, (sh_degree + 1) ** 2 - 1, 3),
+                "hyper": torch.zeros(0, HYPER),
             }
         )
 
@@ -151,5 +155,6 @@ class ConvexSet(PrimitiveSet):
                 "opacity_logits": torch.full((m,), float(np.log(opacity / (1 - opacity)))),
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(m, (sh_degree + 1) ** 2 - 1, 3),
+                "hyper": torch.zeros(m, HYPER),
             }
         )

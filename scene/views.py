@@ -3,6 +3,7 @@ on the device that learns from them."""
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +18,10 @@ from ..rasterizer import Camera
 from .edges import edge_weights
 
 CACHE_BYTES = 4 << 30
+WINDOW_MARGIN = 0.04  # of the image's longer side, around what is filled
+MOST_WINDOW = 0.8  # of the image's area; a larger window saves nothing
+
+Window = tuple[int, int, int, int]
 
 
 class Projected(NamedTuple):
@@ -34,7 +39,8 @@ class Views:
     """F posed frames.
 
     K [F,3,3] px and cam_from_world [F,4,4], float64; time [F] in [0,1]; camera [F] int; next [F] int, the same camera's frame at its
-    next time or -1; train [n] int, the frames to learn from. ``load(i)`` returns uint8 [H,W,3], composited on the background.
+    next time or -1; train [n] int, the frames to learn from. ``load(i)`` returns uint8 [H,W,3], composited on the background, ``load_alpha(i)``
+    uint8 [H,W]; None where the capture has no alpha.
     background [3] in [0,1]. near: world units. device: where pictures are wanted; cameras are always on the CPU.
     """
 
@@ -49,22 +55,29 @@ class Views:
     load: Callable[[int], np.ndarray]
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     near: float = 0.01
+    load_alpha: Callable[[int], np.ndarray] | None = None
     stored_edges: Callable[[int], np.ndarray] | None = None
     device: str | torch.device = "cpu"
-    _images: OrderedDict[tuple[int, float], np.ndarray] = field(default_factory=OrderedDict, repr=False)
+    _images: OrderedDict[tuple[int, float, bool], np.ndarray] = field(default_factory=OrderedDict, repr=False)
+    _windows: dict[int, tuple[int, int, int, int] | None] = field(default_factory=dict, repr=False)
     _edges: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     _bytes: int = 0
-    _there: OrderedDict[tuple[int, float], Tensor] = field(
+    _there: OrderedDict[tuple[int, float, bool], Tensor] = field(
         default_factory=OrderedDict, repr=False
     )  # on `device`, where that is not the CPU
     _there_bytes: int = 0
 
-    def rasterizer_camera(self, i: int, scale: float = 1.0) -> Camera:
-        """Camera of frame ``i``, its image resized by ``scale`` (1 = full size)."""
+    def rasterizer_camera(self, i: int, scale: float = 1.0, window: Window | None = None) -> Camera:
+        """Camera of frame ``i``, its image resized by ``scale`` (1 = full size), of which only ``window`` is wanted."""
         width, height = self.size(scale)
         K = self.K[i].copy()
         K[0] *= width / self.width
         K[1] *= height / self.height
+        if window is not None:
+            left, top, right, bottom = window
+            K[0, 2] -= left
+            K[1, 2] -= top
+            width, height = right - left, bottom - top
         return Camera(
             torch.tensor(K, dtype=torch.float32), torch.tensor(self.cam_from_world[i], dtype=torch.float32), width, height, self.near
         )
@@ -73,18 +86,45 @@ class Views:
         """Width and height in pixels at ``scale``."""
         return max(1, round(self.width * scale)), max(1, round(self.height * scale))
 
-    def target(self, i: int, scale: float = 1.0) -> Tensor:
-        """[H, W, 3] float32 in [0, 1]."""
+    def window(self, i: int, scale: float = 1.0) -> Window | None:
+        """Left, top, right, bottom of the part of frame ``i`` that its alpha fills, with a margin, px at ``scale``; None where that is
+        most of the image, or unknown."""
+        if self.load_alpha is None:
+            return None
+        if i not in self._windows:
+            self._windows[i] = filled_window(self._image(i, 1.0, alpha=True))
+        found = self._windows[i]
+        if found is None:
+            return None
+        width, height = self.size(scale)
+        x, y = width / self.width, height / self.height
+        left, top, right, bottom = found
+        return int(left * x), int(top * y), min(math.ceil(right * x), width), min(math.ceil(bottom * y), height)
+
+    def target(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor:
+        """[H, W, 3] float32 in [0, 1]; of ``window`` alone where one is given."""
+        return self._tensor(i, scale, window, alpha=False)
+
+    def alpha(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor:
+        """[H, W] float32 in [0, 1], the capture's own; of ``window`` alone where one is given."""
+        return self._tensor(i, scale, window, alpha=True)
+
+    def _tensor(self, i: int, scale: float, window: Window | None, alpha: bool) -> Tensor:
         if self.device == "cpu":
-            return torch.from_numpy(self._image(i, scale)).float().div_(255.0)
-        key = (int(i), scale)
-        if key not in self._there:
-            self._there[key] = torch.from_numpy(self._image(i, scale)).to(self.device)
-            self._there_bytes += self._there[key].nbytes
-        self._there.move_to_end(key)
-        while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
-            self._there_bytes -= self._there.popitem(last=False)[1].nbytes
-        return self._there[key].float().div_(255.0)
+            there = torch.from_numpy(self._image(i, scale, alpha))
+        else:
+            key = (int(i), scale, alpha)
+            if key not in self._there:
+                self._there[key] = torch.from_numpy(self._image(i, scale, alpha)).to(self.device)
+                self._there_bytes += self._there[key].nbytes
+            self._there.move_to_end(key)
+            while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
+                self._there_bytes -= self._there.popitem(last=False)[1].nbytes
+            there = self._there[key]
+        if window is not None:
+            left, top, right, bottom = window
+            there = there[top:bottom, left:right]
+        return there.float().div_(255.0)
 
     def edges(self, i: int, scale: float = 1.0) -> Tensor:
         """[H, W] float32 in [0, 1], the weight of an edge at each pixel."""
@@ -95,12 +135,14 @@ class Views:
             edges = cv2.resize(edges, self.size(scale), interpolation=cv2.INTER_AREA)
         return torch.from_numpy(edges).to(self.device).float().div_(255.0)
 
-    def _image(self, i: int, scale: float) -> np.ndarray:
-        key = (int(i), scale)
+    def _image(self, i: int, scale: float, alpha: bool = False) -> np.ndarray:
+        key = (int(i), scale, alpha)
         if key in self._images:
             self._images.move_to_end(key)
             return self._images[key]
-        image = self.load(int(i))
+        load = self.load_alpha if alpha else self.load
+        assert load is not None
+        image = load(int(i))
         if scale != 1.0:
             image = cv2.resize(image, self.size(scale), interpolation=cv2.INTER_AREA)
         self._images[key] = np.ascontiguousarray(image)
@@ -131,3 +173,15 @@ class Views:
         sample = points[:: max(1, len(points) // 2000)]
         distance = np.median(np.linalg.norm(sample[None] - centres[:: max(1, len(centres) // 50), None], axis=2))
         return float(max(distance, 1e-6))
+
+
+def filled_window(alpha: np.ndarray) -> Window | None:
+    """Left, top, right, bottom of what ``alpha`` [H, W] uint8 fills, and a margin; None where that is most of the image or nothing."""
+    rows, columns = np.flatnonzero(alpha.max(1) > 0), np.flatnonzero(alpha.max(0) > 0)
+    height, width = alpha.shape
+    if not len(rows):
+        return None
+    margin = round(WINDOW_MARGIN * max(height, width))
+    left, right = max(int(columns[0]) - margin, 0), min(int(columns[-1]) + 1 + margin, width)
+    top, bottom = max(int(rows[0]) - margin, 0), min(int(rows[-1]) + 1 + margin, height)
+    return None if (right - left) * (bottom - top) > MOST_WINDOW * width * height else (left, top, right, bottom)

@@ -19,11 +19,10 @@ SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
 ITERATIONS = 6000
 ITERATIONS_A_TIME = 200  # of a rig, whose times come in one after another
 MOST_ITERATIONS = 30_000
-ITERATIONS_NODES = 8400  # most of them on small images
-SEARCH_SECONDS = 30  # for parts that turn
-NODES = 64
-FRAMES_PER_KEY = 4  # while control nodes see one time after another; half as many from there on
-SMALLEST_PYRAMID_IMAGE = 1500  # px
+ITERATIONS_NODES = 30_000
+NODES = 512
+NODE_SEEDS = 2500  # few seeds that multiply where the error is come out better than many
+NODE_TIMES = 9  # fewer say too little about motion
 
 
 class CoarseSettings(TrainingSettings):
@@ -57,7 +56,7 @@ class Coarse(Stage):
         static = bool(facts.get("static"))
         steps = settings.iterations or auto_iterations(facts, settings)
         if use_nodes(facts, settings):
-            return SEARCH_SECONDS + training_seconds(facts, steps, static, area=0.25)
+            return training_seconds(facts, steps, static, area=0.5)
         return training_seconds(facts, steps, static, area=1 - 0.75 * settings.full_from)
 
     def run(self, ctx: Context) -> None:
@@ -67,8 +66,10 @@ class Coarse(Stage):
         from ..scene.model import Model
         from ..scene.primitives import ConvexSet, GaussianSet
         from ..scene.training.motion_start import STEPS, follow_tracks
-        from ..scene.training.schedule import PYRAMID, coarse_phases, pyramid_phases
-        from ..scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
+        from ..scene.training.recipe import NODES as NODE_RECIPE
+        from ..scene.training.recipe import PLANES
+        from ..scene.training.schedule import HALF_RESOLUTION, coarse_phases, node_phases
+        from ..scene.training.trainer import Trainer
         from .dataset import load_frameset, load_views, measured_flow
         from .seeds import initial_dynamic, load_seeds, tracks_of_movers
         from .training_artifact import write_training
@@ -81,11 +82,9 @@ class Coarse(Stage):
 
         points, colors = load_seeds(ctx, frames, views)
         pixels = views.width * views.height
-        smallest = min(1.0, (SMALLEST_PYRAMID_IMAGE / pixels) ** 0.5)
         nodes = not static and use_nodes(ctx.facts, settings)
         if nodes:
-            few = max(500, int(GAUSSIANS_PER_PIXEL * pixels * max(smallest, PYRAMID[0][0]) ** 2))
-            chosen = np.random.default_rng(settings.seed).permutation(len(points))[:few]
+            chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
             points, colors = points[chosen], colors[chosen]
         unit = views.viewing_distance(points)
         tracks = None if static or nodes else tracks_of_movers(ctx, views, points)
@@ -109,7 +108,7 @@ class Coarse(Stage):
 
         steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
         if nodes and settings.strategy in ("two-stage", "alternating"):
-            phases = pyramid_phases(steps, smallest)
+            phases = node_phases(steps, 1.0 if pixels < SMALL_IMAGE else HALF_RESOLUTION)
         else:
             phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from, tracks is None)
         total = sum(phase.iterations for phase in phases)
@@ -122,6 +121,7 @@ class Coarse(Stage):
                 budget=settings.budget or auto_budget(views),
                 checkpoints=ctx.checkpoints,
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
+                recipe=NODE_RECIPE if nodes else PLANES,
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,
             )
@@ -147,7 +147,7 @@ def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
     """Control nodes move the scene where it moves and each frame is a camera of its own: one view a time says too little for planes."""
     if facts.get("static") or settings.motion != "auto":
         return settings.motion == "nodes" and not facts.get("static")
-    return facts.get("cameras", 1) == facts.get("frames", 0) and facts.get("pairs", 0) == 0 and facts.get("times", 1) > 2 * FRAMES_PER_KEY
+    return facts.get("cameras", 1) == facts.get("frames", 0) and facts.get("pairs", 0) == 0 and facts.get("times", 1) >= NODE_TIMES
 
 
 def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
@@ -162,7 +162,7 @@ def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
 
 
 def make_nodes(points: np.ndarray, views: Views, settings: TrainingSettings):
-    """Control nodes spread over ``points``, with a key for every fourth training frame."""
+    """Control nodes spread over ``points``."""
     import numpy as np
     import torch
 
@@ -170,9 +170,9 @@ def make_nodes(points: np.ndarray, views: Views, settings: TrainingSettings):
 
     low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
     inside = points[((points >= low) & (points <= high)).all(1)]
-    keys = max(3, round(len(np.unique(views.time[views.train])) / FRAMES_PER_KEY))
+    extent = max(0.5 * float((high - low).max()), 1e-6)
     positions = farthest_points(inside if len(inside) else points, NODES)
-    return ControlNodes(torch.tensor(positions), keys, reach=views.viewing_distance(points) / 16)
+    return ControlNodes(torch.tensor(positions), torch.tensor(0.5 * (low + high)), extent, extent, seed=settings.seed)
 
 
 def make_field(points: np.ndarray, views: Views, settings: TrainingSettings):

@@ -46,6 +46,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu") -> 
         height=frames.height,
         load=frames.composited,
         background=BACKGROUNDS[frames.background],
+        load_alpha=(lambda i: np.ascontiguousarray(frames.image(i)[..., 3])) if frames.alpha else None,
         stored_edges=edges,
         device=device,
     )

@@ -41,6 +41,7 @@ class Fine(Stage):
         import torch
 
         from ..scene.primitives import ConvexSet
+        from ..scene.training.recipe import NODES, PLANES
         from ..scene.training.schedule import fine_phases
         from ..scene.training.trainer import Trainer
         from .coarse import auto_budget, is_static
@@ -54,6 +55,7 @@ class Fine(Stage):
         views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device)
         if hulls is not None and hulls.array("points").shape[0]:
             model.convexes = ConvexSet.from_hulls(hulls.read("points"), hulls.read("colors"), model.sh_degree, settings.convex_opacity)
+            model.convexes.hyper.data.copy_(model.gaussians.hyper[torch.from_numpy(hulls.read("seed")).long()])
             model.convexes.dynamic = model.gaussians.dynamic[torch.from_numpy(hulls.read("seed")).long()]
         else:
             ctx.log("no convexes: no seed lies on enough edges; Gaussians alone are refined")
@@ -72,6 +74,7 @@ class Fine(Stage):
                 lr_scale=1.0 if strategy == "joint" else settings.lr_scale,
                 grow=strategy == "joint",
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
+                recipe=NODES if model.config["field"] and model.config["field"]["kind"] == "nodes" else PLANES,
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,
             )

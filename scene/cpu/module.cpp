@@ -6,6 +6,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <initializer_list>
@@ -22,6 +23,7 @@
 #include "field.h"
 #include "field_run.h"
 #include "photometric.h"
+#include "skinning.h"
 #include "smoothness.h"
 
 namespace nb = nanobind;
@@ -81,6 +83,35 @@ e4dgs::FieldInput field_of(const Ins& space, const Ins& time, const Ins& weights
 e4dgs::Displacing displacing_of(const In& heads, const In& rest, std::array<float, 3> centre, float reach) {
     check(rest, {rest.shape(0), 3}, "rest"), check(heads, {rest.shape(0), 10}, "heads");
     return {heads.data(), rest.data(), int64_t(rest.shape(0)), {centre[0], centre[1], centre[2]}, reach};
+}
+
+using Links = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
+using LinksOut = nb::ndarray<int32_t, nb::c_contig, nb::device::cpu>;
+
+// nodes: home [B,3], home_hyper [B,H], falloff [B], and for skinning turns [B,4], shifts [B,3].
+e4dgs::Skinning skinning_of(const In& rest, const std::optional<In>& quats, const In& rest_hyper, const Ins& nodes) {
+    if (nodes.size() != 3 && nodes.size() != 5) throw std::invalid_argument("nodes must be home, home_hyper, falloff, turns, shifts");
+    const size_t n = rest.shape(0), b = nodes[0].shape(0), h = rest_hyper.ndim() == 2 ? rest_hyper.shape(1) : 0;
+    if (b < 1 || h > size_t(e4dgs::kMostHyper)) throw std::invalid_argument("there must be a node, and at most 4 hyper coordinates");
+    check(rest, {n, 3}, "rest"), check(rest_hyper, {n, h}, "rest_hyper"), check(nodes[0], {b, 3}, "home"), check(nodes[1], {b, h}, "home_hyper");
+    check(nodes[2], {b}, "falloff");
+    if (quats) check(*quats, {n, 4}, "quats");
+    e4dgs::Skinning in{};
+    in.n = int64_t(n), in.nodes = int(b), in.hyper = int(h), in.rest = rest.data(), in.quats = quats ? quats->data() : nullptr, in.rest_hyper = rest_hyper.data();
+    in.home = nodes[0].data(), in.home_hyper = nodes[1].data(), in.falloff = nodes[2].data();
+    if (nodes.size() == 5) {
+        check(nodes[3], {b, 4}, "turns"), check(nodes[4], {b, 3}, "shifts");
+        in.turns = nodes[3].data(), in.shifts = nodes[4].data();
+    }
+    return in;
+}
+
+void link_to(e4dgs::Skinning& in, const Links& link) {
+    if (link.ndim() != 2 || int64_t(link.shape(0)) != in.n || link.shape(1) < 1 || link.shape(1) > size_t(e4dgs::kMostLinks))
+        throw std::invalid_argument("link must be [N,1 to 8] for the N of rest");
+    for (size_t i = 0; i < link.size(); ++i)
+        if (link.data()[i] < 0 || link.data()[i] >= in.nodes) throw std::invalid_argument("link names a node that is not there");
+    in.link = link.data(), in.links = int(link.shape(1));
 }
 
 size_t outputs_of(const e4dgs::FieldInput& in) { return in.mlp.outputs ? size_t(in.mlp.outputs) : size_t(in.channels) * in.levels.size(); }
@@ -184,6 +215,49 @@ NB_MODULE(_kernels, m) {
         add(space, grad_space, false), add(time, grad_time, true);
         nb::gil_scoped_release release;
         return e4dgs::smoothness(stacks.data(), int(stacks.size()), threads);
+    });
+
+    m.def(
+        "skin_forward",
+        [](const In& rest, const Maybe& quats, const In& rest_hyper, const Links& link, const Ins& nodes, const Out& moved, const Out& turned, int threads) {
+            e4dgs::Skinning in = skinning_of(rest, quats, rest_hyper, nodes);
+            if (!in.turns) throw std::invalid_argument("nodes must hold turns and shifts");
+            link_to(in, link);
+            check(moved, {rest.shape(0), 3}, "moved"), check(turned, {rest.shape(0), 4}, "turned");
+            nb::gil_scoped_release release;
+            e4dgs::skin_forward(in, moved.data(), turned.data(), threads);
+        },
+        nb::arg("rest"), nb::arg("quats").none(), nb::arg("rest_hyper"), nb::arg("link"), nb::arg("nodes"), nb::arg("moved"), nb::arg("turned"),
+        nb::arg("threads"));
+
+    m.def(
+        "skin_backward",
+        [](const In& rest, const Maybe& quats, const In& rest_hyper, const Links& link, const Ins& nodes, const In& g_moved, const In& g_turned,
+           const Out& g_rest, const std::optional<Out>& g_quats, const Out& g_rest_hyper, const Outs& g_nodes, int threads) {
+            e4dgs::Skinning in = skinning_of(rest, quats, rest_hyper, nodes);
+            if (!in.turns) throw std::invalid_argument("nodes must hold turns and shifts");
+            link_to(in, link);
+            const size_t n = rest.shape(0), b = nodes[0].shape(0), h = size_t(in.hyper);
+            check(g_moved, {n, 3}, "g_moved"), check(g_turned, {n, 4}, "g_turned"), check(g_rest, {n, 3}, "g_rest"), check(g_rest_hyper, {n, h}, "g_rest_hyper");
+            if (g_quats.has_value() != quats.has_value()) throw std::invalid_argument("g_quats must be given where quats are");
+            if (g_quats) check(*g_quats, {n, 4}, "g_quats");
+            if (g_nodes.size() != 4) throw std::invalid_argument("g_nodes must be of home_hyper, falloff, turns, shifts");
+            check(g_nodes[0], {b, h}, "g_home_hyper"), check(g_nodes[1], {b}, "g_falloff"), check(g_nodes[2], {b, 4}, "g_turns"), check(g_nodes[3], {b, 3}, "g_shifts");
+            const e4dgs::SkinningGrad out{g_rest.data(), g_quats ? g_quats->data() : nullptr, g_rest_hyper.data(), g_nodes[0].data(), g_nodes[1].data(),
+                                          g_nodes[2].data(), g_nodes[3].data()};
+            nb::gil_scoped_release release;
+            e4dgs::skin_backward(in, g_moved.data(), g_turned.data(), out, threads);
+        },
+        nb::arg("rest"), nb::arg("quats").none(), nb::arg("rest_hyper"), nb::arg("link"), nb::arg("nodes"), nb::arg("g_moved"), nb::arg("g_turned"),
+        nb::arg("g_rest"), nb::arg("g_quats").none(), nb::arg("g_rest_hyper"), nb::arg("g_nodes"), nb::arg("threads"));
+
+    m.def("nearest_nodes", [](const In& rest, const In& rest_hyper, const Ins& nodes, const LinksOut& link, int threads) {
+        e4dgs::Skinning in = skinning_of(rest, std::nullopt, rest_hyper, nodes);
+        if (link.ndim() != 2 || int64_t(link.shape(0)) != in.n || link.shape(1) < 1 || link.shape(1) > std::min<size_t>(e4dgs::kMostLinks, size_t(in.nodes)))
+            throw std::invalid_argument("link must be [N,1 to 8], at most one for each node");
+        in.links = int(link.shape(1));
+        nb::gil_scoped_release release;
+        e4dgs::nearest_nodes(in, link.data(), threads);
     });
 
     m.def("arrivals", [](const In& flow, const Out& out) {

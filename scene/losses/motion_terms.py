@@ -39,11 +39,14 @@ def motion_priors(motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: flo
 class MotionTerms:
     """The terms of one training run, with the rhythm in which each is evaluated.
 
-    unit: the viewing distance, world units. times: number of distinct times in the capture. measured_flow: see `Trainer`.
+    unit: the viewing distance, world units. still: weight of the mean displacement. times: number of distinct times in the capture.
+    measured_flow: see `Trainer`.
     """
 
-    def __init__(self, views: Views, settings: TrainingSettings, unit: float, times: int, measured_flow: MeasuredFlow | None) -> None:
-        self.views, self.settings, self.unit, self.measured_flow = views, settings, unit, measured_flow
+    def __init__(
+        self, views: Views, settings: TrainingSettings, unit: float, still: float, times: int, measured_flow: MeasuredFlow | None
+    ) -> None:
+        self.views, self.settings, self.unit, self.still, self.measured_flow = views, settings, unit, still, measured_flow
         self.times = times
         self.dt = 1.0 / max(times - 1, 1)
 
@@ -52,7 +55,9 @@ class MotionTerms:
         s, t = self.settings, float(self.views.time[i])
         assert model.field is not None
         dynamic = model.gaussians.dynamic
-        loss = s.still / self.unit * stillness(moved, model.gaussians.means, dynamic)
+        loss = torch.zeros((), device=model.device)
+        if self.still:
+            loss = loss + self.still / self.unit * stillness(moved, model.gaussians.means, dynamic)
         if iteration % PRIOR_EVERY == 0:
             if s.tv:
                 loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ..rotation import compose
 from .displace import displace
 from .field_kernel import field_outputs
 from .hexplane import HexPlanes
-from .interface import Displacement
+from .interface import Displacement, Moved, Rest
 
 
 class DeformationField(nn.Module):
@@ -32,6 +34,8 @@ class DeformationField(nn.Module):
     low: Tensor
     high: Tensor
     reach: float
+
+    worth_culling = True
 
     def __init__(
         self,
@@ -98,6 +102,17 @@ class DeformationField(nn.Module):
         it turns, and the gradient of a rest position is turned along with it."""
         return displace(self._heads(rest, t), rest, 0.5 * (self.low + self.high), self.reach)
 
+    def carry(self, rest: Rest, t: float) -> Moved:
+        dx, dr, ds = self(rest.points, t)
+        m = len(rest.quats)
+        return Moved(rest.points + dx, compose(dr[:m], rest.quats), ds[:m])
+
+    def links(self, points: Tensor, hyper: Tensor) -> None:
+        """The planes carry every place."""
+
+    def spread_over(self, points: np.ndarray) -> None:
+        """The planes lie where the box is."""
+
     def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
         """[N, 7] numbers of order one that are equal for positions that move as one rigid body."""
         return self._heads(rest, t)[:, :7]
@@ -114,9 +129,6 @@ class DeformationField(nn.Module):
             here = self.rigid_motion(rest, middle)
         change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)
         return rigidity, change.norm(dim=1).mean()
-
-    def extend(self, low: float, high: float) -> None:
-        """Planes reach over all times from the start."""
 
     def regulariser(self) -> Tensor:
         return self.planes.total_variation()

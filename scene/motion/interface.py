@@ -1,9 +1,10 @@
-"""The seam between primitives and whatever moves them: rest positions and a time in, displacements out."""
+"""The seam between primitives and whatever moves them: what rests somewhere goes in with a time, and comes out where it is then."""
 
 from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
+import numpy as np
 from torch import Tensor
 
 
@@ -19,11 +20,43 @@ class Displacement(NamedTuple):
     ds: Tensor
 
 
-class Motion(Protocol):
-    """A motion model: the six-plane field, or nodes that drive their nearest primitives."""
+class Rest(NamedTuple):
+    """What a motion carries: the centres of M Gaussians and, behind them, corners of convexes.
 
-    def __call__(self, rest: Tensor, t: float) -> Displacement:
-        """Displacement of ``rest`` [N, 3] (world units; enters detached) at time ``t`` in [0, 1]."""
+    points: [N, 3] world units. quats: [M, 4] of the Gaussians, w x y z, any norm. hyper: [N, 2] coordinates beside x, y, z in which parts
+    that touch may lie apart. link: [N, k] int32, see `Motion.links`.
+    """
+
+    points: Tensor
+    quats: Tensor
+    hyper: Tensor
+    link: Tensor | None
+
+
+class Moved(NamedTuple):
+    """Where `Rest` is at a time: points [N, 3], quats [M, 4], and what the logarithms of the Gaussians' scales gain [M, 3], or None."""
+
+    points: Tensor
+    quats: Tensor
+    log_scales: Tensor | None
+
+
+class Motion(Protocol):
+    """A motion model: the six-plane field, or control nodes."""
+
+    worth_culling: bool  # positions outside of the image are better left out
+
+    def carry(self, rest: Rest, t: float) -> Moved:
+        """``rest`` at time ``t`` in [0, 1]. Gradients reach positions through how they are carried, not through where they are looked up."""
+        ...
+
+    def links(self, points: Tensor, hyper: Tensor) -> Tensor | None:
+        """[N, k] int32: which parts of the motion carry each of ``points`` [N, 3] with ``hyper`` [N, 2]; None where all of it does. It is
+        kept over some steps, since it takes a search."""
+        ...
+
+    def spread_over(self, points: np.ndarray) -> Motion | None:
+        """The same motion with its parts spread anew over ``points`` [P, 3]; None where it has no such parts."""
         ...
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
@@ -33,8 +66,4 @@ class Motion(Protocol):
 
     def regulariser(self) -> Tensor:
         """Scalar, lambda_3's term in Eq. 9."""
-        ...
-
-    def extend(self, low: float, high: float) -> None:
-        """Training is about to see the times from ``low`` to ``high``."""
         ...

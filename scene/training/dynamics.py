@@ -20,7 +20,7 @@ def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
     assert model.field is not None
     with torch.no_grad():
         rest = model.gaussians.means[index]
-        paths = torch.stack([model.field(rest, float(t)).dx for t in np.linspace(0, 1, TIMES)])
+        paths = torch.stack([model.centres_at(index, float(t)) - rest for t in np.linspace(0, 1, TIMES)])
     mean = paths.mean(0)
     return mean, (paths - mean).norm(dim=2).amax(0)
 

@@ -39,7 +39,6 @@ def follow_tracks(
     device = next(field.parameters()).device
     start, goal = torch.from_numpy(rest).float().to(device), torch.from_numpy(positions).float().to(device)
     there = torch.from_numpy(alive).to(device)
-    field.extend(0.0, 1.0)
     dt = 1.0 / max(len(times) - 1, 1)
     rng = np.random.default_rng(settings.seed)
     for step in range(STEPS):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from ..settings import TrainingSettings
 
 Rate = Callable[[float], float]
+ATTRIBUTES_END = 0.3  # of their first rates: those of means and motion settle what is where, these go on to fit its looks
 
 
 def exponential(first: float, last: float) -> Rate:
@@ -23,26 +24,30 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
     primitives: dict[str, Rate] = {
         "means": exponential(s.lr_means * unit * k, s.lr_means * unit / 50),
         "points": exponential(s.lr_means * unit, s.lr_means * unit / 50),
-        "quats": exponential(4e-3 * k, 1e-3),
-        "log_scales": exponential(1e-2 * k, 2e-3),
-        "opacity_logits": exponential(5e-2 * k, 1e-2),
-        "sh_dc": exponential(1e-2 * k, 1e-3),
-        "sh_rest": exponential(1e-3 * k, 1e-4),
+        "quats": exponential(4e-3 * k, 4e-3 * ATTRIBUTES_END),
+        "log_scales": exponential(1e-2 * k, 1e-2 * ATTRIBUTES_END),
+        "opacity_logits": exponential(5e-2 * k, 5e-2 * ATTRIBUTES_END),
+        "sh_dc": exponential(1e-2 * k, 1e-2 * ATTRIBUTES_END),
+        "sh_rest": exponential(1e-3 * k, 1e-3 * ATTRIBUTES_END),
+        "hyper": exponential(1e-4 * unit * k, 1e-5 * unit),
         "log_tau": exponential(5e-3, 1e-3),
         "log_kappa": exponential(1e-2, 1e-3),
         "log_gain": exponential(2e-3, 2e-4),
         "offset": exponential(2e-3, 2e-4),
     }
     planes, mlp = exponential(s.lr_field * k, s.lr_field / 10), exponential(s.lr_mlp * k, s.lr_mlp / 10)
-    # Nodes end at a fiftieth: each of their numbers moves hundreds of primitives, and the last jitter would blur them all.
-    nodes = exponential(s.lr_field * k if k == 1 else s.lr_field / 50, s.lr_field / 50)
+    # Nodes end at a fiftieth: each of their numbers moves thousands of primitives, and the last jitter would blur them all.
+    network = exponential(s.lr_nodes if k == 1 else s.lr_nodes / 50, s.lr_nodes / 50)
+    radii, hyper = exponential(5e-3 * k, 5e-4), exponential(1e-4 * unit * k, 1e-5 * unit)
 
     def rate(name: str) -> Rate:
         owner, last = name.split(".", 1)
         if owner != "field":
             return primitives[last]
-        if last in ("quats", "shifts"):
-            return nodes
+        if last in ("log_radii", "hyper"):
+            return radii if last == "log_radii" else hyper
+        if last.startswith("layers."):
+            return network
         return planes if last.startswith("planes.") else mlp
 
     return {name: rate(name) for name in names}

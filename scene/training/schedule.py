@@ -10,9 +10,7 @@ WARM_UP = 0.1  # of the coarse stage: the rest state is learned first, without m
 ALTERNATION = 100  # steps for which one kind is refined while the other waits
 HALF_RESOLUTION = 0.5
 QUARTER_RESOLUTION = 0.25
-# Fractions of the steps at which nodes go on to the next image size. Small images first: what they show is moved by few numbers.
-PYRAMID = ((0.125, 0.42), (0.25, 0.58), (0.5, 0.83), (1.0, 1.0))
-PYRAMID_WARM_UP = 0.05
+NODE_WARM_UP, NODE_SMALL = 0.02, 0.1  # of the coarse stage with control nodes: without motion; on small images
 
 
 @dataclass(frozen=True)
@@ -53,15 +51,11 @@ def _split(name: str, move: bool, start: int, end: int, change: int, first: floa
     return [phase for phase in halves if phase.iterations]
 
 
-def pyramid_phases(iterations: int, smallest: float) -> list[Phase]:
-    """For control nodes: a short static warm-up, then motion on images from an eighth (or ``smallest``) of their size to the whole."""
-    warm_up = round(iterations * PYRAMID_WARM_UP)
-    phases = [Phase("warm-up", warm_up, False, max(PYRAMID[0][0], smallest))]
-    start = warm_up
-    for scale, until in PYRAMID:
-        end = round(until * iterations)
-        phases.append(Phase("deformation", end - start, True, max(scale, smallest)))
-        start = end
+def node_phases(iterations: int, scale: float) -> list[Phase]:
+    """For control nodes: a short static warm-up and the first motion on images of ``scale``, then images of full size."""
+    warm_up, small = round(iterations * NODE_WARM_UP), round(iterations * NODE_SMALL)
+    phases = [Phase("warm-up", warm_up, False, scale), Phase("deformation", small - warm_up, True, scale)]
+    phases.append(Phase("deformation", iterations - small, True))
     return [phase for phase in phases if phase.iterations > 0]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,25 +18,25 @@ from ..colour import CameraAffine
 from ..losses.motion_terms import MeasuredFlow, MotionTerms
 from ..losses.photometric import photometric_loss
 from ..model import Model, motion_from_state
-from ..motion.nodes import ControlNodes
 from ..primitives import ConvexSet, GaussianSet
 from ..settings import TrainingSettings
 from ..views import Views
 from .checkpoint import load_checkpoint, save_checkpoint
 from .curriculum import Curriculum
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
-from .dynamics import STILL_PIXELS, freeze_still_gaussians
+from .dynamics import freeze_still_gaussians
 from .guard import NonFiniteGuard
-from .node_training import FREEZE_AT as FREEZE_NODES_AT
-from .node_training import NodeTraining
 from .optimiser import RowAdam
 from .rates import learning_rates
+from .recipe import PLANES, Recipe
 from .schedule import Phase
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
-FREEZE_AT = 0.45  # of the coarse stage: what has not moved by then does not move
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
+RELINK_EVERY = 100  # steps between two searches for what carries each primitive
+SOLID = 0.2  # opacity of Gaussians over which the motion is spread
+WHOLE_EVERY = 8  # steps of which one looks at the whole image where the others look at the object alone
 
 
 @dataclass
@@ -72,12 +73,13 @@ class Trainer:
         lr_scale: float = 1.0,
         grow: bool = True,
         measured_flow: MeasuredFlow | None = None,
+        recipe: Recipe = PLANES,
         advance: Callable[[int, str], None] = lambda n, note: None,
         log: Callable[[str], None] = lambda message: None,
     ) -> None:
         self.model, self.views, self.phases, self.settings = model, views, phases, settings
         self.budget, self.checkpoints, self.lr_scale, self.grow = budget, checkpoints, lr_scale, grow
-        self.advance, self._say = advance, log
+        self.recipe, self.advance, self._say = recipe, advance, log
         self.total = sum(phase.iterations for phase in phases)
         self.log = TrainingLog()
         self.guard = NonFiniteGuard()
@@ -85,17 +87,25 @@ class Trainer:
         moving = grow and model.field is not None and any(phase.move for phase in phases)
         still = sum(phase.iterations for phase in phases if not phase.move)
         times = views.time[views.train]
-        with_nodes = moving and isinstance(model.field, ControlNodes)
-        self.nodes = NodeTraining(self.total, times, settings.seed) if with_nodes else None
-        opened = 0 if not moving else self.nodes.opened if self.nodes else round(settings.open_until * self.total)
-        self.curriculum = Curriculum(views.train, times, settings.seed, still, opened, self.nodes.start if self.nodes else 0)
+        opened = round(settings.open_until * self.total) if moving else 0
+        self.curriculum = Curriculum(views.train, times, settings.seed, still, opened)
+        self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
         self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
         several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
         self.affine = CameraAffine(len(self.camera_numbers)).to(model.device) if settings.affine and several else None
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
-        self.motion_terms = MotionTerms(views, settings, self.unit, len(np.unique(views.time)), measured_flow)
+        self.motion_terms = MotionTerms(
+            views,
+            settings,
+            self.unit,
+            recipe.still if settings.still is None else settings.still,
+            len(np.unique(views.time)),
+            measured_flow,
+        )
         self.optimiser = self._make_optimiser()
         self._froze_still = False
+        self._spread = 0  # times that the motion has been spread anew
+        self._like = 0  # step from which on images have one size, so that losses compare
         self._ema = 0.0  # smoothed image loss, of all steps but those in `_losses`
         self._losses: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
 
@@ -118,16 +128,17 @@ class Trainer:
     def run(self) -> TrainingLog:
         """All phases, from a checkpoint where there is one."""
         self._resume()
-        started, before = time.monotonic(), self.log.seconds
+        started, spent = time.monotonic(), self.log.seconds
         saved = started
         done = 0
-        for phase in self.phases:
+        for phase, before in zip(self.phases, [None, *self.phases]):
+            self._like = done if before is None or phase.scale != before.scale else self._like
             for step in range(phase.iterations):
                 if done + step < self.iteration:
                     continue
                 self._step(phase, step)
                 self.iteration += 1
-                self.log.seconds = before + time.monotonic() - started
+                self.log.seconds = spent + time.monotonic() - started
                 if self.iteration % 10 == 0 or self.iteration == self.total:
                     self.advance(10 if self.iteration % 10 == 0 else self.iteration % 10, self._note(phase))
                 self._after_step(phase)
@@ -148,23 +159,28 @@ class Trainer:
         views, model, s = self.views, self.model, self.settings
         i = self.curriculum.frame(self.iteration)
         t = float(views.time[i])
-        camera = views.rasterizer_camera(i, phase.scale)
+        window = None if self.iteration % WHOLE_EVERY == 0 else views.window(i, phase.scale)
+        camera = views.rasterizer_camera(i, phase.scale, window)
         degree = min(s.sh_degree, self.iteration * 6 // max(self.total, 1)) if self.grow else s.sh_degree
         background = torch.tensor(views.background)
-        if phase.move and model.field is not None:
-            model.field.extend(*self.curriculum.span(self.iteration))
+        if self.iteration % RELINK_EVERY == 0:
+            model.relink()
         gaussians, convexes = model.at(t, camera, phase.move, degree)
         frame = rasterize(camera, gaussians, convexes, background)
         color = frame.color
         if self.affine is not None:
             color = self.affine(color, self.camera_numbers[int(views.camera[i])])
-        target = views.target(i, phase.scale)
+        target = views.target(i, phase.scale, window)
         loss = photometric_loss(color, target, s.l1, s.ssim)
+        if s.alpha and views.load_alpha is not None:
+            loss = loss + s.alpha * (frame.alpha - views.alpha(i, phase.scale, window)).abs().mean()
+        # As if the whole image had been looked at: there is nothing outside of the window.
+        loss = loss * (target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale))))
         if self.iteration % 50 == 0:
             mse = float((color.detach() - target).square().mean())
             self.log.psnr.append([self.iteration, -10 * float(np.log10(max(mse, 1e-10)))])
         image_loss = loss.detach()
-        loss = loss + s.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
+        loss = loss + self.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, self.iteration, self.total)
         loss.backward()
@@ -187,8 +203,6 @@ class Trainer:
         return self._ema
 
     def _frozen(self, phase: Phase, step: int) -> frozenset[str]:
-        if self.nodes and self.nodes.holds(self.iteration):
-            return frozenset({"field"})
         if not phase.alternation or not len(self.model.convexes):
             return frozenset()
         turn = (step // phase.alternation) % 2
@@ -199,29 +213,35 @@ class Trainer:
     def _after_step(self, phase: Phase) -> None:
         s = self.settings
         progress = self.iteration / max(self.total, 1)
-        freeze_at = FREEZE_NODES_AT if self.nodes else FREEZE_AT
         if self.iteration % 50 == 0:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
-        if self.nodes and self.nodes.due(self.iteration):
-            self._renew_nodes(self.nodes, phase)
-        if phase.move and self.grow and not self._froze_still and progress >= freeze_at and self.curriculum.complete(self.iteration):
+        if phase.move and self.grow:
+            self._spread_motion(progress)
+        due = progress >= self.recipe.freeze_at and self.curriculum.complete(self.iteration)
+        if phase.move and self.grow and not self._froze_still and due:
             self._froze_still = True
-            # Nodes tremble by what the images in use cannot tell from rest; planes have seen larger ones.
-            count = freeze_still_gaussians(self.model, self.views, STILL_PIXELS / phase.scale if self.nodes else STILL_PIXELS)
+            count = freeze_still_gaussians(self.model, self.views, self.recipe.freeze_pixels)
             self.log.skipped["still Gaussians taken out of the field"] = count
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
         if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= s.densify_until:
             self._control(phase, grow=self.grow)
 
-    def _renew_nodes(self, nodes: NodeTraining, phase: Phase) -> None:
-        self._say("nodes spread again; looking for parts that turn")
-        frames = self.curriculum.probe(self.iteration, 120)
-        source = nodes.renew(self.model, self.views, frames, phase.scale, self.iteration, self._event)
-        assert self.model.field is not None
-        for name, parameter in self.model.field.named_parameters():
-            self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
-        if source is not None:
-            self._replace(self.model.gaussians, source)
+    def _spread_motion(self, progress: float) -> None:
+        """Where the recipe says so, over what is opaque by then."""
+        model = self.model
+        if model.field is None or self._spread >= len(self.recipe.spread_at) or progress < self.recipe.spread_at[self._spread]:
+            return
+        self._spread += 1
+        solid = model.gaussians.opacities.detach() > SOLID
+        renewed = model.field.spread_over(model.gaussians.means.detach()[solid].cpu().numpy()) if bool(solid.any()) else None
+        if renewed is None:
+            return
+        model.field = renewed
+        model.relink()
+        for name, parameter in renewed.named_parameters():
+            if not any(parameter is known for known in self.optimiser.parameters().values()):
+                self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
+        self._event(f"step {self.iteration}: the motion is spread anew")
 
     def _control(self, phase: Phase, grow: bool) -> None:
         model = self.model
@@ -236,7 +256,8 @@ class Trainer:
         if grow and room > 0:
             progress = self.iteration / max(self.total, 1)
             rounds_left = max(1, round((self.settings.densify_until - progress) * self.total / self.settings.densify_every))
-            chosen = choose_to_split(model.gaussians, error, min(room, max(room // rounds_left, len(model.gaussians) // 8)))
+            wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, len(model.gaussians) // 8)
+            chosen = choose_to_split(model.gaussians, error, min(room, wanted))
             self._replace(*split_along_longest_axis(model.gaussians, chosen))
         if len(model.convexes):
             keep = survivors(model.convexes, measured.weight_convexes, s.min_opacity, s.min_weight)
@@ -268,7 +289,11 @@ class Trainer:
         """The smoothed loss of the last `patience` steps is no better than that of the `patience` steps before."""
         rows = self.settings.patience // 20
         progress = self.iteration / max(self.total, 1)
-        if self.iteration % 100 or progress < max(0.5, self.settings.densify_until) or len(self.log.loss) < 2 * rows:
+        if (
+            self.iteration % 100
+            or progress < max(0.5, self.settings.densify_until)
+            or self.iteration - self._like < 2 * self.settings.patience
+        ):
             return False
         if not self.curriculum.complete(self.iteration - 2 * self.settings.patience):
             return False
@@ -292,11 +317,13 @@ class Trainer:
         tensors |= {f"dynamic/{p.KIND}": p.dynamic for p in (self.model.gaussians, self.model.convexes)}
         if self.model.field is not None:
             tensors |= {f"motion/{name}": value for name, value in self.model.field.state_dict().items()}
+            links = {p.KIND: self.model.links(p) for p in (self.model.gaussians, self.model.convexes) if len(p)}
+            tensors |= {f"link/{kind}": link for kind, link in links.items() if link is not None}
         state = {
             "iteration": self.iteration,
             "ema": self._smoothed_loss(),
             "froze": self._froze_still,
-            "nodes": None if self.nodes is None else [self.nodes.searched, self.nodes.hold_until],
+            "spread": self._spread,
             "field": None if self.model.field is None else self.model.field.config,
             "nonfinite": self.guard.count,
             "log": vars(self.log),
@@ -315,6 +342,9 @@ class Trainer:
         if state["field"] is not None:
             motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
             self.model.field = motion_from_state(motion, state["field"]).to(device)
+            for p in (self.model.gaussians, self.model.convexes):
+                if f"link/{p.KIND}" in tensors:
+                    self.model.set_links(p, tensors[f"link/{p.KIND}"].to(device))
         if self.affine is not None:
             with torch.no_grad():
                 for name, p in self.affine.named_parameters():
@@ -322,8 +352,7 @@ class Trainer:
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
         self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]
-        if self.nodes is not None:
-            self.nodes.searched, self.nodes.hold_until = state["nodes"]
+        self._spread = state["spread"]
         self.guard.count = state["nonfinite"]
         self.log = TrainingLog(**state["log"])
         self._event(f"continued from the checkpoint at step {self.iteration} of {self.total}")

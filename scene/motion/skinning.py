@@ -1,0 +1,93 @@
+"""Linear blend skinning: each position goes with the nodes nearest to it, by weights that fall off over the nodes' radii."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from .. import _kernels
+from ..rotation import compose
+
+
+class Nodes(NamedTuple):
+    """B nodes at one time: home [B, 3] at rest, home_hyper [B, H], falloff [B] = 1 / (2 radius^2) > 0, turns [B, 4] unit quaternions
+    (w x y z) about the node's own rest position, shifts [B, 3]. Lengths in world units."""
+
+    home: Tensor
+    home_hyper: Tensor
+    falloff: Tensor
+    turns: Tensor
+    shifts: Tensor
+
+
+def nearest_nodes(points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Tensor:
+    """[N, count] int32 numbers of the nodes that weigh most at ``points`` [N, 3] with ``hyper`` [N, H], heaviest first. No gradients."""
+    count = min(count, len(nodes.home))
+    points, hyper, *home = (p.detach().contiguous() for p in (points, hyper, nodes.home, nodes.home_hyper, nodes.falloff))
+    if points.device.type == "cpu" and points.dtype == torch.float32:
+        link = torch.empty(len(points), count, dtype=torch.int32)
+        _kernels.nearest_nodes(points, hyper, home, link, torch.get_num_threads())
+        return link
+    here, there = torch.cat([points, hyper], 1), torch.cat([home[0], home[1]], 1)
+    return (torch.cdist(here, there).square() * home[2]).topk(count, largest=False).indices.int()
+
+
+def skin(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, nodes: Nodes) -> tuple[Tensor, Tensor]:
+    """Where the nodes ``link`` [N, k] carry ``points`` [N, 3]: moved [N, 3] and turned [N, 4].
+
+    ``quats`` [N, 4] (w x y z, any norm) are turned along. A weight is exp(-falloff d^2), d the distance in space and in ``hyper`` [N, H]
+    together, divided by the sum over the k nodes. Gradients reach all but ``link``, ``nodes.home``, and the positions through the weights.
+    float32 on the CPU takes a kernel, anything else plain torch.
+    """
+    if points.device.type == "cpu" and points.dtype == torch.float32:
+        return _Skin.apply(points, quats, hyper, link, *nodes)
+    return skin_reference(points, quats, hyper, link, nodes)
+
+
+def skin_reference(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, nodes: Nodes) -> tuple[Tensor, Tensor]:
+    """`skin` in plain torch: the kernel's oracle in float64, and what runs on other devices."""
+    index = link.long()
+    home = nodes.home.detach()[index]
+    distance = (points.detach()[:, None] - home).square().sum(2) + (hyper[:, None] - nodes.home_hyper[index]).square().sum(2)
+    weights = torch.softmax(-distance * nodes.falloff[index], 1)
+    turns = nodes.turns[index]
+    arms = (unit_matrices(nodes.turns)[index] @ (points[:, None] - home)[..., None])[..., 0]
+    moved = (weights[..., None] * (arms + home + nodes.shifts[index])).sum(1)
+    side = torch.where((turns * turns[:, :1]).sum(2, keepdim=True) < 0, -1.0, 1.0).to(turns)  # q and -q turn alike, their sum does not
+    blended = (weights[..., None] * side * turns).sum(1)
+    return moved, compose(blended / blended.norm(dim=1, keepdim=True).clamp(min=1e-6), quats)
+
+
+def unit_matrices(quats: Tensor) -> Tensor:
+    """Rotations [N, 3, 3] of quaternions [N, 4] that are unit already."""
+    w, x, y, z = quats.unbind(1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, 1).view(-1, 3, 3)
+
+
+class _Skin(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, *nodes: Tensor):  # type: ignore[override]
+        given = [p.detach().contiguous() for p in (points, quats, hyper)]
+        plain = [p.detach().contiguous() for p in nodes]
+        link = link.contiguous()
+        moved, turned = torch.empty_like(given[0]), torch.empty_like(given[1])
+        _kernels.skin_forward(*given, link, plain, moved, turned, torch.get_num_threads())
+        ctx.save_for_backward(*given, link, *plain)
+        return moved, turned
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, g_moved: Tensor, g_turned: Tensor):  # type: ignore[override]
+        points, quats, hyper, link, *nodes = ctx.saved_tensors
+        own = [torch.empty_like(p) for p in (points, quats, hyper)]
+        of_nodes = [torch.empty_like(p) for p in nodes[1:]]
+        grads = g_moved.contiguous(), g_turned.contiguous()
+        _kernels.skin_backward(points, quats, hyper, link, nodes, *grads, *own, of_nodes, torch.get_num_threads())
+        return *own, None, None, *of_nodes

@@ -1,0 +1,26 @@
+"""When the parts of a training run happen, and the weights that depend on the kind of motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What differs between motions. Times are fractions of all steps.
+
+    freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. spread_at: when the
+    motion is spread anew over what is there. opacity, still: default weights of the two terms of `TrainingSettings`. steady: growth adds an
+    equal number in every round, not as many as the images bear.
+    """
+
+    freeze_at: float = 0.45
+    freeze_pixels: float = 0.3
+    spread_at: tuple[float, ...] = ()
+    opacity: float = 0.15
+    still: float = 0.005
+    steady: bool = False
+
+
+PLANES = Recipe()
+NODES = Recipe(freeze_at=0.6, spread_at=(0.1, 0.25), opacity=0.01, still=0.0, steady=True)
