@@ -39,8 +39,8 @@ class Views:
     """F posed frames.
 
     K [F,3,3] px and cam_from_world [F,4,4], float64; time [F] in [0,1]; camera [F] int; next [F] int, the same camera's frame at its
-    next time or -1; train [n] int, the frames to learn from. ``load(i)`` returns uint8 [H,W,3], composited on the background, ``load_alpha(i)``
-    uint8 [H,W]; None where the capture has no alpha.
+    next time or -1; train [n] int, the frames to learn from. ``load(i)`` returns uint8 [H,W,3], composited on the background,
+    ``load_alpha(i)`` uint8 [H,W]; None where the capture has no alpha.
     background [3] in [0,1]. near: world units. device: where pictures are wanted; cameras are always on the CPU.
     """
 

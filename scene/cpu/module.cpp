@@ -89,7 +89,7 @@ using Links = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
 using LinksOut = nb::ndarray<int32_t, nb::c_contig, nb::device::cpu>;
 
 // nodes: home [B,3], home_hyper [B,H], falloff [B], and for skinning turns [B,4], shifts [B,3].
-e4dgs::Skinning skinning_of(const In& rest, const std::optional<In>& quats, const In& rest_hyper, const Ins& nodes) {
+e4dgs::Skinning skinning_of(const In& rest, const In* quats, const In& rest_hyper, const Ins& nodes) {
     if (nodes.size() != 3 && nodes.size() != 5) throw std::invalid_argument("nodes must be home, home_hyper, falloff, turns, shifts");
     const size_t n = rest.shape(0), b = nodes[0].shape(0), h = rest_hyper.ndim() == 2 ? rest_hyper.shape(1) : 0;
     if (b < 1 || h > size_t(e4dgs::kMostHyper)) throw std::invalid_argument("there must be a node, and at most 4 hyper coordinates");
@@ -219,40 +219,39 @@ NB_MODULE(_kernels, m) {
 
     m.def(
         "skin_forward",
-        [](const In& rest, const Maybe& quats, const In& rest_hyper, const Links& link, const Ins& nodes, const Out& moved, const Out& turned, int threads) {
-            e4dgs::Skinning in = skinning_of(rest, quats, rest_hyper, nodes);
+        [](const In& rest, const In& quats, const In& rest_hyper, const Links& link, const Ins& nodes, const Out& moved, const Out& turned, int threads) {
+            e4dgs::Skinning in = skinning_of(rest, &quats, rest_hyper, nodes);
             if (!in.turns) throw std::invalid_argument("nodes must hold turns and shifts");
             link_to(in, link);
             check(moved, {rest.shape(0), 3}, "moved"), check(turned, {rest.shape(0), 4}, "turned");
             nb::gil_scoped_release release;
             e4dgs::skin_forward(in, moved.data(), turned.data(), threads);
         },
-        nb::arg("rest"), nb::arg("quats").none(), nb::arg("rest_hyper"), nb::arg("link"), nb::arg("nodes"), nb::arg("moved"), nb::arg("turned"),
+        nb::arg("rest"), nb::arg("quats"), nb::arg("rest_hyper"), nb::arg("link"), nb::arg("nodes"), nb::arg("moved"), nb::arg("turned"),
         nb::arg("threads"));
 
     m.def(
         "skin_backward",
-        [](const In& rest, const Maybe& quats, const In& rest_hyper, const Links& link, const Ins& nodes, const In& g_moved, const In& g_turned,
-           const Out& g_rest, const std::optional<Out>& g_quats, const Out& g_rest_hyper, const Outs& g_nodes, int threads) {
-            e4dgs::Skinning in = skinning_of(rest, quats, rest_hyper, nodes);
+        [](const In& rest, const In& quats, const In& rest_hyper, const Links& link, const Ins& nodes, const In& g_moved, const In& g_turned,
+           const Out& g_rest, const Out& g_quats, const Out& g_rest_hyper, const Outs& g_nodes, int threads) {
+            e4dgs::Skinning in = skinning_of(rest, &quats, rest_hyper, nodes);
             if (!in.turns) throw std::invalid_argument("nodes must hold turns and shifts");
             link_to(in, link);
             const size_t n = rest.shape(0), b = nodes[0].shape(0), h = size_t(in.hyper);
             check(g_moved, {n, 3}, "g_moved"), check(g_turned, {n, 4}, "g_turned"), check(g_rest, {n, 3}, "g_rest"), check(g_rest_hyper, {n, h}, "g_rest_hyper");
-            if (g_quats.has_value() != quats.has_value()) throw std::invalid_argument("g_quats must be given where quats are");
-            if (g_quats) check(*g_quats, {n, 4}, "g_quats");
+            check(g_quats, {n, 4}, "g_quats");
             if (g_nodes.size() != 4) throw std::invalid_argument("g_nodes must be of home_hyper, falloff, turns, shifts");
             check(g_nodes[0], {b, h}, "g_home_hyper"), check(g_nodes[1], {b}, "g_falloff"), check(g_nodes[2], {b, 4}, "g_turns"), check(g_nodes[3], {b, 3}, "g_shifts");
-            const e4dgs::SkinningGrad out{g_rest.data(), g_quats ? g_quats->data() : nullptr, g_rest_hyper.data(), g_nodes[0].data(), g_nodes[1].data(),
+            const e4dgs::SkinningGrad out{g_rest.data(), g_quats.data(), g_rest_hyper.data(), g_nodes[0].data(), g_nodes[1].data(),
                                           g_nodes[2].data(), g_nodes[3].data()};
             nb::gil_scoped_release release;
             e4dgs::skin_backward(in, g_moved.data(), g_turned.data(), out, threads);
         },
-        nb::arg("rest"), nb::arg("quats").none(), nb::arg("rest_hyper"), nb::arg("link"), nb::arg("nodes"), nb::arg("g_moved"), nb::arg("g_turned"),
-        nb::arg("g_rest"), nb::arg("g_quats").none(), nb::arg("g_rest_hyper"), nb::arg("g_nodes"), nb::arg("threads"));
+        nb::arg("rest"), nb::arg("quats"), nb::arg("rest_hyper"), nb::arg("link"), nb::arg("nodes"), nb::arg("g_moved"), nb::arg("g_turned"),
+        nb::arg("g_rest"), nb::arg("g_quats"), nb::arg("g_rest_hyper"), nb::arg("g_nodes"), nb::arg("threads"));
 
     m.def("nearest_nodes", [](const In& rest, const In& rest_hyper, const Ins& nodes, const LinksOut& link, int threads) {
-        e4dgs::Skinning in = skinning_of(rest, std::nullopt, rest_hyper, nodes);
+        e4dgs::Skinning in = skinning_of(rest, nullptr, rest_hyper, nodes);
         if (link.ndim() != 2 || int64_t(link.shape(0)) != in.n || link.shape(1) < 1 || link.shape(1) > std::min<size_t>(e4dgs::kMostLinks, size_t(in.nodes)))
             throw std::invalid_argument("link must be [N,1 to 8], at most one for each node");
         in.links = int(link.shape(1));

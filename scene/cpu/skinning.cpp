@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <vector>
 
@@ -11,14 +12,23 @@
 namespace e4dgs {
 namespace {
 
-constexpr int kBlock = 64;        // positions that go through together, field by field
+constexpr int kBlock = 64;        // positions whose weights are computed together
 constexpr int64_t kRange = 1024;  // positions of one sum; fixed, so that sums do not depend on the threads
 constexpr float kLeastNorm = 1e-6f;
 
-// What a node gives each of its positions: rotation matrix 9, home 3, home + shift 3, quaternion 4, falloff 1, hyper 4.
-enum { kR = 0, kHome = 9, kEnd = 12, kQuat = 15, kFalloff = 19, kHyper = 20, kRecord = 24 };
-// What comes back: of the rotation matrix 9, shift 3, quaternion 4, falloff 1, hyper 4.
-enum { gR = 0, gShift = 9, gQuat = 12, gFalloff = 16, gHyper = 17, kSums = 24 };
+// A node's rigid motion, and the gradient of it, in one vector: rotation matrix 9, what is added behind it 3, quaternion 4. Blending the
+// nodes of a position is then a weighted sum of such vectors.
+constexpr int kRigid = 16;
+enum { kR = 0, kShift = 9, kQuat = 12 };
+typedef float Rigid __attribute__((vector_size(4 * kRigid)));
+
+// Sums of a node: of its rigid motion 16, of its falloff 1, of its hyper coordinates.
+constexpr int kSums = 24;
+enum { gFalloff = 16, gHyper = 17 };
+static_assert(gHyper + kMostHyper <= kSums);
+
+#define LOAD(vector, from) std::memcpy(&(vector), (from), sizeof(Rigid))
+#define STORE(to, vector) std::memcpy((to), &(vector), sizeof(Rigid))
 
 inline float exp_of(float x) {  // x <= 0; relative error below 2e-7
     x = std::max(x, -80.0f) * 1.44269504f;
@@ -28,88 +38,67 @@ inline float exp_of(float x) {  // x <= 0; relative error below 2e-7
     return p * std::bit_cast<float>((int32_t(whole) + 127) << 23);
 }
 
-std::vector<float> records_of(const Skinning& in) {
-    std::vector<float> records(size_t(in.nodes) * kRecord, 0.0f);
+// Everything is seen from the first node, so that a scene far from the origin loses nothing.
+struct Frames {
+    float origin[3];
+    std::vector<float> rigid, home;  // [nodes, 16], [nodes, 3] from the origin
+};
+
+Frames frames_of(const Skinning& in) {
+    Frames frames{{in.home[0], in.home[1], in.home[2]}, std::vector<float>(size_t(in.nodes) * kRigid), std::vector<float>(size_t(in.nodes) * 3)};
     for (int b = 0; b < in.nodes; ++b) {
-        float* r = &records[size_t(b) * kRecord];
         const float *q = in.turns + 4 * b, w = q[0], x = q[1], y = q[2], z = q[3];
+        float *r = &frames.rigid[size_t(b) * kRigid], *home = &frames.home[size_t(b) * 3];
         // The rotation of a unit quaternion as v + 2 w (a x v) + 2 a x (a x v).
         const float matrix[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z),
                                  2 * (y * z - w * x), 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
         std::copy(matrix, matrix + 9, r + kR);
-        for (int j = 0; j < 3; ++j) r[kHome + j] = in.home[3 * b + j], r[kEnd + j] = in.home[3 * b + j] + in.shifts[3 * b + j];
+        for (int j = 0; j < 3; ++j) home[j] = in.home[3 * b + j] - frames.origin[j];
+        for (int j = 0; j < 3; ++j)
+            r[kShift + j] = home[j] + in.shifts[3 * b + j] - matrix[3 * j] * home[0] - matrix[3 * j + 1] * home[1] - matrix[3 * j + 2] * home[2];
         std::copy(q, q + 4, r + kQuat);
-        r[kFalloff] = in.falloff[b];
-        for (int j = 0; j < in.hyper; ++j) r[kHyper + j] = in.home_hyper[in.hyper * b + j];
     }
-    return records;
+    return frames;
 }
 
-// Of up to kBlock positions: all they need, one field after another.
-struct Block {
-    float x[3][kBlock], h[kMostHyper][kBlock];
-    float node[kMostLinks][kRecord][kBlock];
-    float d2[kMostLinks][kBlock], weight[kMostLinks][kBlock], sign[kMostLinks][kBlock];
-    float moved[3][kBlock], blend[4][kBlock], inverse[kBlock];
+struct Weights {
+    float value[kMostLinks][kBlock];  // sum to one over the links
+    float d2[kMostLinks][kBlock];
 };
 
-E4DGS_CLONES void load_and_weigh(const Skinning& in, const float* records, int64_t begin, int count, Block& b) {
-    for (int j = 0; j < kBlock; ++j) {
-        const int64_t i = begin + std::min(j, count - 1);  // the last one again where the block is not full
-        for (int c = 0; c < 3; ++c) b.x[c][j] = in.rest[3 * i + c];
-        for (int c = 0; c < in.hyper; ++c) b.h[c][j] = in.rest_hyper[in.hyper * i + c];
-        for (int k = 0; k < in.links; ++k) {
-            const float* r = records + size_t(in.link[in.links * i + k]) * kRecord;
-            for (int f = 0; f < kRecord; ++f) b.node[k][f][j] = r[f];
-        }
-    }
+E4DGS_CLONES void weigh(const Skinning& in, const Frames& frames, int64_t begin, int count, Weights& out) {
     float best[kBlock], total[kBlock];
     for (int j = 0; j < kBlock; ++j) best[j] = -std::numeric_limits<float>::max(), total[j] = 0;
     for (int k = 0; k < in.links; ++k) {
-        const auto& node = b.node[k];
         for (int j = 0; j < kBlock; ++j) {
-            const float dx = b.x[0][j] - node[kHome][j], dy = b.x[1][j] - node[kHome + 1][j], dz = b.x[2][j] - node[kHome + 2][j];
-            b.d2[k][j] = dx * dx + dy * dy + dz * dz;
-        }
-        for (int c = 0; c < in.hyper; ++c)
-            for (int j = 0; j < kBlock; ++j) {
-                const float d = b.h[c][j] - node[kHyper + c][j];
-                b.d2[k][j] += d * d;
+            const int64_t i = begin + std::min(j, count - 1);  // the last one again where the block is not full
+            const int32_t b = in.link[in.links * i + k];
+            float d2 = 0;
+            for (int c = 0; c < 3; ++c) {
+                const float d = in.rest[3 * i + c] - frames.origin[c] - frames.home[size_t(3 * b + c)];
+                d2 += d * d;
             }
-        for (int j = 0; j < kBlock; ++j) {
-            b.weight[k][j] = -b.d2[k][j] * node[kFalloff][j];
-            best[j] = std::max(best[j], b.weight[k][j]);
+            for (int c = 0; c < in.hyper; ++c) {
+                const float d = in.rest_hyper[in.hyper * i + c] - in.home_hyper[in.hyper * b + c];
+                d2 += d * d;
+            }
+            out.d2[k][j] = d2, out.value[k][j] = -d2 * in.falloff[b];
         }
+        for (int j = 0; j < kBlock; ++j) best[j] = std::max(best[j], out.value[k][j]);
     }
     for (int k = 0; k < in.links; ++k)
-        for (int j = 0; j < kBlock; ++j) {
-            b.weight[k][j] = exp_of(b.weight[k][j] - best[j]);
-            total[j] += b.weight[k][j];
-        }
-    for (int j = 0; j < kBlock; ++j) total[j] = 1.0f / total[j];
-    for (int c = 0; c < 3; ++c)
-        for (int j = 0; j < kBlock; ++j) b.moved[c][j] = 0;
-    for (int c = 0; c < 4; ++c)
-        for (int j = 0; j < kBlock; ++j) b.blend[c][j] = 0;
-    for (int k = 0; k < in.links; ++k) {
-        const auto &node = b.node[k], &first = b.node[0];
-        for (int j = 0; j < kBlock; ++j) {
-            b.weight[k][j] *= total[j];
-            float along = 0;  // q and -q turn alike, their sum does not: all on the side of the first
-            for (int c = 0; c < 4; ++c) along += node[kQuat + c][j] * first[kQuat + c][j];
-            b.sign[k][j] = along < 0 ? -1.0f : 1.0f;
-            const float w = b.weight[k][j], s = w * b.sign[k][j];
-            const float ax = b.x[0][j] - node[kHome][j], ay = b.x[1][j] - node[kHome + 1][j], az = b.x[2][j] - node[kHome + 2][j];
-            for (int c = 0; c < 3; ++c)
-                b.moved[c][j] += w * (node[kR + 3 * c][j] * ax + node[kR + 3 * c + 1][j] * ay + node[kR + 3 * c + 2][j] * az + node[kEnd + c][j]);
-            for (int c = 0; c < 4; ++c) b.blend[c][j] += s * node[kQuat + c][j];
-        }
-    }
-    for (int j = 0; j < kBlock; ++j) {
-        const float norm = std::sqrt(b.blend[0][j] * b.blend[0][j] + b.blend[1][j] * b.blend[1][j] + b.blend[2][j] * b.blend[2][j] + b.blend[3][j] * b.blend[3][j]);
-        b.inverse[j] = 1.0f / std::max(norm, kLeastNorm);
-    }
+        for (int j = 0; j < kBlock; ++j) total[j] += out.value[k][j] = exp_of(out.value[k][j] - best[j]);
+    for (int k = 0; k < in.links; ++k)
+        for (int j = 0; j < kBlock; ++j) out.value[k][j] /= total[j];
 }
+
+// +1, or -1 where the quaternion lies on the other side than the first: q and -q turn alike, their sum does not.
+inline float side_of(const float* rigid, const float* first) {
+    const float *a = rigid + kQuat, *b = first + kQuat;
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] < 0 ? -1.0f : 1.0f;
+}
+
+#define BOTH_SIDES(w, s) {w, w, w, w, w, w, w, w, w, w, w, w, s, s, s, s}
 
 inline void product(const float* p, const float* q, float* out) {  // turning by q, then by p
     out[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3];
@@ -118,125 +107,110 @@ inline void product(const float* p, const float* q, float* out) {  // turning by
     out[3] = p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0];
 }
 
-void forward_block(const Skinning& in, const float* records, int64_t begin, int count, Block& b, float* moved, float* turned) {
-    load_and_weigh(in, records, begin, count, b);
+inline float inverse_norm(const float* q) { return 1.0f / std::max(std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), kLeastNorm); }
+
+E4DGS_CLONES void blend_block(const Skinning& in, const Frames& frames, const Weights& weights, int64_t begin, int count, float* blended) {
+    for (int j = 0; j < count; ++j) {
+        const int32_t* link = in.link + in.links * (begin + j);
+        const float* first = frames.rigid.data() + size_t(link[0]) * kRigid;
+        Rigid sum = {};
+        for (int k = 0; k < in.links; ++k) {
+            const float *r = frames.rigid.data() + size_t(link[k]) * kRigid, w = weights.value[k][j], s = w * side_of(r, first);
+            const Rigid both = BOTH_SIDES(w, s);
+            Rigid rigid;
+            LOAD(rigid, r);
+            sum += both * rigid;
+        }
+        STORE(blended + kRigid * j, sum);
+    }
+}
+
+E4DGS_CLONES void apply_block(const Skinning& in, const Frames& frames, const float* blended, int64_t begin, int count, float* moved, float* turned) {
     for (int j = 0; j < count; ++j) {
         const int64_t i = begin + j;
-        for (int c = 0; c < 3; ++c) moved[3 * i + c] = b.moved[c][j];
-        const float unit[4] = {b.blend[0][j] * b.inverse[j], b.blend[1][j] * b.inverse[j], b.blend[2][j] * b.inverse[j], b.blend[3][j] * b.inverse[j]};
-        if (in.quats)
-            product(unit, in.quats + 4 * i, turned + 4 * i);
-        else
-            std::copy(unit, unit + 4, turned + 4 * i);
+        const float *m = blended + kRigid * j, inverse = inverse_norm(m + kQuat);
+        float x[3], unit[4];
+        for (int c = 0; c < 3; ++c) x[c] = in.rest[3 * i + c] - frames.origin[c];
+        for (int c = 0; c < 3; ++c)
+            moved[3 * i + c] = m[kR + 3 * c] * x[0] + m[kR + 3 * c + 1] * x[1] + m[kR + 3 * c + 2] * x[2] + m[kShift + c] + frames.origin[c];
+        for (int c = 0; c < 4; ++c) unit[c] = m[kQuat + c] * inverse;
+        product(unit, in.quats + 4 * i, turned + 4 * i);
     }
 }
 
-// Gradients of one block. `back` [links][kBlock][kSums] holds what goes to the nodes.
-struct Back {
-    float g[3][kBlock], u[4][kBlock];  // of the moved position; of the sum of quaternions
-    float own[kMostLinks][kBlock];     // of each weight
-    float x[3][kBlock], h[kMostHyper][kBlock];
-    float sums[kMostLinks][kSums][kBlock];
-};
-
-E4DGS_CLONES void back_through_weights(const Skinning& in, const Block& b, Back& back) {
-    float mean[kBlock];
-    for (int j = 0; j < kBlock; ++j) mean[j] = 0;
-    for (int c = 0; c < 3; ++c)
-        for (int j = 0; j < kBlock; ++j) back.x[c][j] = 0;
-    for (int c = 0; c < in.hyper; ++c)
-        for (int j = 0; j < kBlock; ++j) back.h[c][j] = 0;
-    for (int k = 0; k < in.links; ++k) {
-        const auto& node = b.node[k];
-        auto& sums = back.sums[k];
-        for (int j = 0; j < kBlock; ++j) {
-            const float w = b.weight[k][j], sign = b.sign[k][j];
-            const float arm[3] = {b.x[0][j] - node[kHome][j], b.x[1][j] - node[kHome + 1][j], b.x[2][j] - node[kHome + 2][j]};
-            float of_weight = 0;
-            for (int c = 0; c < 3; ++c) {
-                const float g = back.g[c][j], wg = w * g;
-                float at = node[kEnd + c][j];
-                for (int a = 0; a < 3; ++a) {
-                    at += node[kR + 3 * c + a][j] * arm[a];
-                    sums[gR + 3 * c + a][j] = wg * arm[a];
-                    back.x[a][j] += wg * node[kR + 3 * c + a][j];
-                }
-                sums[gShift + c][j] = wg;
-                of_weight += g * at;
-            }
-            for (int c = 0; c < 4; ++c) {
-                of_weight += sign * back.u[c][j] * node[kQuat + c][j];
-                sums[gQuat + c][j] = w * sign * back.u[c][j];
-            }
-            back.own[k][j] = of_weight;
-            mean[j] += w * of_weight;
-        }
-    }
-    for (int k = 0; k < in.links; ++k) {
-        const auto& node = b.node[k];
-        auto& sums = back.sums[k];
-        for (int j = 0; j < kBlock; ++j) {
-            const float of_exponent = b.weight[k][j] * (back.own[k][j] - mean[j]);
-            sums[gFalloff][j] = -of_exponent * b.d2[k][j];
-            back.own[k][j] = -2.0f * of_exponent * node[kFalloff][j];
-        }
-        for (int c = 0; c < in.hyper; ++c)
-            for (int j = 0; j < kBlock; ++j) {
-                const float g = back.own[k][j] * (b.h[c][j] - node[kHyper + c][j]);
-                back.h[c][j] += g;
-                sums[gHyper + c][j] = -g;
-            }
-    }
-}
-
-E4DGS_CLONES void add_to_nodes(const Skinning& in, int64_t begin, int count, const Back& back, float* totals) {
-    for (int k = 0; k < in.links; ++k)
-        for (int j = 0; j < count; ++j) {
-            float* total = totals + size_t(in.link[in.links * (begin + j) + k]) * kSums;
-            for (int f = 0; f < kSums; ++f) total[f] += back.sums[k][f][j];
-        }
-}
-
-void backward_block(const Skinning& in, const float* records, int64_t begin, int count, const float* g_moved, const float* g_turned, const SkinningGrad& out,
-                    Block& b, Back& back, float* totals) {
-    load_and_weigh(in, records, begin, count, b);
-    for (int j = 0; j < kBlock; ++j) {
-        const int64_t i = begin + j;
-        for (int c = 0; c < 3; ++c) back.g[c][j] = j < count ? g_moved[3 * i + c] : 0.0f;
-        for (int c = 0; c < 4; ++c) back.u[c][j] = 0;
-        if (j >= count) continue;
-        const float inverse = b.inverse[j];
-        float unit[4], g[4], along = 0;
-        for (int c = 0; c < 4; ++c) unit[c] = b.blend[c][j] * inverse, g[c] = g_turned[4 * i + c];
-        if (in.quats) {
-            const float *q = in.quats + 4 * i, conjugate[4] = {q[0], -q[1], -q[2], -q[3]}, back_turn[4] = {unit[0], -unit[1], -unit[2], -unit[3]};
-            float of_unit[4];
-            product(g, conjugate, of_unit);
-            product(back_turn, g, out.quats + 4 * i);
-            std::copy(of_unit, of_unit + 4, g);
-        }
-        for (int c = 0; c < 4; ++c) along += g[c] * unit[c];
-        const bool normal = inverse < 1.0f / kLeastNorm;
-        for (int c = 0; c < 4; ++c) back.u[c][j] = (g[c] - (normal ? along * unit[c] : 0.0f)) * inverse;
-    }
-    back_through_weights(in, b, back);
-    add_to_nodes(in, begin, count, back, totals);
+// From the gradient of what comes out to that of the blended motion, [count, 16], and of the position and the quaternion themselves.
+E4DGS_CLONES void unapply_block(const Skinning& in, const Frames& frames, const float* blended, int64_t begin, int count, const float* g_moved,
+                                const float* g_turned, const SkinningGrad& out, float* back) {
     for (int j = 0; j < count; ++j) {
-        for (int c = 0; c < 3; ++c) out.rest[3 * (begin + j) + c] = back.x[c][j];
-        for (int c = 0; c < in.hyper; ++c) out.rest_hyper[in.hyper * (begin + j) + c] = back.h[c][j];
+        const int64_t i = begin + j;
+        const float *m = blended + kRigid * j, *q = in.quats + 4 * i, *g = g_moved + 3 * i, inverse = inverse_norm(m + kQuat);
+        float* to = back + kRigid * j;
+        for (int c = 0; c < 3; ++c) {
+            for (int a = 0; a < 3; ++a) to[kR + 3 * c + a] = g[c] * (in.rest[3 * i + a] - frames.origin[a]);
+            to[kShift + c] = g[c];
+            out.rest[3 * i + c] = m[kR + c] * g[0] + m[kR + 3 + c] * g[1] + m[kR + 6 + c] * g[2];
+        }
+        float unit[4], of_unit[4], along = 0;
+        for (int c = 0; c < 4; ++c) unit[c] = m[kQuat + c] * inverse;
+        const float conjugate[4] = {q[0], -q[1], -q[2], -q[3]}, turn_back[4] = {unit[0], -unit[1], -unit[2], -unit[3]};
+        product(g_turned + 4 * i, conjugate, of_unit);
+        product(turn_back, g_turned + 4 * i, out.quats + 4 * i);
+        for (int c = 0; c < 4; ++c) along += of_unit[c] * unit[c];
+        if (!(inverse < 1.0f / kLeastNorm)) along = 0;
+        for (int c = 0; c < 4; ++c) to[kQuat + c] = (of_unit[c] - along * unit[c]) * inverse;
+    }
+}
+
+E4DGS_CLONES void unblend_block(const Skinning& in, const Frames& frames, const Weights& weights, const float* back, int64_t begin, int count,
+                                const SkinningGrad& out, float* totals) {
+    for (int j = 0; j < count; ++j) {
+        const int64_t i = begin + j;
+        const int32_t* link = in.link + in.links * i;
+        const float* first = frames.rigid.data() + size_t(link[0]) * kRigid;
+        float own[kMostLinks], mean = 0, g_hyper[kMostHyper] = {};
+        Rigid g;
+        LOAD(g, back + kRigid * j);
+        for (int k = 0; k < in.links; ++k) {
+            const float *r = frames.rigid.data() + size_t(link[k]) * kRigid, side = side_of(r, first), w = weights.value[k][j], s = w * side;
+            float* total = totals + size_t(link[k]) * kSums;
+            const Rigid both = BOTH_SIDES(w, s), sided = BOTH_SIDES(1.0f, side);
+            Rigid rigid, sum;
+            LOAD(rigid, r), LOAD(sum, total);
+            sum += both * g;
+            STORE(total, sum);
+            const Rigid of_weight = sided * rigid * g;
+            float parts[kRigid];
+            STORE(parts, of_weight);
+            own[k] = 0;
+            for (int f = 0; f < kRigid; ++f) own[k] += parts[f];
+            mean += w * own[k];
+        }
+        for (int k = 0; k < in.links; ++k) {
+            float* total = totals + size_t(link[k]) * kSums;
+            const float of_exponent = weights.value[k][j] * (own[k] - mean), falloff = in.falloff[link[k]];
+            total[gFalloff] -= of_exponent * weights.d2[k][j];
+            for (int c = 0; c < in.hyper; ++c) {
+                const float d = -2.0f * of_exponent * falloff * (in.rest_hyper[in.hyper * i + c] - in.home_hyper[in.hyper * link[k] + c]);
+                g_hyper[c] += d;
+                total[gHyper + c] -= d;
+            }
+        }
+        for (int c = 0; c < in.hyper; ++c) out.rest_hyper[in.hyper * i + c] = g_hyper[c];
     }
 }
 
 // From sums over positions to a node's own parameters.
-void finish_node(const Skinning& in, int b, const double* sum, const SkinningGrad& out) {
-    const float *q = in.turns + 4 * b, w = q[0], x = q[1], y = q[2], z = q[3];
-    const double* r = sum + gR;
+void finish_node(const Skinning& in, const Frames& frames, int b, const double* sum, const SkinningGrad& out) {
+    const float *q = in.turns + 4 * b, w = q[0], x = q[1], y = q[2], z = q[3], *home = &frames.home[size_t(3 * b)];
+    double r[9];  // the rotation also takes the node's own place back, which is added behind it
+    for (int c = 0; c < 3; ++c)
+        for (int a = 0; a < 3; ++a) r[3 * c + a] = sum[kR + 3 * c + a] - sum[kShift + c] * home[a];
     const double g[4] = {2 * (-z * r[1] + y * r[2] + z * r[3] - x * r[5] - y * r[6] + x * r[7]),
                          2 * (y * r[1] + z * r[2] + y * r[3] - 2 * x * r[4] - w * r[5] + z * r[6] + w * r[7] - 2 * x * r[8]),
                          2 * (-2 * y * r[0] + x * r[1] + w * r[2] + x * r[3] + z * r[5] - w * r[6] + z * r[7] - 2 * y * r[8]),
                          2 * (-2 * z * r[0] - w * r[1] + x * r[2] + w * r[3] - 2 * z * r[4] + y * r[5] + x * r[6] + y * r[7])};
-    for (int c = 0; c < 4; ++c) out.turns[4 * b + c] = float(g[c] + sum[gQuat + c]);
-    for (int c = 0; c < 3; ++c) out.shifts[3 * b + c] = float(sum[gShift + c]);
+    for (int c = 0; c < 4; ++c) out.turns[4 * b + c] = float(g[c] + sum[kQuat + c]);
+    for (int c = 0; c < 3; ++c) out.shifts[3 * b + c] = float(sum[kShift + c]);
     out.falloff[b] = float(sum[gFalloff]);
     for (int c = 0; c < in.hyper; ++c) out.home_hyper[in.hyper * b + c] = float(sum[gHyper + c]);
 }
@@ -282,19 +256,22 @@ E4DGS_CLONES void nearest_of_block(const Skinning& in, int64_t begin, int count,
 }  // namespace
 
 void skin_forward(const Skinning& in, float* moved, float* turned, int threads) {
-    const std::vector<float> records = records_of(in);
+    const Frames frames = frames_of(in);
     const int64_t blocks = (in.n + kBlock - 1) / kBlock;
-#pragma omp parallel num_threads(threads)
-    {
-        std::vector<Block> scratch(1);
-#pragma omp for schedule(static)
-        for (int64_t k = 0; k < blocks; ++k)
-            forward_block(in, records.data(), k * kBlock, int(std::min<int64_t>(kBlock, in.n - k * kBlock)), scratch[0], moved, turned);
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t k = 0; k < blocks; ++k) {
+        const int64_t begin = k * kBlock;
+        const int count = int(std::min<int64_t>(kBlock, in.n - begin));
+        Weights weights;
+        alignas(64) float blended[kBlock * kRigid];
+        weigh(in, frames, begin, count, weights);
+        blend_block(in, frames, weights, begin, count, blended);
+        apply_block(in, frames, blended, begin, count, moved, turned);
     }
 }
 
 void skin_backward(const Skinning& in, const float* g_moved, const float* g_turned, const SkinningGrad& out, int threads) {
-    const std::vector<float> records = records_of(in);
+    const Frames frames = frames_of(in);
     const size_t width = size_t(in.nodes) * kSums;
     std::vector<double> sums(width, 0.0);
     const int64_t ranges = (in.n + kRange - 1) / kRange;
@@ -304,21 +281,26 @@ void skin_backward(const Skinning& in, const float* g_moved, const float* g_turn
         const int64_t last = std::min(ranges, first + kTogether);
 #pragma omp parallel num_threads(threads)
         {
-            std::vector<Block> block(1);
-            std::vector<Back> back(1);
 #pragma omp for schedule(static)
             for (int64_t r = first; r < last; ++r) {
                 float* mine = totals.data() + size_t(r - first) * width;
                 std::fill(mine, mine + width, 0.0f);
-                for (int64_t i = r * kRange; i < std::min(in.n, (r + 1) * kRange); i += kBlock)
-                    backward_block(in, records.data(), i, int(std::min<int64_t>(kBlock, in.n - i)), g_moved, g_turned, out, block[0], back[0], mine);
+                for (int64_t begin = r * kRange; begin < std::min(in.n, (r + 1) * kRange); begin += kBlock) {
+                    const int count = int(std::min<int64_t>(kBlock, in.n - begin));
+                    Weights weights;
+                    alignas(64) float blended[kBlock * kRigid], back[kBlock * kRigid];
+                    weigh(in, frames, begin, count, weights);
+                    blend_block(in, frames, weights, begin, count, blended);
+                    unapply_block(in, frames, blended, begin, count, g_moved, g_turned, out, back);
+                    unblend_block(in, frames, weights, back, begin, count, out, mine);
+                }
             }
 #pragma omp for schedule(static)
             for (int64_t f = 0; f < int64_t(width); ++f)
-                for (int64_t r = 0; r < last - first; ++r) sums[size_t(f)] += totals[size_t(r) * width + size_t(f)];
+                for (int64_t r = 0; r < last - first; ++r) sums[size_t(f)] += double(totals[size_t(r) * width + size_t(f)]);
         }
     }
-    for (int b = 0; b < in.nodes; ++b) finish_node(in, b, &sums[size_t(b) * kSums], out);
+    for (int b = 0; b < in.nodes; ++b) finish_node(in, frames, b, &sums[size_t(b) * kSums], out);
 }
 
 void nearest_nodes(const Skinning& in, int32_t* link, int threads) {

@@ -11,7 +11,7 @@ struct Skinning {
     int64_t n;                // positions
     int nodes, links, hyper;  // links <= kMostLinks, hyper <= kMostHyper
     const float* rest;        // [n, 3] world units
-    const float* quats;       // [n, 4] w x y z of any norm, or null: what is turned along
+    const float* quats;       // [n, 4] w x y z of any norm: what is turned along
     const float* rest_hyper;  // [n, hyper]
     const int32_t* link;      // [n, links] numbers of nodes
     const float* home;        // [nodes, 3] where the nodes rest
@@ -22,11 +22,11 @@ struct Skinning {
 };
 
 struct SkinningGrad {
-    float *rest, *quats, *rest_hyper;                       // quats null where Skinning has none
-    float *home_hyper, *falloff, *turns, *shifts;           // sums over all positions
+    float *rest, *quats, *rest_hyper;
+    float *home_hyper, *falloff, *turns, *shifts;  // sums over all positions
 };
 
-// moved [n, 3]; turned [n, 4]: quats turned by the blended unit quaternion, or that quaternion itself.
+// moved [n, 3]; turned [n, 4]: quats turned by the blended unit quaternion.
 void skin_forward(const Skinning& in, float* moved, float* turned, int threads);
 
 // All of `out` is written. Sums are in the same order for any number of threads.

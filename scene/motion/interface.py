@@ -47,7 +47,7 @@ class Motion(Protocol):
     worth_culling: bool  # positions outside of the image are better left out
 
     def carry(self, rest: Rest, t: float) -> Moved:
-        """``rest`` at time ``t`` in [0, 1]. Gradients reach positions through how they are carried, not through where they are looked up."""
+        """``rest`` at time ``t`` in [0, 1]. Positions get gradients by how they are carried, not by where they are looked up."""
         ...
 
     def links(self, points: Tensor, hyper: Tensor) -> Tensor | None:

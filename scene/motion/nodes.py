@@ -14,14 +14,17 @@ from torch import Tensor, nn
 
 from ..primitives import HYPER
 from ..rotation import rotate
+from .bodies import Bodies
 from .interface import Moved, Rest
 from .skinning import Nodes, nearest_nodes, skin
 
 NEAREST = 4  # nodes that share a position
 GRAPH = 6  # neighbours of a node in the rigidity term
+COURSE_SHARE = 4  # one node of so many is asked how steadily it moves, each time
 WIDTH, DEPTH = 128, 4  # of the network
 PLACE_BANDS, TIME_BANDS = 5, 6  # octaves of the positional encoding (Tancik et al. 2020)
 OUTPUT = 0.3  # of the heads: motion grows from rest, slowly enough to stay coherent
+HYPER_SPREAD = 0.1  # of the nodes' distances, in which their hyper coordinates begin
 HEADS = 1e-4  # standard deviation of the heads' first weights
 
 
@@ -36,13 +39,14 @@ class ControlNodes(nn.Module):
         centre: [3] and extent, world units: the box that places are scaled from, fixed for the life of the network.
         reach: world units of one unit of the network's shifts.
         seed: of the network's first weights.
+        bodies: rigid bodies that the network does not move.
     """
 
     worth_culling = False  # a look at where a position lies in the image takes as long as skinning it
     positions: Tensor
     centre: Tensor
 
-    def __init__(self, positions: Tensor, centre: Tensor, extent: float, reach: float, seed: int = 0) -> None:
+    def __init__(self, positions: Tensor, centre: Tensor, extent: float, reach: float, seed: int = 0, bodies: Bodies | None = None) -> None:
         super().__init__()
         positions = torch.as_tensor(positions).float()
         self.register_buffer("positions", positions.clone())
@@ -61,7 +65,10 @@ class ControlNodes(nn.Module):
             self.layers[-1].bias.zero_()
         self.layers.to(positions.device)
         self.log_radii = nn.Parameter(spacing(positions).log())
-        self.hyper = nn.Parameter(torch.zeros(len(positions), HYPER, device=positions.device))
+        # Not zero: the weights do not change with coordinates that are all alike.
+        beside = HYPER_SPREAD * spacing(positions).mean() * torch.randn(len(positions), HYPER, generator=generator).to(positions.device)
+        self.hyper = nn.Parameter(beside)
+        self.bodies = Bodies.none(positions.device) if bodies is None else bodies
 
     @property
     def config(self) -> dict[str, object]:
@@ -71,14 +78,15 @@ class ControlNodes(nn.Module):
     @classmethod
     def from_state(cls, state: dict[str, Tensor], config: dict) -> ControlNodes:
         """Inverse of `state_dict` and `config`."""
-        nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"])
+        bodies = Bodies(*(state["bodies." + name] for name in ("home", "radius", "quats", "shifts")))
+        nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"], bodies=bodies)
         nodes.load_state_dict(state)
         return nodes
 
     # -- Motion -------------------------------------------------------------------------------------------------------------------
 
     def carry(self, rest: Rest, t: float) -> Moved:
-        nodes = self.at(t)
+        nodes = self._with_bodies(self.at(t), t)
         link = self.links(rest.points, rest.hyper) if rest.link is None else rest.link
         m, n = len(rest.quats), len(rest.points)
         quats = rest.quats if m == n else torch.cat([rest.quats, rest.quats.new_zeros(n - m, 4)])
@@ -86,7 +94,7 @@ class ControlNodes(nn.Module):
         return Moved(points, turned[:m], None)
 
     def links(self, points: Tensor, hyper: Tensor) -> Tensor:
-        return nearest_nodes(points, hyper, self._resting(), NEAREST)
+        return nearest_nodes(points, hyper, self._with_bodies(self._resting(), 0.0), NEAREST)
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
         """How much the graph of the nodes is strained at ``t``, as a mean share of its edges' lengths, and how much nodes change course
@@ -106,7 +114,8 @@ class ControlNodes(nn.Module):
         if dt <= 0 or dt > 0.5:
             return rigidity, none
         middle = min(max(t, dt), 1 - dt)
-        before, here, after = (self.at(s) for s in (middle - dt, middle, middle + dt))
+        some = torch.arange(round(t / dt) % COURSE_SHARE, count, COURSE_SHARE, device=self.positions.device)  # others at other times
+        before, here, after = (self.at(s, some) for s in (middle - dt, middle, middle + dt))
         shifts = (before.shifts - 2 * here.shifts + after.shifts).norm(dim=1).mean() / self.reach
         turning = (before.turns - 2 * here.turns + after.turns).norm(dim=1).mean()
         return rigidity, shifts + turning
@@ -117,16 +126,18 @@ class ControlNodes(nn.Module):
 
     # -- the nodes ----------------------------------------------------------------------------------------------------------------
 
-    def at(self, t: float) -> Nodes:
-        """The nodes at time ``t``, clamped to [0, 1]."""
-        place = encode((self.positions - self.centre) / self.extent, PLACE_BANDS)
+    def at(self, t: float, some: Tensor | None = None) -> Nodes:
+        """The nodes, or ``some`` of them by number, at time ``t``, clamped to [0, 1]. Bodies are not among them."""
+        resting = self._resting()
+        if some is not None:
+            resting = Nodes(*(p[some] if len(p) else p for p in resting))
+        place = encode((resting.home - self.centre) / self.extent, PLACE_BANDS)
         time = encode(self.positions.new_tensor([[min(max(float(t), 0.0), 1.0)]]), TIME_BANDS)
         hidden = torch.cat([place, time.expand(len(place), -1)], 1)
         for layer in self.layers[:-1]:
             hidden = torch.relu(layer(hidden))
         out = OUTPUT * self.layers[-1](hidden)
         quats = torch.cat([1 + out[:, :1], out[:, 1:4]], 1)
-        resting = self._resting()
         return resting._replace(turns=quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), shifts=self.reach * out[:, 4:])
 
     def graph(self) -> Tensor:
@@ -138,12 +149,26 @@ class ControlNodes(nn.Module):
         none = self.positions.new_zeros(0)
         return Nodes(self.positions, self.hyper, 0.5 * torch.exp(-2 * self.log_radii), none, none)
 
+    def _with_bodies(self, nodes: Nodes, t: float) -> Nodes:
+        bodies = self.bodies
+        if not len(bodies):
+            return nodes
+        turns, shifts = bodies.pose(min(max(float(t), 0.0), 1.0))
+        theirs = Nodes(bodies.home, bodies.hyper(self.extent), 0.5 / bodies.radius.square(), turns, shifts)
+        return Nodes(*(torch.cat([own, other]) if len(own) else own for own, other in zip(nodes, theirs)))
+
+    def with_bodies(self, bodies: Bodies) -> ControlNodes:
+        """The same nodes beside ``bodies``."""
+        nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, bodies=bodies)
+        nodes.layers, nodes.log_radii, nodes.hyper = self.layers, self.log_radii, self.hyper
+        return nodes
+
     @torch.no_grad()
     def spread_over(self, points: np.ndarray) -> ControlNodes:
         """The same network with nodes spread anew over ``points`` [P, 3], at most as many as here, which keep the hyper coordinates of
         the nearest node."""
         positions = torch.tensor(farthest_points(points, len(self.positions)), dtype=torch.float32, device=self.positions.device)
-        nodes = ControlNodes(positions, self.centre, self.extent, self.reach)
+        nodes = ControlNodes(positions, self.centre, self.extent, self.reach, bodies=self.bodies)
         nodes.layers = self.layers
         nodes.hyper.copy_(self.hyper[torch.cdist(positions, self.positions).argmin(1)])
         return nodes

@@ -11,7 +11,7 @@ class Recipe:
 
     freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. spread_at: when the
     motion is spread anew over what is there. opacity, still: default weights of the two terms of `TrainingSettings`. steady: growth adds an
-    equal number in every round, not as many as the images bear.
+    equal number in every round, not as many as the images bear. bodies_at: when parts that turn are searched.
     """
 
     freeze_at: float = 0.45
@@ -19,8 +19,9 @@ class Recipe:
     spread_at: tuple[float, ...] = ()
     opacity: float = 0.15
     still: float = 0.005
+    bodies_at: float | None = None
     steady: bool = False
 
 
 PLANES = Recipe()
-NODES = Recipe(freeze_at=0.6, spread_at=(0.1, 0.25), opacity=0.01, still=0.0, steady=True)
+NODES = Recipe(freeze_at=0.6, spread_at=(0.1, 0.25), bodies_at=0.12, opacity=0.01, still=0.0, steady=True)

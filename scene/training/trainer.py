@@ -105,6 +105,7 @@ class Trainer:
         self.optimiser = self._make_optimiser()
         self._froze_still = False
         self._spread = 0  # times that the motion has been spread anew
+        self._searched = False  # for parts that turn
         self._like = 0  # step from which on images have one size, so that losses compare
         self._ema = 0.0  # smoothed image loss, of all steps but those in `_losses`
         self._losses: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
@@ -217,6 +218,8 @@ class Trainer:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
         if phase.move and self.grow:
             self._spread_motion(progress)
+            if self.recipe.bodies_at is not None and not self._searched and progress >= self.recipe.bodies_at:
+                self._search_bodies(phase)
         due = progress >= self.recipe.freeze_at and self.curriculum.complete(self.iteration)
         if phase.move and self.grow and not self._froze_still and due:
             self._froze_still = True
@@ -236,12 +239,29 @@ class Trainer:
         renewed = model.field.spread_over(model.gaussians.means.detach()[solid].cpu().numpy()) if bool(solid.any()) else None
         if renewed is None:
             return
-        model.field = renewed
-        model.relink()
-        for name, parameter in renewed.named_parameters():
-            if not any(parameter is known for known in self.optimiser.parameters().values()):
-                self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
+        self._renew(renewed)
         self._event(f"step {self.iteration}: the motion is spread anew")
+
+    def _search_bodies(self, phase: Phase) -> None:
+        """Parts that hold much of the error and turn too fast for gradients."""
+        from .turning import bodies_for_turning_parts
+
+        self._searched, model = True, self.model
+        self._say("looking for parts that turn")
+        error = measure_responsibility(model, self.views, self.curriculum.probe(self.iteration, 120), True, phase.scale).error_gaussians
+        source = bodies_for_turning_parts(model, self.views, error, self.settings.seed, self._event)
+        if source is not None and model.field is not None:
+            self._renew(model.field)
+            self._replace(model.gaussians, source)
+
+    def _renew(self, motion: Any) -> None:
+        """Go on with another motion, some of whose parameters are those of the one before."""
+        self.model.field = motion
+        self.model.relink()
+        known = self.optimiser.parameters()
+        for name, parameter in motion.named_parameters():
+            if known.get(f"field.{name}") is not parameter:
+                self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
 
     def _control(self, phase: Phase, grow: bool) -> None:
         model = self.model
@@ -323,7 +343,7 @@ class Trainer:
             "iteration": self.iteration,
             "ema": self._smoothed_loss(),
             "froze": self._froze_still,
-            "spread": self._spread,
+            "spread": [self._spread, self._searched],
             "field": None if self.model.field is None else self.model.field.config,
             "nonfinite": self.guard.count,
             "log": vars(self.log),
@@ -352,7 +372,7 @@ class Trainer:
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
         self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]
-        self._spread = state["spread"]
+        self._spread, self._searched = state["spread"]
         self.guard.count = state["nonfinite"]
         self.log = TrainingLog(**state["log"])
         self._event(f"continued from the checkpoint at step {self.iteration} of {self.total}")

@@ -1,0 +1,65 @@
+"""Rigid bodies among the control nodes: parts whose turn was searched, each with keys of its own in time instead of the network."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+# Extents beside everything else, in the first hyper coordinate: nothing else is near a body, and what is its own is near nothing else.
+FAR = 10.0
+
+
+class Bodies(nn.Module):
+    """b rigid bodies. Their poses are linear between keys at equal distances over [0, 1].
+
+    Parameters: ``quats`` [T, b, 4] (w x y z, any norm but zero) turn a body about its own rest position, ``shifts`` [T, b, 3] world units
+    move it. Buffers: ``home`` [b, 3] world units, ``radius`` [b].
+    """
+
+    home: Tensor
+    radius: Tensor
+
+    def __init__(self, home: Tensor, radius: Tensor, quats: Tensor, shifts: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("home", home.float().clone())
+        self.register_buffer("radius", radius.float().clone())
+        self.quats = nn.Parameter(aligned(quats.float()))
+        self.shifts = nn.Parameter(shifts.float().clone())
+
+    def __len__(self) -> int:
+        return len(self.home)
+
+    @staticmethod
+    def none(device: torch.device | str = "cpu") -> Bodies:
+        shapes = (0, 3), (0,), (1, 0, 4), (1, 0, 3)
+        return Bodies(*(torch.zeros(shape, device=device) for shape in shapes))
+
+    def hyper(self, extent: float) -> Tensor:
+        """[b, 2] where the bodies lie beside space, for nodes that spread over ``extent``."""
+        beside = torch.zeros(len(self), 2, device=self.home.device)
+        beside[:, 0] = FAR * extent * torch.arange(1, len(self) + 1, device=self.home.device)
+        return beside
+
+    def pose(self, t: float) -> tuple[Tensor, Tensor]:
+        """Unit quaternions [b, 4] and shifts [b, 3] at time ``t`` in [0, 1]."""
+        keys = len(self.quats)
+        x = t * (keys - 1)
+        low = min(int(x), max(keys - 2, 0))
+        high, f = min(low + 1, keys - 1), x - low
+        quats = self.quats[low] * (1 - f) + self.quats[high] * f
+        return quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), self.shifts[low] * (1 - f) + self.shifts[high] * f
+
+    @torch.no_grad()
+    def joined(self, home: Tensor, radius: float, quats: Tensor, shifts: Tensor) -> Bodies:
+        """One more: at ``home`` [3], of ``radius``, with ``quats`` [T, 4] and ``shifts`` [T, 3] at T keys, as many as the others have."""
+        if not len(self):
+            return Bodies(home[None], home.new_tensor([radius]), quats[:, None], shifts[:, None])
+        homes, radii = torch.cat([self.home, home[None]]), torch.cat([self.radius, home.new_tensor([radius])])
+        return Bodies(homes, radii, torch.cat([self.quats, quats[:, None]], 1), torch.cat([self.shifts, shifts[:, None]], 1))
+
+
+def aligned(quats: Tensor) -> Tensor:
+    """``quats`` [T, b, 4] with signs such that each is on the side of the one before, so that interpolation takes the short way."""
+    flips = torch.sign((quats[1:] * quats[:-1]).sum(2, keepdim=True))
+    flips = torch.where(flips == 0, torch.ones_like(flips), flips).cumprod(0)
+    return torch.cat([quats[:1], quats[1:] * flips])

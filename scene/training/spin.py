@@ -1,0 +1,197 @@
+"""Parts that turn too fast for gradients to follow: found by where the error stays, and by the one rate of turning that explains it.
+
+A part that turns by a good share of its texture between two frames blurs to a ball, and no small change of its motion makes the ball
+sharper. So the rate is searched: at a steady angular velocity, every place of the part's surface must show one colour to all the views
+that look at it. The surface stands in as a sphere and the images are blurred accordingly; training refines what this finds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from torch import Tensor
+from torch.nn import functional as F
+
+from ..fibonacci import fibonacci_sphere
+from ..views import Views
+
+ERROR_SHARE = 0.15  # of the whole error: a part below is left alone
+SURFACE = 0.68  # radius of the sphere that stands in for the surface, as a share of the part's radius
+BLUR = 0.3  # of the sphere's radius
+PATCH = 64  # px across, for four and a half radii of the part
+DIRECTIONS = 300
+FASTEST = 22.0  # degrees a frame
+WINDOW = 6  # frames to either side in which the first search asks for one colour
+ACCEPT = 0.8  # the variance of colours must fall below this share of what it is without turning, in windows and over the capture
+MIN_FRAMES = 4 * WINDOW
+
+
+@dataclass(frozen=True)
+class Part:
+    """A compact cluster of Gaussians at rest that holds much of the error. centre [3] and radius in world units."""
+
+    centre: np.ndarray
+    radius: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Spin:
+    """A steady turn. omega: [3] rad per frame of the sequence, world axes. offset: [3] world units from the path that was given to the
+    centre of the turn. gain: the variance of colours with it, as a share of that without."""
+
+    omega: np.ndarray
+    offset: np.ndarray
+    gain: float
+
+
+def compact_parts(means: np.ndarray, error: np.ndarray) -> list[Part]:
+    """Connected clusters of ``means`` [N, 3] whose attributed ``error`` [N] stands out, largest share of the error first."""
+    if len(means) < 16 or error.sum() <= 0:
+        return []
+    spacing = float(np.median(cKDTree(means).query(means, 4)[0][:, 1:]))
+    high = np.flatnonzero(error > 3 * np.median(error))
+    pairs = cKDTree(means[high]).query_pairs(max(3 * spacing, 1e-9), output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(high), len(high)))
+    _, label = connected_components(graph, directed=False)
+    parts = []
+    for k in np.unique(label):
+        members = high[label == k]
+        weight = error[members]
+        share = float(weight.sum() / error.sum())
+        if share >= ERROR_SHARE and len(members) >= 16:
+            centre = np.average(means[members], axis=0, weights=weight)
+            radius = float(np.percentile(np.linalg.norm(means[members] - centre, axis=1), 90))
+            parts.append(Part(centre, radius, share))
+    return sorted(parts, key=lambda part: -part.share)
+
+
+class SpinSearch:
+    """Looks for the steady turn of one part.
+
+    views: posed images. frames [n]: indices of views in order of time. path [n, 3]: where the part's centre was seen to go, world units.
+    radius: of the part.
+    """
+
+    def __init__(self, views: Views, frames: np.ndarray, path: np.ndarray, radius: float) -> None:
+        self.frames, self.count = frames, len(frames)
+        self.path = torch.tensor(path, dtype=torch.float32)
+        self.radius, self.surface = radius, SURFACE * radius
+        self.cam_from_world = torch.tensor(views.cam_from_world[frames], dtype=torch.float32)
+        self.K = torch.tensor(views.K[frames], dtype=torch.float32)
+        self.centres = torch.tensor(views.centres()[frames], dtype=torch.float32)
+        self.directions = torch.tensor(fibonacci_sphere(DIRECTIONS), dtype=torch.float32)
+        self.pixels, self.half = self._project(self.path)
+        self.patches = torch.stack([self._patch(views, f) for f in range(self.count)])
+
+    def _project(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Pixels [n, 2] of one point a frame, and half a patch in px [n]."""
+        cam = torch.einsum("fij,fj->fi", self.cam_from_world[:, :3, :3], points) + self.cam_from_world[:, :3, 3]
+        z = cam[:, 2].clamp(min=1e-6)
+        focal = torch.stack([self.K[:, 0, 0], self.K[:, 1, 1]], 1)
+        return focal * cam[:, :2] / z[:, None] + self.K[:, :2, 2], 2.25 * self.radius * self.K[:, 0, 0] / z
+
+    def _patch(self, views: Views, f: int) -> Tensor:
+        """[3, PATCH, PATCH], the part and its surroundings, blurred by `BLUR` of the sphere."""
+        half = float(self.half[f])
+        scale = min(1.0, PATCH / (2 * half))
+        image = views.target(int(self.frames[f]), 2.0 ** round(float(np.log2(max(scale, 1 / 16))))).cpu().numpy()
+        shrink = image.shape[1] / views.width
+        zoom = PATCH / (2 * half * shrink)
+        u, v = (float(x) * shrink for x in self.pixels[f])
+        affine = np.array([[zoom, 0, PATCH / 2 - zoom * u - 0.5 + 0.5 * zoom], [0, zoom, PATCH / 2 - zoom * v - 0.5 + 0.5 * zoom]])
+        patch = cv2.warpAffine(image, affine, (PATCH, PATCH), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        sigma = BLUR * SURFACE * PATCH / 4.5
+        return torch.from_numpy(cv2.GaussianBlur(patch, (0, 0), sigma)).permute(2, 0, 1)
+
+    def variance(self, omega: Tensor, offset: Tensor, first: int, last: int) -> Tensor:
+        """[C] mean variance, over the sphere, of the colours that frames ``first`` to ``last`` see, for C turns ``omega`` [C, 3] in rad a
+        frame about the path moved by ``offset`` [3]."""
+        f = torch.arange(first, last + 1)
+        turns = rotation_vectors((f - 0.5 * (first + last))[None, :, None] * omega[:, None])
+        normal = torch.einsum("cfij,nj->cfni", turns, self.directions)
+        centre = self.path[f] + offset
+        towards = F.normalize(self.centres[f] - centre, dim=1)
+        facing = ((normal * towards[None, :, None]).sum(-1) - 0.25).clamp(min=0) ** 2
+        cam = torch.einsum("fij,cfnj->cfni", self.cam_from_world[f, :3, :3], centre[None, :, None] + self.surface * normal)
+        cam = cam + self.cam_from_world[f, :3, 3][None, :, None]
+        focal = torch.stack([self.K[f, 0, 0], self.K[f, 1, 1]], 1)[None, :, None]
+        pixel = focal * cam[..., :2] / cam[..., 2:].clamp(min=1e-6) + self.K[f, :2, 2][None, :, None]
+        grid = (pixel - self.pixels[f][None, :, None]) / self.half[f][None, :, None, None]
+        seen = F.grid_sample(self.patches[f], grid.transpose(0, 1), align_corners=False, padding_mode="border").permute(2, 0, 3, 1)
+        weight, total = facing.sum(1), facing.sum((1, 2)).clamp(min=1e-6)
+        mean_square = (facing * seen.square().sum(-1)).sum(1)
+        square_mean = (facing[..., None] * seen).sum(1).square().sum(-1) / weight.clamp(min=1e-4)
+        return (mean_square - square_mean).sum(1) / total
+
+    def over_windows(self, omega: Tensor, offset: Tensor, half: int) -> Tensor:
+        """[C] mean of `variance` over windows of ``half`` frames to either side that tile the sequence."""
+        last = self.count - 1
+        windows = [(start, min(start + 2 * half, last)) for start in range(0, max(last - half, 1), 2 * half + 1)]
+        size = max(1, 4000 // (2 * half + 1))
+        return torch.cat([sum(self.variance(o, offset, *w) for w in windows) / len(windows) for o in omega.split(size)])  # type: ignore[misc]
+
+    def find(self) -> Spin | None:
+        """The turn that explains the colours best, or None where none does so much better than no turn."""
+        if self.count < MIN_FRAMES:
+            return None
+        degree = np.pi / 180
+        candidates = lattice(FASTEST * degree, 5)
+        candidates = candidates[candidates.norm(dim=1) <= FASTEST * degree]
+        offsets = torch.cat([torch.zeros(1, 3), torch.eye(3), -torch.eye(3)]) * self.radius / 3
+        with torch.no_grad():
+            trials = [(self.over_windows(candidates, offset, WINDOW), offset) for offset in offsets]
+        variance, offset = min(trials, key=lambda trial: float(trial[0].min()))
+        omega, offset = self._descend(candidates[variance.topk(6, largest=False).indices], offset)
+        half = WINDOW
+        while 2 * half < self.count - 1:
+            # Twenty-five degrees at the window's ends is about what the blur forgives.
+            half = min(3 * half, self.count // 2)
+            step = 25 * degree / half
+            with torch.no_grad():
+                near = omega + lattice(4 * step, 4)
+                omega = near[int(self.over_windows(near, offset, half).argmin())][None]
+        omega, offset = self._descend(omega, offset, half)
+        still, turning = torch.zeros(1, 3), omega[:1]
+        with torch.no_grad():
+            gains = [float(self.over_windows(turning, offset, h) / self.over_windows(still, offset, h)) for h in (WINDOW, half)]
+        if not max(gains) < ACCEPT:
+            return None
+        return Spin(turning[0].numpy(), offset.numpy(), gains[-1])
+
+    def _descend(self, omega: Tensor, offset: Tensor, half: int = WINDOW, steps: int = 40) -> tuple[Tensor, Tensor]:
+        """The best of ``omega`` [C, 3] after gradient steps on each and on an offset of its own: ([1, 3], [3])."""
+        best = (float("inf"), omega[:1], offset)
+        rate = 10 * np.pi / 180 / half
+        for start in omega:
+            turn, shift = start[None].clone().requires_grad_(), (offset / self.radius).clone().requires_grad_()
+            adam = torch.optim.Adam([{"params": [turn], "lr": rate / 10}, {"params": [shift], "lr": 0.02}])
+            for _ in range(steps):
+                value = self.over_windows(turn, shift * self.radius, half).sum()
+                if value.item() < best[0]:
+                    best = (value.item(), turn.detach().clone(), (shift * self.radius).detach().clone())
+                adam.zero_grad()
+                value.backward()
+                adam.step()
+        return best[1], best[2]
+
+
+def lattice(reach: float, steps: int) -> Tensor:
+    """[(2 steps + 1)^3, 3] points of a cube around zero, ``reach`` to each side."""
+    line = torch.linspace(-reach, reach, 2 * steps + 1)
+    return torch.cartesian_prod(line, line, line)
+
+
+def rotation_vectors(v: Tensor) -> Tensor:
+    """Rotation matrices [..., 3, 3] of rotation vectors [..., 3], smooth at zero."""
+    angle = v.square().sum(-1, keepdim=True).clamp(min=1e-16).sqrt()[..., None]
+    zero = torch.zeros_like(v[..., 0])
+    x, y, z = v.unbind(-1)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).view(*v.shape, 3)
+    return torch.eye(3) + torch.sin(angle) / angle * cross + (1 - torch.cos(angle)) / angle**2 * (cross @ cross)

@@ -1,0 +1,80 @@
+"""A part that was found to spin becomes a rigid body that turns at the rate found, with fresh Gaussians around its centre."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from ..model import Model
+from ..motion.nodes import ControlNodes
+from ..primitives import GaussianSet
+from ..views import Views
+from .spin import Part, Spin, SpinSearch, compact_parts
+
+BODY = 1.2  # radius of the body over the part's: what the part's ragged rim left out belongs to it
+FRESH = 500  # Gaussians that a body begins with
+MOST_PARTS = 3
+FRAMES_PER_KEY = 2  # one key a frame lost 2.3 dB on validation views of a tumbling cube against one for two
+
+
+def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: int, log: Callable[[str], None]) -> Tensor | None:
+    """Search the parts that hold much of the ``error`` [N] of the Gaussians for steady turns and make each that turns a rigid body.
+
+    Needs a model that `ControlNodes` move, whose motion is replaced by one with the bodies. Returns, for each row of the new
+    ``model.gaussians``, the row it was before (-1: new), or None where nothing turns.
+    """
+    source = None
+    for part in compact_parts(model.gaussians.means.detach().cpu().numpy(), error.cpu().numpy())[:MOST_PARTS]:
+        frames = views.train[np.argsort(views.time[views.train], kind="stable")]
+        search = SpinSearch(views, frames, part_path(model, part, views.time[frames]), part.radius)
+        spin = search.find()
+        if spin is None:
+            log(f"a part holds {part.share:.0%} of the error; no steady turn explains it")
+            continue
+        degrees = np.degrees(np.linalg.norm(spin.omega))
+        log(f"a part that holds {part.share:.0%} of the error turns by {degrees:.1f} degrees a frame; it moves as one body from here")
+        kept = _give_body(model, part, spin, search, views.time[frames], seed)
+        source = kept if source is None else torch.where(kept >= 0, source[kept.clamp(min=0)], kept)
+        error = torch.where(kept >= 0, error[kept.clamp(min=0)], torch.zeros((), device=error.device))
+    return source
+
+
+@torch.no_grad()
+def part_path(model: Model, part: Part, times: np.ndarray) -> np.ndarray:
+    """[n, 3] where the mean of the part's Gaussians is at ``times`` [n], world units."""
+    means = model.gaussians.means.detach()
+    members = ((means - torch.tensor(part.centre, device=means.device)).norm(dim=1) <= part.radius).nonzero()[:, 0]
+    return np.stack([model.centres_at(members, float(t)).mean(0).cpu().numpy() for t in times])
+
+
+@torch.no_grad()
+def _give_body(model: Model, part: Part, spin: Spin, search: SpinSearch, times: np.ndarray, seed: int) -> Tensor:
+    nodes, gaussians = model.field, model.gaussians
+    assert isinstance(nodes, ControlNodes)
+    means, device = gaussians.means.detach(), model.device
+    centre = torch.tensor(part.centre + spin.offset, dtype=torch.float32, device=device)
+    radius = BODY * part.radius
+    keys = len(nodes.bodies.quats) if len(nodes.bodies) else max(2, len(times) // FRAMES_PER_KEY)
+    at = np.interp(np.linspace(0, 1, keys), times, np.arange(len(times)))
+    turns = Rotation.from_rotvec((at - 0.5 * (len(times) - 1))[:, None] * spin.omega).as_quat()[:, [3, 0, 1, 2]]
+    path = search.path.numpy() + spin.offset
+    path = np.stack([np.interp(at, np.arange(len(times)), path[:, axis]) for axis in range(3)], 1)
+    shifts = torch.tensor(path).float().to(device) - centre
+    model.field = nodes.with_bodies(nodes.bodies.joined(centre, radius, torch.tensor(turns).float().to(device), shifts))
+
+    outside = (means - centre).norm(dim=1).minimum((means - torch.tensor(part.centre, device=device)).norm(dim=1)) > radius
+    kept = outside.nonzero()[:, 0]
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(FRESH, 3))
+    points *= part.radius * rng.uniform(size=(FRESH, 1)) ** (1 / 3) / np.linalg.norm(points, axis=1, keepdims=True)
+    bands = 1 + gaussians.sh_rest.shape[1]
+    fresh = GaussianSet.from_points(centre.cpu().numpy() + points, np.full((FRESH, 3), 0.5), round(bands**0.5) - 1).to(device)
+    fresh.hyper.copy_(model.field.bodies.hyper(model.field.extent)[-1:].expand(FRESH, -1))
+    old = gaussians.select(kept)
+    parameters = {name: torch.cat([old.parameters[name].detach(), fresh.parameters[name].detach()]) for name in GaussianSet.FIELDS}
+    model.gaussians = GaussianSet(parameters, torch.cat([old.dynamic, fresh.dynamic]))
+    return torch.cat([kept, kept.new_full((FRESH,), -1)])
