@@ -15,6 +15,7 @@ _PUBLIC = {
     "Gaussians": ".rasterizer",
     "rasterize": ".rasterizer",
     "Model": ".scene",
+    "load": ".workflows.load",
     "recognise": ".stages.captures",
 }
 

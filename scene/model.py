@@ -117,7 +117,7 @@ class Model:
         return moving.nonzero()[:, 0]
 
     def render(self, camera: Camera, time: float, background: Tensor | None = None, backend: str = "auto") -> Frame:
-        """One view at one time, without gradients. ``background`` [3] in [0, 1]."""
+        """One view at one ``time`` in [0, 1], without gradients. ``background`` [3] in [0, 1]; None is black."""
         with torch.no_grad():
             gaussians, convexes = self.at(time, camera)
             return rasterize(camera, gaussians, convexes, background, backend=backend)  # type: ignore[arg-type]

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from .frameset import FrameSet
 
 Split = Literal["train", "val", "test"]
-METRICS = ("psnr", "ssim", "edge_psnr", "lpips", "psnr_affine", "ssim_affine")
+METRICS = ("psnr", "ssim", "edge_psnr", "lpips", "psnr_affine", "ssim_affine", "psnr_foreground", "psnr_other_background")
+OTHER = {"white": "black", "black": "white"}
 TRAIN_VIEWS = 32  # where nothing is held out, so many training views stand in
 FPS_RENDERS, FPS_SECONDS = 20, 10.0
 
@@ -161,7 +162,26 @@ class Judge:
         if self.affine:
             fitted = affine_fit(color, truth)
             row |= {"psnr_affine": psnr(fitted, truth), "ssim_affine": ssim(fitted, truth)}
+        if self.frames.alpha and self.frames.background is not None:
+            row |= self._of_alpha(i, color, truth, frame)
         return row, frame, picture
+
+    def _of_alpha(self, i: int, color: np.ndarray, truth: np.ndarray, frame: Frame) -> dict[str, float | None]:
+        """What only captures with alpha tell: PSNR where they are not empty, and on the background that was not trained on, which a model
+        fails that shows dark or bright surfaces as holes."""
+        from ..scene.metrics.psnr import psnr
+        from .pictures import composite
+
+        assert self.frames.background is not None
+        picture = self.frames.image(i)
+        filled = picture[..., 3] > 0
+        other = OTHER[self.frames.background]
+        behind = 1.0 if other == "white" else -1.0
+        on_other = (frame.color.numpy() + behind * (1 - frame.alpha.numpy()[..., None])).clip(0, 1)
+        return {
+            "psnr_foreground": psnr(color, truth, filled) if filled.any() else None,
+            "psnr_other_background": psnr(on_other, composite(picture, other) / 255.0),
+        }
 
     def frames_per_second(self, indices: Sequence[int]) -> float:
         """1 / median time of up to `FPS_RENDERS` renders (deformation included) of held-out views, after one that is not counted."""

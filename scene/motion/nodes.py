@@ -157,6 +157,11 @@ class ControlNodes(nn.Module):
         theirs = Nodes(bodies.home, bodies.hyper(self.extent), 0.5 / bodies.radius.square(), turns, shifts)
         return Nodes(*(torch.cat([own, other]) if len(own) else own for own, other in zip(nodes, theirs)))
 
+    def in_bodies(self, link: Tensor | None) -> Tensor:
+        """[N] bool: what ``link`` [N, k] binds to a rigid body."""
+        assert link is not None
+        return link[:, 0] >= len(self.positions)
+
     def with_bodies(self, bodies: Bodies) -> ControlNodes:
         """The same nodes beside ``bodies``."""
         nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, bodies=bodies)

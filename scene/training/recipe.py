@@ -19,9 +19,9 @@ class Recipe:
     spread_at: tuple[float, ...] = ()
     opacity: float = 0.15
     still: float = 0.005
-    bodies_at: float | None = None
+    bodies_at: tuple[float, ...] = ()
     steady: bool = False
 
 
 PLANES = Recipe()
-NODES = Recipe(freeze_at=0.6, spread_at=(0.1, 0.25), bodies_at=0.12, opacity=0.01, still=0.0, steady=True)
+NODES = Recipe(freeze_at=0.6, spread_at=(0.1, 0.25), bodies_at=(0.1, 0.2, 0.3), opacity=0.01, still=0.0, steady=True)

@@ -105,7 +105,7 @@ class Trainer:
         self.optimiser = self._make_optimiser()
         self._froze_still = False
         self._spread = 0  # times that the motion has been spread anew
-        self._searched = False  # for parts that turn
+        self._searched = 0  # times that parts that turn were looked for
         self._like = 0  # step from which on images have one size, so that losses compare
         self._ema = 0.0  # smoothed image loss, of all steps but those in `_losses`
         self._losses: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
@@ -218,7 +218,7 @@ class Trainer:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
         if phase.move and self.grow:
             self._spread_motion(progress)
-            if self.recipe.bodies_at is not None and not self._searched and progress >= self.recipe.bodies_at:
+            if self._searched < len(self.recipe.bodies_at) and progress >= self.recipe.bodies_at[self._searched]:
                 self._search_bodies(phase)
         due = progress >= self.recipe.freeze_at and self.curriculum.complete(self.iteration)
         if phase.move and self.grow and not self._froze_still and due:
@@ -246,7 +246,7 @@ class Trainer:
         """Parts that hold much of the error and turn too fast for gradients."""
         from .turning import bodies_for_turning_parts
 
-        self._searched, model = True, self.model
+        self._searched, model = self._searched + 1, self.model
         self._say("looking for parts that turn")
         error = measure_responsibility(model, self.views, self.curriculum.probe(self.iteration, 120), True, phase.scale).error_gaussians
         source = bodies_for_turning_parts(model, self.views, error, self.settings.seed, self._event)

@@ -24,10 +24,12 @@ FRAMES_PER_KEY = 2  # one key a frame lost 2.3 dB on validation views of a tumbl
 def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: int, log: Callable[[str], None]) -> Tensor | None:
     """Search the parts that hold much of the ``error`` [N] of the Gaussians for steady turns and make each that turns a rigid body.
 
-    Needs a model that `ControlNodes` move, whose motion is replaced by one with the bodies. Returns, for each row of the new
+    What is one already is left alone. Needs a model that `ControlNodes` move, whose motion is replaced. Returns, for each row of the new
     ``model.gaussians``, the row it was before (-1: new), or None where nothing turns.
     """
     source = None
+    assert isinstance(model.field, ControlNodes)
+    error = torch.where(model.field.in_bodies(model.links(model.gaussians)), 0.0, error)
     for part in compact_parts(model.gaussians.means.detach().cpu().numpy(), error.cpu().numpy())[:MOST_PARTS]:
         frames = views.train[np.argsort(views.time[views.train], kind="stable")]
         search = SpinSearch(views, frames, part_path(model, part, views.time[frames]), part.radius)

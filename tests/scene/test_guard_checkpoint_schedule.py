@@ -4,7 +4,7 @@ import pytest
 import torch
 from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
-from e4dgs.scene.training.schedule import coarse_phases, fine_phases, pyramid_phases
+from e4dgs.scene.training.schedule import coarse_phases, fine_phases, node_phases
 
 
 def parameter(gradient):
@@ -104,9 +104,8 @@ def test_static_scenes_never_move():
     assert sum(p.iterations for p in fine_phases("joint", 1000, 300, True)) == 300
 
 
-@pytest.mark.parametrize("smallest", [0.0, 0.3, 1.0])
-def test_the_pyramid_spends_all_steps_and_never_shrinks(smallest):
-    phases = pyramid_phases(1000, smallest)
-    scales = [p.scale for p in phases]
-    assert sum(p.iterations for p in phases) == 1000 and scales == sorted(scales) and scales[-1] == 1.0
-    assert min(scales) == max(0.125, smallest) and [p.move for p in phases] == [False] + [True] * (len(phases) - 1)
+@pytest.mark.parametrize("scale", [0.5, 1.0])
+def test_nodes_see_small_images_first_and_full_size_for_most_of_the_steps(scale):
+    phases = node_phases(1000, scale)
+    assert sum(p.iterations for p in phases) == 1000 and [p.move for p in phases] == [False, True, True]
+    assert [p.scale for p in phases] == [scale, scale, 1.0] and phases[-1].iterations >= 900

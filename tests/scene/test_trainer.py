@@ -1,5 +1,7 @@
 """The training loop on a scene of its own: a few coloured Gaussians that slide past fixed cameras."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,8 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
-from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, pyramid_phases
+from e4dgs.scene.training.recipe import NODES
+from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
 from e4dgs.scene.views import Views
 from e4dgs.stages.coarse import make_field, make_nodes
@@ -136,7 +139,7 @@ def test_measured_flow_is_used(views):
 
 
 def test_a_poisoned_image_stops_training_with_a_clear_message(views, monkeypatch):
-    monkeypatch.setattr(views, "target", lambda i, scale=1.0: torch.full((SIZE, SIZE, 3), float("nan")))
+    monkeypatch.setattr(views, "target", lambda i, scale=1.0, window=None: torch.full((SIZE, SIZE, 3), float("nan")))
     with pytest.raises(TrainingDiverged, match="frame"):
         train(views)
 
@@ -171,7 +174,7 @@ def wandering_views(frames=26):
     )  # fmt: skip
 
 
-def test_control_nodes_open_their_times_gain_keys_and_survive_a_kill(tmp_path):
+def test_control_nodes_are_spread_anew_and_survive_a_kill(tmp_path):
     views = wandering_views()
     settings = SETTINGS.model_copy(update={"iterations": 240})
 
@@ -181,17 +184,15 @@ def test_control_nodes_open_their_times_gain_keys_and_survive_a_kill(tmp_path):
         model.field = make_nodes(model.gaussians.means.detach().numpy(), views, settings)
         return model
 
-    phases = pyramid_phases(240, smallest=0.5)
-    first_keys = nodes_model().field.keys
-    whole, log, trainer = train(views, nodes_model(), settings, phases=phases, checkpoints=tmp_path / "whole")
-    assert trainer.curriculum.opens and not trainer.curriculum.complete(40) and trainer.curriculum.complete(51)
-    assert whole.field.keys == 2 * first_keys - 1 and whole.field.opened.tolist() == [0, whole.field.keys - 1]
+    options = {"phases": node_phases(240, 0.5), "recipe": NODES}
+    whole, log, _ = train(views, nodes_model(), settings, checkpoints=tmp_path / "whole", **options)
+    assert sum("spread anew" in event for event in log.events) == len(NODES.spread_at)
     assert log.loss[-1][1] < 0.7 * log.loss[0][1]
 
     class Killed(Exception):
         pass
 
-    for stop in (40, 150):  # before and after the nodes got their new keys
+    for stop in (10, 40, 150):  # before, between and after the nodes were spread; links are then older than the checkpoint
         seen = [0]
 
         def kill(n, note, seen=seen, stop=stop):
@@ -200,11 +201,28 @@ def test_control_nodes_open_their_times_gain_keys_and_survive_a_kill(tmp_path):
                 raise Killed
 
         with pytest.raises(Killed):
-            train(views, nodes_model(), settings, phases=phases, checkpoints=tmp_path / f"cut{stop}", advance=kill)
-        again, log, _ = train(views, nodes_model(), settings, phases=phases, checkpoints=tmp_path / f"cut{stop}")
+            train(views, nodes_model(), settings, checkpoints=tmp_path / f"cut{stop}", advance=kill, **options)
+        again, log, _ = train(views, nodes_model(), settings, checkpoints=tmp_path / f"cut{stop}", **options)
         assert any("continued from the checkpoint" in event for event in log.events)
         for name, array in whole.to_arrays().items():
             assert np.array_equal(array, again.to_arrays()[name]), (stop, name)
+
+
+def test_the_captures_alpha_forbids_to_hide_dark_surfaces_as_holes():
+    """Black things before a black background: without alpha nothing asks for them."""
+    source = make_views(cameras=3, times=2)
+    dark = dataclasses.replace(
+        source, load=lambda i: np.zeros((SIZE, SIZE, 3), np.uint8), load_alpha=lambda i: disc, background=(0.0, 0.0, 0.0), stored_edges=None
+    )
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    disc = (((rows - SIZE / 2) ** 2 + (columns - SIZE / 2) ** 2 < (SIZE / 4) ** 2) * 255).astype(np.uint8)
+    found = {}
+    for alpha in (0.0, 0.5):
+        settings = SETTINGS.model_copy(update={"iterations": 150, "alpha": alpha})
+        model, _, _ = train(dark, fresh(dark, static=True), settings, phases=[Phase("still", 150, move=False)])
+        shown = model.render(dark.rasterizer_camera(0), 0.0).alpha[SIZE // 2, SIZE // 2]
+        found[alpha] = float(shown)
+    assert found[0.5] > 0.8 > found[0.0]
 
 
 def test_small_images_hold_few_gaussians(views):

@@ -28,7 +28,7 @@ def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, 
     [
         ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0}, "auto", True),
         ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0}, "planes", False),
-        ({"frames": 81, "cameras": 81, "times": 8, "pairs": 0}, "auto", False),  # two keys are no path
+        ({"frames": 81, "cameras": 81, "times": 8, "pairs": 0}, "auto", False),  # too few to tell a path
         ({"frames": 90, "cameras": 1, "times": 90, "pairs": 89}, "auto", False),
         ({"frames": 90, "cameras": 1, "times": 90, "pairs": 89}, "nodes", True),
         ({"frames": 360, "cameras": 8, "times": 45, "pairs": 352}, "auto", False),

@@ -1,0 +1,48 @@
+"""`e4dgs.load`: a script gets the model by the scene's folder or by the capture, and is told what to do where there is none."""
+
+import e4dgs
+import numpy as np
+import pytest
+import torch
+from e4dgs.pipeline import ArtifactError
+from e4dgs.workflows.cli import main
+
+QUICK = ["--set", "coarse.iterations=20", "--set", "hulls.budget=0", "--set", "fine.iterations=0", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def finished(dnerf_capture, tmp_path_factory):
+    workspace = tmp_path_factory.mktemp("load") / "workspace"
+    assert main(["run", "all", str(dnerf_capture.root), "--workspace", str(workspace), *QUICK]) == 0
+    return dnerf_capture, workspace
+
+
+def test_a_scenes_folder_and_its_capture_give_the_same_model(finished):
+    capture, workspace = finished
+    (scene,) = (workspace / "scenes").iterdir()
+    by_folder, by_capture = e4dgs.load(scene), e4dgs.load(capture.root, workspace=workspace)
+    for name, array in by_folder.to_arrays().items():
+        assert np.array_equal(array, by_capture.to_arrays()[name])
+
+
+def test_a_render_takes_a_background(finished):
+    capture, workspace = finished
+    model = e4dgs.load(capture.root, workspace=workspace)
+    truth = capture.views[0].camera
+    camera = e4dgs.Camera(torch.tensor(truth.K).float(), torch.tensor(truth.cam_from_world).float(), truth.width, truth.height)
+    black, white = (model.render(camera, 0.5, torch.full((3,), value)) for value in (0.0, 1.0))
+    assert torch.allclose(white.color - black.color, (1 - black.alpha)[..., None].expand_as(black.color), atol=1e-5)
+
+
+def test_what_was_never_run_is_said_with_the_command_that_runs_it(finished, tmp_path):
+    capture, workspace = finished
+    with pytest.raises(ArtifactError, match="e4dgs run all"):
+        e4dgs.load(tmp_path, workspace=workspace)
+
+
+def test_a_capture_with_two_scenes_is_asked_for_by_folder(finished):
+    capture, workspace = finished
+    assert main(["run", "all", str(capture.root), "--workspace", str(workspace), "--name", "other", *QUICK]) == 0
+    with pytest.raises(ArtifactError, match="several scenes"):
+        e4dgs.load(capture.root, workspace=workspace)
+    assert len(e4dgs.load(workspace / "scenes" / "other").gaussians)

@@ -1,0 +1,58 @@
+"""`e4dgs.load`: the model of a finished run, for a script."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..pipeline import ArtifactError, Records, Store
+from ..pipeline.files import read_json
+from .devices import resolve_device
+from .session import DEFAULT_WORKSPACE
+
+if TYPE_CHECKING:
+    from ..scene.model import Model
+
+
+def load(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, device: str = "auto") -> Model:
+    """The model of the last run of a scene, ready for `Model.render`.
+
+    Args:
+        path: a scene's folder (``<workspace>/scenes/<name>``), or a capture that has been run in ``workspace``.
+        workspace: where to look a capture up.
+        device: "auto", "cpu" or "cuda".
+
+    Raises ArtifactError where no finished model is there; it says where was looked and which command makes one.
+    """
+    scene = _scene_folder(Path(path).expanduser(), Path(workspace).expanduser())
+    records, store = Records(scene / "records"), Store(scene.parent.parent / "store")
+    plan = read_json(scene / "plan.json")
+    skipped = {row["stage"] for row in plan.get("stages", ()) if row.get("state") == "skip"} if isinstance(plan, dict) else set()
+    for stage in ("fine", "coarse"):
+        record = records.read(stage)
+        if record is None or stage in skipped:
+            continue
+        if store.has(stage, record["key"]):
+            from ..stages.training_artifact import read_model
+
+            return read_model(store.open(stage, record["key"])).to(resolve_device(device))
+    raise ArtifactError(f"{scene}: no finished model of this scene is in {store.root}; make one with: e4dgs run all CAPTURE")
+
+
+def _scene_folder(path: Path, workspace: Path) -> Path:
+    """``path`` itself where it is a scene's folder, else the one scene of ``workspace`` that was made from the capture ``path``."""
+    if (path / "records").is_dir() and (path / "capture.json").is_file():
+        return path.resolve()
+    capture = str(Path(os.path.abspath(path)).resolve())
+    claims = sorted((workspace / "scenes").glob("*/capture.json"))
+    found = [claim.parent for claim in claims if (read_json(claim) or {}).get("path") == capture]
+    if len(found) == 1:
+        return found[0].resolve()
+    if found:
+        names = ", ".join(folder.name for folder in found)
+        raise ArtifactError(f"{path}: {workspace} has several scenes of this capture ({names}); give the folder of one, {found[0]}")
+    raise ArtifactError(
+        f"{path}: this is no scene's folder, and {workspace} has no scene of such a capture; "
+        f"make one with: e4dgs run all {path}, or name its workspace"
+    )
