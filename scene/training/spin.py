@@ -22,6 +22,7 @@ from ..fibonacci import fibonacci_sphere
 from ..views import Views
 
 ERROR_SHARE = 0.15  # of the whole error: a part below is left alone
+CELLS = 50  # over the scene's longest side, in which the error is summed
 SURFACE = 0.68  # radius of the sphere that stands in for the surface, as a share of the part's radius
 BLUR = 0.3  # of the sphere's radius
 PATCH = 64  # px across, for four and a half radii of the part
@@ -52,17 +53,27 @@ class Spin:
 
 
 def compact_parts(means: np.ndarray, error: np.ndarray) -> list[Part]:
-    """Connected clusters of ``means`` [N, 3] whose attributed ``error`` [N] stands out, largest share of the error first."""
+    """Connected places of ``means`` [N, 3] whose attributed ``error`` [N] stands out, largest share of the error first.
+
+    The error is summed in cells of space: growth puts Gaussians where the error is, so that each of them holds about as much.
+    """
     if len(means) < 16 or error.sum() <= 0:
         return []
+    low, high = np.percentile(means, 1, axis=0), np.percentile(means, 99, axis=0)
     spacing = float(np.median(cKDTree(means).query(means, 4)[0][:, 1:]))
-    high = np.flatnonzero(error > 3 * np.median(error))
-    pairs = cKDTree(means[high]).query_pairs(max(3 * spacing, 1e-9), output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(high), len(high)))
+    cell = max(float((high - low).max()) / CELLS, 1.5 * spacing, 1e-9)
+    cells, of = np.unique(np.floor((means - low) / cell).astype(np.int64), axis=0, return_inverse=True)
+    of = of.reshape(-1)
+    mass = np.bincount(of, error, len(cells))
+    hot = np.flatnonzero(mass > 3 * np.median(mass))
+    pairs = cKDTree(cells[hot]).query_pairs(1.8, output_type="ndarray")  # neighbours, those over a corner included
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(hot), len(hot)))
     _, label = connected_components(graph, directed=False)
+    place = np.full(len(cells), -1)
+    place[hot] = label
     parts = []
     for k in np.unique(label):
-        members = high[label == k]
+        members = np.flatnonzero(place[of] == k)
         weight = error[members]
         share = float(weight.sum() / error.sum())
         if share >= ERROR_SHARE and len(members) >= 16:

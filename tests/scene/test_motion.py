@@ -23,6 +23,12 @@ class Path(torch.nn.Module):
         self.velocity = torch.nn.Parameter(torch.tensor(velocity).float())
         self.acceleration = torch.nn.Parameter(torch.tensor(acceleration).float())
 
+    worth_culling = True
+    carry = DeformationField.carry  # by its displacement
+
+    def links(self, points, hyper):
+        return None
+
     def forward(self, rest, t):
         from e4dgs.scene.motion.interface import Displacement
 

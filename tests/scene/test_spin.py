@@ -6,9 +6,9 @@ import torch
 from e4dgs.rasterizer import Gaussians, rasterize
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.bodies import Bodies
 from e4dgs.scene.motion.nodes import ControlNodes
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.training import turning
 from e4dgs.scene.training.spin import MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
 from e4dgs.scene.training.turning import BODY, FRESH, bodies_for_turning_parts
 from e4dgs.scene.views import Views
@@ -115,21 +115,14 @@ def test_parts_are_compact_clusters_of_error():
     assert compact_parts(means, np.zeros(700)) == []
 
 
-def test_a_turning_part_becomes_a_body_with_fresh_gaussians():
+def test_a_turning_part_becomes_a_body_with_fresh_gaussians(monkeypatch):
     views = turning_ball(40, OMEGA)
     rng = np.random.default_rng(1)
     rest = path(40)[20]
     cloud = np.concatenate([rest + RADIUS * fibonacci_sphere(80), rng.uniform(-1, 0, (300, 3))])
     gaussians = GaussianSet.from_points(cloud, np.full((380, 3), 0.5), 0)
-    # A body that goes where the ball goes, without turning, and a motion for the rest.
-    at = np.linspace(0, 39, 20)
-    where = np.stack([np.interp(at, np.arange(40), path(40)[:, a]) for a in range(3)], 1)
-    follower = Bodies.none().joined(
-        torch.tensor(rest).float(), 1.0, torch.tensor([1.0, 0, 0, 0]).repeat(20, 1), torch.tensor(where - rest).float()
-    )
-    nodes = ControlNodes(torch.tensor(rng.uniform(-1, 0, (10, 3))), torch.zeros(3), 1.0, 1.0, bodies=follower)
-    with torch.no_grad():
-        gaussians.hyper[:80] = follower.hyper(1.0)[0]
+    nodes = ControlNodes(torch.tensor(rng.uniform(-1, 0, (10, 3))), torch.zeros(3), 1.0, 1.0)
+    monkeypatch.setattr(turning, "part_path", lambda model, part, times: path(40))  # as trained nodes would carry it
     model = Model(gaussians, ConvexSet.empty(6, 0), nodes, 0)
     error = torch.tensor(np.concatenate([np.full(80, 9.0), np.ones(300)])).float()
     said = []
@@ -137,12 +130,14 @@ def test_a_turning_part_becomes_a_body_with_fresh_gaussians():
     assert len(model.gaussians) == len(source) == 300 + FRESH and (source[-FRESH:] == -1).all()
     assert torch.equal(source[:300], torch.arange(80, 380)) and "turns by 11" in said[0]
     bodies = model.field.bodies
-    assert len(bodies) == 2 and float(bodies.radius[1]) == pytest.approx(BODY * RADIUS, rel=0.1)
-    a, b = (bodies.pose(k / 39)[0][1].detach() for k in (20, 22))
+    assert len(bodies) == 1 and float(bodies.radius[0]) == pytest.approx(BODY * RADIUS, rel=0.1)
+    a, b = (bodies.pose(k / 39)[0][0].detach() for k in (20, 22))
     turned = np.degrees((Rotation.from_quat(b[[1, 2, 3, 0]]) * Rotation.from_quat(a[[1, 2, 3, 0]]).inv()).as_rotvec())
     assert np.allclose(turned, 2 * np.degrees(OMEGA), atol=3.0)
-    there = bodies.home[1] + bodies.pose(10 / 39)[1][1].detach()
+    there = bodies.home[0] + bodies.pose(10 / 39)[1][0].detach()
     assert np.linalg.norm(there.numpy() - path(40)[10]) < 0.05
+    again = bodies_for_turning_parts(model, views, torch.cat([torch.zeros(300), torch.full((FRESH,), 9.0)]), 0, said.append)
+    assert again is None and len(said) == 1  # a body is left alone
     # What is fresh goes with the new body alone, and nothing else does.
     link = model.links(model.gaussians)
-    assert (link[-FRESH:, 0] == 11).all() and not (link[:-FRESH, 0] == 11).any()
+    assert (link[-FRESH:, 0] == 10).all() and not (link[:-FRESH, 0] == 10).any()
