@@ -47,7 +47,7 @@ class Poses(Stage):
     """Intrinsics and a pose for every frame that registers, sparse points, and a report of what did not register and why."""
 
     name = "poses"
-    version = 2
+    version = 3
     inputs = ("frames",)
     settings = PosesSettings
     reads_capture = True
@@ -73,6 +73,7 @@ class Poses(Stage):
         from .sfm.coverage import cover
         from .sfm.runner import WorkerError, finished, run_worker
         from .sfm.second_pass import second_pass
+        from .sfm.trouble import nothing_registered
 
         settings = ctx.settings
         artifact = ctx.inputs["frames"]
@@ -93,6 +94,7 @@ class Poses(Stage):
             "pairs": image_pairs(matcher, len(frames), settings.overlap),
             "mapper": settings.mapper,
             "init_angles": INIT_ANGLES,
+            "static": bool(ctx.facts["static"]),
             "seed": settings.seed,
         }
         bars, folder = _Bars(ctx), ctx.checkpoints / "colmap"
@@ -111,18 +113,30 @@ class Poses(Stage):
         finally:
             bars.close()
 
-        errors = arrays["errors"]
-        mean_error = float(errors.mean()) if len(errors) else 0.0
-        coverage = cover(arrays["registered"], facts["features"], facts["models"], matcher, mean_error)
-        if coverage.registered < min(3, len(frames)) or not len(errors):
-            raise StageError(nothing_registered(frames, facts["features"], matcher))
-        ctx.log(f"{coverage.summary()}, mean reprojection error {mean_error:.2f} px")
+        residuals = arrays["residuals"]
+        if arrays["registered"].sum() < min(3, len(frames)) or not len(residuals):
+            raise StageError(nothing_registered(len(frames), facts["features"], facts["pairs"], matcher))
+        mean_error, median_error = float(residuals.mean()), float(np.median(residuals))
+        angle = float(np.median(arrays["angles"]))
+        coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, angle)
+        ctx.log(f"{coverage.summary()}, reprojection error {mean_error:.2f} px in the mean, {median_error:.2f} px in the median")
+        for sentence in facts["notes"]:
+            ctx.log(sentence)
         if settings.movers == "auto":
             ctx.log(f"what moves: {told}")
         for sentence in coverage.advice:
             ctx.log(sentence)
-        _write(ctx, frames, arrays, coverage, matcher, mean_error)
-        ctx.out.attrs.update(movers_share=None if share is None else round(share, 4), second_pass=told)
+        _write(ctx, frames, arrays, coverage)
+        ctx.out.attrs.update(
+            mean_reprojection_error=mean_error,
+            median_reprojection_error=median_error,
+            median_angle=angle,
+            parts=facts["parts"],
+            notes=facts["notes"],
+            matcher=matcher,
+            movers_share=None if share is None else round(share, 4),
+            second_pass=told,
+        )
 
 
 def write_images(ctx: Context, frames: FrameSet) -> list[str]:
@@ -160,21 +174,6 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def nothing_registered(frames: FrameSet, features: list[int], matcher: str) -> str:
-    """What to say, and to do, when there is no reconstruction."""
-    import numpy as np
-
-    median = int(np.median(features)) if len(features) else 0
-    return (
-        f"structure from motion found no cameras for the {len(frames)} frames (median of {median} features an image, "
-        f"{matcher} matching). "
-        "It needs a camera that moves sideways before a textured background that stands still, with most of each picture "
-        "seen again in the next. "
-        "Try --set poses.matcher=exhaustive, or more frames (--set frames.every=1 or frames.max_frames=N); a camera that only "
-        "turns or stands still cannot be reconstructed: bring poses in the files (transforms.json, a COLMAP model) instead"
-    )
-
-
 def keep_points(points: np.ndarray, errors: np.ndarray, tracks: np.ndarray) -> np.ndarray:
     """[P] bool: points with a small error, not absurdly far, and seen by three views where enough of those exist."""
     import numpy as np
@@ -201,7 +200,7 @@ def normalise(cam_from_world: np.ndarray, points: np.ndarray) -> tuple[np.ndarra
     return poses, points * scale
 
 
-def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage, matcher: str, mean_error: float) -> None:
+def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage) -> None:
     import numpy as np
 
     registered = arrays["registered"]
@@ -227,10 +226,8 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
         registered=coverage.registered,
         total=coverage.total,
         gaps=[list(gap) for gap in coverage.gaps],
-        mean_reprojection_error=mean_error,
         mean_track_length=float(arrays["tracks"].mean()),
         camera_model=ctx.settings.camera_model,
-        matcher=matcher,
         mapper=ctx.settings.mapper,
         advice=list(coverage.advice),
     )
