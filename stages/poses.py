@@ -24,7 +24,7 @@ MEDIAN_DISTANCE = 4.0  # world units from the cameras to the scene, after normal
 POINT_ERROR = 2.0  # px; points beyond are outliers
 FAR = 30.0  # times the median distance of points from their middle; beyond lies what triangulated under no angle
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
-LABELS = {"matches": "matching", "mapping": "registering", "movers": "what moves", "verify": "matches off movers"}
+LABELS = {"matches": "matching", "turning": "how the camera turns", "mapping": "registering", "movers": "what moves", "verify": "matches off movers"}
 
 
 class PosesSettings(Settings):
@@ -118,7 +118,9 @@ class Poses(Stage):
             raise StageError(nothing_registered(len(frames), facts["features"], facts["pairs"], matcher))
         mean_error, median_error = float(residuals.mean()), float(np.median(residuals))
         angle = float(np.median(arrays["angles"]))
-        coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, angle)
+        # where the camera only turns, a note says so
+        judged = 90.0 if facts["turning"] else angle
+        coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged)
         ctx.log(f"{coverage.summary()}, reprojection error {mean_error:.2f} px in the mean, {median_error:.2f} px in the median")
         for sentence in facts["notes"]:
             ctx.log(sentence)

@@ -12,6 +12,7 @@ from .database import Report
 from .refine import lens_of
 
 ENOUGH = 0.5  # of the images; a model of fewer may have begun at the wrong pair, and another first angle is tried
+MOST_MODELS = 4  # begun beside one another; where more are, none is of use, and each takes minutes
 HALF = 0.5  # of the images that a map with a fitted lens had, that one with a fixed lens must have
 
 
@@ -84,6 +85,7 @@ def _options(request: dict[str, Any], fixed_lens: bool) -> pycolmap.IncrementalP
     # a full adjustment after a third more of frames or points: as accurate as after a tenth, and it is most of the time
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
     options.ba_global_max_refinements = 3
+    options.max_num_models = MOST_MODELS
     options.min_model_size = min(options.min_model_size, max(2, len(request["names"]) // 2))
     if fixed_lens:
         options.ba_refine_focal_length = options.ba_refine_extra_params = False

@@ -9,12 +9,14 @@ import numpy as np
 import pycolmap
 
 from . import database as db
-from .mapping import map_images
+from .mapping import ENOUGH, map_images
 from .reclaim import reclaim
 from .refine import refine_or_keep
 from .result import result_arrays
 from .sound import observe, purge
 from .survey import survey, tell
+from .trouble import STILL
+from .turning_result import turning_arrays
 
 DATABASE = "database.db"  # in the request's folder
 DEFAULT_FOCAL = 1.2  # of the longer side; COLMAP's habit for images without EXIF, refined by the bundle adjustment
@@ -27,7 +29,7 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
     (views of each point), `angles` [P] degrees (between its outermost rays), `seen` [O] int32, `seen_xy` [O,2] float32 px and `residuals`
     [O] px (image, place and reprojection error of every feature that made a point); and facts: `parts` (disjoint, see `parts`),
-    `features` [n], `pairs` (see `survey`) and `notes` (sentences about what was done). What no camera can have seen is in
+    `features` [n], `pairs` (facts of `Survey`), `turning` (`turning.py` found the cameras) and `notes` (sentences about what was done). What no camera can have seen is in
     none of them (`purge`).
     """
     folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
@@ -47,9 +49,16 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
 def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Cameras and points from the verified matches in a database; returns what `reconstruct` returns."""
     names = list(request["names"])
+    found = survey(path, names, request["pairs"])
+    facts: dict[str, Any] = {"features": found.features, "pairs": found.facts, "parts": [], "notes": [], "turning": False}
+    if found.facts["verified"] and found.facts["shift"] < STILL:
+        return result_arrays(None, names), facts  # the mapper would look for a first pair for many minutes
+    turned = turning_arrays(path, request, found, report)
+    if turned is not None and turned[0]["registered"].sum() >= ENOUGH * len(names):
+        return turned[0], {**facts, **turned[1]}
     models, fixed_lens, notes = map_images(path, request, report)
-    features, pairs = survey(path, names, request["pairs"])
-    facts: dict[str, Any] = {"features": features, "pairs": pairs, "parts": [], "notes": notes}
+    if turned is not None and (not models or models[0].num_reg_images() < turned[0]["registered"].sum()):
+        return turned[0], {**facts, **turned[1]}
     if not models:
         return result_arrays(None, names), facts
     report("refining", 0, 1)
@@ -63,7 +72,7 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
         largest, merged, again = reclaim(largest, others, path, order, fixed_lens, int(request["seed"]))
     largest, more, undone = refine_or_keep(largest, fixed_lens)
     report("refining", 1, 1)
-    notes += tell(names, observations, [lost, more], undone, merged, again)
+    facts["notes"] = notes + tell(names, observations, [lost, more], undone, merged, again)
     facts["parts"] = parts([largest, *others])
     return result_arrays(largest, names), facts
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,35 +18,50 @@ WORTH = 0.01  # of the observations; fewer lost are not worth a line
 _TURNED = ("PLANAR", "PANORAMIC", "PLANAR_OR_PANORAMIC")
 
 
-def survey(path: Path, names: Sequence[str], pairs: Sequence[Sequence[int]]) -> tuple[list[int], dict[str, Any]]:
-    """Features of each image, and facts about the pairs: `verified` (pairs with a geometry), `matched` [n] (most matches of each image in
-    one such pair), `flat` (share of them that one homography explains: a camera that only turned, or one plane), `shift` (90th percentile
-    over them of the median way of a match, as a share of the longer side; 0 without pairs)."""
+@dataclass(frozen=True)
+class Survey:
+    """What the database holds about n images.
+
+    features [n] of each; places [n] of [N, 2] px, where they are; matches {(a, b): [M, 2]}: feature numbers of the inliers of pairs with at
+    least 15. facts, which go into messages: `verified` (such pairs), `matched` [n] (most matches of each image in one of them), `flat` (share
+    of them that one homography explains: a camera that only turned, or one plane), `shift` (90th percentile over them of the median way of a
+    match, as a share of the longer side; 0 without pairs).
+    """
+
+    features: list[int]
+    places: list[np.ndarray]
+    matches: dict[tuple[int, int], np.ndarray]
+    facts: dict[str, Any]
+
+
+def survey(path: Path, names: Sequence[str], pairs: Sequence[Sequence[int]]) -> Survey:
+    """Reads the features and the verified matches of the pairs (indices into `names`)."""
     matched = np.zeros(len(names), int)
-    flat, shift = [], []
+    matches, flat, shift = {}, [], []
     with pycolmap.Database.open(path) as database:
         images = {image.name: image for image in database.read_all_images()}
         sizes = {camera.camera_id: max(camera.width, camera.height) for camera in database.read_all_cameras()}
-        features = [database.num_keypoints_for_image(images[name].image_id) if name in images else 0 for name in names]
-        places = [np.asarray(database.read_keypoints(images[name].image_id))[:, :2] if name in images else np.zeros((0, 2)) for name in names]
-        for a, b in pairs:
-            first, second = images.get(names[a]), images.get(names[b])
-            if first is None or second is None or not database.exists_two_view_geometry(first.image_id, second.image_id):
+        places = [np.asarray(database.read_keypoints(images[name].image_id), np.float64)[:, :2] for name in names]
+        for a, b in sorted((int(a), int(b)) for a, b in pairs):
+            first, second = images[names[a]], images[names[b]]
+            if not database.exists_two_view_geometry(first.image_id, second.image_id):
                 continue
             geometry = database.read_two_view_geometry(first.image_id, second.image_id)
-            inliers = np.asarray(geometry.inlier_matches)
+            inliers = np.asarray(geometry.inlier_matches).astype(np.int64)
             if len(inliers) < VERIFIED:
                 continue
+            matches[a, b] = inliers
             matched[[a, b]] = np.maximum(matched[[a, b]], len(inliers))
             flat.append(pycolmap.TwoViewGeometryConfiguration(geometry.config).name in _TURNED)
             way = np.linalg.norm(places[a][inliers[:, 0]] - places[b][inliers[:, 1]], axis=1)
             shift.append(float(np.median(way)) / sizes[first.camera_id])
-    return features, {
+    facts = {
         "verified": len(flat),
         "matched": matched.tolist(),
         "flat": float(np.mean(flat)) if flat else 0.0,
         "shift": float(np.percentile(shift, 90)) if shift else 0.0,
     }
+    return Survey([len(place) for place in places], places, matches, facts)
 
 
 def tell(
