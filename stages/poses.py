@@ -24,7 +24,13 @@ MEDIAN_DISTANCE = 4.0  # world units from the cameras to the scene, after normal
 POINT_ERROR = 2.0  # px; points beyond are outliers
 FAR = 30.0  # times the median distance of points from their middle; beyond lies what triangulated under no angle
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
-LABELS = {"matches": "matching", "turning": "how the camera turns", "mapping": "registering", "movers": "what moves", "verify": "matches off movers"}
+LABELS = {
+    "matches": "matching",
+    "turning": "how the camera turns",
+    "mapping": "registering",
+    "movers": "what moves",
+    "verify": "matches off movers",
+}
 
 
 class PosesSettings(Settings):

@@ -64,7 +64,8 @@ def cover(
             else "motion blur, too little overlap with the others, or mostly moving things in view"
         )
         advice.append(
-            f"{frames_named(np.flatnonzero(missing).tolist())} did not register: {why}; try {other}, or take more frames there (frames.every, frames.max_frames)"
+            f"{frames_named(np.flatnonzero(missing).tolist())} did not register: {why}; try {other}, "
+            "or take more frames there (frames.every, frames.max_frames)"
         )
     rest = [size for size in parts[1:] if size >= 3]
     if rest:

@@ -34,10 +34,11 @@ def map_images(path: Path, request: dict[str, Any], report: Report) -> tuple[lis
         return models, False, [words] if models else []
     camera = again[0].camera(again[0].image(min(again[0].reg_image_ids())).camera_id)
     ratio = camera.mean_focal_length() / max(camera.width, camera.height)
-    return again, True, [
-        f"the pictures do not tell the lens (the adjustment found {trouble}): a focal length of {ratio:.2f} times the longer side is taken; "
-        "bring poses or intrinsics in the files (transforms.json) if you know better"
-    ]
+    words = (
+        f"the pictures do not tell the lens (the adjustment found {trouble}): a focal length of {ratio:.2f} times the longer side is "
+        "taken; bring poses or intrinsics in the files (transforms.json) if you know better"
+    )
+    return again, True, [words]
 
 
 def _map(path: Path, request: dict[str, Any], report: Report, fixed_lens: bool) -> list[pycolmap.Reconstruction]:

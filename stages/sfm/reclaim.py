@@ -1,7 +1,7 @@
 """`reclaim`: poses for images that the mapper left out of the largest model. Runs in the worker process: imports pycolmap.
 
-Two sources. A second model that shares images with the first is aligned to it by the points and cameras that both have (the mapper began twice
-and neither reached the other). Then single images are tried again, with fewer inliers than the mapper asks, where their neighbours in time
+Two sources. A second model that shares images with the first is aligned to it by the points that both have (the mapper began twice and
+neither reached the other). Then single images are tried again, with fewer inliers than the mapper asks, where their neighbours in time
 have poses and bound where they can be.
 """
 
@@ -94,7 +94,9 @@ def _poses_of_others(model: pycolmap.Reconstruction, others: Sequence[pycolmap.R
     return found
 
 
-def _common_points(source: pycolmap.Reconstruction, target: pycolmap.Reconstruction, common: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+def _common_points(
+    source: pycolmap.Reconstruction, target: pycolmap.Reconstruction, common: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
     """Points that the same features of the common images made in both models: two [N, 3], in pairs."""
     pairs = {}
     for image_id in common:
@@ -144,7 +146,9 @@ def _try_again(
 def _plausible(model: pycolmap.Reconstruction, image_id: int, order: dict[str, tuple[int, int]]) -> bool:
     image = model.image(image_id)
     camera, frame = order[image.name]
-    known = sorted((order[model.image(i).name][1], i) for i in model.reg_image_ids() if i != image_id and order[model.image(i).name][0] == camera)
+    known = sorted(
+        (order[model.image(i).name][1], i) for i in model.reg_image_ids() if i != image_id and order[model.image(i).name][0] == camera
+    )
     if not known:
         return False
     poses = [model.image(i).cam_from_world().rotation.matrix() for _, i in known]

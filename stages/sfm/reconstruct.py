@@ -16,6 +16,7 @@ from .result import result_arrays
 from .sound import observe, purge
 from .survey import survey, tell
 from .trouble import STILL
+from .turning import ANYHOW
 from .turning_result import turning_arrays
 
 DATABASE = "database.db"  # in the request's folder
@@ -29,8 +30,8 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
     (views of each point), `angles` [P] degrees (between its outermost rays), `seen` [O] int32, `seen_xy` [O,2] float32 px and `residuals`
     [O] px (image, place and reprojection error of every feature that made a point); and facts: `parts` (disjoint, see `parts`),
-    `features` [n], `pairs` (facts of `Survey`), `turning` (`turning.py` found the cameras) and `notes` (sentences about what was done). What no camera can have seen is in
-    none of them (`purge`).
+    `features` [n], `pairs` (facts of `Survey`), `turning` (`turning.py` found the cameras) and `notes` (sentences about what was done).
+    What no camera can have seen is in none of them (`purge`).
     """
     folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
     seed = int(request["seed"])
@@ -57,6 +58,8 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
     if turned is not None and turned[0]["registered"].sum() >= ENOUGH * len(names):
         return turned[0], {**facts, **turned[1]}
     models, fixed_lens, notes = map_images(path, request, report)
+    if not models or models[0].num_reg_images() < ENOUGH * len(names):
+        turned = turning_arrays(path, request, found, report, ANYHOW) or turned
     if turned is not None and (not models or models[0].num_reg_images() < turned[0]["registered"].sum()):
         return turned[0], {**facts, **turned[1]}
     if not models:
@@ -68,7 +71,9 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
     merged: list[str] = []
     again: list[str] = []
     if largest.num_points3D() and largest.num_reg_images() < len(names):
-        order = {} if request["static"] else {name: (camera, i) for i, (name, camera) in enumerate(zip(names, request["cameras"], strict=True))}
+        order = (
+            {} if request["static"] else {name: (camera, i) for i, (name, camera) in enumerate(zip(names, request["cameras"], strict=True))}
+        )
         largest, merged, again = reclaim(largest, others, path, order, fixed_lens, int(request["seed"]))
     largest, more, undone = refine_or_keep(largest, fixed_lens)
     report("refining", 1, 1)

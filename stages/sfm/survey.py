@@ -23,9 +23,9 @@ class Survey:
     """What the database holds about n images.
 
     features [n] of each; places [n] of [N, 2] px, where they are; matches {(a, b): [M, 2]}: feature numbers of the inliers of pairs with at
-    least 15. facts, which go into messages: `verified` (such pairs), `matched` [n] (most matches of each image in one of them), `flat` (share
-    of them that one homography explains: a camera that only turned, or one plane), `shift` (90th percentile over them of the median way of a
-    match, as a share of the longer side; 0 without pairs).
+    least 15. facts, which go into messages: `verified` (such pairs), `matched` [n] (most matches of each image in one of them), `flat`
+    (share of them that one homography explains: a camera that only turned, or one plane), `shift` (90th percentile over them of the median
+    way of a match, as a share of the longer side; 0 without pairs).
     """
 
     features: list[int]

@@ -36,7 +36,8 @@ def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str,
         cause = "no two frames show enough of the same still things from far enough apart"
         remedy = f"try --set {other}, or more frames (--set frames.every=1 or frames.max_frames=N), or {bring}"
     return (
-        f"structure from motion found no cameras for the {frames} frames (median of {median} features an image, {matcher} matching): {cause}. "
+        f"structure from motion found no cameras for the {frames} frames (median of {median} features an image, {matcher} matching): "
+        f"{cause}. "
         "It needs a camera that moves sideways before a textured background that stands still, with most of each picture "
         f"seen again in the next; {remedy}"
     )

@@ -1,6 +1,6 @@
 """`solve_turning`: cameras of a capture whose camera turns, and moves too little to be triangulated by pairs. numpy alone.
 
-The mapper begins with two images that see points under an angle. Where none do, a pan from a tripod or from the hand through a long lens, it
+The mapper begins with two images that see points under an angle. Where none do, a pan from a tripod or by hand through a long lens, it
 finds nothing, or cameras with absurd focal lengths. Turning tells the focal length all the same, and rotations follow from matches alone.
 What little the camera moved is found afterwards, by all images together, where the pictures tell it.
 """
@@ -20,6 +20,7 @@ RATIOS = tuple(np.geomspace(SHORTEST, LONGEST, 24))  # focal lengths, of the lon
 PAIRS = 24  # pairs of images with the longest ways that the focal length is first looked for in
 MATCHES = 40  # of a pair that gives a rotation
 FITS = 0.003  # of the longer side: median error of those pairs under rotations alone (2.6 px of 854), before lens and small motion
+ANYHOW = 0.02  # the same where the mapper did not get far: more motion than rotations explain, less than two images can tell
 SOLVED = 0.0015  # of the longer side: median error of all observations at the end
 MOST = 3000  # tracks
 MOVED = 0.9  # of the median error under rotations, which motion must bring it below, to be believed
@@ -38,10 +39,16 @@ class Turning:
 
 
 def solve_turning(
-    matches: Mapping[tuple[int, int], np.ndarray], places: list[np.ndarray], width: int, height: int, focal: float | None = None, bent: bool = True
+    matches: Mapping[tuple[int, int], np.ndarray],
+    places: list[np.ndarray],
+    width: int,
+    height: int,
+    focal: float | None = None,
+    bent: bool = True,
+    fits: float = FITS,
 ) -> Turning | None:
     """Cameras of images of one lens, from matches {(a, b): [M, 2]} between features at places [n] of [N, 2] px; focal: in px where known;
-    bent: whether the lens has a radial term.
+    bent: whether the lens has a radial term; fits: `FITS` or `ANYHOW`.
 
     None where rotations do not explain the matches: the camera moves, and the mapper's way is the right one.
     """
@@ -54,7 +61,7 @@ def solve_turning(
     tried = [focal] if focal else [ratio * side for ratio in RATIOS]
     errors = [np.median([_rotation(usable[p], places, p, f, centre)[1] for p in wide]) for f in tried]
     best = int(np.argmin(errors))
-    if errors[best] > FITS * side:
+    if errors[best] > fits * side:
         return None
     found, lens = tried[best], 2 if bent else 1
     if len(tried) > 1 and errors[int(np.argmax(errors))] - errors[best] < TOLD * side:
@@ -74,7 +81,7 @@ def solve_turning(
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     start = Bundle(R, np.zeros((len(places), 3)), d, np.zeros(len(d)), found, 0.0, centre, frame, track, xy)
     turned = solve(start, move=False, lens=lens)
-    if np.median(turned.errors()) > FITS * side:
+    if np.median(turned.errors()) > fits * side:
         return None
     bundle, moved = _moved(turned, lens)
     if np.median(bundle.errors()) > SOLVED * side:

@@ -1,7 +1,7 @@
 """`Bundle`: cameras that mostly turn, adjusted together with the directions, and where told the distances, of what they see. numpy alone.
 
-A point is a direction d from the middle of the world and an inverse distance rho: a camera (R, t) sees it along R d + rho t. At rho = 0 it is
-at infinity, which is nothing special here, while a point in world coordinates would run away: the parametrisation of Yu and Gallup, "3D
+A point is a direction d from the middle of the world and an inverse distance rho: a camera (R, t) sees it along R d + rho t. At rho = 0 it
+is at infinity, nothing special here, while a point in world coordinates would run away: the parametrisation of Yu and Gallup, "3D
 Reconstruction from Accidental Motion" (CVPR 2014), with directions that are adjusted too. Levenberg-Marquardt, points eliminated first
 (Schur complement); Cauchy's loss by weights.
 """
@@ -144,7 +144,7 @@ def _normal(bundle: Bundle, scale: float, move: bool, lens: int) -> tuple[np.nda
 
 def _step(bundle: Bundle, system: tuple[np.ndarray, ...], damping: float, move: bool, lens: int) -> Bundle:
     A, a, V, v, W = system
-    frames, per, k = len(bundle.R), (6 if move else 3), V.shape[1]
+    frames, per = len(bundle.R), 6 if move else 3
     # a floor under the diagonal: what nothing measures (the world's turn, scale and place; distances under no angle) stays
     damped = V + _diagonal(V, damping)
     inverse = np.linalg.inv(damped)

@@ -14,15 +14,16 @@ from .result import result_arrays
 from .sound import FEWEST, MAX_ERROR
 from .survey import Survey
 from .tracks import LONG_ENOUGH
-from .turning import Turning, solve_turning
+from .turning import FITS, Turning, solve_turning
 
 BENT = ("SIMPLE_RADIAL", "RADIAL", "OPENCV")  # lens models with a radial term
 
 
 def turning_arrays(
-    path: Path, request: dict[str, Any], found: Survey, report: Report
+    path: Path, request: dict[str, Any], found: Survey, report: Report, fits: float = FITS
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
-    """Arrays and facts as `reconstruct` returns them; None for captures of several cameras and where the camera does not mostly turn."""
+    """Arrays and facts as `reconstruct` returns them; None for captures of several cameras and where the camera does not mostly turn.
+    fits: see `solve_turning`."""
     with pycolmap.Database.open(path) as database:
         cameras = database.read_all_cameras()
     if len(set(request["cameras"])) > 1 or len(cameras) != 1:
@@ -30,7 +31,7 @@ def turning_arrays(
     (camera,) = cameras
     focal = camera.mean_focal_length() if camera.has_prior_focal_length else None
     report("turning", 0, 1)
-    turning = solve_turning(found.matches, found.places, camera.width, camera.height, focal, request["camera_model"] in BENT)
+    turning = solve_turning(found.matches, found.places, camera.width, camera.height, focal, request["camera_model"] in BENT, fits)
     report("turning", 1, 1)
     if turning is None:
         return None
