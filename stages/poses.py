@@ -16,21 +16,10 @@ from .sfm.pairs import OVERLAP, choose, image_pairs
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..pipeline import Progress
     from .frameset import FrameSet
     from .sfm.coverage import Coverage
 
-MEDIAN_DISTANCE = 4.0  # world units from the cameras to the scene, after normalisation
-POINT_ERROR = 2.0  # px; points beyond are outliers
-FAR = 30.0  # times the median distance of points from their middle; beyond lies what triangulated under no angle
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
-LABELS = {
-    "matches": "matching",
-    "turning": "how the camera turns",
-    "mapping": "registering",
-    "movers": "what moves",
-    "verify": "matches off movers",
-}
 
 
 class PosesSettings(Settings):
@@ -65,17 +54,19 @@ class Poses(Stage):
         return Applies.yes(f"structure from motion on {facts['frames']} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
-        """Two cores, measured: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image, 0.2 s to adjust it, 0.15 s to
-        look for what moves. Without a second pass, which takes as long again as registering and a third of the pairs' time."""
+        """Measured, one core: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image (half where a camera turns),
+        0.2 s to adjust it, 0.15 s to look for what moves, 8 s for the start and a look at how the camera turns. Without a second pass,
+        which takes as long again as registering and a third of the pairs' time."""
         frames = facts["frames"]
         pairs = len(image_pairs(choose(settings.matcher, frames, facts["static"]), frames, settings.overlap))
         looked = 0.15 if settings.movers == "auto" and not facts["static"] else 0.0
-        return 2 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
+        return 8 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
 
     def run(self, ctx: Context) -> None:
         import numpy as np
 
         from .frameset import FrameSet
+        from .sfm.bars import Bars
         from .sfm.coverage import cover
         from .sfm.runner import WorkerError, finished, run_worker
         from .sfm.second_pass import second_pass
@@ -103,7 +94,7 @@ class Poses(Stage):
             "static": bool(ctx.facts["static"]),
             "seed": settings.seed,
         }
-        bars, folder = _Bars(ctx), ctx.checkpoints / "colmap"
+        bars, folder = Bars(ctx), ctx.checkpoints / "colmap"
         share, told = None, "poses.movers=off"
         try:
             arrays, facts = finished(request, folder) or run_worker(request, folder, bars)
@@ -182,34 +173,10 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def keep_points(points: np.ndarray, errors: np.ndarray, tracks: np.ndarray) -> np.ndarray:
-    """[P] bool: points with a small error, not absurdly far, and seen by three views where enough of those exist."""
-    import numpy as np
-
-    keep = np.isfinite(points).all(axis=1) & (errors <= POINT_ERROR)
-    if (keep & (tracks >= 3)).sum() >= 100:
-        keep &= tracks >= 3
-    if keep.any():
-        distance = np.linalg.norm(points - np.median(points[keep], axis=0), axis=1)
-        keep &= distance <= FAR * np.median(distance[keep])
-    return keep
-
-
-def normalise(cam_from_world: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses [N,4,4] and points [P,3] scaled so that the median distance of the cameras to the median point is 4."""
-    import numpy as np
-
-    from .sfm.alignment import camera_centres
-
-    distance = float(np.median(np.linalg.norm(camera_centres(cam_from_world) - np.median(points, axis=0), axis=1)))
-    scale = MEDIAN_DISTANCE / distance
-    poses = cam_from_world.copy()
-    poses[:, :3, 3] *= scale
-    return poses, points * scale
-
-
 def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage) -> None:
     import numpy as np
+
+    from .sfm.world import POINT_ERROR, keep_points, normalise
 
     registered = arrays["registered"]
     keep = keep_points(arrays["points"], arrays["errors"], arrays["tracks"])
@@ -239,26 +206,3 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
         mapper=ctx.settings.mapper,
         advice=list(coverage.advice),
     )
-
-
-class _Bars:
-    """One progress bar for each phase of the worker."""
-
-    def __init__(self, ctx: Context) -> None:
-        self.ctx, self.phase, self.done = ctx, "", 0
-        self.bar: Progress | None = None
-
-    def __call__(self, phase: str, done: int, total: int) -> None:
-        if phase != self.phase or done < self.done:
-            self.close()
-            self.phase, self.done = phase, 0
-            self.bar = self.ctx.progress(total, LABELS.get(phase, phase))
-            self.bar.__enter__()
-        if self.bar is not None:
-            self.bar.advance(done - self.done)
-        self.done = done
-
-    def close(self) -> None:
-        if self.bar is not None:
-            self.bar.__exit__(None, None, None)
-            self.bar = None

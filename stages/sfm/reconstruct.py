@@ -12,7 +12,7 @@ from . import database as db
 from .mapping import ENOUGH, map_images
 from .reclaim import reclaim
 from .refine import refine_or_keep
-from .result import result_arrays
+from .result import result_arrays, used_features
 from .sound import observe, purge
 from .survey import survey, tell
 from .trouble import STILL
@@ -28,10 +28,10 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
 
     Returns arrays `registered` [n] bool, `K` [n,3,3], `cam_from_world` [n,4,4] (NaN where not registered), `distortion` [n,4]
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
-    (views of each point), `angles` [P] degrees (between its outermost rays), `seen` [O] int32, `seen_xy` [O,2] float32 px and `residuals`
-    [O] px (image, place and reprojection error of every feature that made a point); and facts: `parts` (disjoint, see `parts`),
-    `features` [n], `pairs` (facts of `Survey`), `turning` (`turning.py` found the cameras) and `notes` (sentences about what was done).
-    What no camera can have seen is in none of them (`purge`).
+    (views of each point), `angles` [P] degrees (between its outermost rays), `residuals` [R] px (reprojection error of every observation),
+    `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and place of every feature that was adjusted). What no camera can have seen
+    (`purge`) is in none of them. Facts: `parts` (disjoint, see `parts`), `features` [n], `pairs` (facts of `Survey`), `turning` (whether
+    `turning.py` found the cameras), `notes` (sentences about what was done).
     """
     folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
     seed = int(request["seed"])
@@ -75,11 +75,13 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
             {} if request["static"] else {name: (camera, i) for i, (name, camera) in enumerate(zip(names, request["cameras"], strict=True))}
         )
         largest, merged, again = reclaim(largest, others, path, order, fixed_lens, int(request["seed"]))
+    # movers pull what is adjusted: the features that it used are counted on them, also those that do not fit afterwards
+    used = used_features(largest, names)
     largest, more, undone = refine_or_keep(largest, fixed_lens)
     report("refining", 1, 1)
     facts["notes"] = notes + tell(names, observations, [lost, more], undone, merged, again)
     facts["parts"] = parts([largest, *others])
-    return result_arrays(largest, names), facts
+    return {**result_arrays(largest, names), **used}, facts
 
 
 def parts(models: list[pycolmap.Reconstruction]) -> list[int]:

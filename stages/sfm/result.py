@@ -32,11 +32,9 @@ def result_arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> di
     if model is None:
         return arrays
     index = {name: i for i, name in enumerate(names)}
-    frame_of = {}
     for image_id in model.reg_image_ids():
         image = model.image(image_id)
         i, camera = index[image.name], model.camera(image.camera_id)
-        frame_of[image_id] = i
         arrays["registered"][i] = True
         arrays["K"][i] = camera.calibration_matrix()
         arrays["cam_from_world"][i] = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
@@ -53,6 +51,11 @@ def result_arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> di
     arrays["errors"] = np.add.reduceat(seen.error, starts) / (ends - starts)
     arrays["angles"] = angles(seen, np.ones(len(seen.error), bool))
     arrays["residuals"] = seen.error
-    arrays["seen"] = np.array([frame_of[i] for i in seen.image], np.int32)
-    arrays["seen_xy"] = seen.xy.astype(np.float32)
-    return arrays
+    return {**arrays, **used_features(model, names)}
+
+
+def used_features(model: pycolmap.Reconstruction, names: list[str]) -> dict[str, np.ndarray]:
+    """`seen` [O] int32 and `seen_xy` [O, 2] float32 px: frame and place of every feature that made a point of the model."""
+    index, seen = {name: i for i, name in enumerate(names)}, observe(model)
+    frame_of = {i: index[model.image(i).name] for i in model.reg_image_ids()}
+    return {"seen": np.array([frame_of[i] for i in seen.image], np.int32), "seen_xy": seen.xy.astype(np.float32)}
