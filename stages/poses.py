@@ -16,15 +16,10 @@ from .sfm.pairs import OVERLAP, choose, image_pairs
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..pipeline import Progress
     from .frameset import FrameSet
     from .sfm.coverage import Coverage
 
-MEDIAN_DISTANCE = 4.0  # world units from the cameras to the scene, after normalisation
-POINT_ERROR = 2.0  # px; points beyond are outliers
-FAR = 30.0  # times the median distance of points from their middle; beyond lies what triangulated under no angle
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
-LABELS = {"matches": "matching", "mapping": "registering", "movers": "what moves", "verify": "matches off movers"}
 
 
 class PosesSettings(Settings):
@@ -47,7 +42,7 @@ class Poses(Stage):
     """Intrinsics and a pose for every frame that registers, sparse points, and a report of what did not register and why."""
 
     name = "poses"
-    version = 2
+    version = 3
     inputs = ("frames",)
     settings = PosesSettings
     reads_capture = True
@@ -59,20 +54,23 @@ class Poses(Stage):
         return Applies.yes(f"structure from motion on {facts['frames']} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
-        """Two cores, measured: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image, 0.2 s to adjust it, 0.15 s to
-        look for what moves. Without a second pass, which takes as long again as registering and a third of the pairs' time."""
+        """Measured, one core: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image (half where a camera turns),
+        0.2 s to adjust it, 0.15 s to look for what moves, 8 s for the start and a look at how the camera turns. Without a second pass,
+        which takes as long again as registering and a third of the pairs' time."""
         frames = facts["frames"]
         pairs = len(image_pairs(choose(settings.matcher, frames, facts["static"]), frames, settings.overlap))
         looked = 0.15 if settings.movers == "auto" and not facts["static"] else 0.0
-        return 2 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
+        return 8 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
 
     def run(self, ctx: Context) -> None:
         import numpy as np
 
         from .frameset import FrameSet
+        from .sfm.bars import Bars
         from .sfm.coverage import cover
         from .sfm.runner import WorkerError, finished, run_worker
         from .sfm.second_pass import second_pass
+        from .sfm.trouble import nothing_registered
 
         settings = ctx.settings
         artifact = ctx.inputs["frames"]
@@ -93,9 +91,10 @@ class Poses(Stage):
             "pairs": image_pairs(matcher, len(frames), settings.overlap),
             "mapper": settings.mapper,
             "init_angles": INIT_ANGLES,
+            "static": bool(ctx.facts["static"]),
             "seed": settings.seed,
         }
-        bars, folder = _Bars(ctx), ctx.checkpoints / "colmap"
+        bars, folder = Bars(ctx), ctx.checkpoints / "colmap"
         share, told = None, "poses.movers=off"
         try:
             arrays, facts = finished(request, folder) or run_worker(request, folder, bars)
@@ -111,18 +110,32 @@ class Poses(Stage):
         finally:
             bars.close()
 
-        errors = arrays["errors"]
-        mean_error = float(errors.mean()) if len(errors) else 0.0
-        coverage = cover(arrays["registered"], facts["features"], facts["models"], matcher, mean_error)
-        if coverage.registered < min(3, len(frames)) or not len(errors):
-            raise StageError(nothing_registered(frames, facts["features"], matcher))
-        ctx.log(f"{coverage.summary()}, mean reprojection error {mean_error:.2f} px")
+        residuals = arrays["residuals"]
+        if arrays["registered"].sum() < min(3, len(frames)) or not len(residuals):
+            raise StageError(nothing_registered(len(frames), facts["features"], facts["pairs"], matcher))
+        mean_error, median_error = float(residuals.mean()), float(np.median(residuals))
+        angle = float(np.median(arrays["angles"]))
+        # where the camera only turns, a note says so
+        judged = 90.0 if facts["turning"] else angle
+        coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged)
+        ctx.log(f"{coverage.summary()}, reprojection error {mean_error:.2f} px in the mean, {median_error:.2f} px in the median")
+        for sentence in facts["notes"]:
+            ctx.log(sentence)
         if settings.movers == "auto":
             ctx.log(f"what moves: {told}")
         for sentence in coverage.advice:
             ctx.log(sentence)
-        _write(ctx, frames, arrays, coverage, matcher, mean_error)
-        ctx.out.attrs.update(movers_share=None if share is None else round(share, 4), second_pass=told)
+        _write(ctx, frames, arrays, coverage)
+        ctx.out.attrs.update(
+            mean_reprojection_error=mean_error,
+            median_reprojection_error=median_error,
+            median_angle=angle,
+            parts=facts["parts"],
+            notes=facts["notes"],
+            matcher=matcher,
+            movers_share=None if share is None else round(share, 4),
+            second_pass=told,
+        )
 
 
 def write_images(ctx: Context, frames: FrameSet) -> list[str]:
@@ -160,49 +173,10 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def nothing_registered(frames: FrameSet, features: list[int], matcher: str) -> str:
-    """What to say, and to do, when there is no reconstruction."""
+def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage) -> None:
     import numpy as np
 
-    median = int(np.median(features)) if len(features) else 0
-    return (
-        f"structure from motion found no cameras for the {len(frames)} frames (median of {median} features an image, "
-        f"{matcher} matching). "
-        "It needs a camera that moves sideways before a textured background that stands still, with most of each picture "
-        "seen again in the next. "
-        "Try --set poses.matcher=exhaustive, or more frames (--set frames.every=1 or frames.max_frames=N); a camera that only "
-        "turns or stands still cannot be reconstructed: bring poses in the files (transforms.json, a COLMAP model) instead"
-    )
-
-
-def keep_points(points: np.ndarray, errors: np.ndarray, tracks: np.ndarray) -> np.ndarray:
-    """[P] bool: points with a small error, not absurdly far, and seen by three views where enough of those exist."""
-    import numpy as np
-
-    keep = np.isfinite(points).all(axis=1) & (errors <= POINT_ERROR)
-    if (keep & (tracks >= 3)).sum() >= 100:
-        keep &= tracks >= 3
-    if keep.any():
-        distance = np.linalg.norm(points - np.median(points[keep], axis=0), axis=1)
-        keep &= distance <= FAR * np.median(distance[keep])
-    return keep
-
-
-def normalise(cam_from_world: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses [N,4,4] and points [P,3] scaled so that the median distance of the cameras to the median point is 4."""
-    import numpy as np
-
-    from .sfm.alignment import camera_centres
-
-    distance = float(np.median(np.linalg.norm(camera_centres(cam_from_world) - np.median(points, axis=0), axis=1)))
-    scale = MEDIAN_DISTANCE / distance
-    poses = cam_from_world.copy()
-    poses[:, :3, 3] *= scale
-    return poses, points * scale
-
-
-def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage, matcher: str, mean_error: float) -> None:
-    import numpy as np
+    from .sfm.world import POINT_ERROR, keep_points, normalise
 
     registered = arrays["registered"]
     keep = keep_points(arrays["points"], arrays["errors"], arrays["tracks"])
@@ -227,33 +201,8 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
         registered=coverage.registered,
         total=coverage.total,
         gaps=[list(gap) for gap in coverage.gaps],
-        mean_reprojection_error=mean_error,
         mean_track_length=float(arrays["tracks"].mean()),
         camera_model=ctx.settings.camera_model,
-        matcher=matcher,
         mapper=ctx.settings.mapper,
         advice=list(coverage.advice),
     )
-
-
-class _Bars:
-    """One progress bar for each phase of the worker."""
-
-    def __init__(self, ctx: Context) -> None:
-        self.ctx, self.phase, self.done = ctx, "", 0
-        self.bar: Progress | None = None
-
-    def __call__(self, phase: str, done: int, total: int) -> None:
-        if phase != self.phase or done < self.done:
-            self.close()
-            self.phase, self.done = phase, 0
-            self.bar = self.ctx.progress(total, LABELS.get(phase, phase))
-            self.bar.__enter__()
-        if self.bar is not None:
-            self.bar.advance(done - self.done)
-        self.done = done
-
-    def close(self) -> None:
-        if self.bar is not None:
-            self.bar.__exit__(None, None, None)
-            self.bar = None

@@ -1,8 +1,12 @@
-"""Similarity alignment of two sets of points, and the pose error that benchmarks report."""
+"""Similarity alignment of two sets of points, exact or with outliers among them, and the pose error that benchmarks report."""
 
 from __future__ import annotations
 
 import numpy as np
+
+TRIALS = 200  # samples of three pairs; with half of the pairs wrong, all hold a wrong one once in 10^11
+CLOSE = 0.05  # of the median distance of the target's points from their middle; within it a pair agrees
+AGREED = 20, 0.5  # pairs, and share of them, that must
 
 
 def similarity(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -21,6 +25,37 @@ def similarity(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarra
     R = u @ np.diag(signs) @ vt
     scale = float((values * signs).sum() / (a**2).sum(axis=1).mean())
     return scale, R, mean_target - scale * R @ mean_source
+
+
+def robust_similarity(source: np.ndarray, target: np.ndarray, seed: int = 0) -> tuple[float, np.ndarray, np.ndarray] | None:
+    """`similarity` of the pairs that agree on one, source and target [N, 3] (RANSAC; Fischler and Bolles 1981); None where fewer than 20
+    pairs or half of them do. Pairs with coordinates that are not finite count as disagreeing."""
+    finite = np.isfinite(source).all(axis=1) & np.isfinite(target).all(axis=1)
+    a, b = source[finite], target[finite]
+    least = max(AGREED[0], AGREED[1] * len(source))
+    if len(a) < least:
+        return None
+    # medians: a point far off must not widen the bar for all
+    bar = CLOSE * float(np.median(np.linalg.norm(b - np.median(b, axis=0), axis=1)))
+    rng = np.random.default_rng(seed)
+    best = np.zeros(len(a), bool)
+    for _ in range(TRIALS):
+        inliers = _agreeing(a, b, rng.choice(len(a), 3, replace=False), bar)
+        best = inliers if inliers.sum() > best.sum() else best
+    for _ in range(2):
+        if best.sum() < least:
+            return None
+        best = _agreeing(a, b, np.flatnonzero(best), bar)
+    return similarity(a[best], b[best]) if best.sum() >= least else None
+
+
+def _agreeing(source: np.ndarray, target: np.ndarray, chosen: np.ndarray, bar: float) -> np.ndarray:
+    try:
+        scale, R, t = similarity(source[chosen], target[chosen])
+    except ValueError:
+        return np.zeros(len(source), bool)
+    agreeing: np.ndarray = np.linalg.norm(scale * source @ R.T + t - target, axis=1) <= bar
+    return agreeing
 
 
 def camera_centres(cam_from_world: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 FEW_FEATURES = 200  # an image with fewer is dark, blurred or plain
 HIGH_ERROR = 1.5  # px; a good reconstruction stays below 1
+NARROW = 2.5  # degrees; depth is then known to no more than a tenth or so
 
 
 @dataclass(frozen=True)
@@ -38,15 +39,24 @@ def spans(gaps: Sequence[tuple[int, int]], most: int = 8) -> str:
     return text + (f" and {len(gaps) - most} more" if len(gaps) > most else "")
 
 
-def cover(registered: np.ndarray, features: Sequence[int], models: Sequence[int], matcher: str, error: float) -> Coverage:
-    """registered [F] bool; features of each image; images of each separate model; mean reprojection error in px."""
+def frames_named(frames: Sequence[int]) -> str:
+    """`frame 3`, `frames 3, 7-9`: of indices in any order."""
+    missing = np.zeros(max(frames) + 1, bool)
+    missing[list(frames)] = True
+    return f"{'frame' if missing.sum() == 1 else 'frames'} {spans(runs(missing))}"
+
+
+def cover(
+    registered: np.ndarray, features: Sequence[int], parts: Sequence[int], matcher: str, error: float, angle: float = 90.0
+) -> Coverage:
+    """registered [F] bool; features of each image; images of each separate part, disjoint, that which is kept first; mean reprojection
+    error in px; the median angle in degrees between the outermost rays of a point."""
     missing = ~np.asarray(registered, bool)
     gaps = runs(missing)
     counts = np.asarray(features)
     advice = []
     if gaps:
         other = "--set poses.matcher=exhaustive" if matcher != "exhaustive" else "--set poses.max_features=16384"
-        noun = "frame" if missing.sum() == 1 else "frames"
         poor = missing & (counts < FEW_FEATURES)
         why = (
             f"{int(poor.sum())} of them show fewer than {FEW_FEATURES} features (dark, blurred or plain)"
@@ -54,12 +64,20 @@ def cover(registered: np.ndarray, features: Sequence[int], models: Sequence[int]
             else "motion blur, too little overlap with the others, or mostly moving things in view"
         )
         advice.append(
-            f"{noun} {spans(gaps)} did not register: {why}; try {other}, or take more frames there (frames.every, frames.max_frames)"
+            f"{frames_named(np.flatnonzero(missing).tolist())} did not register: {why}; try {other}, "
+            "or take more frames there (frames.every, frames.max_frames)"
         )
-    if len(models) > 1 and models[1] >= 3:
+    rest = [size for size in parts[1:] if size >= 3]
+    if rest:
         advice.append(
-            f"the images fell into {len(models)} parts that share too little ({', '.join(map(str, models[:5]))} images); "
-            "the largest is kept: add views between them or try --set poses.matcher=exhaustive"
+            f"the images fell into {1 + len(rest)} parts that share too little ({', '.join(map(str, [parts[0], *rest][:5]))} images); "
+            f"the first is kept, the {sum(rest)} images of the others are left out: add views between them or try "
+            "--set poses.matcher=exhaustive"
+        )
+    if angle < NARROW:
+        advice.append(
+            f"points are seen under a median angle of {angle:.1f} degrees: the camera hardly moves sideways, so depth is uncertain; "
+            "walk farther around the scene, or take frames from farther apart (frames.every)"
         )
     if error > HIGH_ERROR:
         advice.append(

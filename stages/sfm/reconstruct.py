@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,15 @@ import numpy as np
 import pycolmap
 
 from . import database as db
-from .refine import refine
+from .mapping import ENOUGH, map_images
+from .reclaim import reclaim
+from .refine import refine_or_keep
+from .result import result_arrays, used_features
+from .sound import observe, purge
+from .survey import survey, tell
+from .trouble import STILL
+from .turning import ANYHOW
+from .turning_result import turning_arrays
 
 DATABASE = "database.db"  # in the request's folder
 DEFAULT_FOCAL = 1.2  # of the longer side; COLMAP's habit for images without EXIF, refined by the bundle adjustment
@@ -21,8 +28,10 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
 
     Returns arrays `registered` [n] bool, `K` [n,3,3], `cam_from_world` [n,4,4] (NaN where not registered), `distortion` [n,4]
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
-    (views of each point), `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and place of every feature that made a point);
-    and facts: `models` (images registered in each), `features` [n].
+    (views of each point), `angles` [P] degrees (between its outermost rays), `residuals` [R] px (reprojection error of every observation),
+    `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and place of every feature that was adjusted). What no camera can have seen
+    (`purge`) is in none of them. Facts: `parts` (disjoint, see `parts`), `features` [n], `pairs` (facts of `Survey`), `turning` (whether
+    `turning.py` found the cameras), `notes` (sentences about what was done).
     """
     folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
     seed = int(request["seed"])
@@ -40,20 +49,50 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
 
 def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Cameras and points from the verified matches in a database; returns what `reconstruct` returns."""
-    folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
-    models = _map(path, root, folder, request, report)
-    with pycolmap.Database.open(path) as database:
-        features = {image.name: database.num_keypoints_for_image(image.image_id) for image in database.read_all_images()}
-    facts: dict[str, Any] = {
-        "models": sorted((m.num_reg_images() for m in models), reverse=True),
-        "features": [features.get(name, 0) for name in names],
-    }
-    largest = max(models, key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)
-    if largest is not None:
-        report("refining", 0, 1)
-        refine(largest)
-        report("refining", 1, 1)
-    return _arrays(largest, names), facts
+    names = list(request["names"])
+    found = survey(path, names, request["pairs"])
+    facts: dict[str, Any] = {"features": found.features, "pairs": found.facts, "parts": [], "notes": [], "turning": False}
+    if found.facts["verified"] and found.facts["shift"] < STILL:
+        return result_arrays(None, names), facts  # the mapper would look for a first pair for many minutes
+    turned = turning_arrays(path, request, found, report)
+    if turned is not None and turned[0]["registered"].sum() >= ENOUGH * len(names):
+        return turned[0], {**facts, **turned[1]}
+    models, fixed_lens, notes = map_images(path, request, report)
+    if not models or models[0].num_reg_images() < ENOUGH * len(names):
+        turned = turning_arrays(path, request, found, report, ANYHOW) or turned
+    if turned is not None and (not models or models[0].num_reg_images() < turned[0]["registered"].sum()):
+        return turned[0], {**facts, **turned[1]}
+    if not models:
+        return result_arrays(None, names), facts
+    report("refining", 0, 1)
+    largest, others = models[0], models[1:]
+    observations = len(observe(largest).error)
+    lost = purge(largest)
+    merged: list[str] = []
+    again: list[str] = []
+    if largest.num_points3D() and largest.num_reg_images() < len(names):
+        order = (
+            {} if request["static"] else {name: (camera, i) for i, (name, camera) in enumerate(zip(names, request["cameras"], strict=True))}
+        )
+        largest, merged, again = reclaim(largest, others, path, order, fixed_lens, int(request["seed"]))
+    # movers pull what is adjusted: the features that it used are counted on them, also those that do not fit afterwards
+    used = used_features(largest, names)
+    largest, more, undone = refine_or_keep(largest, fixed_lens)
+    report("refining", 1, 1)
+    facts["notes"] = notes + tell(names, observations, [lost, more], undone, merged, again)
+    facts["parts"] = parts([largest, *others])
+    return {**result_arrays(largest, names), **used}, facts
+
+
+def parts(models: list[pycolmap.Reconstruction]) -> list[int]:
+    """Images of each model that are in none before it, empty ones left out: disjoint, so that they add up to the images with any pose."""
+    seen: set[int] = set()
+    sizes = []
+    for model in models:
+        new = set(model.reg_image_ids()) - seen
+        seen |= new
+        sizes.append(len(new))
+    return sizes[:1] + sorted((size for size in sizes[1:] if size), reverse=True)
 
 
 def _camera(image: Path, request: dict[str, Any]) -> pycolmap.Camera:
@@ -70,81 +109,3 @@ def _camera(image: Path, request: dict[str, Any]) -> pycolmap.Camera:
         camera.principal_point_x = hint[0][2] * guess.width / request["width"]
         camera.principal_point_y = hint[1][2] * guess.height / request["height"]
     return camera
-
-
-def _map(path: Path, root: Path, folder: Path, request: dict[str, Any], report: db.Report) -> list[pycolmap.Reconstruction]:
-    out = folder / "models"
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir()
-    total = len(request["names"])
-    report("mapping", 0, total)
-    if request["mapper"] == "global":
-        overall = pycolmap.GlobalPipelineOptions()
-        overall.random_seed = overall.mapper.random_seed = int(request["seed"])
-        models = list(pycolmap.global_mapping(path, root, out, overall).values())
-        for model in models:
-            model.extract_colors_for_all_images(root)
-        return models
-
-    options = pycolmap.IncrementalPipelineOptions()
-    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = int(request["seed"])
-    options.num_threads = options.mapper.num_threads = 1
-    # a full adjustment after a third more of frames or points: as accurate as after a tenth, and it is most of the time
-    options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
-    options.ba_global_max_refinements = 3
-    options.min_model_size = min(options.min_model_size, max(2, total // 2))
-    registered = 0
-
-    def advance() -> None:
-        nonlocal registered
-        registered += 1
-        report("mapping", min(registered, total), total)
-
-    for angle in request["init_angles"]:  # a camera that hardly moves has no pair at the usual first angle
-        options.mapper.init_min_tri_angle = angle
-        registered = 0
-        models = list(pycolmap.incremental_mapping(path, root, out, options, next_image_callback=advance).values())
-        if max((m.num_reg_images() for m in models), default=0) >= min(3, total):
-            return models
-    return models
-
-
-def _arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> dict[str, np.ndarray]:
-    n = len(names)
-    arrays = {
-        "registered": np.zeros(n, bool),
-        "K": np.full((n, 3, 3), np.nan),
-        "cam_from_world": np.full((n, 4, 4), np.nan),
-        "distortion": np.zeros((n, 4)),
-        "size": np.zeros((n, 2), np.int64),
-        "seen": np.zeros(0, np.int32),
-        "seen_xy": np.zeros((0, 2), np.float32),
-    }
-    points = [] if model is None else list(model.points3D.values())
-    arrays["points"] = np.array([p.xyz for p in points]).reshape(-1, 3)
-    arrays["colors"] = np.array([p.color for p in points], np.uint8).reshape(-1, 3)
-    arrays["errors"] = np.array([p.error for p in points], np.float64)
-    arrays["tracks"] = np.array([p.track.length() for p in points], np.int64)
-    if model is None:
-        return arrays
-    index = {name: i for i, name in enumerate(names)}
-    seen, places = [arrays["seen"]], [arrays["seen_xy"]]
-    for image_id in model.reg_image_ids():
-        image = model.image(image_id)
-        i, camera = index[image.name], model.camera(image.camera_id)
-        arrays["registered"][i] = True
-        arrays["K"][i] = camera.calibration_matrix()
-        arrays["cam_from_world"][i] = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-        arrays["distortion"][i] = _distortion(camera)
-        arrays["size"][i] = camera.width, camera.height
-        places.append(np.array([p.xy for p in image.get_observation_points2D()], np.float32).reshape(-1, 2))
-        seen.append(np.full(len(places[-1]), i, np.int32))
-    arrays["seen"], arrays["seen_xy"] = np.concatenate(seen), np.concatenate(places)
-    return arrays
-
-
-def _distortion(camera: pycolmap.Camera) -> tuple[float, float, float, float]:
-    """(k1, k2, p1, p2) of COLMAP's models that have no more than these."""
-    extra = [float(camera.params[i]) for i in camera.extra_params_idxs()]
-    k1, k2, p1, p2 = (*extra, 0.0, 0.0, 0.0, 0.0)[:4]
-    return k1, k2, p1, p2

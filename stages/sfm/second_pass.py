@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 LEAST = 0.1  # of a frame's used features; a tenth, all to one side, moves Cauchy's estimate by 0.15 deviations of one feature's noise
 KEPT = ("the first pass", "the second pass, without them,")
+TURNS = "the camera turns and hardly moves: rotations rest on all of the picture, and motion apart from them cannot be told"
 Result = tuple[dict[str, np.ndarray], dict[str, Any]]
 
 
@@ -49,7 +50,7 @@ def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, firs
     better, the first is kept. A killed run goes on where it stopped.
     """
     arrays, facts = first
-    why = needless(frames, static, arrays["registered"])
+    why = TURNS if facts.get("turning") else needless(frames, static, arrays["registered"])
     if why is not None:
         return Passes(arrays, facts, None, why)
     file = folder / "movers.npz"

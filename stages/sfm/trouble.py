@@ -1,0 +1,43 @@
+"""`nothing_registered`: what to say, and to do, when there is no reconstruction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .coverage import FEW_FEATURES
+
+STILL = 0.005  # of the longer side; matches that go less in nine of ten pairs show a camera that stands
+TURNED = 0.8  # of the pairs, explained by one homography
+LINKED = 0.5  # of the images, with a verified pair
+
+
+def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str, Any], matcher: str) -> str:
+    """features [n] of each image; pairs: what `survey` found about matches. The likeliest cause first, then what to do about it."""
+    median = int(np.median(features)) if len(features) else 0
+    other = "poses.matcher=exhaustive" if matcher != "exhaustive" else "poses.max_features=16384"
+    bring = "bring poses in the files (transforms.json, a COLMAP model) instead"
+    matched = np.asarray(pairs["matched"])
+    if median < FEW_FEATURES:
+        cause = f"most frames show fewer than {FEW_FEATURES} features: they are dark, blurred or plain"
+        remedy = f"take sharper, brighter frames of a textured scene, or {bring}"
+    elif not len(matched) or (matched > 0).mean() < LINKED:
+        cause = f"{int((matched == 0).sum())} frames have no other frame that shows the same things"
+        remedy = f"try --set {other}, or more frames (--set frames.every=1 or frames.max_frames=N)"
+    elif pairs["shift"] < STILL:
+        cause = "the camera stands still: matches hardly move between any two frames"
+        remedy = f"a camera that stands still cannot be reconstructed; move it sideways, or {bring}"
+    elif pairs["flat"] > TURNED:
+        cause = "the camera only turns or zooms, or sees a single plane: one homography explains most pairs of frames"
+        remedy = f"a camera that only turns cannot be reconstructed; move it sideways, or {bring}"
+    else:
+        cause = "no two frames show enough of the same still things from far enough apart"
+        remedy = f"try --set {other}, or more frames (--set frames.every=1 or frames.max_frames=N), or {bring}"
+    return (
+        f"structure from motion found no cameras for the {frames} frames (median of {median} features an image, {matcher} matching): "
+        f"{cause}. "
+        "It needs a camera that moves sideways before a textured background that stands still, with most of each picture "
+        f"seen again in the next; {remedy}"
+    )
