@@ -33,14 +33,14 @@ class CoarseSettings(TrainingSettings):
     )
     strategy: Strategy = Field("two-stage", description="one of the four trainings of Table 3; `fine` follows it")
     full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps on images of half the size, before those of full size")
-    seeds: int = Field(8000, ge=100, le=2_000_000, description="Gaussians to begin with where the capture brings no points")
+    seeds: int = Field(0, ge=0, le=2_000_000, description="Gaussians to begin with; 0 chooses: half the budget for rigs, else 8000")
 
 
 class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 5
+    version = 6  # 6: near plane, background and camera colours; seeds along rays
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
@@ -70,6 +70,7 @@ class Coarse(Stage):
         from ..scene.training.schedule import PYRAMID, coarse_phases, pyramid_phases
         from ..scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
         from .dataset import load_frameset, load_views, measured_flow
+        from ..scene.seeding.near_plane import near_plane
         from .seeds import initial_dynamic, load_seeds, tracks_of_movers
         from .training_artifact import write_training
 
@@ -79,7 +80,11 @@ class Coarse(Stage):
         views = load_views(frames, ctx.inputs["flow"], ctx.device)
         static = is_static(ctx)
 
-        points, colors = load_seeds(ctx, frames, views)
+        budget = settings.budget or auto_budget(ctx.facts, views)
+        points, colors, trusted = load_seeds(ctx, frames, views, settings.seeds or auto_seeds(ctx.facts, budget))
+        views.near = near_plane(views, trusted)
+        if frames.background is None:
+            views.background = mean_colour(views)
         pixels = views.width * views.height
         smallest = min(1.0, (SMALLEST_PYRAMID_IMAGE / pixels) ** 0.5)
         nodes = not static and use_nodes(ctx.facts, settings)
@@ -105,7 +110,8 @@ class Coarse(Stage):
                     error = follow_tracks(field, tracks.rest, tracks.times, tracks.positions, tracks.alive, unit, settings, bar.advance)
                 off = f"{error / unit:.2%} of the viewing distance"
                 ctx.log(f"{len(tracks.rest)} seeds on what moves, followed along the flow; the field begins {off} beside them")
-        model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree).to(ctx.device)
+        empty = ConvexSet.empty(6, settings.sh_degree)
+        model = Model(gaussians, empty, field, settings.sh_degree, views.near, views.background).to(ctx.device)
 
         steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
         if nodes and settings.strategy in ("two-stage", "alternating"):
@@ -119,7 +125,7 @@ class Coarse(Stage):
                 views,
                 phases,
                 settings,
-                budget=settings.budget or auto_budget(views),
+                budget=budget,
                 checkpoints=ctx.checkpoints,
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
                 advance=lambda n, note: bar.advance(n, note),
@@ -137,10 +143,31 @@ def is_static(ctx: Context) -> bool:
     return bool(ctx.facts.get("static") or (flow is not None and flow.attrs.get("static")))
 
 
-def auto_budget(views: Views) -> int:
-    """One Gaussian for eight pixels of one view; 12,000 to 120,000. On a rendered rig of six cameras 12,000 and 32,000 came out equal on a
-    held-out one (20.87 and 20.88 dB)."""
-    return int(min(max(views.width * views.height // 8, 12_000), 120_000))
+def auto_budget(facts: Mapping[str, Any], views: Views) -> int:
+    """One Gaussian for eight pixels of one view, 12,000 to 120,000; for four of a rig, which sees a whole room, 40,000 to 240,000."""
+    pixels = views.width * views.height
+    if is_rig(facts):
+        return int(min(max(pixels // 4, 40_000), 240_000))
+    return int(min(max(pixels // 8, 12_000), 120_000))
+
+
+def auto_seeds(facts: Mapping[str, Any], budget: int) -> int:
+    """Half the budget for rigs: what growth adds goes where some primitive is, so each wall needs some to begin with. Else 8000."""
+    return budget // 2 if is_rig(facts) else 8000
+
+
+def is_rig(facts: Mapping[str, Any]) -> bool:
+    """Several cameras see each time."""
+    from ..scene.training.curriculum import MIN_CAMERAS
+
+    return facts.get("frames", 0) >= MIN_CAMERAS * facts.get("times", 1)
+
+
+def mean_colour(views: Views) -> tuple[float, float, float]:
+    """RGB in [0, 1] of the training views: what shows through an opaque scene's holes should not shine nor be black."""
+    few = views.train[:: max(1, len(views.train) // 60)]
+    red, green, blue = sum(views.target(int(i), 0.25).double().mean((0, 1)).cpu() for i in few) / len(few)  # type: ignore[union-attr]
+    return float(red), float(green), float(blue)
 
 
 def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
@@ -152,13 +179,10 @@ def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
 
 def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
     """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; 8400 for control nodes."""
-    from ..scene.training.curriculum import MIN_CAMERAS
-
     if use_nodes(facts, settings):
         return ITERATIONS_NODES
-    frames, times = facts.get("frames", 0), facts.get("times", 1)
-    rig = not facts.get("static") and frames >= MIN_CAMERAS * times
-    return min(max(ITERATIONS, ITERATIONS_A_TIME * times if rig else 0), MOST_ITERATIONS)
+    moving_rig = is_rig(facts) and not facts.get("static")
+    return min(max(ITERATIONS, ITERATIONS_A_TIME * facts.get("times", 1) if moving_rig else 0), MOST_ITERATIONS)
 
 
 def make_nodes(points: np.ndarray, views: Views, settings: TrainingSettings):

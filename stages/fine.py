@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 5
+    version = 6  # 6: the near plane, background and camera colours of `coarse`
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True
@@ -51,7 +51,7 @@ class Fine(Stage):
         torch.manual_seed(settings.seed)
         coarse, hulls = required(ctx.inputs["coarse"]), ctx.inputs["hulls"]
         model = read_model(coarse)
-        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device)
+        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
         if hulls is not None and hulls.array("points").shape[0]:
             model.convexes = ConvexSet.from_hulls(hulls.read("points"), hulls.read("colors"), model.sh_degree, settings.convex_opacity)
             model.convexes.dynamic = model.gaussians.dynamic[torch.from_numpy(hulls.read("seed")).long()]
@@ -67,7 +67,7 @@ class Fine(Stage):
                 views,
                 phases,
                 settings,
-                budget=settings.budget or auto_budget(views),
+                budget=settings.budget or auto_budget(ctx.facts, views),
                 checkpoints=ctx.checkpoints,
                 lr_scale=1.0 if strategy == "joint" else settings.lr_scale,
                 grow=strategy == "joint",

@@ -89,9 +89,10 @@ class Trainer:
         self.nodes = NodeTraining(self.total, times, settings.seed) if with_nodes else None
         opened = 0 if not moving else self.nodes.opened if self.nodes else round(settings.open_until * self.total)
         self.curriculum = Curriculum(views.train, times, settings.seed, still, opened, self.nodes.start if self.nodes else 0)
-        self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
-        several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
-        self.affine = CameraAffine(len(self.camera_numbers)).to(model.device) if settings.affine and several else None
+        cameras = np.unique(views.camera[views.train])
+        several = len(cameras) > 1 and len(views.train) > 1.5 * len(cameras)
+        if settings.affine and several and model.affine is None:
+            model.affine = CameraAffine(cameras).to(model.device)
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
         self.motion_terms = MotionTerms(views, settings, self.unit, len(np.unique(views.time)), measured_flow)
         self.optimiser = self._make_optimiser()
@@ -105,8 +106,8 @@ class Trainer:
         named = {f"{s.KIND}.{name}": p for s in (self.model.gaussians, self.model.convexes) for name, p in s.parameters.items()}
         if self.model.field is not None:
             named |= {f"field.{name}": p for name, p in self.model.field.named_parameters()}
-        if self.affine is not None:
-            named |= {f"affine.{name}": p for name, p in self.affine.named_parameters()}
+        if self.model.affine is not None:
+            named |= {f"affine.{name}": p for name, p in self.model.affine.named_parameters()}
         return named
 
     def _make_optimiser(self) -> RowAdam:
@@ -156,8 +157,8 @@ class Trainer:
         gaussians, convexes = model.at(t, camera, phase.move, degree)
         frame = rasterize(camera, gaussians, convexes, background)
         color = frame.color
-        if self.affine is not None:
-            color = self.affine(color, self.camera_numbers[int(views.camera[i])])
+        if model.affine is not None:
+            color = model.affine(color, int(views.camera[i]))
         target = views.target(i, phase.scale)
         loss = photometric_loss(color, target, s.l1, s.ssim)
         if self.iteration % 50 == 0:
@@ -315,9 +316,9 @@ class Trainer:
         if state["field"] is not None:
             motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
             self.model.field = motion_from_state(motion, state["field"]).to(device)
-        if self.affine is not None:
+        if self.model.affine is not None:
             with torch.no_grad():
-                for name, p in self.affine.named_parameters():
+                for name, p in self.model.affine.named_parameters():
                     p.copy_(tensors[f"parameter/affine.{name}"])
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
