@@ -70,7 +70,7 @@ class Coarse(Stage):
         from ..scene.training.schedule import PYRAMID, coarse_phases, pyramid_phases
         from ..scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
         from .dataset import load_frameset, load_views, measured_flow
-        from ..scene.seeding.near_plane import near_plane
+        from ..scene.seeds.near_plane import near_plane
         from .seeds import initial_dynamic, load_seeds, tracks_of_movers
         from .training_artifact import write_training
 

@@ -25,10 +25,10 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
     """
     import numpy as np
 
-    from ..scene.seeding.colours import median_colours
-    from ..scene.seeding.hull import visual_hull
-    from ..scene.seeding.rays import ray_seeds
-    from ..scene.seeding.shell import shell_seeds, surrounded
+    from ..scene.seeds.colours import median_colours
+    from ..scene.seeds.hull import visual_hull
+    from ..scene.seeds.rays import ray_seeds
+    from ..scene.seeds.shell import shell_seeds, surrounded
     from ..scene.training.curriculum import MIN_CAMERAS
 
     chosen = middle_frames(views)

@@ -34,9 +34,9 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
     ``count``, as are posed captures of which little was triangulated."""
     import numpy as np
 
-    from ..scene.seeding.carve import carve
-    from ..scene.seeding.outliers import trusted
-    from ..scene.seeding.volume import common_volume
+    from ..scene.seeds.carve import carve
+    from ..scene.seeds.outliers import trusted
+    from ..scene.seeds.volume import common_volume
     from ..scene.training.curriculum import MIN_CAMERAS
     from .fill_seeds import fill_seeds, middle_frames
 

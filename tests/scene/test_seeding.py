@@ -2,8 +2,8 @@
 
 import numpy as np
 import torch
-from e4dgs.scene.seeding.carve import carve
-from e4dgs.scene.seeding.volume import common_volume
+from e4dgs.scene.seeds.carve import carve
+from e4dgs.scene.seeds.volume import common_volume
 from e4dgs.scene.views import Views
 
 
