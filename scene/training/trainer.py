@@ -30,12 +30,15 @@ from .node_training import FREEZE_AT as FREEZE_NODES_AT
 from .node_training import NodeTraining
 from .optimiser import RowAdam
 from .rates import learning_rates
-from .schedule import Phase
+from .schedule import Phase, alike_since
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
 FREEZE_AT = 0.45  # of the coarse stage: what has not moved by then does not move
+GROW_UNTIL = 0.9  # of the coarse stage: well into the images of full size, which alone show where details are missing
+GROW_NODES_UNTIL = 0.75
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
+SMALL_SHARE = 0.6  # of the budget, on small images of a rig, whose cameras see more than one image holds
 
 
 @dataclass
@@ -88,6 +91,8 @@ class Trainer:
         with_nodes = moving and isinstance(model.field, ControlNodes)
         self.nodes = NodeTraining(self.total, times, settings.seed) if with_nodes else None
         opened = 0 if not moving else self.nodes.opened if self.nodes else round(settings.open_until * self.total)
+        chosen = GROW_NODES_UNTIL if self.nodes else GROW_UNTIL
+        self.grow_until = chosen if settings.densify_until is None else settings.densify_until
         self.curriculum = Curriculum(views.train, times, settings.seed, still, opened, self.nodes.start if self.nodes else 0)
         cameras = np.unique(views.camera[views.train])
         several = len(cameras) > 1 and len(views.train) > 1.5 * len(cameras)
@@ -211,7 +216,7 @@ class Trainer:
             count = freeze_still_gaussians(self.model, self.views, STILL_PIXELS / phase.scale if self.nodes else STILL_PIXELS)
             self.log.skipped["still Gaussians taken out of the field"] = count
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
-        if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= s.densify_until:
+        if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= self.grow_until:
             self._control(phase, grow=self.grow)
 
     def _renew_nodes(self, nodes: NodeTraining, phase: Phase) -> None:
@@ -233,10 +238,11 @@ class Trainer:
         self._replace(model.gaussians.select(keep), keep)
         error = measured.error_gaussians[keep]
         width, height = self.views.size(phase.scale)
-        room = min(self.budget, round(GAUSSIANS_PER_PIXEL * width * height) if phase.scale < 1 else self.budget) - len(model.gaussians)
+        most = max(round(GAUSSIANS_PER_PIXEL * width * height), 0 if self.nodes else round(SMALL_SHARE * self.budget))
+        room = (min(self.budget, most) if phase.scale < 1 else self.budget) - len(model.gaussians)
         if grow and room > 0:
             progress = self.iteration / max(self.total, 1)
-            rounds_left = max(1, round((self.settings.densify_until - progress) * self.total / self.settings.densify_every))
+            rounds_left = max(1, round((self.grow_until - progress) * self.total / self.settings.densify_every))
             chosen = choose_to_split(model.gaussians, error, min(room, max(room // rounds_left, len(model.gaussians) // 8)))
             self._replace(*split_along_longest_axis(model.gaussians, chosen))
         if len(model.convexes):
@@ -269,9 +275,10 @@ class Trainer:
         """The smoothed loss of the last `patience` steps is no better than that of the `patience` steps before."""
         rows = self.settings.patience // 20
         progress = self.iteration / max(self.total, 1)
-        if self.iteration % 100 or progress < max(0.5, self.settings.densify_until) or len(self.log.loss) < 2 * rows:
+        if self.iteration % 100 or progress < max(0.5, self.grow_until) or len(self.log.loss) < 2 * rows:
             return False
-        if not self.curriculum.complete(self.iteration - 2 * self.settings.patience):
+        first = self.iteration - 2 * self.settings.patience
+        if not self.curriculum.complete(first) or first < alike_since(self.phases, self.iteration):
             return False
         values = [value for _, value in self.log.loss]
         before, now = float(np.mean(values[-2 * rows : -rows])), float(np.mean(values[-rows:]))
