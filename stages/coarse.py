@@ -71,6 +71,7 @@ class Coarse(Stage):
         from ..scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
         from .dataset import load_frameset, load_views, measured_flow
         from ..scene.seeds.near_plane import near_plane
+        from .fill_seeds import hull_seeds
         from .seeds import initial_dynamic, load_seeds, tracks_of_movers
         from .training_artifact import write_training
 
@@ -81,8 +82,10 @@ class Coarse(Stage):
         static = is_static(ctx)
 
         budget = settings.budget or auto_budget(ctx.facts, views)
-        points, colors, trusted = load_seeds(ctx, frames, views, settings.seeds or auto_seeds(ctx.facts, budget))
-        views.near = near_plane(views, trusted)
+        seeds = settings.seeds or auto_seeds(ctx.facts, budget)
+        points, colors, trusted = load_seeds(ctx, frames, views, seeds)
+        movers, their_colors = hull_seeds(ctx, frames, views, seeds)
+        views.near = near_plane(views, np.concatenate([trusted, movers]))
         if frames.background is None:
             views.background = mean_colour(views)
         pixels = views.width * views.height
@@ -93,11 +96,14 @@ class Coarse(Stage):
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:few]
             points, colors = points[chosen], colors[chosen]
         unit = views.viewing_distance(points)
-        tracks = None if static or nodes else tracks_of_movers(ctx, views, points)
+        tracks = None if static or nodes else tracks_of_movers(ctx, views, points, movers, their_colors)
         dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, tracks is not None)
         if tracks is not None:
             points, colors = np.concatenate([points, tracks.rest]), np.concatenate([colors, tracks.colors])
             dynamic = np.concatenate([dynamic, np.ones(len(tracks.rest), bool)])
+        elif len(movers):
+            points, colors = np.concatenate([points, movers]), np.concatenate([colors, their_colors])
+            dynamic = np.concatenate([dynamic, np.full(len(movers), not static)])
         gaussians = GaussianSet.from_points(points, colors, settings.sh_degree, max_scale=0.05 * unit)
         field = None
         if not static:
@@ -117,7 +123,8 @@ class Coarse(Stage):
         if nodes and settings.strategy in ("two-stage", "alternating"):
             phases = pyramid_phases(steps, smallest)
         else:
-            phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from, tracks is None)
+            from_rest = tracks is None or len(movers) > 0  # a rig shows the rest state at the middle time alone
+            phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from, from_rest)
         total = sum(phase.iterations for phase in phases)
         with ctx.progress(total, "coarse") as bar:
             trainer = Trainer(

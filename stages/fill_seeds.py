@@ -1,4 +1,4 @@
-"""Seeds where features found nothing: along rays, on the shell around everything, on what the masks of the middle time enclose."""
+"""Seeds where features found nothing: along rays, on the shell around everything, and on what masks of the middle time enclose."""
 
 from __future__ import annotations
 
@@ -26,22 +26,17 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
     import numpy as np
 
     from ..scene.seeds.colours import median_colours
-    from ..scene.seeds.hull import visual_hull
     from ..scene.seeds.rays import ray_seeds
     from ..scene.seeds.shell import shell_seeds, surrounded
     from ..scene.training.curriculum import MIN_CAMERAS
 
     chosen = middle_frames(views)
-    rig = len(chosen) >= MIN_CAMERAS
-    if not rig:
+    if len(chosen) < MIN_CAMERAS:
         chosen = views.train[np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int)]
     masks = [moving_mask(ctx, frames, int(i)) for i in chosen]
     seed = ctx.settings.seed
     found: dict[str, np.ndarray] = {}
     colors: list[np.ndarray] = []
-    if rig and all(mask is not None for mask in masks):
-        found["on what masks enclose"] = visual_hull(views, masks, chosen, int(HULL_SHARE * count), seed)  # type: ignore[arg-type]
-        colors.append(median_colours(views, found["on what masks enclose"], chosen, masks)[0])  # type: ignore[arg-type]
     still = [np.ones((views.height, views.width), bool) if mask is None else ~mask for mask in masks]
     shell = shell_seeds(views, points, int(SHELL_SHARE * count), seed) if surrounded(views) else np.zeros((0, 3))
     rays = ray_seeds(views, points, chosen, count - len(shell), seed, skip=[~s for s in still])
@@ -51,6 +46,24 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
         colors.append(color[seen >= min(LEAST_SEEN, len(chosen))])
     ctx.log("seeds: " + ", ".join(f"{len(seeds)} {name}" for name, seeds in found.items()))
     return np.concatenate(list(found.values())), np.concatenate(colors)
+
+
+def hull_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Up to ``HULL_SHARE`` of ``count`` seeds [n, 3] on what masks of the middle time enclose, with their colours [n, 3] in [0, 1]; none
+    where fewer than four cameras saw that time, or where one of them has no mask."""
+    import numpy as np
+
+    from ..scene.seeds.colours import median_colours
+    from ..scene.seeds.hull import visual_hull
+    from ..scene.training.curriculum import MIN_CAMERAS
+
+    chosen = middle_frames(views)
+    masks = [mask for i in chosen if (mask := moving_mask(ctx, frames, int(i))) is not None]
+    if len(chosen) < MIN_CAMERAS or len(masks) < len(chosen):
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    points = visual_hull(views, masks, chosen, int(HULL_SHARE * count), ctx.settings.seed)
+    ctx.log(f"seeds: {len(points)} on what masks enclose at the middle time")
+    return points, median_colours(views, points, chosen, masks)[0]
 
 
 def middle_frames(views: Views) -> np.ndarray:

@@ -7,8 +7,9 @@ import numpy as np
 from ..views import Views
 from .volume import common_volume
 
-CELLS = 48  # along the volume's side, first pass
-FINER = 3  # cells of the second pass along a side of one of the first
+REACH = 0.8  # of the cameras' median distance: how far from the middle of what they share anything is looked for
+CELLS = 64  # along the volume's side, first pass
+FINER = 4  # cells of the second pass along a side of one of the first
 SHARE = 0.85  # of the cameras that see a place: masks have holes
 LEAST = 3  # cameras that must see it
 
@@ -17,10 +18,10 @@ def visual_hull(views: Views, masks: list[np.ndarray], frames: np.ndarray, most:
     """Up to ``most`` points [n, 3] in world units on the surface of what the masks of ``frames`` agree on.
 
     masks: one [H, W] bool a frame, all of one time. A cell is taken when at least 85 % of the three or more frames that show its centre have
-    it on their mask. The volume is a cube around what the cameras share, half as wide again.
+    it on their mask. The volume is a cube around what the cameras share, most of the way to them.
     """
-    centre, radius = common_volume(views)
-    radius *= 1.5
+    centre, _ = common_volume(views)
+    radius = REACH * float(np.median(np.linalg.norm(views.centres()[frames] - centre, axis=1)))
     size = 2 * radius / CELLS
     axis = (np.arange(CELLS) + 0.5) * size - radius
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3) + centre
