@@ -66,11 +66,11 @@ class Coarse(Stage):
 
         from ..scene.model import Model
         from ..scene.primitives import ConvexSet, GaussianSet
+        from ..scene.seeds.near_plane import near_plane
         from ..scene.training.motion_start import STEPS, follow_tracks
         from ..scene.training.schedule import PYRAMID, coarse_phases, pyramid_phases
         from ..scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
         from .dataset import load_frameset, load_views, measured_flow
-        from ..scene.seeds.near_plane import near_plane
         from .fill_seeds import hull_seeds
         from .seeds import initial_dynamic, load_seeds, tracks_of_movers
         from .training_artifact import write_training

@@ -59,8 +59,8 @@ class Chain:
         return places, alive
 
     def move(self, k: int, direction: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Where pixels ``places`` [n, 2] of frame ``k`` are in the next (1) or the last (-1), [n, 2] px, and whether flow there is trusted and
-        ends on a mask, [n] bool; None where it was not measured."""
+        """Where pixels ``places`` [n, 2] of frame ``k`` are in the next (1) or the last (-1), [n, 2] px, and whether flow there is trusted
+        and ends on a mask, [n] bool; None where it was not measured."""
         step = self._step(k, direction)
         if step is None:
             return None

@@ -25,7 +25,6 @@ ROUNDS = 4  # of reweighting
 NEIGHBOURS = 12
 BLOCK = 4  # px, side of a pixel of the map that tells which seeds others hide
 BEHIND = 0.02  # of the depth, by which a seed may lie behind the first in its block
-LOST = 0.5  # share of the seeds without any neighbour that is followed, from which on a direction is given up
 
 
 def rig_tracks(
@@ -61,14 +60,15 @@ def _next(
     rays = np.zeros((len(chains), len(points), 3))
     seen = np.zeros((len(chains), len(points)), bool)
     centres = views.centres()
-    for c, (chain, frames) in enumerate(chains):
+    for row, (chain, frames) in enumerate(chains):
         i, j = frames[k], frames[k + direction]
         shown = _first_in_line(views, i, points)
         shown = shown[alive[shown]]
         K, pose = views.K[i], views.cam_from_world[i]
         cam = points[shown] @ pose[:3, :3].T + pose[:3, 3]
         places = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5  # a chain's centres lie at whole numbers
-        on = chain.mask(k)[np.clip(np.rint(places[:, 1]).astype(int), 0, views.height - 1), np.clip(np.rint(places[:, 0]).astype(int), 0, views.width - 1)]
+        x, y = (np.clip(np.rint(places[:, c]).astype(int), 0, size - 1) for c, size in enumerate((views.width, views.height)))
+        on = chain.mask(k)[y, x]
         moved = chain.move(k, direction, places)
         if moved is None:
             continue
@@ -76,8 +76,8 @@ def _next(
         shown, places = shown[use], moved[0][use]
         K, pose = views.K[j], views.cam_from_world[j]
         ray = np.concatenate([(places + 0.5 - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(places), 1))], 1) @ pose[:3, :3]
-        rays[c, shown] = ray / np.linalg.norm(ray, axis=1, keepdims=True)
-        seen[c, shown] = True
+        rays[row, shown] = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+        seen[row, shown] = True
     ends = np.array([centres[frames[k + direction]] for _, frames in chains])
     focal = float(np.median(views.K[views.train, 0, 0]))
     found, agreed = meet(ends, rays, seen, points, AGREE * views.width / 640 / focal)
@@ -85,8 +85,9 @@ def _next(
 
 
 def meet(centres: np.ndarray, rays: np.ndarray, seen: np.ndarray, start: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """The points [N, 3] nearest to ``rays`` [C, N, 3] (unit) from ``centres`` [C, 3] where ``seen`` [C, N], and whether at least two rays pass
-    within ``angle`` (radians) of them. Rays that disagree lose their say (Cauchy weights); ``start`` [N, 3] holds what rays leave open."""
+    """The points [N, 3] nearest to ``rays`` [C, N, 3] (unit) from ``centres`` [C, 3] where ``seen`` [C, N], and whether at least two rays
+    pass within ``angle`` (radians) of them. Rays that disagree lose their say (Cauchy weights); ``start`` [N, 3] holds what rays leave
+    open."""
     projector = np.eye(3) - rays[..., :, None] * rays[..., None, :]
     found = start.astype(np.float64)
     for r in range(ROUNDS + 1):

@@ -12,8 +12,8 @@ def median_colours(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Median [P, 3] in [0, 1], a channel each, of what ``frames`` show at ``points`` [P, 3] (world units), and how many show them [P] int.
 
-    What stands before a point in a few of the frames does not colour it, as it would a mean. masks: one [H, W] bool a frame; where a frame's
-    mask is False it says nothing. A point that no frame shows is ``blank``.
+    What stands before a point in a few of the frames does not colour it, as it would a mean. masks: one [H, W] bool a frame; where a
+    frame's mask is False it says nothing. A point that no frame shows is ``blank``.
     """
     looks = np.full((len(frames), len(points), 3), np.inf, np.float32)  # inf sorts behind every colour
     for k, i in enumerate(frames):

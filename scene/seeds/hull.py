@@ -17,8 +17,8 @@ LEAST = 3  # cameras that must see it
 def visual_hull(views: Views, masks: list[np.ndarray], frames: np.ndarray, most: int, seed: int) -> np.ndarray:
     """Up to ``most`` points [n, 3] in world units on the surface of what the masks of ``frames`` agree on.
 
-    masks: one [H, W] bool a frame, all of one time. A cell is taken when at least 85 % of the three or more frames that show its centre have
-    it on their mask. The volume is a cube around what the cameras share, most of the way to them.
+    masks: one [H, W] bool a frame, all of one time. A cell is taken when at least 85 % of the three or more frames that show its centre
+    have it on their mask. The volume is a cube around what the cameras share, most of the way to them.
     """
     centre, _ = common_volume(views)
     radius = REACH * float(np.median(np.linalg.norm(views.centres()[frames] - centre, axis=1)))

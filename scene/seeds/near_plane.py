@@ -14,8 +14,8 @@ WITHOUT = 0.05  # of the viewing distance, where no view shows enough
 
 
 def near_plane(views: Views, points: np.ndarray) -> float:
-    """The near plane for all cameras, world units: half the depth of the nearest of the trusted ``points`` [P, 3] in any training view, and at
-    most a fifth of the viewing distance, since held-out cameras may come nearer."""
+    """The near plane for all cameras, world units: half the depth of the nearest of the trusted ``points`` [P, 3] in any training view, and
+    at most a fifth of the viewing distance, since held-out cameras may come nearer."""
     unit = views.viewing_distance(points)
     nearest = []
     for i in views.train[:: max(1, len(views.train) // 120)]:

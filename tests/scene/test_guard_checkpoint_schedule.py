@@ -4,7 +4,7 @@ import pytest
 import torch
 from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
-from e4dgs.scene.training.schedule import coarse_phases, fine_phases, pyramid_phases
+from e4dgs.scene.training.schedule import Phase, alike_since, coarse_phases, fine_phases, pyramid_phases
 
 
 def parameter(gradient):
@@ -110,3 +110,8 @@ def test_the_pyramid_spends_all_steps_and_never_shrinks(smallest):
     scales = [p.scale for p in phases]
     assert sum(p.iterations for p in phases) == 1000 and scales == sorted(scales) and scales[-1] == 1.0
     assert min(scales) == max(0.125, smallest) and [p.move for p in phases] == [False] + [True] * (len(phases) - 1)
+
+
+def test_losses_of_another_image_size_do_not_compare():
+    phases = [Phase("a", 100, False, 0.5), Phase("b", 200, True, 0.5), Phase("c", 300, True, 1.0), Phase("d", 50, True, 1.0)]
+    assert [alike_since(phases, step) for step in (50, 100, 101, 300, 301, 600, 650)] == [0, 0, 100, 100, 300, 300, 300]
