@@ -173,8 +173,9 @@ def is_rig(facts: Mapping[str, Any]) -> bool:
 def mean_colour(views: Views) -> tuple[float, float, float]:
     """RGB in [0, 1] of the training views: what shows through an opaque scene's holes should not shine nor be black."""
     few = views.train[:: max(1, len(views.train) // 60)]
-    red, green, blue = sum(views.target(int(i), 0.25).double().mean((0, 1)).cpu() for i in few) / len(few)  # type: ignore[union-attr]
-    return float(red), float(green), float(blue)
+    means = [views.target(int(i), 0.25).double().mean((0, 1)).tolist() for i in few]
+    red, green, blue = (sum(channel) / len(few) for channel in zip(*means))
+    return red, green, blue
 
 
 def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:

@@ -49,7 +49,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
         background=BACKGROUNDS[frames.background] if model is None else model.background,
         stored_edges=edges,
         device=device,
-        **({} if model is None else {"near": model.near}),
+        near=Views.near if model is None else model.near,
     )
 
 

@@ -25,5 +25,6 @@ def median_colours(
     looks.sort(axis=0)
     count = np.isfinite(looks[..., 0]).sum(0)
     rows = np.arange(len(points))
-    middle = looks[np.maximum(count - 1, 0) // 2, rows].astype(np.float64)
+    known = np.clip(count, 1, None)
+    middle = (looks[(known - 1) // 2, rows] + looks[known // 2, rows]).astype(np.float64) / 2
     return np.where(count[:, None] > 0, middle, blank), count

@@ -33,8 +33,9 @@ def ray_seeds(
         cam = points[shown] @ pose[:3, :3].T + pose[:3, 3]
         pixels = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
         at = _spread(views.width, views.height, count // len(frames), rng)
-        if skip is not None and skip[k] is not None:
-            at = at[~skip[k][at[:, 1].astype(int), at[:, 0].astype(int)]]
+        skipped = None if skip is None else skip[k]
+        if skipped is not None:
+            at = at[~skipped[at[:, 1].astype(int), at[:, 0].astype(int)]]
         distance, near = cKDTree(pixels).query(at, k=NEIGHBOURS)
         at, distance, near = (a[distance[:, 0] > gap] for a in (at, distance, near))
         weight = 1 / (distance + soft) ** 2

@@ -115,8 +115,8 @@ def test_nothing_is_drawn_nearer_than_half_of_the_nearest_point(nearest, expecte
     """At most a fifth of the viewing distance of 4; a lone wrong match at the lens does not count."""
     views = ring(1, radius=4.0)
     rng = np.random.default_rng(0)
-    cam = np.concatenate([rng.uniform(-0.1, 0.1, (200, 3)) + [0, 0, 4.0], rng.uniform(-0.1, 0.1, (20, 3)) * [1, 1, 0] + [0, 0, nearest]])
-    cam = np.concatenate([cam, [[0, 0, 0.02]]])
+    far, close = (rng.uniform([-0.1, -0.1, z], [0.1, 0.1, z], (count, 3)) for z, count in ((4.0, 200), (nearest, 20)))
+    cam = np.concatenate([far, close, [[0, 0, 0.02]]])
     pose = views.cam_from_world[0]
     points = (cam - pose[:3, 3]) @ pose[:3, :3]
     assert near_plane(views, points) == pytest.approx(expected, rel=0.05)
