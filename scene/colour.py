@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor, nn
 
@@ -9,14 +11,21 @@ from torch import Tensor, nn
 class CameraAffine(nn.Module):
     """Gain and offset [cameras, 3] each. Over the training cameras gains multiply to one and offsets add to zero, so that the model's
     own colours stay those of the mean camera, which is what held-out cameras are rendered with.
+
+    cameras: the numbers of the training cameras, in the order of the rows.
     """
 
-    def __init__(self, cameras: int) -> None:
+    def __init__(self, cameras: Iterable[int]) -> None:
         super().__init__()
-        self.log_gain = nn.Parameter(torch.zeros(cameras, 3))
-        self.offset = nn.Parameter(torch.zeros(cameras, 3))
+        self.cameras = [int(c) for c in cameras]
+        self._row = {camera: row for row, camera in enumerate(self.cameras)}
+        self.log_gain = nn.Parameter(torch.zeros(len(self.cameras), 3))
+        self.offset = nn.Parameter(torch.zeros(len(self.cameras), 3))
 
     def forward(self, image: Tensor, camera: int) -> Tensor:
-        """``image`` [H, W, 3] as camera number ``camera`` would record it."""
-        gain = torch.exp(self.log_gain[camera] - self.log_gain.mean(0))
-        return image * gain + (self.offset[camera] - self.offset.mean(0))
+        """``image`` [H, W, 3] as the camera of number ``camera`` would record it; one without a row is the mean camera."""
+        row = self._row.get(int(camera))
+        if row is None:
+            return image
+        gain = torch.exp(self.log_gain[row] - self.log_gain.mean(0))
+        return image * gain + (self.offset[row] - self.offset.mean(0))

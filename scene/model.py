@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
+from .colour import CameraAffine
 from .motion.field import DeformationField
 from .motion.interface import Rest
 from .motion.nodes import ControlNodes
@@ -20,13 +22,27 @@ class Model:
     """Edge4DGS = {G, C} (Eq. 1) with an optional deformation field.
 
     gaussians, convexes: the two sets at rest. field: the motion, None where nothing moves. sh_degree: highest degree that is rendered.
+    near: world units; nothing nearer to a camera was learned, so nothing nearer is drawn. background: RGB in [0, 1] that it was learned
+    on. affine: how the training cameras record its colours; None where all record them alike. Held-out views are the mean camera's.
     """
 
-    def __init__(self, gaussians: GaussianSet, convexes: ConvexSet, field: DeformationField | ControlNodes | None, sh_degree: int) -> None:
+    def __init__(
+        self,
+        gaussians: GaussianSet,
+        convexes: ConvexSet,
+        field: DeformationField | ControlNodes | None,
+        sh_degree: int,
+        near: float = 0.01,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        affine: CameraAffine | None = None,
+    ) -> None:
         self.gaussians = gaussians
         self.convexes = convexes
         self.field = field
         self.sh_degree = sh_degree
+        self.near = near
+        self.background = background
+        self.affine = affine
         self._links: dict[str, tuple[PrimitiveSet, Tensor | None]] = {}
 
     @property
@@ -36,8 +52,9 @@ class Model:
     def to(self, device: str | torch.device) -> Model:
         """Moves the model to this device, in place, and returns it. Cameras stay where they are: `rasterize` takes them from the CPU."""
         self.gaussians, self.convexes = self.gaussians.to(device), self.convexes.to(device)
-        if self.field is not None:
-            self.field.to(device)
+        for part in (self.field, self.affine):
+            if part is not None:
+                part.to(device)
         self.relink()
         return self
 
@@ -117,7 +134,10 @@ class Model:
         return moving.nonzero()[:, 0]
 
     def render(self, camera: Camera, time: float, background: Tensor | None = None, backend: str = "auto") -> Frame:
-        """One view at one ``time`` in [0, 1], without gradients. ``background`` [3] in [0, 1]; None is black."""
+        """One view at one ``time`` in [0, 1], without gradients, as the mean camera records it. ``background`` [3] in [0, 1], None for the
+        model's own. The camera's near plane counts where it is farther than the model's."""
+        camera = replace(camera, near=max(camera.near, self.near))
+        background = torch.tensor(self.background) if background is None else background
         with torch.no_grad():
             gaussians, convexes = self.at(time, camera)
             return rasterize(camera, gaussians, convexes, background, backend=backend)  # type: ignore[arg-type]
@@ -133,12 +153,20 @@ class Model:
         arrays = {**self.gaussians.to_arrays(), **self.convexes.to_arrays()}
         if self.field is not None:
             arrays |= {"field_" + name: p.cpu().numpy() for name, p in self.field.state_dict().items()}
+        if self.affine is not None:
+            arrays |= {"affine_" + name: p.cpu().numpy() for name, p in self.affine.state_dict().items()}
         return arrays
 
     @property
     def config(self) -> dict[str, Any]:
         """JSON values beside the arrays."""
-        return {"sh_degree": self.sh_degree, "field": None if self.field is None else self.field.config}
+        return {
+            "sh_degree": self.sh_degree,
+            "field": None if self.field is None else self.field.config,
+            "near": self.near,
+            "background": list(self.background),
+            "affine_cameras": None if self.affine is None else self.affine.cameras,
+        }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], config: Mapping[str, Any]) -> Model:
@@ -147,7 +175,13 @@ class Model:
         if config["field"] is not None:
             state = {name.removeprefix("field_"): torch.tensor(np.asarray(arrays[name])) for name in arrays if name.startswith("field_")}
             field = motion_from_state(state, config["field"])
-        return cls(GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays), field, int(config["sh_degree"]))
+        affine = None
+        if config["affine_cameras"] is not None:
+            affine = CameraAffine(config["affine_cameras"])
+            affine.load_state_dict({name: torch.tensor(np.asarray(arrays["affine_" + name])) for name in affine.state_dict()})
+        red, green, blue = (float(c) for c in config["background"])
+        sets = GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays)
+        return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine)
 
 
 def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes:

@@ -37,7 +37,9 @@ class TrainingSettings(Settings):
     data_flow: float = Field(1e-3, ge=0, description="weight of rendered against measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="the two flow terms are evaluated at every n-th step")
     densify_every: int = Field(100, ge=1, description="steps between two rounds of density control")
-    densify_until: float = Field(0.8, ge=0, le=1, description="last round of growth, as a fraction of the steps")
+    densify_until: float | None = Field(
+        None, ge=0, le=1, description="last round of growth, as a fraction of the steps; 0.9 for planes, 0.8 for nodes"
+    )
     min_opacity: float = Field(0.01, ge=0, lt=1, description="primitives below are pruned")
     min_weight: float = Field(0.25, ge=0, description="px a view; primitives that are blended into less, on average, are pruned")
     affine: bool = Field(True, description="one colour affine a camera, for captures of several cameras")

@@ -32,14 +32,14 @@ class CoarseSettings(TrainingSettings):
     )
     strategy: Strategy = Field("two-stage", description="one of the four trainings of Table 3; `fine` follows it")
     full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps on images of half the size, before those of full size")
-    seeds: int = Field(8000, ge=100, le=2_000_000, description="Gaussians to begin with where the capture brings no points")
+    seeds: int = Field(0, ge=0, le=2_000_000, description="Gaussians to begin with; 0 chooses: half the budget for rigs, else 8000")
 
 
 class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 5
+    version = 6  # 6: near plane, background and camera colours; seeds along rays
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
@@ -65,12 +65,14 @@ class Coarse(Stage):
 
         from ..scene.model import Model
         from ..scene.primitives import ConvexSet, GaussianSet
+        from ..scene.seeds.near_plane import near_plane
         from ..scene.training.motion_start import STEPS, follow_tracks
         from ..scene.training.recipe import NODES as NODE_RECIPE
         from ..scene.training.recipe import PLANES
         from ..scene.training.schedule import HALF_RESOLUTION, coarse_phases, node_phases
         from ..scene.training.trainer import Trainer
         from .dataset import load_frameset, load_views, measured_flow
+        from .fill_seeds import hull_seeds
         from .seeds import initial_dynamic, load_seeds, tracks_of_movers
         from .training_artifact import write_training
 
@@ -80,18 +82,27 @@ class Coarse(Stage):
         views = load_views(frames, ctx.inputs["flow"], ctx.device)
         static = is_static(ctx)
 
-        points, colors = load_seeds(ctx, frames, views)
-        pixels = views.width * views.height
         nodes = not static and use_nodes(ctx.facts, settings)
+        budget = settings.budget or auto_budget(ctx.facts, views, nodes)
+        seeds = settings.seeds or auto_seeds(ctx.facts, budget)
+        points, colors, trusted = load_seeds(ctx, frames, views, seeds)
+        movers, their_colors = hull_seeds(ctx, frames, views, seeds)
+        views.near = near_plane(views, np.concatenate([trusted, movers]))
+        if frames.background is None:
+            views.background = mean_colour(views)
+        pixels = views.width * views.height
         if nodes:
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
             points, colors = points[chosen], colors[chosen]
         unit = views.viewing_distance(points)
-        tracks = None if static or nodes else tracks_of_movers(ctx, views, points)
+        tracks = None if static or nodes else tracks_of_movers(ctx, views, points, movers, their_colors)
         dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, tracks is not None)
         if tracks is not None:
             points, colors = np.concatenate([points, tracks.rest]), np.concatenate([colors, tracks.colors])
             dynamic = np.concatenate([dynamic, np.ones(len(tracks.rest), bool)])
+        elif len(movers):
+            points, colors = np.concatenate([points, movers]), np.concatenate([colors, their_colors])
+            dynamic = np.concatenate([dynamic, np.full(len(movers), not static)])
         gaussians = GaussianSet.from_points(points, colors, settings.sh_degree, max_scale=0.05 * unit)
         field = None
         if not static:
@@ -104,13 +115,15 @@ class Coarse(Stage):
                     error = follow_tracks(field, tracks.rest, tracks.times, tracks.positions, tracks.alive, unit, settings, bar.advance)
                 off = f"{error / unit:.2%} of the viewing distance"
                 ctx.log(f"{len(tracks.rest)} seeds on what moves, followed along the flow; the field begins {off} beside them")
-        model = Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree).to(ctx.device)
+        empty = ConvexSet.empty(6, settings.sh_degree)
+        model = Model(gaussians, empty, field, settings.sh_degree, views.near, views.background).to(ctx.device)
 
         steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
         if nodes and settings.strategy in ("two-stage", "alternating"):
             phases = node_phases(steps, 1.0 if pixels < SMALL_IMAGE else HALF_RESOLUTION)
         else:
-            phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from, tracks is None)
+            from_rest = tracks is None or len(movers) > 0  # a rig shows the rest state at the middle time alone
+            phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from, from_rest)
         total = sum(phase.iterations for phase in phases)
         with ctx.progress(total, "coarse") as bar:
             trainer = Trainer(
@@ -118,7 +131,7 @@ class Coarse(Stage):
                 views,
                 phases,
                 settings,
-                budget=settings.budget or auto_budget(views),
+                budget=budget,
                 checkpoints=ctx.checkpoints,
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
                 recipe=NODE_RECIPE if nodes else PLANES,
@@ -137,10 +150,35 @@ def is_static(ctx: Context) -> bool:
     return bool(ctx.facts.get("static") or (flow is not None and flow.attrs.get("static")))
 
 
-def auto_budget(views: Views) -> int:
-    """One Gaussian for eight pixels of one view; 12,000 to 120,000. On a rendered rig of six cameras 12,000 and 32,000 came out equal on a
-    held-out one (20.87 and 20.88 dB)."""
-    return int(min(max(views.width * views.height // 8, 12_000), 120_000))
+def auto_budget(facts: Mapping[str, Any], views: Views, nodes: bool) -> int:
+    """One Gaussian for eight pixels of one view, 12,000 to 120,000; for four where nodes move them, whose few parameters bear more; for four
+    of a rig, which sees a whole room, 40,000 to 240,000."""
+    pixels = views.width * views.height
+    if is_rig(facts):
+        return int(min(max(pixels // 4, 40_000), 240_000))
+    if nodes:
+        return int(min(max(pixels // 4, 12_000), 120_000))
+    return int(min(max(pixels // 8, 12_000), 120_000))
+
+
+def auto_seeds(facts: Mapping[str, Any], budget: int) -> int:
+    """Half the budget for rigs: what growth adds goes where some primitive is, so each wall needs some to begin with. Else 8000."""
+    return budget // 2 if is_rig(facts) else 8000
+
+
+def is_rig(facts: Mapping[str, Any]) -> bool:
+    """Several cameras see each time."""
+    from ..scene.training.curriculum import MIN_CAMERAS
+
+    return facts.get("frames", 0) >= MIN_CAMERAS * facts.get("times", 1)
+
+
+def mean_colour(views: Views) -> tuple[float, float, float]:
+    """RGB in [0, 1] of the training views: what shows through an opaque scene's holes should not shine nor be black."""
+    few = views.train[:: max(1, len(views.train) // 60)]
+    means = [views.target(int(i), 0.25).double().mean((0, 1)).tolist() for i in few]
+    red, green, blue = (sum(channel) / len(few) for channel in zip(*means))
+    return red, green, blue
 
 
 def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
@@ -152,13 +190,10 @@ def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
 
 def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
     """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; 8400 for control nodes."""
-    from ..scene.training.curriculum import MIN_CAMERAS
-
     if use_nodes(facts, settings):
         return ITERATIONS_NODES
-    frames, times = facts.get("frames", 0), facts.get("times", 1)
-    rig = not facts.get("static") and frames >= MIN_CAMERAS * times
-    return min(max(ITERATIONS, ITERATIONS_A_TIME * times if rig else 0), MOST_ITERATIONS)
+    moving_rig = is_rig(facts) and not facts.get("static")
+    return min(max(ITERATIONS, ITERATIONS_A_TIME * facts.get("times", 1) if moving_rig else 0), MOST_ITERATIONS)
 
 
 def make_nodes(points: np.ndarray, views: Views, settings: TrainingSettings):

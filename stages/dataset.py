@@ -11,6 +11,7 @@ from ..pipeline import Artifact, StageError
 from .frameset import FrameSet
 
 if TYPE_CHECKING:
+    from ..scene.model import Model
     from ..scene.views import Views
 
 STILL_WEIGHT = 0.1  # of measured flow where nothing moves
@@ -22,9 +23,9 @@ def load_frameset(inputs: Any, root: Path) -> FrameSet:
     return FrameSet(inputs["frames"], root, inputs.get("poses"))
 
 
-def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu") -> Views:
-    """Views over all frames, with their pictures on ``device``. ``train`` holds the registered training frames; raises StageError where
-    there is none."""
+def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", model: Model | None = None) -> Views:
+    """Views over all frames, with their pictures on ``device``, seen as ``model`` was trained (its near plane and background) where one is
+    given. ``train`` holds the registered training frames; raises StageError where there is none."""
     from ..scene.views import Views
 
     if not len(frames.train):
@@ -45,10 +46,11 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu") -> 
         width=frames.width,
         height=frames.height,
         load=frames.composited,
-        background=BACKGROUNDS[frames.background],
+        background=BACKGROUNDS[frames.background] if model is None else model.background,
         load_alpha=(lambda i: np.ascontiguousarray(frames.image(i)[..., 3])) if frames.alpha else None,
         stored_edges=edges,
         device=device,
+        near=Views.near if model is None else model.near,
     )
 
 

@@ -43,7 +43,7 @@ class Evaluate(Stage):
     """PSNR, SSIM, PSNR near edges, LPIPS of every held-out view; the model of `fine`, or of `coarse` where `fine` was skipped."""
 
     name = "evaluate"
-    version = 2  # 2: pictures of flow
+    version = 3  # 3: the near plane and background of the model
     inputs = ("frames", "poses", "flow", "coarse", "fine")
     settings = EvaluateSettings
     reads_capture = True
@@ -109,12 +109,7 @@ class Judge:
     """Renders views of ``frames`` and measures them. affine: also after a colour fit (captures of several cameras)."""
 
     def __init__(self, model: Model, frames: FrameSet, lpips: Lpips | None, affine: bool) -> None:
-        import torch
-
-        from .dataset import BACKGROUNDS
-
         self.model, self.frames, self.lpips, self.affine = model, frames, lpips, affine
-        self.background = torch.tensor(BACKGROUNDS[frames.background], dtype=torch.float32)
 
     def camera(self, i: int) -> Camera:
         import torch
@@ -123,13 +118,13 @@ class Judge:
 
         assert self.frames.K is not None and self.frames.cam_from_world is not None
         K, pose = (torch.tensor(a[i], dtype=torch.float32) for a in (self.frames.K, self.frames.cam_from_world))
-        return Camera(K, pose, self.frames.width, self.frames.height)
+        return Camera(K, pose, self.frames.width, self.frames.height, self.model.near)
 
     def render(self, i: int, at: float | None = None) -> tuple[np.ndarray, Frame]:
         """Colour float32 [H, W, 3] clamped to [0, 1] of frame i's camera at its own time or ``at``, and the whole frame."""
         import torch
 
-        frame = self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at, self.background)
+        frame = self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at)
         if not torch.isfinite(frame.color).all():
             raise StageError(
                 f"evaluate: the render of frame {self.frames.names[i]!r} holds non-finite colours, so the model is damaged; "
@@ -194,7 +189,7 @@ class Judge:
             i = indices[k % len(indices)]
             camera, at = self.camera(i), float(self.frames.time[i])
             start = time.perf_counter()
-            self.model.render(camera, at, self.background)
+            self.model.render(camera, at)
             if self.model.device.type == "cuda":
                 torch.cuda.synchronize()
             if k:
@@ -282,6 +277,7 @@ def protocol(
         "split": ", ".join(f"{split} ({len(indices)} views)" for split, indices in views.items()),
         "background": frames.background,
         "lpips_net": settings.lpips_net if measured else None,
+        "colours": "of the mean training camera; psnr_affine after one affine a channel and view",
         "metrics": "float64 on clamped float renders; SSIM 11x11 Gaussian, sigma 1.5, zero padding; edges: Canny 50/100, within 2 px",
         "notes": list(notes),
     }

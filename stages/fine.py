@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 5
+    version = 6  # 6: the near plane, background and camera colours of `coarse`
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True
@@ -52,7 +52,7 @@ class Fine(Stage):
         torch.manual_seed(settings.seed)
         coarse, hulls = required(ctx.inputs["coarse"]), ctx.inputs["hulls"]
         model = read_model(coarse)
-        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device)
+        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
         if hulls is not None and hulls.array("points").shape[0]:
             model.convexes = ConvexSet.from_hulls(hulls.read("points"), hulls.read("colors"), model.sh_degree, settings.convex_opacity)
             model.convexes.hyper.data.copy_(model.gaussians.hyper[torch.from_numpy(hulls.read("seed")).long()])
@@ -62,6 +62,7 @@ class Fine(Stage):
         model.to(ctx.device)
 
         strategy = coarse.attrs["strategy"]
+        nodes = (model.config["field"] or {}).get("kind") == "nodes"
         phases = fine_phases(strategy, coarse.attrs["iterations"], settings.iterations, is_static(ctx))
         with ctx.progress(sum(phase.iterations for phase in phases), "fine") as bar:
             trainer = Trainer(
@@ -69,12 +70,12 @@ class Fine(Stage):
                 views,
                 phases,
                 settings,
-                budget=settings.budget or auto_budget(views),
+                budget=settings.budget or auto_budget(ctx.facts, views, nodes),
                 checkpoints=ctx.checkpoints,
                 lr_scale=1.0 if strategy == "joint" else settings.lr_scale,
                 grow=strategy == "joint",
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
-                recipe=NODES if model.config["field"] and model.config["field"]["kind"] == "nodes" else PLANES,
+                recipe=NODES if nodes else PLANES,
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,
             )

@@ -22,7 +22,7 @@ class Hulls(Stage):
     """Edge density is attributed to the Gaussians of `coarse` that are blended at edge pixels; the densest become seeds."""
 
     name = "hulls"
-    version = 1
+    version = 2  # 2: the near plane of the model
     inputs = ("frames", "poses", "flow", "coarse")
     settings = HullSettings
     reads_capture = True
@@ -47,7 +47,7 @@ class Hulls(Stage):
 
         settings = ctx.settings
         model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)
-        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device)
+        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
         chosen = views.train[np.linspace(0, len(views.train) - 1, min(settings.views, len(views.train))).round().astype(int)]
         density, weight = edge_density(model, views, [int(i) for i in chosen])
 

@@ -50,15 +50,25 @@ class Chain:
         for direction in (1, -1):
             k = start
             while 0 <= k + direction < count and alive[k].any():
-                step = self._step(k, direction)
-                if step is None:
+                moved = self.move(k, direction, places[k])
+                if moved is None:
                     break
-                confidence = self._sample(step.confidence.astype(np.float32), places[k])
-                places[k + direction] = places[k] + self._sample(step.flow.astype(np.float32), places[k])
-                inside = self._sample(self._small_mask(k + direction).astype(np.float32), places[k + direction], outside=0.0) > 127
-                alive[k + direction] = alive[k] & (confidence > TRUSTED) & inside
+                places[k + direction], trusted = moved
+                alive[k + direction] = alive[k] & trusted
                 k += direction
         return places, alive
+
+    def move(self, k: int, direction: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Where pixels ``places`` [n, 2] of frame ``k`` are in the next (1) or the last (-1), [n, 2] px, and whether flow there is trusted
+        and ends on a mask, [n] bool; None where it was not measured."""
+        step = self._step(k, direction)
+        if step is None:
+            return None
+        places = np.ascontiguousarray(places, np.float32)
+        confidence = self._sample(step.confidence.astype(np.float32), places)
+        moved = places + self._sample(step.flow.astype(np.float32), places)
+        inside = self._sample(self._small_mask(k + direction).astype(np.float32), moved, outside=0.0) > 127
+        return moved, (confidence > TRUSTED) & inside
 
     def _read_step(self, k: int, direction: int) -> Step | None:
         """From frame ``k`` to the next (1) or the last (-1); None where it was not measured."""

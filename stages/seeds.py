@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..pipeline import Context
 
@@ -17,44 +17,74 @@ if TYPE_CHECKING:
 FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever changes before it
 MOVERS_SHARE = 0.5  # of a moving camera's masks, frame by frame, where what moves has seeds of its own
 COVERED_SHARE = 0.05  # of the same, where seeds that it hides at times must stand in for it
+LEAST_POINTS = 30  # from which depths between them mean something
 LOOKS = 60  # masks of a moving camera that are looked at
 
 
-def load_seeds(ctx: Context, frames: FrameSet, views: Views) -> tuple[np.ndarray, np.ndarray]:
-    """Where Gaussians start and their colours in [0, 1]: points of the capture or SfM, else carved silhouettes, else triangulated."""
+class Seeds(NamedTuple):
+    """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: those of them, or others, that were measured and not guessed."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    trusted: np.ndarray
+
+
+def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seeds:
+    """Where Gaussians start: points of the capture or SfM, else carved silhouettes, else triangulated points. Rigs are filled up to about
+    ``count``, as are posed captures of which little was triangulated."""
     import numpy as np
 
-    from ..scene.seeding import carve, common_volume
+    from ..scene.seeds.carve import carve
+    from ..scene.seeds.outliers import trusted
+    from ..scene.seeds.volume import common_volume
+    from ..scene.training.curriculum import MIN_CAMERAS
+    from .fill_seeds import fill_seeds, middle_frames
 
     settings = ctx.settings
     if frames.points is not None and len(frames.points) >= 50:
-        ctx.log(f"seeds: {len(frames.points)} points of the capture or of SfM")
-        return np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
-    if ctx.facts.get("alpha"):
+        points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
+        ctx.log(f"seeds: {len(points)} points of the capture or of SfM")
+        fill = len(middle_frames(views)) >= MIN_CAMERAS
+    elif ctx.facts.get("alpha"):
         chosen = views.train[:: max(1, len(views.train) // 60)]
         foreground = [frames.image(int(i))[..., 3] > 127 for i in chosen]
-        ctx.log(f"seeds: {settings.seeds} points inside the silhouettes of {len(chosen)} views")
-        return carve(views, foreground, chosen, settings.seeds, settings.seed)
+        ctx.log(f"seeds: {count} points inside the silhouettes of {len(chosen)} views")
+        points, colors = carve(views, foreground, chosen, count, settings.seed)
+        return Seeds(points, colors, points)
+    else:
+        from .sfm.triangulate import triangulate
 
-    from .sfm.triangulate import triangulate
-
-    ctx.log("seeds: triangulating points with the known poses")
-    points, colors, _ = triangulate(frames, seed=settings.seed)
-    colors = colors / 255.0
-    if len(points) < settings.seeds // 4:
+        ctx.log("seeds: triangulating points with the known poses")
+        points, colors, _ = triangulate(frames, seed=settings.seed)
+        colors = colors / 255.0
+        fill = True
+    keep = trusted(points, views.centres()[views.train])
+    points, colors = points[keep], colors[keep]
+    ctx.log(f"seeds: {len(points)} points; {int((~keep).sum())} that stand alone are left out")
+    measured = points
+    if fill and LEAST_POINTS <= len(points) < count:
+        more, their_colors = fill_seeds(ctx, frames, views, points, count - len(points))
+        points, colors = np.concatenate([points, more]), np.concatenate([colors, their_colors])
+    elif fill and len(points) < count:
         centre, radius = common_volume(views)
-        rng = np.random.default_rng(settings.seed)
-        more = centre + rng.uniform(-radius, radius, (settings.seeds, 3))
-        ctx.log(f"seeds: only {len(points)} triangulated points; {len(more)} more spread over the volume that the cameras share")
-        return np.concatenate([points, more]), np.concatenate([colors, np.full((len(more), 3), 0.5)])
-    ctx.log(f"seeds: {len(points)} triangulated points")
-    return points, colors
+        more = centre + np.random.default_rng(settings.seed).uniform(-radius, radius, (count, 3))
+        ctx.log(f"seeds: {len(more)} more spread over the volume that the cameras share")
+        points, colors = np.concatenate([points, more]), np.concatenate([colors, np.full((count, 3), 0.5)])
+    return Seeds(points, colors, measured if len(measured) else points)
 
 
-def tracks_of_movers(ctx: Context, views: Views, points: np.ndarray) -> Tracks | None:
-    """Seeds on what moves before moving cameras, and where flow takes them; None without masks of movers and for fixed cameras."""
+def tracks_of_movers(ctx: Context, views: Views, points: np.ndarray, movers: np.ndarray, colors: np.ndarray) -> Tracks | None:
+    """Where flow takes what moves; None without masks of movers. Before several cameras at once these are the seeds ``movers`` [M, 3] of
+    ``colors`` [M, 3]; before one moving camera they have yet to be found, and before one that stands there are none."""
     flow = ctx.inputs["flow"]
-    if flow is None or "movers" not in flow or "moving" in flow:
+    if flow is None or "movers" not in flow:
+        return None
+    if len(movers):
+        from .rig_tracks import rig_tracks
+
+        with ctx.progress(len(set(views.time[views.train])) - 1, "following what moves") as bar:
+            return rig_tracks(flow, views, movers, colors, bar.advance)
+    if "moving" in flow:
         return None
     from .mover_tracks import mover_tracks
 

@@ -32,8 +32,8 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
         "hyper": exponential(1e-4 * unit * k, 1e-5 * unit),
         "log_tau": exponential(5e-3, 1e-3),
         "log_kappa": exponential(1e-2, 1e-3),
-        "log_gain": exponential(2e-3, 2e-4),
-        "offset": exponential(2e-3, 2e-4),
+        "log_gain": exponential(2e-3 * k, 2e-4),
+        "offset": exponential(2e-3 * k, 2e-4),
     }
     planes, mlp = exponential(s.lr_field * k, s.lr_field / 10), exponential(s.lr_mlp * k, s.lr_mlp / 10)
     # Nodes end at a fiftieth: each of their numbers moves thousands of primitives, and the last jitter would blur them all.

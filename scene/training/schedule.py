@@ -64,3 +64,15 @@ def fine_phases(strategy: Strategy, coarse_iterations: int, iterations: int, sta
     left_over = coarse_iterations - round(coarse_iterations * WARM_UP) if strategy == "joint" and not static else 0
     alternation = ALTERNATION if strategy == "alternating" else 0
     return [Phase("refinement", left_over + iterations, move=not static, alternation=alternation)]
+
+
+def alike_since(phases: list[Phase], step: int) -> int:
+    """The step from which on, up to ``step``, all phases are of one image size and one rule: losses of before do not compare."""
+    start = since = 0
+    for before, phase in zip([None, *phases], phases):
+        if before is not None and (before.scale, before.move) != (phase.scale, phase.move):
+            since = start
+        start += phase.iterations
+        if step <= start:
+            break
+    return since

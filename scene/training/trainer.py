@@ -29,7 +29,7 @@ from .guard import NonFiniteGuard
 from .optimiser import RowAdam
 from .rates import learning_rates
 from .recipe import PLANES, Recipe
-from .schedule import Phase
+from .schedule import Phase, alike_since
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
@@ -90,9 +90,11 @@ class Trainer:
         opened = round(settings.open_until * self.total) if moving else 0
         self.curriculum = Curriculum(views.train, times, settings.seed, still, opened)
         self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
-        self.camera_numbers = {int(c): k for k, c in enumerate(np.unique(views.camera[views.train]))}
-        several = len(self.camera_numbers) > 1 and len(views.train) > 1.5 * len(self.camera_numbers)
-        self.affine = CameraAffine(len(self.camera_numbers)).to(model.device) if settings.affine and several else None
+        self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until
+        cameras = np.unique(views.camera[views.train])
+        several = len(cameras) > 1 and len(views.train) > 1.5 * len(cameras)
+        if settings.affine and several and model.affine is None:
+            model.affine = CameraAffine(cameras).to(model.device)
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
         self.motion_terms = MotionTerms(
             views,
@@ -106,7 +108,6 @@ class Trainer:
         self._froze_still = False
         self._spread = 0  # times that the motion has been spread anew
         self._searched = 0  # times that parts that turn were looked for
-        self._like = 0  # step from which on images have one size, so that losses compare
         self._ema = 0.0  # smoothed image loss, of all steps but those in `_losses`
         self._losses: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
 
@@ -116,8 +117,8 @@ class Trainer:
         named = {f"{s.KIND}.{name}": p for s in (self.model.gaussians, self.model.convexes) for name, p in s.parameters.items()}
         if self.model.field is not None:
             named |= {f"field.{name}": p for name, p in self.model.field.named_parameters()}
-        if self.affine is not None:
-            named |= {f"affine.{name}": p for name, p in self.affine.named_parameters()}
+        if self.model.affine is not None:
+            named |= {f"affine.{name}": p for name, p in self.model.affine.named_parameters()}
         return named
 
     def _make_optimiser(self) -> RowAdam:
@@ -132,8 +133,7 @@ class Trainer:
         started, spent = time.monotonic(), self.log.seconds
         saved = started
         done = 0
-        for phase, before in zip(self.phases, [None, *self.phases]):
-            self._like = done if before is None or phase.scale != before.scale else self._like
+        for phase in self.phases:
             for step in range(phase.iterations):
                 if done + step < self.iteration:
                     continue
@@ -169,8 +169,8 @@ class Trainer:
         gaussians, convexes = model.at(t, camera, phase.move, degree)
         frame = rasterize(camera, gaussians, convexes, background)
         color = frame.color
-        if self.affine is not None:
-            color = self.affine(color, self.camera_numbers[int(views.camera[i])])
+        if model.affine is not None:
+            color = model.affine(color, int(views.camera[i]))
         target = views.target(i, phase.scale, window)
         loss = photometric_loss(color, target, s.l1, s.ssim)
         if s.alpha and views.load_alpha is not None:
@@ -226,7 +226,7 @@ class Trainer:
             count = freeze_still_gaussians(self.model, self.views, self.recipe.freeze_pixels)
             self.log.skipped["still Gaussians taken out of the field"] = count
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
-        if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= s.densify_until:
+        if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= self.grow_until:
             self._control(phase, grow=self.grow)
 
     def _spread_motion(self, progress: float) -> None:
@@ -272,10 +272,11 @@ class Trainer:
         self._replace(model.gaussians.select(keep), keep)
         error = measured.error_gaussians[keep]
         width, height = self.views.size(phase.scale)
-        room = min(self.budget, round(GAUSSIANS_PER_PIXEL * width * height) if phase.scale < 1 else self.budget) - len(model.gaussians)
+        most = max(round(GAUSSIANS_PER_PIXEL * width * height), round(self.recipe.small_share * self.budget))
+        room = (min(self.budget, most) if phase.scale < 1 else self.budget) - len(model.gaussians)
         if grow and room > 0:
             progress = self.iteration / max(self.total, 1)
-            rounds_left = max(1, round((self.settings.densify_until - progress) * self.total / self.settings.densify_every))
+            rounds_left = max(1, round((self.grow_until - progress) * self.total / self.settings.densify_every))
             wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, len(model.gaussians) // 8)
             chosen = choose_to_split(model.gaussians, error, min(room, wanted))
             self._replace(*split_along_longest_axis(model.gaussians, chosen))
@@ -309,13 +310,10 @@ class Trainer:
         """The smoothed loss of the last `patience` steps is no better than that of the `patience` steps before."""
         rows = self.settings.patience // 20
         progress = self.iteration / max(self.total, 1)
-        if (
-            self.iteration % 100
-            or progress < max(0.5, self.settings.densify_until)
-            or self.iteration - self._like < 2 * self.settings.patience
-        ):
+        if self.iteration % 100 or progress < max(0.5, self.grow_until) or len(self.log.loss) < 2 * rows:
             return False
-        if not self.curriculum.complete(self.iteration - 2 * self.settings.patience):
+        first = self.iteration - 2 * self.settings.patience
+        if not self.curriculum.complete(first) or first < alike_since(self.phases, self.iteration):
             return False
         values = [value for _, value in self.log.loss]
         before, now = float(np.mean(values[-2 * rows : -rows])), float(np.mean(values[-rows:]))
@@ -365,9 +363,9 @@ class Trainer:
             for p in (self.model.gaussians, self.model.convexes):
                 if f"link/{p.KIND}" in tensors:
                     self.model.set_links(p, tensors[f"link/{p.KIND}"].to(device))
-        if self.affine is not None:
+        if self.model.affine is not None:
             with torch.no_grad():
-                for name, p in self.affine.named_parameters():
+                for name, p in self.model.affine.named_parameters():
                     p.copy_(tensors[f"parameter/affine.{name}"])
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})

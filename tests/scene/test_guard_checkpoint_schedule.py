@@ -4,7 +4,7 @@ import pytest
 import torch
 from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
-from e4dgs.scene.training.schedule import coarse_phases, fine_phases, node_phases
+from e4dgs.scene.training.schedule import Phase, alike_since, coarse_phases, fine_phases, node_phases
 
 
 def parameter(gradient):
@@ -109,3 +109,8 @@ def test_nodes_see_small_images_first_and_full_size_for_most_of_the_steps(scale)
     phases = node_phases(1000, scale)
     assert sum(p.iterations for p in phases) == 1000 and [p.move for p in phases] == [False, True, True]
     assert [p.scale for p in phases] == [scale, scale, 1.0] and phases[-1].iterations >= 900
+
+
+def test_losses_of_another_image_size_do_not_compare():
+    phases = [Phase("a", 100, False, 0.5), Phase("b", 200, True, 0.5), Phase("c", 300, True, 1.0), Phase("d", 50, True, 1.0)]
+    assert [alike_since(phases, step) for step in (50, 100, 101, 300, 301, 600, 650)] == [0, 0, 100, 100, 300, 300, 300]

@@ -2,7 +2,8 @@
 
 import numpy as np
 import torch
-from e4dgs.scene.seeding import carve, common_volume
+from e4dgs.scene.seeds.carve import carve
+from e4dgs.scene.seeds.volume import common_volume
 from e4dgs.scene.views import Views
 
 

@@ -252,7 +252,7 @@ def test_a_damaged_model_is_an_error_that_names_the_frame():
     frame = SimpleNamespace(color=torch.full((40, 48, 3), torch.nan))
     K, poses = cameras(1)
     frames = SimpleNamespace(K=K, cam_from_world=poses, width=48, height=40, time=[0.0], names=["r_007"], background=None)
-    judge = Judge(SimpleNamespace(render=lambda *a: frame), frames, None, False)  # type: ignore[arg-type]
+    judge = Judge(SimpleNamespace(render=lambda *a: frame, near=0.01), frames, None, False)  # type: ignore[arg-type]
     with pytest.raises(StageError, match=r"'r_007'.*non-finite"):
         judge.render(0)
 

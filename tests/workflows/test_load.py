@@ -35,7 +35,7 @@ def test_a_render_takes_a_background(finished):
 
 
 def test_what_was_never_run_is_said_with_the_command_that_runs_it(finished, tmp_path):
-    capture, workspace = finished
+    _, workspace = finished
     with pytest.raises(ArtifactError, match="e4dgs run all"):
         e4dgs.load(tmp_path, workspace=workspace)
 

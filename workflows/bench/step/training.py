@@ -14,7 +14,8 @@ from ....pipeline import Runner, SettingsError
 from ....scene.model import Model
 from ....scene.motion.field import DeformationField
 from ....scene.primitives import ConvexSet, GaussianSet
-from ....scene.seeding import carve, common_volume
+from ....scene.seeds.carve import carve
+from ....scene.seeds.volume import common_volume
 from ....scene.settings import TrainingSettings
 from ....scene.training.schedule import Phase
 from ....scene.training.trainer import Trainer

@@ -1,0 +1,30 @@
+"""What colour a seed begins with: what most cameras that could see it show there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..views import Views
+
+
+def median_colours(
+    views: Views, points: np.ndarray, frames: np.ndarray, masks: list[np.ndarray] | None = None, blank: float = 0.5
+) -> tuple[np.ndarray, np.ndarray]:
+    """Median [P, 3] in [0, 1], a channel each, of what ``frames`` show at ``points`` [P, 3] (world units), and how many show them [P] int.
+
+    What stands before a point in a few of the frames does not colour it, as it would a mean. masks: one [H, W] bool a frame; where a
+    frame's mask is False it says nothing. A point that no frame shows is ``blank``.
+    """
+    looks = np.full((len(frames), len(points), 3), np.inf, np.float32)  # inf sorts behind every colour
+    for k, i in enumerate(frames):
+        shown, x, y, _ = views.project(int(i), points)
+        if masks is not None:
+            on = masks[k][y, x]
+            shown, x, y = shown[on], x[on], y[on]
+        looks[k, shown] = views.target(int(i)).cpu().numpy()[y, x]
+    looks.sort(axis=0)
+    count = np.isfinite(looks[..., 0]).sum(0)
+    rows = np.arange(len(points))
+    known = np.clip(count, 1, None)
+    middle = (looks[(known - 1) // 2, rows] + looks[known // 2, rows]).astype(np.float64) / 2
+    return np.where(count[:, None] > 0, middle, blank), count

@@ -1,0 +1,54 @@
+"""Seeds along the rays of pixels, at the depth of the points around them: they fill walls and floors where no feature was matched."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..views import Views
+
+NEIGHBOURS = 6
+SOFT = 4.0  # px of a picture 640 px wide; a point nearer than that says no more than one that far
+GAP = 0.01  # of the picture's width; pixels with a point this near have a seed already
+
+
+def ray_seeds(
+    views: Views, points: np.ndarray, frames: np.ndarray, count: int, seed: int, skip: list[np.ndarray | None] | None = None
+) -> np.ndarray:
+    """Up to ``count`` points [n, 3] float64 in world units, evenly spread over the pictures of ``frames``.
+
+    points [P, 3]: trusted points. The inverse depth at a pixel is the mean of those of its six nearest points in the picture, weighted
+    with 1 / (distance + 4 px)^2; inverse, since it is linear in the picture on planes. Frames that show fewer than six points, and pixels
+    under ``skip`` (one [H, W] bool a frame, or None), get no seeds.
+    """
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(seed)
+    soft, gap = SOFT * views.width / 640, GAP * views.width
+    found = []
+    for k, i in enumerate(frames):
+        shown, _, _, depth = views.project(int(i), points)
+        if len(shown) < NEIGHBOURS:
+            continue
+        K, pose = views.K[i], views.cam_from_world[i]
+        cam = points[shown] @ pose[:3, :3].T + pose[:3, 3]
+        pixels = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
+        at = _spread(views.width, views.height, count // len(frames), rng)
+        skipped = None if skip is None else skip[k]
+        if skipped is not None:
+            at = at[~skipped[at[:, 1].astype(int), at[:, 0].astype(int)]]
+        distance, near = cKDTree(pixels).query(at, k=NEIGHBOURS)
+        at, distance, near = (a[distance[:, 0] > gap] for a in (at, distance, near))
+        weight = 1 / (distance + soft) ** 2
+        z = weight.sum(1) / (weight / depth[near]).sum(1)
+        ray = np.concatenate([(at - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(at), 1))], axis=1)
+        found.append((ray * z[:, None] - pose[:3, 3]) @ pose[:3, :3])
+    return np.concatenate(found) if found else np.zeros((0, 3))
+
+
+def _spread(width: int, height: int, count: int, rng: np.random.Generator) -> np.ndarray:
+    """About ``count`` pixel positions [n, 2] (x, y): one at a random place of each cell of a grid."""
+    cell = (width * height / max(count, 1)) ** 0.5
+    columns, rows = max(1, round(width / cell)), max(1, round(height / cell))
+    y, x = np.mgrid[:rows, :columns]
+    at = np.stack([x.ravel(), y.ravel()], axis=1) + rng.random((rows * columns, 2))
+    return np.minimum(at * [width / columns, height / rows], [width - 1e-6, height - 1e-6])

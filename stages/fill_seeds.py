@@ -1,0 +1,85 @@
+"""Seeds where features found nothing: along rays, on the shell around everything, and on what masks of the middle time enclose."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..pipeline import Context
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..scene.views import Views
+    from .frameset import FrameSet
+
+HULL_SHARE = 0.2  # of the seeds at most, on what moves
+SHELL_SHARE = 0.1
+LOOKS = 32  # frames of a moving camera from which rays start
+LEAST_SEEN = 2  # frames that must show a seed
+
+
+def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Up to ``count`` seeds [n, 3] (world units) beside the trusted ``points`` [P, 3], with their colours [n, 3] in [0, 1].
+
+    Of a rig the frames of the middle time are used, at which training begins; of a moving camera frames from all of its way.
+    """
+    import numpy as np
+
+    from ..scene.seeds.colours import median_colours
+    from ..scene.seeds.rays import ray_seeds
+    from ..scene.seeds.shell import shell_seeds, surrounded
+    from ..scene.training.curriculum import MIN_CAMERAS
+
+    chosen = middle_frames(views)
+    if len(chosen) < MIN_CAMERAS:
+        chosen = views.train[np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int)]
+    masks = [moving_mask(ctx, frames, int(i)) for i in chosen]
+    seed = ctx.settings.seed
+    found: dict[str, np.ndarray] = {}
+    colors: list[np.ndarray] = []
+    still = [np.ones((views.height, views.width), bool) if mask is None else ~mask for mask in masks]
+    shell = shell_seeds(views, points, int(SHELL_SHARE * count), seed) if surrounded(views) else np.zeros((0, 3))
+    rays = ray_seeds(views, points, chosen, count - len(shell), seed, skip=[~s for s in still])
+    for name, seeds in (("along rays", rays), ("on the shell around them", shell)):
+        color, seen = median_colours(views, seeds, chosen, still)
+        found[name] = seeds[seen >= min(LEAST_SEEN, len(chosen))]
+        colors.append(color[seen >= min(LEAST_SEEN, len(chosen))])
+    ctx.log("seeds: " + ", ".join(f"{len(seeds)} {name}" for name, seeds in found.items()))
+    return np.concatenate(list(found.values())), np.concatenate(colors)
+
+
+def hull_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Up to ``HULL_SHARE`` of ``count`` seeds [n, 3] on what masks of the middle time enclose, with their colours [n, 3] in [0, 1]; none
+    where fewer than four cameras saw that time, or where one of them has no mask."""
+    import numpy as np
+
+    from ..scene.seeds.colours import median_colours
+    from ..scene.seeds.hull import visual_hull
+    from ..scene.training.curriculum import MIN_CAMERAS
+
+    chosen = middle_frames(views)
+    masks = [mask for i in chosen if (mask := moving_mask(ctx, frames, int(i))) is not None]
+    if len(chosen) < MIN_CAMERAS or len(masks) < len(chosen):
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    points = visual_hull(views, masks, chosen, int(HULL_SHARE * count), ctx.settings.seed)
+    ctx.log(f"seeds: {len(points)} on what masks enclose at the middle time")
+    return points, median_colours(views, points, chosen, masks)[0]
+
+
+def middle_frames(views: Views) -> np.ndarray:
+    """[n] int: training frames of the time in the middle, where the window of times opens."""
+    import numpy as np
+
+    times = np.unique(views.time[views.train])
+    return views.train[views.time[views.train] == times[len(times) // 2]]
+
+
+def moving_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
+    """[H, W] bool, what the capture's own mask or `flow` says moves in frame ``i``; None where neither says anything."""
+    import numpy as np
+
+    mask = frames.mask(i)
+    flow = ctx.inputs["flow"]
+    if mask is None and flow is not None and "movers" in flow:
+        mask = np.asarray(flow.array("movers")[i])
+    return None if mask is None else mask > 127

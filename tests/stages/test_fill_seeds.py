@@ -1,0 +1,74 @@
+"""Where the Gaussians of a rig begin: few features are matched, and yet no wall is without seeds, nor what moves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from e4dgs.pipeline import Context
+from e4dgs.scene.seeds.near_plane import near_plane
+from e4dgs.stages.coarse import CoarseSettings, auto_budget, auto_seeds, is_rig, mean_colour
+from e4dgs.stages.dataset import load_frameset, load_views
+from e4dgs.stages.fill_seeds import hull_seeds, middle_frames
+from e4dgs.stages.seeds import load_seeds
+from factory import Options, make, render, write_panoptic
+from run_stage import run_frames
+
+COUNT = 3000
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """Context, frames and views of seven cameras in a textured room in which a box and a ball move; the capture as it was made; seeds."""
+    made = make(Options(rig="arc", backdrop="room", cameras=7, times=3, width=160, height=120, samples=2, fov_degrees=60))
+    folder = tmp_path_factory.mktemp("rig")
+    capture = write_panoptic(made, folder / "capture")
+    ran = run_frames(folder / "capture", folder)
+    inputs = {"frames": ran.artifact, "poses": None, "flow": None}
+    lines: list[str] = []
+    context: Context = replace(ran.context, inputs=inputs, settings=CoarseSettings(), log=lines.append)
+    frames = load_frameset(inputs, context.capture.root)
+    views = load_views(frames, None)
+    return context, frames, views, capture, load_seeds(context, frames, views, COUNT)
+
+
+def test_every_part_of_each_picture_has_seeds_at_about_its_depth(rig):
+    _, _, views, capture, seeds = rig
+    assert 30 <= len(seeds.trusted) < 0.5 * COUNT < len(seeds.points) == len(seeds.colors) <= 1.1 * COUNT
+    off, filled = [], []
+    for i in middle_frames(views)[::2]:
+        t, camera = views.time[i], views.camera[i]
+        (view,) = [v for v in capture.views if (v.time, v.camera_index) == (t, camera)]
+        depth = render(capture.synthetic.scene, view.camera, view.time, samples=1).depth
+        _, x, y, z = views.project(int(i), seeds.points)
+        off.append(np.abs(z / depth[y, x] - 1))
+        blocks = np.zeros((6, 8), bool)
+        blocks[y // 20, x // 20] = True
+        filled.append(blocks.mean())
+    assert min(filled) > 0.9
+    assert np.median(np.concatenate(off)) < 0.15
+
+
+def test_what_moves_has_seeds_on_its_masks(rig):
+    context, frames, views = rig[:3]
+    points, colors = hull_seeds(context, frames, views, COUNT)
+    assert 50 < len(points) == len(colors) <= COUNT
+    for i in middle_frames(views):
+        _, x, y, _ = views.project(int(i), points)
+        assert (frames.mask(int(i))[y, x] > 127).mean() > 0.8
+
+
+def test_near_plane_and_background_follow_from_the_capture(rig):
+    views, trusted = rig[2], rig[4].trusted
+    near = near_plane(views, trusted)
+    nearest = min(np.quantile(views.project(int(i), trusted).depth, 0.05) for i in views.train)
+    assert 0.02 * views.viewing_distance(trusted) < near < nearest
+    assert np.allclose(mean_colour(views), np.mean([views.target(int(i)).numpy().mean((0, 1)) for i in views.train], 0), atol=0.01)
+
+
+def test_a_rig_gets_a_budget_for_a_room(rig):
+    views = rig[2]
+    facts = {"frames": 4 * 12, "times": 12}
+    assert is_rig(facts) and not is_rig({"frames": 90, "times": 90}) and not is_rig({"frames": 3 * 12, "times": 12})
+    assert auto_budget(facts, views, nodes=False) == 40_000
+    assert auto_budget({"frames": 90, "times": 90}, views, nodes=False) == 12_000
+    assert auto_seeds(facts, 40_000) == 20_000 and auto_seeds({"frames": 90, "times": 90}, 12_000) == 8000
