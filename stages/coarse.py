@@ -151,8 +151,8 @@ def is_static(ctx: Context) -> bool:
 
 
 def auto_budget(facts: Mapping[str, Any], views: Views, nodes: bool) -> int:
-    """One Gaussian for eight pixels of one view, 12,000 to 120,000; for four where nodes move them, whose few parameters bear more; for four
-    of a rig, which sees a whole room, 40,000 to 240,000."""
+    """One Gaussian for eight pixels of one view, 12,000 to 120,000; for four where nodes move them, whose few parameters bear
+    more; for four of a rig, which sees a whole room, 40,000 to 240,000."""
     pixels = views.width * views.height
     if is_rig(facts):
         return int(min(max(pixels // 4, 40_000), 240_000))

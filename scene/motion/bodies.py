@@ -49,6 +49,18 @@ class Bodies(nn.Module):
         quats = self.quats[low] * (1 - f) + self.quats[high] * f
         return quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), self.shifts[low] * (1 - f) + self.shifts[high] * f
 
+    def course(self, extent: float) -> Tensor:
+        """How unsteady the bodies go from key to key, a scalar: the mean change of their velocities, in turns of half a radian and in ``extent``
+        (world units). A steady turn and a straight path at one speed count nothing."""
+        if len(self.quats) < 3 or not len(self):
+            return torch.zeros((), device=self.home.device)
+        quats = nn.functional.normalize(self.quats, dim=2)
+        before, here, after = quats[:-2], quats[1:-1], quats[2:]
+        # Unit quaternions of a steady turn follow q[k+1] = 2 c q[k] - q[k-1], c the cosine between neighbours.
+        cosine = 0.5 * ((before * here).sum(2, keepdim=True) + (here * after).sum(2, keepdim=True)).detach()
+        turning = (before - 2 * cosine * here + after).norm(dim=2).mean()
+        return turning + self.shifts.diff(n=2, dim=0).norm(dim=2).mean() / extent
+
     @torch.no_grad()
     def joined(self, home: Tensor, radius: float, quats: Tensor, shifts: Tensor) -> Bodies:
         """One more: at ``home`` [3], of ``radius``, with ``quats`` [T, 4] and ``shifts`` [T, 3] at T keys, as many as the others have."""

@@ -55,14 +55,15 @@ class ControlNodes(nn.Module):
         inputs = 3 * (1 + 2 * PLACE_BANDS) + 1 + 2 * TIME_BANDS
         generator = torch.Generator().manual_seed(seed)
         sizes = [inputs, *[WIDTH] * DEPTH, 7]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
+        layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
         with torch.no_grad():
-            for layer in self.layers[:-1]:
+            for layer in layers[:-1]:
                 bound = (6.0 / layer.in_features) ** 0.5  # keeps the size of what ReLUs pass on (He et al. 2015)
                 layer.weight.uniform_(-bound, bound, generator=generator)
                 layer.bias.zero_()
-            self.layers[-1].weight.normal_(0.0, HEADS, generator=generator)
-            self.layers[-1].bias.zero_()
+            layers[-1].weight.normal_(0.0, HEADS, generator=generator)
+            layers[-1].bias.zero_()
+        self.layers = nn.ModuleList(layers)
         self.layers.to(positions.device)
         self.log_radii = nn.Parameter(spacing(positions).log())
         # Not zero: the weights do not change with coordinates that are all alike.
@@ -118,7 +119,7 @@ class ControlNodes(nn.Module):
         before, here, after = (self.at(s, some) for s in (middle - dt, middle, middle + dt))
         shifts = (before.shifts - 2 * here.shifts + after.shifts).norm(dim=1).mean() / self.reach
         turning = (before.turns - 2 * here.turns + after.turns).norm(dim=1).mean()
-        return rigidity, shifts + turning
+        return rigidity, shifts + turning + self.bodies.course(self.extent)
 
     def regulariser(self) -> Tensor:
         """Nodes have no planes to smooth."""

@@ -360,9 +360,9 @@ class Trainer:
         if state["field"] is not None:
             motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
             self.model.field = motion_from_state(motion, state["field"]).to(device)
-            for p in (self.model.gaussians, self.model.convexes):
-                if f"link/{p.KIND}" in tensors:
-                    self.model.set_links(p, tensors[f"link/{p.KIND}"].to(device))
+            for primitives in (self.model.gaussians, self.model.convexes):
+                if f"link/{primitives.KIND}" in tensors:
+                    self.model.set_links(primitives, tensors[f"link/{primitives.KIND}"].to(device))
         if self.model.affine is not None:
             with torch.no_grad():
                 for name, p in self.model.affine.named_parameters():

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -18,6 +19,7 @@ from .spin import Part, Spin, SpinSearch, compact_parts
 BODY = 1.2  # radius of the body over the part's: what the part's ragged rim left out belongs to it
 FRESH = 500  # Gaussians that a body begins with
 MOST_PARTS = 3
+MEDIAN, SMOOTH = 5, 1.5  # frames: window of a median, standard deviation of a mean, over the path of a part
 FRAMES_PER_KEY = 2  # one key a frame lost 2.3 dB on validation views of a tumbling cube against one for two
 
 
@@ -47,10 +49,12 @@ def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: in
 
 @torch.no_grad()
 def part_path(model: Model, part: Part, times: np.ndarray) -> np.ndarray:
-    """[n, 3] where the mean of the part's Gaussians is at ``times`` [n], world units."""
+    """[n, 3] where the mean of the part's Gaussians is at ``times`` [n], world units, without the jumps of single frames."""
     means = model.gaussians.means.detach()
     members = ((means - torch.tensor(part.centre, device=means.device)).norm(dim=1) <= part.radius).nonzero()[:, 0]
-    return np.stack([model.centres_at(members, float(t)).mean(0).cpu().numpy() for t in times])
+    path = np.stack([model.centres_at(members, float(t)).mean(0).cpu().numpy() for t in times])
+    # A smear is carried wherever it looks best; what turns in it goes on more steadily.
+    return gaussian_filter1d(median_filter(path, (MEDIAN, 1), mode="nearest"), SMOOTH, axis=0, mode="nearest")
 
 
 @torch.no_grad()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.bodies import Bodies
 from e4dgs.scene.motion.interface import Rest
 from e4dgs.scene.motion.nodes import ControlNodes, encode, farthest_points, spacing
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
@@ -142,3 +143,16 @@ def test_the_encoding_holds_the_octaves():
     x = torch.tensor([[0.5]])
     expected = [0.5, np.sin(0.5), np.sin(1.0), np.cos(0.5), np.cos(1.0)]
     assert torch.allclose(encode(x, 2)[0], torch.tensor(expected).float())
+
+
+def test_a_body_that_turns_and_goes_steadily_costs_nothing():
+    angles = torch.linspace(0, 3, 12)
+    quats = torch.stack([torch.cos(angles / 2), torch.zeros(12), torch.sin(angles / 2), torch.zeros(12)], 1)
+    shifts = torch.linspace(0, 1, 12)[:, None] * torch.tensor([1.0, 2.0, 0])
+    home = torch.zeros(3)
+    steady = Bodies.none().joined(home, 1.0, quats, shifts)
+    assert float(steady.course(1.0)) < 1e-5
+    quats[6] = quats[5]
+    assert float(Bodies.none().joined(home, 1.0, quats, shifts).course(1.0)) > 0.01
+    shifts[3] += 0.5
+    assert float(Bodies.none().joined(home, 1.0, quats, shifts).course(1.0)) > 0.1

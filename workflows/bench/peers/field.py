@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ....scene.motion.field import DeformationField
 from ....scene.motion.hexplane import lookup_reference
 from ....scene.motion.interface import Displacement
 from ....scene.rotation import rotate
@@ -105,8 +106,7 @@ class TorchField(nn.Module):
         change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)
         return rigidity, change.norm(dim=1).mean()
 
-    def extend(self, low: float, high: float) -> None:
-        """Planes reach over all times from the start."""
+    worth_culling, links, spread_over, carry = True, DeformationField.links, DeformationField.spread_over, DeformationField.carry
 
     def regulariser(self) -> Tensor:
         """As `HexPlanes.total_variation`."""
