@@ -50,7 +50,7 @@ class Bodies(nn.Module):
         return quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), self.shifts[low] * (1 - f) + self.shifts[high] * f
 
     def course(self, extent: float) -> Tensor:
-        """How unsteady the bodies go from key to key, a scalar: the mean change of their velocities, in turns of half a radian and in ``extent``
+        """How unsteadily the bodies go from key to key, a scalar: the mean change of their velocities, in half radians and in ``extent``
         (world units). A steady turn and a straight path at one speed count nothing."""
         if len(self.quats) < 3 or not len(self):
             return torch.zeros((), device=self.home.device)
