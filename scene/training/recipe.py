@@ -11,8 +11,9 @@ class Recipe:
 
     freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. spread_at: when the
     motion is spread anew over what is there. opacity, still: default weights of the two terms of `TrainingSettings`. steady: growth adds an
-    equal number in every round, not as many as the images bear. bodies_at: when parts that turn are
-    searched. grow_until: default of `TrainingSettings.densify_until`. small_share: of the budget, that small images may use at least.
+    equal number in every round, not as many as the images bear. bodies_at: when parts that turn are searched.
+    grow_until: default of `TrainingSettings.densify_until`. rounds: of density control at most, if they went on to the last step.
+    small_share: of the budget, that small images may use at least.
     """
 
     freeze_at: float = 0.45
@@ -22,6 +23,7 @@ class Recipe:
     still: float = 0.005
     bodies_at: tuple[float, ...] = ()
     grow_until: float = 0.9
+    rounds: int = 1_000_000
     small_share: float = 0.6
     steady: bool = False
 
@@ -32,6 +34,7 @@ NODES = Recipe(
     spread_at=(0.1, 0.25),
     bodies_at=(0.1, 0.2, 0.3),
     grow_until=0.8,
+    rounds=150,
     small_share=0.0,
     opacity=0.01,
     still=0.0,

@@ -33,6 +33,7 @@ from .schedule import Phase, alike_since
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
+DENSIFY_EVERY = 100
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
 RELINK_EVERY = 100  # steps between two searches for what carries each primitive
 SOLID = 0.2  # opacity of Gaussians over which the motion is spread
@@ -91,6 +92,7 @@ class Trainer:
         self.curriculum = Curriculum(views.train, times, settings.seed, still, opened)
         self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
         self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until
+        self.densify_every = settings.densify_every or max(DENSIFY_EVERY, self.total // recipe.rounds)
         cameras = np.unique(views.camera[views.train])
         several = len(cameras) > 1 and len(views.train) > 1.5 * len(cameras)
         if settings.affine and several and model.affine is None:
@@ -212,7 +214,6 @@ class Trainer:
     # -- between steps ------------------------------------------------------------------------------------------------------------
 
     def _after_step(self, phase: Phase) -> None:
-        s = self.settings
         progress = self.iteration / max(self.total, 1)
         if self.iteration % 50 == 0:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
@@ -226,7 +227,7 @@ class Trainer:
             count = freeze_still_gaussians(self.model, self.views, self.recipe.freeze_pixels)
             self.log.skipped["still Gaussians taken out of the field"] = count
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
-        if self.iteration % s.densify_every == 0 and self.iteration >= 200 and progress <= self.grow_until:
+        if self.iteration % self.densify_every == 0 and self.iteration >= 200 and progress <= self.grow_until:
             self._control(phase, grow=self.grow)
 
     def _spread_motion(self, progress: float) -> None:
@@ -276,7 +277,7 @@ class Trainer:
         room = (min(self.budget, most) if phase.scale < 1 else self.budget) - len(model.gaussians)
         if grow and room > 0:
             progress = self.iteration / max(self.total, 1)
-            rounds_left = max(1, round((self.grow_until - progress) * self.total / self.settings.densify_every))
+            rounds_left = max(1, round((self.grow_until - progress) * self.total / self.densify_every))
             wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, len(model.gaussians) // 8)
             chosen = choose_to_split(model.gaussians, error, min(room, wanted))
             self._replace(*split_along_longest_axis(model.gaussians, chosen))
