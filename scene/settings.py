@@ -36,9 +36,7 @@ class TrainingSettings(Settings):
     interval: float = Field(1e-3, ge=0, description="weight of L_interval (Eq. 8), flow in px; 0 turns it off")
     data_flow: float = Field(1e-3, ge=0, description="weight of rendered against measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="the two flow terms are evaluated at every n-th step")
-    densify_every: int = Field(
-        0, ge=0, description="steps between two rounds of density control; 0: 100, with nodes at most 150 rounds"
-    )
+    densify_every: int = Field(0, ge=0, description="steps between two rounds of density control; 0: 100, with nodes at most 150 rounds")
     densify_until: float | None = Field(
         None, ge=0, le=1, description="last round of growth, as a fraction of the steps; 0.9 for planes, 0.8 for nodes"
     )

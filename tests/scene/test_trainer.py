@@ -147,7 +147,7 @@ def test_a_poisoned_image_stops_training_with_a_clear_message(views, monkeypatch
 def test_one_bad_step_is_rolled_back_and_counted(views, monkeypatch):
     original, calls = views.target, []
 
-    def target(i, scale=1.0):
+    def target(i, scale=1.0, window=None):
         calls.append(i)
         return original(i, scale) * (float("inf") if len(calls) == 30 else 1.0)
 
@@ -226,5 +226,5 @@ def test_the_captures_alpha_forbids_to_hide_dark_surfaces_as_holes():
 
 
 def test_small_images_hold_few_gaussians(views):
-    _, log, _ = train(views, budget=500, phases=[Phase("quarter", 400, move=False, scale=0.25)])
+    _, log, _ = train(views, budget=500, phases=[Phase("quarter", 400, move=False, scale=0.25)], recipe=NODES)
     assert max(n for _, n, _ in log.primitives) <= max(60, round(GAUSSIANS_PER_PIXEL * (SIZE // 4) ** 2))

@@ -8,8 +8,9 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
-from ....scene import flow_loss, trainer
+from ....scene.losses import flow_loss
 from ....scene.model import Model
+from ....scene.training import trainer
 from ....scene.training.trainer import Trainer
 from .field import TorchField
 from .loss import torch_loss

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 from torch.utils.hooks import RemovableHandle
 
-from ....scene import trainer as training
 from ....scene.motion.interface import Displacement
+from ....scene.training import trainer as training
 from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured
 from .clock import Clock, nodes_behind
