@@ -38,7 +38,7 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
     planes, mlp = exponential(s.lr_field * k, s.lr_field / 10), exponential(s.lr_mlp * k, s.lr_mlp / 10)
     # Nodes end at a fiftieth: each of their numbers moves thousands of primitives, and the last jitter would blur them all.
     network = exponential(s.lr_nodes if k == 1 else s.lr_nodes / 50, s.lr_nodes / 50)
-    bodies = exponential(2e-3 if k == 1 else 4e-5, 4e-5)
+    bodies = exponential(1e-2 if k == 1 else 1e-4, 1e-4)
     radii, hyper = exponential(5e-3 * k, 5e-4), exponential(1e-4 * unit * k, 1e-5 * unit)
 
     def rate(name: str) -> Rate:

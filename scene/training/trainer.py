@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +30,14 @@ from .optimiser import RowAdam
 from .rates import learning_rates
 from .recipe import PLANES, Recipe
 from .schedule import Phase, alike_since
+from .turning import bodies_for_turning_parts, bound_to_bodies, leave_only_bodies
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
 DENSIFY_EVERY = 100
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
+# A new body's way is found on small images first, with all else at rest: steps on each size, at most this share of all steps.
+SETTLE_SCALES, SETTLE_STEPS, SETTLE_SHARE = (0.125, 0.25, 0.5), 1000, 0.03
 RELINK_EVERY = 100  # steps between two searches for what carries each primitive
 SOLID = 0.2  # opacity of Gaussians over which the motion is spread
 WHOLE_EVERY = 8  # steps of which one looks at the whole image where the others look at the object alone
@@ -110,6 +113,8 @@ class Trainer:
         self._froze_still = False
         self._spread = 0  # times that the motion has been spread anew
         self._searched = 0  # times that parts that turn were looked for
+        self._joined: int | None = None  # step at which the last body joined
+        self._settles = False  # bodies alone learn
         self._ema = 0.0  # smoothed image loss, of all steps but those in `_losses`
         self._losses: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
 
@@ -139,12 +144,13 @@ class Trainer:
             for step in range(phase.iterations):
                 if done + step < self.iteration:
                     continue
-                self._step(phase, step)
+                now = self._settling(phase)
+                self._step(now, step)
                 self.iteration += 1
                 self.log.seconds = spent + time.monotonic() - started
                 if self.iteration % 10 == 0 or self.iteration == self.total:
                     self.advance(10 if self.iteration % 10 == 0 else self.iteration % 10, self._note(phase))
-                self._after_step(phase)
+                self._after_step(now)
                 if self.checkpoints is not None and time.monotonic() - saved > self.settings.checkpoint_seconds:
                     self._save()
                     saved = time.monotonic()
@@ -188,6 +194,8 @@ class Trainer:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, self.iteration, self.total)
         loss.backward()
         parameters = self.optimiser.parameters()
+        if self._settles:
+            leave_only_bodies(model, parameters)
         if self.guard.accepts(loss.detach(), parameters, self.iteration, i):
             self.optimiser.step(self.iteration / max(self.total, 1), self._frozen(phase, step))
         else:
@@ -245,8 +253,6 @@ class Trainer:
 
     def _search_bodies(self, phase: Phase) -> None:
         """Parts that hold much of the error and turn too fast for gradients."""
-        from .turning import bodies_for_turning_parts
-
         self._searched, model = self._searched + 1, self.model
         self._say("looking for parts that turn")
         error = measure_responsibility(model, self.views, self.curriculum.probe(self.iteration, 120), True, phase.scale).error_gaussians
@@ -254,6 +260,14 @@ class Trainer:
         if source is not None and model.field is not None:
             self._renew(model.field)
             self._replace(model.gaussians, source)
+            self._joined = self.iteration
+
+    def _settling(self, phase: Phase) -> Phase:
+        """``phase``, on smaller images while new bodies find their way."""
+        each = max(1, min(SETTLE_STEPS, round(SETTLE_SHARE * self.total)))
+        turn = (self.iteration - self._joined) // each if self._joined is not None else len(SETTLE_SCALES)
+        self._settles = turn < len(SETTLE_SCALES)
+        return replace(phase, scale=min(phase.scale, SETTLE_SCALES[turn])) if self._settles else phase
 
     def _renew(self, motion: Any) -> None:
         """Go on with another motion, some of whose parameters are those of the one before."""
@@ -272,6 +286,8 @@ class Trainer:
         keep = survivors(model.gaussians, measured.weight_gaussians, s.min_opacity, s.min_weight)
         self._replace(model.gaussians.select(keep), keep)
         error = measured.error_gaussians[keep]
+        if self._settles:
+            error = torch.where(bound_to_bodies(model), error, 0.0)
         width, height = self.views.size(phase.scale)
         most = max(round(GAUSSIANS_PER_PIXEL * width * height), round(self.recipe.small_share * self.budget))
         room = (min(self.budget, most) if phase.scale < 1 else self.budget) - len(model.gaussians)
@@ -342,7 +358,7 @@ class Trainer:
             "iteration": self.iteration,
             "ema": self._smoothed_loss(),
             "froze": self._froze_still,
-            "spread": [self._spread, self._searched],
+            "motion": [self._spread, self._searched, self._joined],
             "field": None if self.model.field is None else self.model.field.config,
             "nonfinite": self.guard.count,
             "log": vars(self.log),
@@ -371,7 +387,7 @@ class Trainer:
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
         self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]
-        self._spread, self._searched = state["spread"]
+        self._spread, self._searched, self._joined = state["motion"]
         self.guard.count = state["nonfinite"]
         self.log = TrainingLog(**state["log"])
         self._event(f"continued from the checkpoint at step {self.iteration} of {self.total}")

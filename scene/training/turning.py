@@ -17,7 +17,7 @@ from ..views import Views
 from .spin import Part, Spin, SpinSearch, compact_parts
 
 BODY = 1.2  # radius of the body over the part's: what the part's ragged rim left out belongs to it
-FRESH = 500  # Gaussians that a body begins with
+FRESH = 1500  # Gaussians that a body begins with
 MOST_PARTS = 3
 MEDIAN, SMOOTH = 5, 1.5  # frames: window of a median, standard deviation of a mean, over the path of a part
 FRAMES_PER_KEY = 2  # one key a frame lost 2.3 dB on validation views of a tumbling cube against one for two
@@ -30,8 +30,7 @@ def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: in
     ``model.gaussians``, the row it was before (-1: new), or None where nothing turns.
     """
     source = None
-    assert isinstance(model.field, ControlNodes)
-    error = torch.where(model.field.in_bodies(model.links(model.gaussians)), 0.0, error)
+    error = torch.where(bound_to_bodies(model), 0.0, error)
     for part in compact_parts(model.gaussians.means.detach().cpu().numpy(), error.cpu().numpy())[:MOST_PARTS]:
         frames = views.train[np.argsort(views.time[views.train], kind="stable")]
         search = SpinSearch(views, frames, part_path(model, part, views.time[frames]), part.radius)
@@ -45,6 +44,24 @@ def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: in
         source = kept if source is None else torch.where(kept >= 0, source[kept.clamp(min=0)], kept)
         error = torch.where(kept >= 0, error[kept.clamp(min=0)], torch.zeros((), device=error.device))
     return source
+
+
+def bound_to_bodies(model: Model) -> Tensor:
+    """[N] bool: the Gaussians that go with a rigid body."""
+    assert isinstance(model.field, ControlNodes)
+    return model.field.in_bodies(model.links(model.gaussians))
+
+
+def leave_only_bodies(model: Model, parameters: dict[str, Tensor]) -> None:
+    """Take the gradients of all ``parameters`` (by name, as the trainer has them) that belong to no rigid body."""
+    others = ~bound_to_bodies(model)
+    for name, parameter in parameters.items():
+        if parameter.grad is None or name.startswith("field.bodies."):
+            continue
+        if name.startswith("gaussians."):
+            parameter.grad[others] = 0.0
+        else:
+            parameter.grad = None
 
 
 @torch.no_grad()
