@@ -16,7 +16,7 @@ class TrainingSettings(Settings):
 
     iterations: int = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
     seed: int = Field(0, ge=0, description="order of the views, initial planes, sampling of new primitives")
-    sh_degree: int = Field(2, ge=0, le=3, description="highest spherical harmonic of the colours")
+    sh_degree: int | None = Field(None, ge=0, le=3, description="highest spherical harmonic of the colours; 2, for rigs 1")
     budget: int = Field(0, ge=0, description="most Gaussians allowed; 0 chooses by the capture")
     lr_means: float = Field(8e-4, gt=0, description="first learning rate of positions, decays to a fiftieth")
     lr_field: float = Field(2e-2, gt=0, description="first learning rate of the planes, decays to a tenth")
@@ -33,6 +33,7 @@ class TrainingSettings(Settings):
     opacity: float | None = Field(
         None, ge=0, description="px of error that an opaque primitive must save, else it fades; 0.15 for planes, 0.01 for nodes"
     )
+    smooth: float = Field(2.0, ge=0, description="rigs: weight of how much surfaces bend where pictures are smooth")
     interval: float = Field(1e-3, ge=0, description="weight of L_interval (Eq. 8), flow in px; 0 turns it off")
     data_flow: float = Field(1e-3, ge=0, description="weight of rendered against measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="the two flow terms are evaluated at every n-th step")

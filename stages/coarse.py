@@ -103,7 +103,8 @@ class Coarse(Stage):
         elif len(movers):
             points, colors = np.concatenate([points, movers]), np.concatenate([colors, their_colors])
             dynamic = np.concatenate([dynamic, np.full(len(movers), not static)])
-        gaussians = GaussianSet.from_points(points, colors, settings.sh_degree, max_scale=0.05 * unit)
+        sh_degree = auto_sh_degree(ctx.facts) if settings.sh_degree is None else settings.sh_degree
+        gaussians = GaussianSet.from_points(points, colors, sh_degree, max_scale=0.05 * unit)
         field = None
         if not static:
             gaussians.dynamic = torch.from_numpy(dynamic)
@@ -115,8 +116,8 @@ class Coarse(Stage):
                     error = follow_tracks(field, tracks.rest, tracks.times, tracks.positions, tracks.alive, unit, settings, bar.advance)
                 off = f"{error / unit:.2%} of the viewing distance"
                 ctx.log(f"{len(tracks.rest)} seeds on what moves, followed along the flow; the field begins {off} beside them")
-        empty = ConvexSet.empty(6, settings.sh_degree)
-        model = Model(gaussians, empty, field, settings.sh_degree, views.near, views.background).to(ctx.device)
+        empty = ConvexSet.empty(6, sh_degree)
+        model = Model(gaussians, empty, field, sh_degree, views.near, views.background).to(ctx.device)
 
         steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
         if nodes and settings.strategy in ("two-stage", "alternating"):
@@ -164,6 +165,11 @@ def auto_budget(facts: Mapping[str, Any], views: Views, nodes: bool) -> int:
 def auto_seeds(facts: Mapping[str, Any], budget: int) -> int:
     """Half the budget for rigs: what growth adds goes where some primitive is, so each wall needs some to begin with. Else 8000."""
     return budget // 2 if is_rig(facts) else 8000
+
+
+def auto_sh_degree(facts: Mapping[str, Any]) -> int:
+    """Few cameras of a rig see a place from few sides, and what they disagree about is not what views between them see."""
+    return 1 if is_rig(facts) else 2
 
 
 def is_rig(facts: Mapping[str, Any]) -> bool:

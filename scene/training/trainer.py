@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ...rasterizer import rasterize
 from ..colour import CameraAffine
+from ..losses.depth_smoothness import depth_smoothness
 from ..losses.motion_terms import MeasuredFlow, MotionTerms
 from ..losses.photometric import photometric_loss
 from ..model import Model, motion_from_state
@@ -170,7 +171,8 @@ class Trainer:
         t = float(views.time[i])
         window = None if self.iteration % WHOLE_EVERY == 0 else views.window(i, phase.scale)
         camera = views.rasterizer_camera(i, phase.scale, window)
-        degree = min(s.sh_degree, self.iteration * 6 // max(self.total, 1)) if self.grow else s.sh_degree
+        highest = model.sh_degree if s.sh_degree is None else s.sh_degree
+        degree = min(highest, self.iteration * 6 // max(self.total, 1)) if self.grow else highest
         background = torch.tensor(views.background)
         if self.iteration % RELINK_EVERY == 0:
             model.relink()
@@ -189,6 +191,8 @@ class Trainer:
             mse = float((color.detach() - target).square().mean())
             self.log.psnr.append([self.iteration, -10 * float(np.log10(max(mse, 1e-10)))])
         image_loss = loss.detach()
+        if s.smooth and self.curriculum.several:
+            loss = loss + s.smooth * depth_smoothness(frame.depth, frame.alpha, target, self.unit)
         loss = loss + self.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, self.iteration, self.total)

@@ -24,6 +24,7 @@ from ...session import Options, open_session
 from ..rows import Bench
 
 COUNT = 30_000
+SH_DEGREE = 2
 SIZE = 400  # px; the sample's pictures are enlarged to it
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "cube_and_ball"
 STEPS, BEGUN = 1000, 400  # of the run, and how many of them are past: every term of the loss is in by then
@@ -68,7 +69,7 @@ def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None) -> Mo
         centre, radius = common_volume(views)
         rng = np.random.default_rng(settings.seed)
         points, colors = centre + rng.uniform(-0.5, 0.5, (count, 3)) * radius, rng.uniform(0, 1, (count, 3))
-    gaussians = GaussianSet.from_points(points, colors, settings.sh_degree)
+    gaussians = GaussianSet.from_points(points, colors, SH_DEGREE)
     low, high = points.min(0), points.max(0)
     margin = 0.2 * (high - low).max()
     field = DeformationField(torch.tensor(low - margin), torch.tensor(high + margin), len(np.unique(views.time)))
@@ -76,7 +77,7 @@ def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None) -> Mo
     with torch.no_grad():
         gaussians.opacity_logits.copy_(1.5 * torch.randn(count, generator=generator))
         field.head.weight.copy_(0.003 * torch.randn(field.head.weight.shape, generator=generator))
-    return Model(gaussians, ConvexSet.empty(6, settings.sh_degree), field, settings.sh_degree)
+    return Model(gaussians, ConvexSet.empty(6, SH_DEGREE), field, SH_DEGREE)
 
 
 def copy_of(model: Model) -> Model:

@@ -1,0 +1,30 @@
+"""Surfaces bend little where the picture is smooth: such places leave their depth open, and training views paint it with noise."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+EDGE = 0.02  # change of colour between neighbours that lets the surface bend e times as easily
+USUAL_WIDTH = 320  # px
+COVERED = 0.5  # alpha from which there is a surface
+
+
+def depth_smoothness(depth: Tensor, alpha: Tensor, image: Tensor, unit: float) -> Tensor:
+    """Mean second difference of ``unit`` / depth between neighbouring pixels, in x and in y, less where ``image`` changes.
+
+    depth [H, W]: alpha-weighted mean z, as the rasterizer gives it, world units. alpha [H, W]. image [H, W, 3] in [0, 1]: the target. The
+    inverse depth of a plane is linear in the picture, so planes cost nothing, however they are turned. A fold takes the share 1 / width of
+    the pixels, so the mean is multiplied by the width in units of 320 px and counts the same at any size.
+    """
+    inverse = unit * alpha.clamp(min=COVERED) / depth.clamp(min=1e-3 * unit)
+    solid = (alpha.detach() > COVERED) & (depth.detach() > 1e-3 * unit)
+    total = depth.new_zeros(())
+    for axis in (0, 1):
+        size = depth.shape[axis]
+        before, here, after = (inverse.narrow(axis, k, size - 2) for k in range(3))
+        counts = solid.narrow(axis, 0, size - 2) & solid.narrow(axis, 1, size - 2) & solid.narrow(axis, 2, size - 2)
+        colour = torch.maximum(*((image.narrow(axis, k, size - 2) - image.narrow(axis, 1, size - 2)).abs().amax(-1) for k in (0, 2)))
+        bend = (before - 2 * here + after).abs() * torch.exp(-colour / EDGE)
+        total = total + torch.where(counts, bend, 0.0).mean()
+    return total * (depth.shape[1] / USUAL_WIDTH)
