@@ -27,6 +27,7 @@ NODE_TIMES = 9  # fewer say too little about motion
 
 class CoarseSettings(TrainingSettings):
     iterations: int = Field(0, ge=0, le=1_000_000, description="optimiser steps of this stage; 0 chooses by the capture")
+    effort: float = Field(1.0, gt=0, le=100, description="factor on the steps that are chosen by the capture")
     motion: Literal["auto", "planes", "nodes"] = Field(
         "auto", description="what moves primitives: the six-plane field, or control nodes (auto: where each frame is from another side)"
     )
@@ -195,11 +196,13 @@ def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
 
 
 def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
-    """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; 8400 for control nodes."""
-    if use_nodes(facts, settings):
-        return ITERATIONS_NODES
-    moving_rig = is_rig(facts) and not facts.get("static")
-    return min(max(ITERATIONS, ITERATIONS_A_TIME * facts.get("times", 1) if moving_rig else 0), MOST_ITERATIONS)
+    """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; `ITERATIONS_NODES` for control nodes;
+    all of them times the effort."""
+    steps = ITERATIONS_NODES
+    if not use_nodes(facts, settings):
+        moving_rig = is_rig(facts) and not facts.get("static")
+        steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.get("times", 1) if moving_rig else 0), MOST_ITERATIONS)
+    return max(round(steps * settings.effort), 1)
 
 
 def make_nodes(points: np.ndarray, views: Views, settings: TrainingSettings):

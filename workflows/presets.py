@@ -7,8 +7,10 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "default": {},
     # A first look within minutes on two cores.
     "fast": {
-        "coarse.iterations": 1200,
+        "coarse.effort": 0.2,
         "hulls.budget": 1000,
         "fine.iterations": 300,
     },
+    # As good as it gets, for as long as it takes.
+    "best": {"coarse.effort": 3.0},
 }

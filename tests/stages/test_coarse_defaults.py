@@ -21,6 +21,7 @@ from e4dgs.stages.coarse import ITERATIONS_NODES, CoarseSettings, auto_iteration
 def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, times, cameras, static, expected):
     facts = {"frames": frames, "times": times, "cameras": cameras, "static": static, "pairs": 0}
     assert auto_iterations(facts, CoarseSettings()) == expected
+    assert auto_iterations(facts, CoarseSettings(effort=0.2)) == round(0.2 * expected)
 
 
 @pytest.mark.parametrize(
