@@ -1,4 +1,4 @@
-"""Where a picture is smooth its surfaces should be: walls without texture leave their depth open, and training views paint it with noise."""
+"""Where a picture is smooth its surfaces should be: walls without texture leave depth open, and training views paint it with noise."""
 
 from __future__ import annotations
 
