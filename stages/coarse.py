@@ -96,7 +96,7 @@ class Coarse(Stage):
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
             points, colors = points[chosen], colors[chosen]
         unit = views.viewing_distance(points)
-        tracks = None if static or nodes else tracks_of_movers(ctx, views, points, movers, their_colors)
+        tracks = None if static or nodes else tracks_of_movers(ctx, views, points, (movers, their_colors))
         dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, tracks is not None)
         if tracks is not None:
             points, colors = np.concatenate([points, tracks.rest]), np.concatenate([colors, tracks.colors])

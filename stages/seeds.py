@@ -73,17 +73,17 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
     return Seeds(points, colors, measured if len(measured) else points)
 
 
-def tracks_of_movers(ctx: Context, views: Views, points: np.ndarray, movers: np.ndarray, colors: np.ndarray) -> Tracks | None:
-    """Where flow takes what moves; None without masks of movers. Before several cameras at once these are the seeds ``movers`` [M, 3] of
-    ``colors`` [M, 3]; before one moving camera they have yet to be found, and before one that stands there are none."""
+def tracks_of_movers(ctx: Context, views: Views, points: np.ndarray, movers: tuple[np.ndarray, np.ndarray] | None = None) -> Tracks | None:
+    """Where flow takes what moves; None without masks of movers. Before several cameras at once these are the seeds ``movers`` [M, 3] with
+    their colours [M, 3]; before one moving camera they have yet to be found, and before cameras that stand there are none."""
     flow = ctx.inputs["flow"]
     if flow is None or "movers" not in flow:
         return None
-    if len(movers):
+    if movers is not None and len(movers[0]):
         from .rig_tracks import rig_tracks
 
         with ctx.progress(len(set(views.time[views.train])) - 1, "following what moves") as bar:
-            return rig_tracks(flow, views, movers, colors, bar.advance)
+            return rig_tracks(flow, views, *movers, bar.advance)
     if "moving" in flow:
         return None
     from .mover_tracks import mover_tracks
