@@ -1,8 +1,4 @@
-<<<<<<< HEAD
-"""Surfaces bend little where the picture is smooth: such places leave their depth open, and training views paint it with noise."""
-=======
 """Where a picture is smooth its surfaces should be: walls without texture leave depth open, and training views paint it with noise."""
->>>>>>> rigs
 
 from __future__ import annotations
 
