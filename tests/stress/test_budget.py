@@ -45,7 +45,7 @@ def test_primitive_budget_respected(budget: int) -> None:
 @pytest.mark.parametrize("recipe", [PLANES, NODES])
 def test_small_images_have_a_budget_of_their_own(recipe: Recipe) -> None:
     """By their pixels, or by the share of the whole budget that many cameras can fill."""
-    budget = 1000
+    budget = 300
     train, phase = trainer(budget, scale=0.5, recipe=recipe)
     for _ in range(12):
         train._control(phase, grow=True)
