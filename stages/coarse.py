@@ -19,7 +19,7 @@ SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
 ITERATIONS = 6000
 ITERATIONS_A_TIME = 200  # of a rig, whose times come in one after another
 MOST_ITERATIONS = 30_000
-ITERATIONS_NODES = 30_000
+ITERATIONS_NODES = 24_000
 NODES = 512
 NODE_SEEDS = 2500  # few seeds that multiply where the error is come out better than many
 NODE_TIMES = 9  # fewer say too little about motion
@@ -153,13 +153,13 @@ def is_static(ctx: Context) -> bool:
 
 
 def auto_budget(facts: Mapping[str, Any], views: Views, nodes: bool) -> int:
-    """One Gaussian for eight pixels of one view, 12,000 to 120,000; for four where nodes move them, whose few parameters bear
+    """One Gaussian for eight pixels of one view, 12,000 to 120,000; for five where nodes move them, whose few parameters bear
     more; for four of a rig, which sees a whole room, 40,000 to 240,000."""
     pixels = views.width * views.height
     if is_rig(facts):
         return int(min(max(pixels // 4, 40_000), 240_000))
     if nodes:
-        return int(min(max(pixels // 4, 12_000), 120_000))
+        return int(min(max(pixels // 5, 12_000), 120_000))
     return int(min(max(pixels // 8, 12_000), 120_000))
 
 

@@ -13,7 +13,7 @@ namespace e4dgs {
 namespace {
 
 constexpr int kBlock = 64;        // positions whose weights are computed together
-constexpr int64_t kRange = 1024;  // positions of one sum; fixed, so that sums do not depend on the threads
+constexpr int64_t kRange = 4096;  // positions of one sum; fixed, so that sums do not depend on the threads
 constexpr float kLeastNorm = 1e-6f;
 
 // A node's rigid motion, and the gradient of it, in one vector: rotation matrix 9, what is added behind it 3, quaternion 4. Blending the

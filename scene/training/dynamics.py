@@ -25,8 +25,9 @@ def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
     return mean, (paths - mean).norm(dim=2).amax(0)
 
 
-def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIXELS) -> int:
-    """Take Gaussians that travel less than ``pixels`` out of the field, at their mean position. Returns how many."""
+def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIXELS, share: float = 0.0) -> int:
+    """Take Gaussians that travel less than ``pixels`` out of the field, at their mean position, unless they are less than ``share`` of
+    those in it: picking the others out would cost more than it saves. Returns how many."""
     index = model.gaussians.dynamic.nonzero()[:, 0]
     if model.field is None or not len(index):
         return 0
@@ -36,6 +37,8 @@ def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIX
         nearest = torch.cdist(model.gaussians.means[index], centres).amin(1)
     focal = float(views.K[views.train, 0, 0].max())
     still = travel * focal / nearest.clamp(min=views.near) < pixels
+    if float(still.float().mean()) < share:
+        return 0
     model.bake(mean[still], index[still])
     return int(still.sum())
 

@@ -9,15 +9,16 @@ from dataclasses import dataclass
 class Recipe:
     """What differs between motions. Times are fractions of all steps.
 
-    freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. spread_at: when the
-    motion is spread anew over what is there. opacity, still: default weights of the two terms of `TrainingSettings`. steady: growth adds an
-    equal number in every round, not as many as the images bear. bodies_at: when parts that turn are searched.
-    grow_until: default of `TrainingSettings.densify_until`. rounds: of density control at most, if they went on to the last step.
-    small_share: of the budget, that small images may use at least.
+    freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. freeze_share: of
+    what moves, below which nothing leaves. spread_at: when the motion is spread anew over what is there. bodies_at: when parts that turn are
+    searched. opacity, still: default weights of the two terms of `TrainingSettings`. grow_until: default of its `densify_until`. steady:
+    growth adds an equal number in every round, not as many as the images bear. rounds: of density control at most, if they went on to the
+    last step. small_share: of the budget, that small images may use at least.
     """
 
     freeze_at: float = 0.45
     freeze_pixels: float = 0.3
+    freeze_share: float = 0.0
     spread_at: tuple[float, ...] = ()
     opacity: float = 0.15
     still: float = 0.005
@@ -31,6 +32,7 @@ class Recipe:
 PLANES = Recipe()
 NODES = Recipe(
     freeze_at=0.6,
+    freeze_share=0.25,
     spread_at=(0.1, 0.25),
     bodies_at=(0.1, 0.2, 0.3),
     grow_until=0.8,

@@ -236,7 +236,7 @@ class Trainer:
         due = progress >= self.recipe.freeze_at and self.curriculum.complete(self.iteration)
         if phase.move and self.grow and not self._froze_still and due:
             self._froze_still = True
-            count = freeze_still_gaussians(self.model, self.views, self.recipe.freeze_pixels)
+            count = freeze_still_gaussians(self.model, self.views, self.recipe.freeze_pixels, self.recipe.freeze_share)
             self.log.skipped["still Gaussians taken out of the field"] = count
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
         if self.iteration % self.densify_every == 0 and self.iteration >= 200 and progress <= self.grow_until:

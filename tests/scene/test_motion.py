@@ -193,6 +193,13 @@ def test_still_gaussians_leave_the_field_where_they_stand():
     assert freeze_still_gaussians(moving, views()) == 0
 
 
+@pytest.mark.parametrize(("share", "leave"), [(1.0, 3), (1.01, 0)])
+def test_still_gaussians_leave_only_where_they_are_enough(share, leave):
+    m = model(Path((1e-4, 0, 0)))
+    assert freeze_still_gaussians(m, views(), share=share) == leave
+    assert int((~m.gaussians.dynamic).sum()) == leave
+
+
 def test_fixed_cameras_tell_what_moves():
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[:, WIDTH // 2 :] = 255
