@@ -10,10 +10,10 @@ class Recipe:
     """What differs between motions. Times are fractions of all steps.
 
     freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. freeze_share: of
-    what moves, below which nothing leaves. spread_at: when the motion is spread anew over what is there. bodies_at: when parts that turn are
-    searched. opacity, still: default weights of the two terms of `TrainingSettings`. grow_until: default of its `densify_until`. steady:
-    growth adds an equal number in every round, not as many as the images bear. rounds: of density control at most, if they went on to the
-    last step. small_share: of the budget, that small images may use at least.
+    what moves, below which nothing leaves. spread_at: when the motion is spread anew over what is there. bodies_at: when parts that
+    turn are searched. opacity, still: default weights of the two terms of `TrainingSettings`. grow_until: default of its
+    `densify_until`. steady: growth adds an equal number in every round, not as many as the images bear. rounds: of density control at
+    most, if they went on to the last step. small_share: of the budget, that small images may use at least.
     """
 
     freeze_at: float = 0.45
