@@ -242,7 +242,7 @@ class Trainer:
         self._replace(model.gaussians.select(keep), keep)
         error = measured.error_gaussians[keep]
         width, height = self.views.size(phase.scale)
-        most = max(round(GAUSSIANS_PER_PIXEL * width * height), 0 if self.nodes else round(SMALL_SHARE * self.budget))
+        most = max(round(GAUSSIANS_PER_PIXEL * width * height), round(SMALL_SHARE * self.budget) if self.curriculum.several else 0)
         room = (min(self.budget, most) if phase.scale < 1 else self.budget) - len(model.gaussians)
         if grow and room > 0:
             progress = self.iteration / max(self.total, 1)
