@@ -19,8 +19,8 @@ class Curriculum:
     """The frame of each step, from seed and step alone, so that a resumed run sees what it would have seen.
 
     train [n]: indices of the training frames. time [n] in [0, 1]: theirs. first: steps on the first window. last: step at which all times
-    are in. start: times to either side of the middle one that the first window holds. several: that window shows the scene from several
-    sides. With fewer than `MIN_CAMERAS` frames in the first
+    are in. start: times to either side of the middle one that the first window holds. several: one time alone shows the scene
+    from several sides. With fewer than `MIN_CAMERAS` frames in the first
     window, or last <= first, every frame is in from the start.
     """
 
@@ -31,8 +31,9 @@ class Curriculum:
         self.distance = np.abs(np.searchsorted(self.times, time) - self.middle)  # times away from the middle one
         self.farthest = int(self.distance.max())
         self.front = max(FRONT, round(FRONT_OF_ALL * len(self.times)))
-        self.several = int((self.distance <= start).sum()) >= MIN_CAMERAS
-        self.opens = self.several and self.farthest > start and last > first
+        self.several = int((self.distance == 0).sum()) >= MIN_CAMERAS
+        enough = int((self.distance <= start).sum()) >= MIN_CAMERAS
+        self.opens = enough and self.farthest > start and last > first
 
     def window(self, step: int) -> int:
         """How many times away from the middle one the frames of this step may lie."""

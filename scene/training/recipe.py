@@ -13,7 +13,7 @@ class Recipe:
     what moves, below which nothing leaves. spread_at: when the motion is spread anew over what is there. bodies_at: when parts that
     turn are searched. opacity, still: default weights of the two terms of `TrainingSettings`. grow_until: default of its
     `densify_until`. steady: growth adds an equal number in every round, not as many as the images bear. rounds: of density control at
-    most, if they went on to the last step. small_share: of the budget, that small images may use at least.
+    most, if they went on to the last step.
     """
 
     freeze_at: float = 0.45
@@ -25,7 +25,6 @@ class Recipe:
     bodies_at: tuple[float, ...] = ()
     grow_until: float = 0.9
     rounds: int = 1_000_000
-    small_share: float = 0.6
     steady: bool = False
 
 
@@ -37,7 +36,6 @@ NODES = Recipe(
     bodies_at=(0.1, 0.2, 0.3),
     grow_until=0.8,
     rounds=150,
-    small_share=0.0,
     opacity=0.01,
     still=0.0,
     steady=True,

@@ -36,6 +36,7 @@ from .turning import bodies_for_turning_parts, bound_to_bodies, leave_only_bodie
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
 DENSIFY_EVERY = 100
+SMALL_SHARE = 0.6  # of the budget, on small images of a rig, whose cameras see more than one image holds
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
 # A new body's way is found on small images first, with all else at rest: steps on each size, at most this share of all steps.
 SETTLE_SCALES, SETTLE_STEPS, SETTLE_SHARE = (0.125, 0.25, 0.5), 1000, 0.03
@@ -293,7 +294,8 @@ class Trainer:
         if self._settles:
             error = torch.where(bound_to_bodies(model), error, 0.0)
         width, height = self.views.size(phase.scale)
-        most = max(round(GAUSSIANS_PER_PIXEL * width * height), round(self.recipe.small_share * self.budget))
+        of_cameras = round(SMALL_SHARE * self.budget) if self.curriculum.several else 0
+        most = max(round(GAUSSIANS_PER_PIXEL * width * height), of_cameras)
         room = (min(self.budget, most) if phase.scale < 1 else self.budget) - len(model.gaussians)
         if grow and room > 0:
             progress = self.iteration / max(self.total, 1)

@@ -50,3 +50,10 @@ def test_one_camera_a_time_may_start_from_a_window_of_times():
     assert order.span(0) == pytest.approx((0.46, 0.54)) and order.span(450) == (0.0, 1.0)
     assert {order.frame(step) for step in range(50)} == set(range(46, 55))
     assert not Curriculum(np.arange(101), np.linspace(0, 1, 101), 0, 50, 450, start=1).opens  # three frames show too little
+
+
+@pytest.mark.parametrize(("cameras", "start", "several"), [(4, 0, True), (3, 0, False), (1, 3, False)])
+def test_one_time_alone_tells_whether_cameras_see_it_from_several_sides(cameras, start, several):
+    """A wide first window of a single camera holds as many frames, and yet no two of one time."""
+    times = np.tile(np.linspace(0, 1, 9), cameras)
+    assert Curriculum(np.arange(len(times)), times, 0, 10, 100, start).several is several
