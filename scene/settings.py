@@ -39,7 +39,7 @@ class TrainingSettings(Settings):
     flow_every: int = Field(8, ge=1, description="the two flow terms are evaluated at every n-th step")
     densify_every: int = Field(0, ge=0, description="steps between two rounds of density control; 0: 100, with nodes at most 150 rounds")
     densify_until: float | None = Field(
-        None, ge=0, le=1, description="last round of growth, as a fraction of the steps; 0.9 for planes, 0.8 for nodes"
+        None, ge=0, le=1, description="last round of growth, as a fraction of the steps; 0.75 for planes, 0.8 for nodes"
     )
     min_opacity: float = Field(0.01, ge=0, lt=1, description="primitives below are pruned")
     min_weight: float = Field(0.25, ge=0, description="px a view; primitives that are blended into less, on average, are pruned")

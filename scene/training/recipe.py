@@ -23,7 +23,7 @@ class Recipe:
     opacity: float = 0.15
     still: float = 0.005
     bodies_at: tuple[float, ...] = ()
-    grow_until: float = 0.9
+    grow_until: float = 0.75
     rounds: int = 1_000_000
     steady: bool = False
 

@@ -16,7 +16,7 @@ from run_stage import run_frames, run_stage
 from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 9
-ITERATIONS = 80  # against the mean colour the first loss is small already
+ITERATIONS = 24
 
 
 @pytest.fixture(scope="module")
