@@ -52,12 +52,12 @@ class Coarse(Stage):
         return Applies.yes(f"Gaussians and their motion by {'control nodes' if use_nodes(facts, settings) else 'the six-plane field'}")
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
-        from .estimates import training_seconds
+        from .estimates import node_training_seconds, training_seconds
 
         static = bool(facts.get("static"))
         steps = settings.iterations or auto_iterations(facts, settings)
         if use_nodes(facts, settings):
-            return training_seconds(facts, steps, static, area=0.5)
+            return node_training_seconds(facts, steps)
         return training_seconds(facts, steps, static, area=1 - 0.75 * settings.full_from)
 
     def run(self, ctx: Context) -> None:
