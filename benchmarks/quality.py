@@ -4,7 +4,8 @@
     python benchmarks/quality.py SCENES --device cuda          results go to quality_cuda.json
 
 SCENES is a folder with the captures named in CASES below (see README, "Results"). Every case is a fresh run in its own workspace
-unless --keep is given. Results of earlier cases in --out are kept, so cases can be measured one at a time.
+unless --keep is given. Results of earlier cases in --out are kept, so cases can be measured one at a time; a row that says "stale" was
+measured before a change that touches it.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def table(results: dict[str, dict]) -> str:
                 continue
             minutes = f"{r['wall_seconds'] / 60:.1f} min | {m['train_seconds'] / 60:.1f} min"
             rows.append(
-                f"| {name} {' '.join(r['options'])} | {minutes} | {r['cached_seconds']:.1f} s | {split} "
+                f"| {name} {' '.join(r['options'])}{' (stale)' if r.get('stale') else ''} | {minutes} | {r['cached_seconds']:.1f} s | {split} "
                 f"| {s['psnr']:.2f} | {s['ssim']:.4f} | {s['edge_psnr']:.2f} | {count['gaussians']} + {count['convexes']} "
                 f"| {m['render_fps']:.1f} fps |"
             )
@@ -93,7 +94,7 @@ def main() -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps({"results": results}, indent=1) + "\n")
         out.with_suffix(".md").write_text(
-            f"# Quality and run time\n\nMachine and protocol of every row: `{out.name}`.\n\n" + table(results) + "\n"
+            f"# Quality and run time\n\nStale rows were measured before a change that touches them. Machine and protocol of every row: `{out.name}`.\n\n" + table(results) + "\n"
         )
         print(table({name: results[name]}), flush=True)
 

@@ -7,7 +7,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "default": {},
     # A first look within minutes on two cores.
     "fast": {
-        "coarse.effort": 0.2,
+        "coarse.effort": 0.15,
         "hulls.budget": 1000,
         "fine.iterations": 300,
     },
