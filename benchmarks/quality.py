@@ -61,16 +61,22 @@ def table(results: dict[str, dict]) -> str:
     for name, r in results.items():
         m = r["metrics"]
         count = m["primitives"]
+        title = " ".join([name, *r["options"], *(["(stale)"] if r.get("stale") else [])])
         for split, s in m["splits"].items():
             if not s or s.get("psnr") is None:
                 continue
             minutes = f"{r['wall_seconds'] / 60:.1f} min | {m['train_seconds'] / 60:.1f} min"
             rows.append(
-                f"| {name} {' '.join(r['options'])}{' (stale)' if r.get('stale') else ''} | {minutes} | {r['cached_seconds']:.1f} s | {split} "
+                f"| {title} | {minutes} | {r['cached_seconds']:.1f} s | {split} "
                 f"| {s['psnr']:.2f} | {s['ssim']:.4f} | {s['edge_psnr']:.2f} | {count['gaussians']} + {count['convexes']} "
                 f"| {m['render_fps']:.1f} fps |"
             )
     return "\n".join(rows)
+
+
+def page(name: str, results: dict[str, dict]) -> str:
+    intro = f"Machine and protocol of every row: `{name}`. Stale rows were measured before a change that touches them."
+    return f"# Quality and run time\n\n{intro}\n\n{table(results)}\n"
 
 
 def main() -> None:
@@ -93,9 +99,7 @@ def main() -> None:
         results[name] = measure(name, args.scenes, workspace, args.device) | {"machine": machine()}
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps({"results": results}, indent=1) + "\n")
-        out.with_suffix(".md").write_text(
-            f"# Quality and run time\n\nStale rows were measured before a change that touches them. Machine and protocol of every row: `{out.name}`.\n\n" + table(results) + "\n"
-        )
+        out.with_suffix(".md").write_text(page(out.name, results))
         print(table({name: results[name]}), flush=True)
 
 
