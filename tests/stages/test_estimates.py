@@ -23,6 +23,8 @@ FACTS = {
 @pytest.mark.parametrize("scene", FACTS)
 def test_training_takes_what_the_plan_says_within_two_thirds(scene):
     row = json.loads(RESULTS.read_text())["results"][scene]
+    if row.get("stale"):
+        pytest.skip("the row was measured before a change that touches it")
     measured = row["metrics"]["train_seconds"]
     given = [word for word in row["options"] if word != "--set"]  # what the run was given beside the capture
     settings = build_settings(reconstruction().settings, assignments_of(Options(Path(scene), assignments=given)))
