@@ -96,7 +96,7 @@ def test_growth_reaches_the_budget_on_images_of_full_size():
     seen.load = lambda i: picture
     points = rng.uniform([-1, -1, 3], [1, 1, 5], (60, 3))
     blob = Model(GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, opacity=0.6), ConvexSet.empty(6, 0), None, 0)
-    settings = TrainingSettings(iterations=400, sh_degree=0, densify_every=25, min_weight=0.0, min_opacity=0.0)
+    settings = TrainingSettings(iterations=400, sh_degree=0, densify_every=25, densify_until=0.9, min_weight=0.0, min_opacity=0.0)
     trainer = Trainer(blob, seen, [Phase("half", 300, False, 0.5), Phase("full", 100, False)], settings, budget=200)
     log = trainer.run()
     assert max(n for step, n, _ in log.primitives if step <= 300) <= 120 < max(n for _, n, _ in log.primitives) <= 200

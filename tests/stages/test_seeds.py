@@ -107,11 +107,9 @@ def test_what_moves_is_followed_before_moving_cameras_alone(fixed, movers, follo
 
     monkeypatch.setattr(mover_tracks, "mover_tracks", found)
     ctx, seen, still = context(flow(tmp_path / "flow", fixed, movers)), views(fixed), points()
-    none = np.zeros((0, 3))
-    assert tracks_of_movers(ctx, seen, still, none, none) == ("tracks" if followed else None)
+    assert tracks_of_movers(ctx, seen, still) == ("tracks" if followed else None)
     assert asked == ([(ctx.inputs["flow"], seen, still)] if followed else [])
 
 
 def test_without_flow_nothing_is_followed():
-    none = np.zeros((0, 3))
-    assert tracks_of_movers(context(None), views(False), points(), none, none) is None
+    assert tracks_of_movers(context(None), views(False), points()) is None
