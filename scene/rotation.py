@@ -23,7 +23,12 @@ def compose(first: Tensor, second: Tensor) -> Tensor:
 
 def quats_to_matrices(quats: Tensor) -> Tensor:
     """Rotations [N, 3, 3] of quaternions [N, 4] (any norm but zero)."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(1)
+    return unit_matrices(torch.nn.functional.normalize(quats, dim=1))
+
+
+def unit_matrices(quats: Tensor) -> Tensor:
+    """Rotations [N, 3, 3] of quaternions [N, 4] that are unit already."""
+    w, x, y, z = quats.unbind(1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),

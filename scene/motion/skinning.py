@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import _kernels
-from ..rotation import compose
+from ..rotation import compose, unit_matrices
 
 
 class Nodes(NamedTuple):
@@ -58,17 +58,6 @@ def skin_reference(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, n
     side = torch.where((turns * turns[:, :1]).sum(2, keepdim=True) < 0, -1.0, 1.0).to(turns)  # q and -q turn alike, their sum does not
     blended = (weights[..., None] * side * turns).sum(1)
     return moved, compose(blended / blended.norm(dim=1, keepdim=True).clamp(min=1e-6), quats)
-
-
-def unit_matrices(quats: Tensor) -> Tensor:
-    """Rotations [N, 3, 3] of quaternions [N, 4] that are unit already."""
-    w, x, y, z = quats.unbind(1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, 1).view(-1, 3, 3)
 
 
 class _Skin(torch.autograd.Function):
