@@ -13,9 +13,12 @@ from torch import Tensor
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .colour import CameraAffine
 from .motion.field import DeformationField
+from .motion.free import FreeMotion
 from .motion.interface import Rest
 from .motion.nodes import ControlNodes
-from .primitives import ConvexSet, GaussianSet, PrimitiveSet
+from .primitives import ConvexSet, GaussianSet, Life, PrimitiveSet
+
+KINDS: Mapping[str, Any] = {"planes": DeformationField, "nodes": ControlNodes, "free": FreeMotion}
 
 
 class Model:
@@ -30,7 +33,7 @@ class Model:
         self,
         gaussians: GaussianSet,
         convexes: ConvexSet,
-        field: DeformationField | ControlNodes | None,
+        field: DeformationField | ControlNodes | FreeMotion | None,
         sh_degree: int,
         near: float = 0.01,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -67,6 +70,7 @@ class Model:
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         g, c = self.gaussians, self.convexes
         means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
+        shown, hull_shown = g.opacities, c.opacities
         if self.field is not None and move:
             index = self._moving(g, camera, margin=0.25)
             hulls = self._moving(c, camera, margin=0.25)
@@ -80,10 +84,14 @@ class Model:
                     means = means.index_copy(0, index, moved.points[:n])
                     quats = quats.index_copy(0, index, moved.quats)
                     log_scales = log_scales if moved.log_scales is None else log_scales.index_add(0, index, moved.log_scales)
+                if moved.presence is not None:
+                    shown = shown.index_copy(0, index, shown[index] * moved.presence[:n])
+                    if len(hulls):
+                        hull_shown = hull_shown.index_copy(0, hulls, hull_shown[hulls] * moved.presence[n :: points.shape[1]])
                 if len(hulls):
                     points = points.index_copy(0, hulls, moved.points[n:].reshape(-1, *points.shape[1:]))
-        gaussians = Gaussians(means, quats, torch.exp(log_scales), g.opacities, sh=g.sh(degree))
-        convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), c.opacities, sh=c.sh(degree))
+        gaussians = Gaussians(means, quats, torch.exp(log_scales), shown, sh=g.sh(degree))
+        convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), hull_shown, sh=c.sh(degree))
         return gaussians, convexes
 
     def centres_at(self, index: Tensor, t: float) -> Tensor:
@@ -114,16 +122,24 @@ class Model:
         g, c = self.gaussians, self.convexes
         whole = len(index) == len(g)
         points, quats, hyper = (p if whole else p[index] for p in (g.means, g.quats, g.hyper))
+        life = None
+        if isinstance(self.field, FreeMotion):
+            life = g.life if whole else Life(*(p[index] for p in g.life))
+        centres = None
         link = self.links(g)
         link = link if whole or link is None else link[index]
         if len(hulls):
             corners = c.points.shape[1]
             points = torch.cat([points, c.points[hulls].reshape(-1, 3)])
             hyper = torch.cat([hyper, c.hyper[hulls].repeat_interleave(corners, 0)])
+            if life is not None:
+                theirs = (p[hulls].repeat_interleave(corners, 0) for p in c.life)
+                life = Life(*(torch.cat(pair) for pair in zip(life, theirs)))
+                centres = torch.cat([g.means[index], c.points[hulls].mean(1).repeat_interleave(corners, 0)])
             other = self.links(c)
             if link is not None and other is not None:
                 link = torch.cat([link, other.reshape(len(c), corners, -1)[hulls].flatten(0, 1)])
-        return Rest(points, quats, hyper, link)
+        return Rest(points, quats, hyper, link, life, centres)
 
     def _moving(self, primitives: PrimitiveSet, camera: Camera | None, margin: float) -> Tensor:
         """Indices [m] of the primitives that move and whose rest position lies in the camera's view, widened by ``margin`` of its size."""
@@ -184,10 +200,9 @@ class Model:
         return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine)
 
 
-def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes:
+def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes | FreeMotion:
     """The motion of which `state_dict` and ``config`` are given. Raises KeyError where something is missing."""
-    kind = DeformationField if config["kind"] == "planes" else ControlNodes
-    return kind.from_state(dict(state), dict(config))
+    return KINDS[config["kind"]].from_state(dict(state), dict(config))
 
 
 @torch.no_grad()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+import math
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -10,6 +12,25 @@ from torch import Tensor
 
 SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
 HYPER = 2  # coordinates beside x, y, z in which control nodes lie
+ALWAYS = 1e4  # frames; a primitive of so long a life is there throughout
+LIFE = ("times", "log_spans", "velocities", "spins")
+
+
+class Life(NamedTuple):
+    """When primitives are there and how they move meanwhile: the middle of their life, ``times`` [N], and the logarithm of its standard
+    deviation, ``log_spans`` [N], both in frames; ``velocities`` [N, 3] in world units a frame; ``spins`` [N, 3], rotation vectors, in
+    radians a frame. Frames are the times of the capture, counted from 0."""
+
+    times: Tensor
+    log_spans: Tensor
+    velocities: Tensor
+    spins: Tensor
+
+
+def whole_life(count: int) -> dict[str, Tensor]:
+    """`Life` of ``count`` primitives that are there throughout and do not move."""
+    none = torch.zeros(count, 3)
+    return dict(zip(LIFE, (torch.zeros(count), torch.full((count,), math.log(ALWAYS)), none, none)))
 
 
 class PrimitiveSet:
@@ -64,9 +85,27 @@ class PrimitiveSet:
         """[N * corners, 3] positions that the motion model displaces."""
         raise NotImplementedError
 
+    @property
+    def life(self) -> Life:
+        return Life(*(self.parameters[name] for name in LIFE))
+
+    def live(self, time: float | Tensor, span: float, velocities: Tensor | None = None) -> None:
+        """All rows live around frame ``time`` (one, or [N]), with a standard deviation of ``span`` frames and ``velocities`` [N, 3]."""
+        with torch.no_grad():
+            self.times[:] = time
+            self.log_spans.fill_(math.log(span))
+            if velocities is not None:
+                self.velocities.copy_(velocities)
+
     def select(self, index: Tensor) -> Self:
         """The rows ``index`` (long) as a new set."""
         return type(self)({name: p.detach()[index] for name, p in self.parameters.items()}, self.dynamic[index])
+
+    @classmethod
+    def joined(cls, sets: Sequence[Self]) -> Self:
+        """All rows of ``sets``, one set behind the other."""
+        parameters = {name: torch.cat([one.parameters[name].detach() for one in sets]) for name in cls.FIELDS}
+        return cls(parameters, torch.cat([one.dynamic for one in sets]))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Named arrays, prefixed by the kind: ``gaussians_means`` and so on."""
@@ -83,10 +122,10 @@ class PrimitiveSet:
 
 class GaussianSet(PrimitiveSet):
     """Eq. 2: means [N,3] world units, quats [N,4] w x y z of any norm, log_scales [N,3], opacity_logits [N], sh_dc [N,1,3],
-    sh_rest [N,R,3], hyper [N,2] (see `Rest`)."""
+    sh_rest [N,R,3], hyper [N,2] (see `Rest`), and the life of each (see `Life`)."""
 
     KIND = "gaussians"
-    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "hyper")
+    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "hyper", *LIFE)
 
     def rest_points(self) -> Tensor:
         return self.means
@@ -111,16 +150,17 @@ class GaussianSet(PrimitiveSet):
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(n, (sh_degree + 1) ** 2 - 1, 3),
                 "hyper": torch.zeros(n, HYPER),
+                **whole_life(n),
             }
         )
 
 
 class ConvexSet(PrimitiveSet):
     """Eq. 3: points [M,K,3] world units, log_tau and log_kappa [M] (1/world unit), opacity_logits [M], sh_dc [M,1,3], sh_rest [M,R,3],
-    hyper [M,2] (see `Rest`)."""
+    hyper [M,2] (see `Rest`), and the life of each (see `Life`)."""
 
     KIND = "convexes"
-    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest", "hyper")
+    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest", "hyper", *LIFE)
 
     def rest_points(self) -> Tensor:
         return self.points.reshape(-1, 3)
@@ -137,6 +177,7 @@ class ConvexSet(PrimitiveSet):
                 "sh_dc": torch.zeros(0, 1, 3),
                 "sh_rest": torch.zeros(0, (sh_degree + 1) ** 2 - 1, 3),
                 "hyper": torch.zeros(0, HYPER),
+                **whole_life(0),
             }
         )
 
@@ -156,5 +197,6 @@ class ConvexSet(PrimitiveSet):
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(m, (sh_degree + 1) ** 2 - 1, 3),
                 "hyper": torch.zeros(m, HYPER),
+                **whole_life(m),
             }
         )

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from ..pipeline import Applies, Context, Stage
 from ..scene.settings import Strategy, TrainingSettings
+from .seeds import is_rig
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,8 +29,10 @@ NODE_TIMES = 9  # fewer say too little about motion
 class CoarseSettings(TrainingSettings):
     iterations: int = Field(0, ge=0, le=1_000_000, description="optimiser steps of this stage; 0 chooses by the capture")
     effort: float = Field(1.0, gt=0, le=100, description="factor on the steps that are chosen by the capture")
-    motion: Literal["auto", "planes", "nodes"] = Field(
-        "auto", description="what moves primitives: the six-plane field, or control nodes (auto: where each frame is from another side)"
+    motion: Literal["auto", "planes", "nodes", "free"] = Field(
+        "auto",
+        description="what moves primitives: the six-plane field; control nodes (auto: where each frame is from another side); each one "
+        "itself, for a while (auto: where masks show what moves)",
     )
     strategy: Strategy = Field("two-stage", description="one of the four trainings of Table 3; `fine` follows it")
     full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps on images of half the size, before those of full size")
@@ -65,16 +68,17 @@ class Coarse(Stage):
         import torch
 
         from ..scene.model import Model
+        from ..scene.motion.free import FreeMotion
         from ..scene.primitives import ConvexSet, GaussianSet
         from ..scene.seeds.near_plane import near_plane
         from ..scene.training.motion_start import STEPS, follow_tracks
         from ..scene.training.recipe import NODES as NODE_RECIPE
-        from ..scene.training.recipe import PLANES
+        from ..scene.training.recipe import FREE, PLANES
         from ..scene.training.schedule import HALF_RESOLUTION, coarse_phases, node_phases
         from ..scene.training.trainer import Trainer
         from .dataset import load_frameset, load_views, measured_flow
         from .fill_seeds import hull_seeds
-        from .seeds import initial_dynamic, load_seeds, tracks_of_movers
+        from .seeds import initial_dynamic, living, load_seeds, mover_seeds, tracks_of_movers
         from .training_artifact import write_training
 
         settings = ctx.settings
@@ -87,30 +91,40 @@ class Coarse(Stage):
         budget = settings.budget or auto_budget(ctx.facts, views, nodes)
         seeds = settings.seeds or auto_seeds(ctx.facts, budget)
         points, colors, trusted = load_seeds(ctx, frames, views, seeds)
-        movers, their_colors = hull_seeds(ctx, frames, views, seeds)
-        views.near = near_plane(views, np.concatenate([trusted, movers]))
+        movers = None if static or settings.motion not in ("auto", "free") else mover_seeds(ctx, frames, views, points, budget // 2)
+        free = settings.motion == "free" or movers is not None
+        hull, their_colors = hull_seeds(ctx, frames, views, 0 if free else seeds)
+        views.near = near_plane(views, np.concatenate([trusted, hull, *([movers.points] if movers else [])]))
         if frames.background is None:
             views.background = mean_colour(views)
         pixels = views.width * views.height
-        if nodes:
+        if nodes and not free:
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
             points, colors = points[chosen], colors[chosen]
         unit = views.viewing_distance(points)
-        tracks = None if static or nodes else tracks_of_movers(ctx, views, points, (movers, their_colors))
-        dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, tracks is not None)
+        tracks = None if static or nodes or free else tracks_of_movers(ctx, views, points, (hull, their_colors))
+        dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, tracks is not None or free)
         if tracks is not None:
             points, colors = np.concatenate([points, tracks.rest]), np.concatenate([colors, tracks.colors])
             dynamic = np.concatenate([dynamic, np.ones(len(tracks.rest), bool)])
-        elif len(movers):
-            points, colors = np.concatenate([points, movers]), np.concatenate([colors, their_colors])
-            dynamic = np.concatenate([dynamic, np.full(len(movers), not static)])
+        elif len(hull):
+            points, colors = np.concatenate([points, hull]), np.concatenate([colors, their_colors])
+            dynamic = np.concatenate([dynamic, np.full(len(hull), not static)])
         sh_degree = auto_sh_degree(ctx.facts) if settings.sh_degree is None else settings.sh_degree
         gaussians = GaussianSet.from_points(points, colors, sh_degree, max_scale=0.05 * unit)
-        field = None
+        field: Any = None
         if not static:
             gaussians.dynamic = torch.from_numpy(dynamic)
-            make = make_nodes if nodes else make_field
-            field = make(points[dynamic] if dynamic.sum() >= 50 else points, views, settings)
+            if free:
+                field = FreeMotion(len(np.unique(views.time)))
+                gaussians.live(0.5 * (field.times - 1), field.times)
+                if movers is not None:
+                    gaussians = GaussianSet.joined([gaussians, *living(movers, field, sh_degree, 0.05 * unit)])
+                    budget += len(movers.points)
+            elif nodes:
+                field = make_nodes(points, settings)
+            else:
+                field = make_field(points[dynamic] if dynamic.sum() >= 50 else points, views, settings)
             field.to(ctx.device)
             if tracks is not None:
                 with ctx.progress(STEPS, "tracks") as bar:
@@ -121,10 +135,11 @@ class Coarse(Stage):
         model = Model(gaussians, empty, field, sh_degree, views.near, views.background).to(ctx.device)
 
         steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
-        if nodes and settings.strategy in ("two-stage", "alternating"):
+        if nodes and not free and settings.strategy in ("two-stage", "alternating"):
             phases = node_phases(steps, 1.0 if pixels < SMALL_IMAGE else HALF_RESOLUTION)
         else:
-            from_rest = tracks is None or len(movers) > 0  # a rig shows the rest state at the middle time alone
+            # A rig shows the rest state at the middle time alone; what lives for a while has no other.
+            from_rest = not free and (tracks is None or len(hull) > 0)
             phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from, from_rest)
         total = sum(phase.iterations for phase in phases)
         with ctx.progress(total, "coarse") as bar:
@@ -136,7 +151,7 @@ class Coarse(Stage):
                 budget=budget,
                 checkpoints=ctx.checkpoints,
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
-                recipe=NODE_RECIPE if nodes else PLANES,
+                recipe=FREE if free else NODE_RECIPE if nodes else PLANES,
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,
             )
@@ -173,13 +188,6 @@ def auto_sh_degree(facts: Mapping[str, Any]) -> int:
     return 1 if is_rig(facts) else 2
 
 
-def is_rig(facts: Mapping[str, Any]) -> bool:
-    """Several cameras see each time."""
-    from ..scene.training.curriculum import MIN_CAMERAS
-
-    return facts.get("frames", 0) >= MIN_CAMERAS * facts.get("times", 1)
-
-
 def mean_colour(views: Views) -> tuple[float, float, float]:
     """RGB in [0, 1] of the training views: what shows through an opaque scene's holes should not shine nor be black."""
     few = views.train[:: max(1, len(views.train) // 60)]
@@ -205,8 +213,8 @@ def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
     return max(round(steps * settings.effort), 1)
 
 
-def make_nodes(points: np.ndarray, views: Views, settings: TrainingSettings):
-    """Control nodes spread over ``points``."""
+def make_nodes(points: np.ndarray, settings: TrainingSettings):
+    """Control nodes spread over ``points`` [P, 3]."""
     import numpy as np
     import torch
 

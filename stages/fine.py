@@ -40,7 +40,7 @@ class Fine(Stage):
     def run(self, ctx: Context) -> None:
         import torch
 
-        from ..scene.primitives import ConvexSet
+        from ..scene.primitives import LIFE, ConvexSet
         from ..scene.training.recipe import NODES, PLANES
         from ..scene.training.schedule import fine_phases
         from ..scene.training.trainer import Trainer
@@ -55,8 +55,10 @@ class Fine(Stage):
         views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
         if hulls is not None and hulls.array("points").shape[0]:
             model.convexes = ConvexSet.from_hulls(hulls.read("points"), hulls.read("colors"), model.sh_degree, settings.convex_opacity)
-            model.convexes.hyper.data.copy_(model.gaussians.hyper[torch.from_numpy(hulls.read("seed")).long()])
-            model.convexes.dynamic = model.gaussians.dynamic[torch.from_numpy(hulls.read("seed")).long()]
+            seeds = torch.from_numpy(hulls.read("seed")).long()
+            for name in ("hyper", *LIFE):
+                model.convexes.parameters[name].data.copy_(model.gaussians.parameters[name][seeds])
+            model.convexes.dynamic = model.gaussians.dynamic[seeds]
         else:
             ctx.log("no convexes: no seed lies on enough edges; Gaussians alone are refined")
         model.to(ctx.device)

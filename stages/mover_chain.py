@@ -42,14 +42,15 @@ class Chain:
         """bool [H, W]: what moves in frame ``k`` of the sequence."""
         return np.asarray(self._flow.array("movers")[self._frames[k]]) > 127
 
-    def follow(self, start: int, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where pixels ``begin`` [n, 2] of frame ``start`` are in each frame, [F, n, 2] px, and how long they can be followed, [F, n]."""
+    def follow(self, start: int, begin: np.ndarray, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Where pixels ``begin`` [n, 2] of frame ``start`` are in each frame, [F, n, 2] px, and how long they can be followed, [F, n]; for
+        at most ``most`` frames to either side."""
         count, n = len(self._frames), len(begin)
         places, alive = np.tile(begin.astype(np.float32), (count, 1, 1)), np.zeros((count, n), bool)
         alive[start] = True
         for direction in (1, -1):
             k = start
-            while 0 <= k + direction < count and alive[k].any():
+            while 0 <= k + direction < count and alive[k].any() and (most is None or abs(k + direction - start) <= most):
                 moved = self.move(k, direction, places[k])
                 if moved is None:
                     break

@@ -81,7 +81,7 @@ def camera_tracks(flow: Artifact, views: Views, frames: list[int], points: np.nd
             continue
         x, there = chain.follow(k, begin)
         z = np.stack([depth_at(depths[j], x[j], usual) for j in range(count)])
-        p = np.stack([_lift(views, i, x[j], z_j) for j, (i, z_j) in enumerate(zip(frames, steady(z, there)))])
+        p = np.stack([lift(views, i, x[j], z_j) for j, (i, z_j) in enumerate(zip(frames, steady(z, there)))])
         home = p[k] if k == middle else p[k] + _carried(x[k], places[k], alive[k], rest - world[k])
         places, alive = np.concatenate([places, x], 1), np.concatenate([alive, there], 1)
         world, rest = np.concatenate([world, p], 1), np.concatenate([rest, home])
@@ -119,7 +119,7 @@ def _carried(places: np.ndarray, others: np.ndarray, alive: np.ndarray, back: np
     return back[alive][nearest]
 
 
-def _lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:
+def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:
     """World positions [n, 3] of pixels ``places`` [n, 2] (centres at +0.5) of frame ``i`` at depths ``z`` [n]."""
     K, pose = views.K[i], views.cam_from_world[i]
     ray = np.stack([(places[:, 0] + 0.5 - K[0, 2]) / K[0, 0], (places[:, 1] + 0.5 - K[1, 2]) / K[1, 1], np.ones(len(places))], 1)

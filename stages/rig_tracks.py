@@ -45,7 +45,7 @@ def rig_tracks(
     for direction in (1, -1):
         k = middle
         while 0 <= k + direction < len(times) and alive[k].any():
-            positions[k + direction], alive[k + direction] = _next(views, chains, k, direction, positions[k], alive[k])
+            positions[k + direction], alive[k + direction] = next_positions(views, chains, k, direction, positions[k], alive[k])
             k += direction
             advance(1)
     if alive.any(1).sum() < 2:
@@ -53,7 +53,7 @@ def rig_tracks(
     return Tracks(rest, colors, times, positions, alive)
 
 
-def _next(
+def next_positions(
     views: Views, chains: list[tuple[Chain, list[int]]], k: int, direction: int, points: np.ndarray, alive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where ``points`` [N, 3] of time ``k`` are at the next one, and which of the ``alive`` [N] are still followed."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..pipeline import Context
 
@@ -11,12 +12,16 @@ if TYPE_CHECKING:
 
     from ..scene.views import Views
     from .frameset import FrameSet
+    from ..scene.motion.free import FreeMotion
+    from ..scene.primitives import GaussianSet
+    from .mover_seeds import MoverSeeds
     from .mover_tracks import Tracks
 
 # Shares of the looks at a seed that must find something that moves there, for the seed to be one that may move.
 FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever changes before it
 MOVERS_SHARE = 0.5  # of a moving camera's masks, frame by frame, where what moves has seeds of its own
 COVERED_SHARE = 0.05  # of the same, where seeds that it hides at times must stand in for it
+OVERLAP = 0.6  # of the frames between two times with seeds: the standard deviation of their lives
 LEAST_POINTS = 30  # from which depths between them mean something
 LOOKS = 60  # masks of a moving camera that are looked at
 
@@ -90,6 +95,55 @@ def tracks_of_movers(ctx: Context, views: Views, points: np.ndarray, movers: tup
 
     with ctx.progress(len(views.train), "following what moves") as bar:
         return mover_tracks(flow, views, points, bar.advance)
+
+
+def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MoverSeeds | None:
+    """Up to ``most`` seeds on what moves, at several times; None without masks of movers. points [P, 3]: what stands still, mostly."""
+    import numpy as np
+
+    from .fill_seeds import moving_mask
+    from .mover_seeds import camera_seeds, key_times, rig_seeds
+
+    flow = ctx.inputs["flow"]
+    if flow is None or "movers" not in flow:
+        return None
+    if is_rig(ctx.facts):
+        times = np.unique(views.time[views.train])
+        with ctx.progress(len(key_times(times)), "seeds on what moves") as bar:
+            found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), most, ctx.settings.seed, bar.advance)
+    elif "moving" in flow:
+        return None
+    else:
+        with ctx.progress(len(views.train), "seeds on what moves") as bar:
+            found = camera_seeds(flow, views, points, most, bar.advance)
+    if found is not None:
+        ctx.log(f"seeds: {len(found.points)} on what moves, at {len(np.unique(found.time))} times")
+    return found
+
+
+def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
+    """Gaussians on ``seeds``, a set for each of their times, whose lives overlap with those of the times before and after."""
+    import numpy as np
+    import torch
+
+    from ..scene.primitives import GaussianSet
+
+    times = np.unique(seeds.time)
+    apart = (motion.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
+    sets = []
+    for t in times:
+        row = seeds.time == t
+        one = GaussianSet.from_points(seeds.points[row], seeds.colors[row], sh_degree, max_scale=max_scale)
+        one.live(motion.frame(t), max(OVERLAP * apart, 1.0), torch.from_numpy(seeds.velocities[row]).float())
+        sets.append(one)
+    return sets
+
+
+def is_rig(facts: Mapping[str, Any]) -> bool:
+    """Several cameras see each time."""
+    from ..scene.training.curriculum import MIN_CAMERAS
+
+    return facts.get("frames", 0) >= MIN_CAMERAS * facts.get("times", 1)
 
 
 def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seeded: bool) -> np.ndarray:

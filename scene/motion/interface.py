@@ -7,6 +7,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from torch import Tensor
 
+from ..primitives import Life
+
 
 class Displacement(NamedTuple):
     """What one time does to N rest positions.
@@ -24,21 +26,26 @@ class Rest(NamedTuple):
     """What a motion carries: the centres of M Gaussians and, behind them, corners of convexes.
 
     points: [N, 3] world units. quats: [M, 4] of the Gaussians, w x y z, any norm. hyper: [N, 2] coordinates beside x, y, z in which parts
-    that touch may lie apart. link: [N, k] int32, see `Motion.links`.
+    that touch may lie apart. link: [N, k] int32, see `Motion.links`. life: of the N points, each as the primitive that it belongs to.
+    centres: [N, 3] world units, what each turns about; None where all are centres.
     """
 
     points: Tensor
     quats: Tensor
     hyper: Tensor
     link: Tensor | None
+    life: Life | None = None
+    centres: Tensor | None = None
 
 
 class Moved(NamedTuple):
-    """Where `Rest` is at a time: points [N, 3], quats [M, 4], and what the logarithms of the Gaussians' scales gain [M, 3], or None."""
+    """Where `Rest` is at a time: points [N, 3], quats [M, 4], what the logarithms of the Gaussians' scales gain [M, 3], or None, and how
+    much of its opacity each point has then, [N] in [0, 1], or None for all of it."""
 
     points: Tensor
     quats: Tensor
     log_scales: Tensor | None
+    presence: Tensor | None = None
 
 
 class Motion(Protocol):

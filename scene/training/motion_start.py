@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from ..losses.motion_terms import PRIOR_EVERY, motion_priors
-from ..motion.field import DeformationField
+from ..motion.interface import Motion, Rest
+from ..primitives import HYPER
 from ..settings import TrainingSettings
 from .optimiser import RowAdam
 from .rates import learning_rates
@@ -19,7 +20,7 @@ SAMPLES = 2048  # tracks a step
 
 
 def follow_tracks(
-    field: DeformationField,
+    field: Motion,
     rest: np.ndarray,
     times: np.ndarray,
     positions: np.ndarray,
@@ -39,6 +40,12 @@ def follow_tracks(
     device = next(field.parameters()).device
     start, goal = torch.from_numpy(rest).float().to(device), torch.from_numpy(positions).float().to(device)
     there = torch.from_numpy(alive).to(device)
+    hyper, none = start.new_zeros(len(start), HYPER), start.new_zeros(0, 4)
+    link = field.links(start, hyper)
+
+    def carried(index: Tensor, t: float) -> Tensor:
+        return field.carry(Rest(start[index], none, hyper[index], None if link is None else link[index]), t).points
+
     dt = 1.0 / max(len(times) - 1, 1)
     rng = np.random.default_rng(settings.seed)
     for step in range(STEPS):
@@ -46,8 +53,7 @@ def follow_tracks(
         t = float(times[row])
         index = there[row].nonzero()[:, 0]
         index = index[torch.from_numpy(rng.permutation(len(index))[:SAMPLES]).to(device)]
-        moved = start[index] + field(start[index], t).dx
-        loss = ((moved - goal[row, index]).square().sum(1) + (1e-3 * unit) ** 2).sqrt().mean() / unit
+        loss = ((carried(index, t) - goal[row, index]).square().sum(1) + (1e-3 * unit) ** 2).sqrt().mean() / unit
         if step % PRIOR_EVERY == 0:
             noise = torch.from_numpy(rng.standard_normal((len(index), 3))).float().to(device)
             priors = motion_priors(field, start[index], noise, t, dt, unit, settings)
@@ -56,5 +62,5 @@ def follow_tracks(
         optimiser.step(step / STEPS, frozenset())
         advance(1)
     with torch.no_grad():
-        left = [(start[there[r]] + field(start[there[r]], float(times[r])).dx - goal[r, there[r]]).norm(dim=1) for r in rows]
+        left = [(carried(there[r].nonzero()[:, 0], float(times[r])) - goal[r, there[r]]).norm(dim=1) for r in rows]
     return float(torch.cat(left).median())

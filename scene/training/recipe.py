@@ -26,6 +26,7 @@ class Recipe:
     grow_until: float = 0.75
     rounds: int = 1_000_000
     steady: bool = False
+    opens: bool = True
 
 
 PLANES = Recipe()
@@ -40,3 +41,4 @@ NODES = Recipe(
     still=0.0,
     steady=True,
 )
+FREE = Recipe(still=0.0, freeze_at=2.0, opens=False)

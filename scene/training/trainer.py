@@ -93,7 +93,7 @@ class Trainer:
         moving = grow and model.field is not None and any(phase.move for phase in phases)
         still = sum(phase.iterations for phase in phases if not phase.move)
         times = views.time[views.train]
-        opened = round(settings.open_until * self.total) if moving else 0
+        opened = round(settings.open_until * self.total) if moving and recipe.opens else 0
         self.curriculum = Curriculum(views.train, times, settings.seed, still, opened)
         self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
         self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until

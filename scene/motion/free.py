@@ -1,0 +1,73 @@
+"""Primitives that live around a time of their own, drift and turn steadily while they do, and fade before and after.
+
+Nothing ties one primitive to another, so that whatever is seen can be shown: what enters, leaves, turns quickly or changes. As spacetime
+Gaussians (Li et al. 2024) with the motion of first order of free-time Gaussians (Wang et al. 2025).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ..rotation import compose, rotate
+from .interface import Moved, Rest
+
+
+class FreeMotion(nn.Module):
+    """Implements `Motion` by the `Life` of each primitive; it has no parameters of its own.
+
+    Args:
+        times: number of distinct times in the capture: lives are counted in these.
+    """
+
+    worth_culling = True
+
+    def __init__(self, times: int) -> None:
+        super().__init__()
+        self.times = int(times)
+        self.config = {"kind": "free", "times": self.times}
+
+    @classmethod
+    def from_state(cls, state: dict[str, Tensor], config: dict) -> FreeMotion:
+        """Inverse of `state_dict` and `config`."""
+        return cls(config["times"])
+
+    def carry(self, rest: Rest, t: float) -> Moved:
+        life = rest.life
+        assert life is not None
+        age = self.frame(t) - life.times
+        turns = turned_by(life.spins * age[:, None])
+        points = rest.points + life.velocities * age[:, None]
+        m = len(rest.quats)
+        if rest.centres is not None and len(points) > m:  # corners turn about the middle of their convex
+            arms = rest.points[m:] - rest.centres[m:]
+            points = torch.cat([points[:m], points[m:] + rotate(turns[m:], arms) - arms])
+        presence = torch.exp(-0.5 * (age * torch.exp(-life.log_spans)).square())
+        return Moved(points, compose(turns[:m], rest.quats), None, presence)
+
+    def frame(self, t: float) -> float:
+        """Number of the frame, not whole, at time ``t`` in [0, 1]."""
+        return min(max(float(t), 0.0), 1.0) * (self.times - 1)
+
+    def links(self, points: Tensor, hyper: Tensor) -> None:
+        """Each primitive carries itself."""
+
+    def spread_over(self, points: np.ndarray) -> None:
+        """There are no parts."""
+
+    def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
+        """Motion is steady by construction, and nothing is shared that could be asked to be rigid."""
+        none = torch.zeros((), device=rest.device)
+        return none, none
+
+    def regulariser(self) -> Tensor:
+        """There are no planes to smooth."""
+        return torch.zeros(())
+
+
+def turned_by(vectors: Tensor) -> Tensor:
+    """Unit quaternions [N, 4] (w x y z) of rotation vectors [N, 3], radians; smooth at zero."""
+    half = 0.5 * vectors
+    angle = half.square().sum(1, keepdim=True).clamp(min=1e-16).sqrt()
+    return torch.cat([torch.cos(angle), half * (torch.sin(angle) / angle)], 1)
