@@ -34,6 +34,7 @@ class TrainingSettings(Settings):
         None, ge=0, description="px of error that an opaque primitive must save, else it fades; 0.15 for planes, 0.01 for nodes"
     )
     smooth: float = Field(2.0, ge=0, description="rigs: weight of how much surfaces bend where pictures are smooth")
+    depth: float = Field(0.3, ge=0, description="rigs: weight of the difference from depth measured between cameras, where there is any")
     interval: float = Field(1e-3, ge=0, description="weight of L_interval (Eq. 8), flow in px; 0 turns it off")
     data_flow: float = Field(1e-3, ge=0, description="weight of rendered against measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="the two flow terms are evaluated at every n-th step")

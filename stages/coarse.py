@@ -72,8 +72,8 @@ class Coarse(Stage):
         from ..scene.primitives import ConvexSet, GaussianSet
         from ..scene.seeds.near_plane import near_plane
         from ..scene.training.motion_start import STEPS, follow_tracks
-        from ..scene.training.recipe import NODES as NODE_RECIPE
         from ..scene.training.recipe import FREE, PLANES
+        from ..scene.training.recipe import NODES as NODE_RECIPE
         from ..scene.training.schedule import HALF_RESOLUTION, coarse_phases, node_phases
         from ..scene.training.trainer import Trainer
         from .dataset import load_frameset, load_views, measured_flow
@@ -90,7 +90,7 @@ class Coarse(Stage):
         nodes = not static and use_nodes(ctx.facts, settings)
         budget = settings.budget or auto_budget(ctx.facts, views, nodes)
         seeds = settings.seeds or auto_seeds(ctx.facts, budget)
-        points, colors, trusted = load_seeds(ctx, frames, views, seeds)
+        points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, seeds)
         movers = None if static or settings.motion not in ("auto", "free") else mover_seeds(ctx, frames, views, points, budget // 2)
         free = settings.motion == "free" or movers is not None
         hull, their_colors = hull_seeds(ctx, frames, views, 0 if free else seeds)
@@ -151,6 +151,7 @@ class Coarse(Stage):
                 budget=budget,
                 checkpoints=ctx.checkpoints,
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
+                measured_depth={camera: torch.from_numpy(inverse) for camera, inverse in inverse_depth.items()},
                 recipe=FREE if free else NODE_RECIPE if nodes else PLANES,
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..pipeline import Context
 
@@ -46,6 +46,41 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
         colors.append(color[seen >= min(LEAST_SEEN, len(chosen))])
     ctx.log("seeds: " + ", ".join(f"{len(seeds)} {name}" for name, seeds in found.items()))
     return np.concatenate(list(found.values())), np.concatenate(colors)
+
+
+class Swept(NamedTuple):
+    """points [n, 3] at rest (world units), colors [n, 3] in [0, 1]. inverse: by camera, [h, w] float32, 1 / world units, 0 where the depth
+    is not known or something moves."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    inverse: dict[int, np.ndarray]
+
+
+def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> Swept | None:
+    """What a plane sweep finds between the cameras of the middle time. points [P, 3]: trusted ones."""
+    import cv2
+    import numpy as np
+
+    from ..scene.seeds.sweep import plane_sweep, points_of
+    from .clean_plates import clean_plates
+
+    plates = clean_plates(views, lambda i: moving_mask(ctx, frames, i), bool(ctx.facts.get("fixed_cameras")))
+    with ctx.progress(len(plates.frames), "depth") as bar:
+        maps = plane_sweep(views, plates.frames, plates.pictures, points, bar.advance)
+    if not maps:
+        return None
+    place = {int(i): k for k, i in enumerate(plates.frames)}
+    for one in maps:
+        h, w = one.inverse.shape
+        still = cv2.resize(plates.still[place[one.frame]].astype(np.uint8), (w, h), interpolation=cv2.INTER_AREA)
+        one.inverse = np.where(still > 0, one.inverse, 0.0).astype(np.float32)
+    found, frame, at = points_of(maps, views)
+    pictures = np.stack(plates.pictures)
+    colors = pictures[[place[int(i)] for i in frame], at[:, 1].astype(int), at[:, 0].astype(int)] / 255.0
+    known = len(found) / sum(one.inverse.size for one in maps)
+    ctx.log(f"seeds: plane sweep tells the depth of {known:.0%} of the pixels of {len(maps)} cameras")
+    return Swept(found, colors, {int(views.camera[one.frame]): one.inverse for one in maps})
 
 
 def hull_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> tuple[np.ndarray, np.ndarray]:

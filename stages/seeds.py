@@ -10,10 +10,10 @@ from ..pipeline import Context
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..scene.views import Views
-    from .frameset import FrameSet
     from ..scene.motion.free import FreeMotion
     from ..scene.primitives import GaussianSet
+    from ..scene.views import Views
+    from .frameset import FrameSet
     from .mover_seeds import MoverSeeds
     from .mover_tracks import Tracks
 
@@ -22,16 +22,19 @@ FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever chang
 MOVERS_SHARE = 0.5  # of a moving camera's masks, frame by frame, where what moves has seeds of its own
 COVERED_SHARE = 0.05  # of the same, where seeds that it hides at times must stand in for it
 OVERLAP = 0.6  # of the frames between two times with seeds: the standard deviation of their lives
+SWEPT_SHARE = 0.7  # of the seeds at most, where depth was found by plane sweep
 LEAST_POINTS = 30  # from which depths between them mean something
 LOOKS = 60  # masks of a moving camera that are looked at
 
 
 class Seeds(NamedTuple):
-    """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: those of them, or others, that were measured and not guessed."""
+    """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: those of them, or others, that were measured and not guessed. inverse_depth: of what stands
+    still before each camera, see `Swept`."""
 
     points: np.ndarray
     colors: np.ndarray
     trusted: np.ndarray
+    inverse_depth: dict[int, np.ndarray]
 
 
 def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seeds:
@@ -43,7 +46,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
     from ..scene.seeds.outliers import trusted
     from ..scene.seeds.volume import common_volume
     from ..scene.training.curriculum import MIN_CAMERAS
-    from .fill_seeds import fill_seeds, middle_frames
+    from .fill_seeds import fill_seeds, middle_frames, sweep
 
     settings = ctx.settings
     if frames.points is not None and len(frames.points) >= 50:
@@ -55,7 +58,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
         foreground = [frames.image(int(i))[..., 3] > 127 for i in chosen]
         ctx.log(f"seeds: {count} points inside the silhouettes of {len(chosen)} views")
         points, colors = carve(views, foreground, chosen, count, settings.seed)
-        return Seeds(points, colors, points)
+        return Seeds(points, colors, points, {})
     else:
         from .sfm.triangulate import triangulate
 
@@ -67,6 +70,10 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
     points, colors = points[keep], colors[keep]
     ctx.log(f"seeds: {len(points)} points; {int((~keep).sum())} that stand alone are left out")
     measured = points
+    swept = sweep(ctx, frames, views, points) if fill and len(points) >= LEAST_POINTS else None
+    if swept is not None:
+        chosen = np.random.default_rng(settings.seed).permutation(len(swept.points))[: int(SWEPT_SHARE * count)]
+        points, colors = np.concatenate([points, swept.points[chosen]]), np.concatenate([colors, swept.colors[chosen]])
     if fill and LEAST_POINTS <= len(points) < count:
         more, their_colors = fill_seeds(ctx, frames, views, points, count - len(points))
         points, colors = np.concatenate([points, more]), np.concatenate([colors, their_colors])
@@ -75,7 +82,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
         more = centre + np.random.default_rng(settings.seed).uniform(-radius, radius, (count, 3))
         ctx.log(f"seeds: {len(more)} more spread over the volume that the cameras share")
         points, colors = np.concatenate([points, more]), np.concatenate([colors, np.full((count, 3), 0.5)])
-    return Seeds(points, colors, measured if len(measured) else points)
+    return Seeds(points, colors, measured if len(measured) else points, swept.inverse if swept else {})
 
 
 def tracks_of_movers(ctx: Context, views: Views, points: np.ndarray, movers: tuple[np.ndarray, np.ndarray] | None = None) -> Tracks | None:

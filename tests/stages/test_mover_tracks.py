@@ -1,73 +1,12 @@
 """Tracks of what moves before a moving camera: where they lead, how far away they are taken to be, and what ends them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from e4dgs.pipeline import Artifact, ArtifactWriter
-from e4dgs.scene.views import Views
 from e4dgs.stages import mover_chain
 from e4dgs.stages.mover_chain import Chain
 from e4dgs.stages.mover_depths import BEFORE, FEWEST, component_depths
 from e4dgs.stages.mover_tracks import mover_tracks
-
-WIDTH, HEIGHT, FRAMES, FOCAL = 160, 96, 9, 100.0
-WALL, NEAR = 8.0, 4.0  # world units to the wall and to the square before it
-CAMERA, SQUARE = 0.1, -0.2  # world units a frame to the right
-
-
-def pose(k: int) -> np.ndarray:
-    cam_from_world = np.eye(4)
-    cam_from_world[0, 3] = -CAMERA * k
-    return cam_from_world
-
-
-def views(times: int = FRAMES) -> Views:
-    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
-    return Views(
-        K=np.tile(K, (times, 1, 1)),
-        cam_from_world=np.stack([pose(k) for k in range(times)]),
-        time=np.linspace(0, 1, times),
-        camera=np.zeros(times, int),
-        next=np.array([*range(1, times), -1]),
-        train=np.arange(times),
-        width=WIDTH,
-        height=HEIGHT,
-        load=lambda i: np.full((HEIGHT, WIDTH, 3), 10 * i + 5, np.uint8),
-    )
-
-
-def left_edge(k: int) -> float:
-    """Of the square in frame ``k``, px; it is 40 px wide and moves by a whole number of them."""
-    return 90 + FOCAL / NEAR * (SQUARE - CAMERA) * k
-
-
-def flow_of(folder: Path, gap: int | None = None) -> Artifact:
-    """Exact flow and masks of the square before the wall; without the pair that begins at frame ``gap``."""
-    masks = np.zeros((FRAMES, HEIGHT, WIDTH), np.uint8)
-    for k in range(FRAMES):
-        x = round(left_edge(k))
-        masks[k, 30:70, x : x + 40] = 255
-    step = {255: FOCAL / NEAR * (SQUARE - CAMERA), 0: -FOCAL / WALL * CAMERA}
-    pairs = [k for k in range(FRAMES - 1) if k != gap]
-    forward, backward = (np.zeros((len(pairs), HEIGHT, WIDTH, 2), np.float16) for _ in range(2))
-    for p, k in enumerate(pairs):
-        for value, u in step.items():
-            forward[p, masks[k] == value, 0], backward[p, masks[k + 1] == value, 0] = u, -u
-    folder.mkdir()
-    out = ArtifactWriter(folder)
-    out.write("pair", np.array([(k, k + 1) for k in pairs], np.int32))
-    out.write("forward", forward)
-    out.write("backward", backward)
-    out.write("confidence", np.full((len(pairs), HEIGHT, WIDTH), 255, np.uint8))
-    out.write("movers", masks)
-    out.finish({})
-    return Artifact(folder)
-
-
-def wall(count: int = 4000) -> np.ndarray:
-    rng = np.random.default_rng(0)
-    return np.stack([rng.uniform(-8, 8, count), rng.uniform(-5, 5, count), np.full(count, WALL)], 1)
+from moving_square import FOCAL, FRAMES, HEIGHT, WALL, WIDTH, flow_of, left_edge, pose, views, wall
 
 
 def test_tracks_follow_what_moves_at_the_depth_of_what_it_hides(tmp_path):

@@ -1,0 +1,45 @@
+"""Rendered against measured depth: where a plane sweep between cameras has told how far away a place is, surfaces should lie there.
+
+Few cameras leave depth open: what is right for them, painted on the wrong surface, is wrong for the views between them.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+COVERED = 0.5  # alpha from which there is a surface
+LARGEST = 0.2  # of unit / depth: a difference beyond it is taken for a wrong measurement, and pulls no more
+
+
+class MeasuredDepth:
+    """inverse: by camera, [h, w] float32, 1 / world units, 0 where nothing is known. unit: the viewing distance, world units."""
+
+    def __init__(self, inverse: dict[int, Tensor], unit: float) -> None:
+        self._maps, self.unit = inverse, unit
+        self._sized: dict[tuple[int, int, int], Tensor] = {}
+
+    def of(self, camera: int, height: int, width: int) -> Tensor | None:
+        """The map of ``camera`` at this size, [height, width]; None where it has none."""
+        if camera not in self._maps:
+            return None
+        key = camera, height, width
+        if key not in self._sized:
+            self._sized[key] = interpolate(self._maps[camera][None, None], (height, width), mode="nearest")[0, 0]
+        return self._sized[key]
+
+    def loss(self, depth: Tensor, alpha: Tensor, camera: int, still: Tensor | None = None) -> Tensor:
+        """Mean over the picture of the difference in ``unit`` / depth where it is known, at most `LARGEST` each.
+
+        depth [H, W]: alpha-weighted mean z, world units. alpha [H, W]. still [H, W] bool: where nothing moves; None for everywhere.
+        """
+        measured = self.of(camera, *depth.shape)
+        if measured is None:
+            return depth.new_zeros(())
+        known = (measured > 0) & (alpha.detach() > COVERED) & (depth.detach() > 1e-3 * self.unit)
+        if still is not None:
+            known &= still
+        inverse = alpha.clamp(min=COVERED) / depth.clamp(min=1e-3 * self.unit)
+        off = (self.unit * (inverse - measured)).abs().clamp(max=LARGEST)
+        return torch.where(known, off, 0.0).mean()

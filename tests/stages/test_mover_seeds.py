@@ -1,0 +1,63 @@
+"""Seeds on what moves: on it at each time, and as fast as it goes."""
+
+import numpy as np
+import pytest
+from e4dgs.stages.mover_depths import BEFORE
+from e4dgs.stages.mover_seeds import KEYS, camera_seeds, key_times, rig_seeds, slope
+from moving_square import CAMERA, FRAMES, SQUARE, WALL, flow_of, pose, views, wall
+from sliding_ball import RADIUS, TIMES, place, sliding_ball
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    return sliding_ball(tmp_path_factory.mktemp("rig") / "flow")
+
+
+def test_before_one_camera_seeds_lie_on_the_mask_and_move_with_it(tmp_path):
+    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 3000)
+    assert seeds is not None and 1500 < len(seeds.points) <= 3000 * 1.5
+    assert len(np.unique(seeds.time)) == FRAMES
+    for k, t in enumerate(np.unique(seeds.time)):
+        cam = seeds.points[seeds.time == t] + pose(k)[:3, 3]
+        assert np.allclose(cam[:, 2], BEFORE * WALL, rtol=1e-5)
+        assert np.allclose(seeds.colors[seeds.time == t], (10 * k + 5) / 255)
+    # Twice as far as the square is, at the wall, the same flow is twice the way.
+    scale = BEFORE * WALL / 4.0
+    expected = CAMERA + scale * (SQUARE - CAMERA)
+    assert np.median(seeds.velocities[:, 0]) == pytest.approx(expected, abs=0.02)
+    assert np.abs(seeds.velocities[:, 1:]).max() < 0.05
+
+
+def test_before_one_camera_nothing_hidden_means_no_seeds(tmp_path):
+    assert camera_seeds(flow_of(tmp_path / "flow"), views(), np.zeros((0, 3)), 3000) is None
+
+
+def test_before_a_rig_seeds_lie_on_the_ball_at_each_time(rig):
+    flow, seen, _ = rig
+    seeds = rig_seeds(flow, seen, lambda i: np.asarray(flow.array("movers")[i]) > 127, 2000, 0)
+    assert seeds is not None and len(np.unique(seeds.time)) == TIMES
+    speed = 1.0 / (TIMES - 1)  # it slides by one unit over the capture
+    for t in np.unique(seeds.time):
+        row = seeds.time == t
+        distance = np.linalg.norm(seeds.points[row] - place(t), axis=1)
+        assert row.sum() > 100 and np.median(distance) < 1.6 * RADIUS  # the hull of few cameras is larger than the ball
+        assert np.median(seeds.velocities[row, 0]) == pytest.approx(speed, rel=0.25)
+
+
+def test_before_a_rig_without_masks_there_are_no_seeds(rig):
+    flow, seen, _ = rig
+    assert rig_seeds(flow, seen, lambda i: None, 2000, 0) is None
+
+
+@pytest.mark.parametrize(("count", "expected"), [(1, 1), (KEYS, KEYS), (KEYS + 1, KEYS), (300, KEYS)])
+def test_key_times_reach_from_first_to_last(count, expected):
+    rows = key_times(np.linspace(0, 1, count))
+    assert len(rows) == expected and rows[0] == 0 and rows[-1] == count - 1
+
+
+def test_a_slope_leaves_out_what_is_not_known():
+    x = np.array([0.0, 1.0, 2.0, 3.0])
+    y = np.stack([2 * x + 1, -x], 1)[..., None].repeat(3, 2)
+    y[2] = 100.0
+    known = np.array([[1, 1], [1, 0], [0, 0], [1, 0]], bool)
+    assert np.allclose(slope(x, y, known), [[2.0] * 3, [0.0] * 3])
