@@ -71,14 +71,13 @@ class Coarse(Stage):
         from ..scene.motion.free import FreeMotion
         from ..scene.primitives import ConvexSet, GaussianSet
         from ..scene.seeds.near_plane import near_plane
-        from ..scene.training.motion_start import STEPS, follow_tracks
         from ..scene.training.recipe import FREE, PLANES
         from ..scene.training.recipe import NODES as NODE_RECIPE
         from ..scene.training.schedule import HALF_RESOLUTION, coarse_phases, node_phases
         from ..scene.training.trainer import Trainer
         from .dataset import load_frameset, load_views, measured_flow
-        from .fill_seeds import hull_seeds
-        from .seeds import initial_dynamic, living, load_seeds, mover_seeds, tracks_of_movers
+        from .fill_seeds import measured_depth
+        from .seeds import initial_dynamic, living, load_seeds, mover_seeds
         from .training_artifact import write_training
 
         settings = ctx.settings
@@ -91,25 +90,20 @@ class Coarse(Stage):
         budget = settings.budget or auto_budget(ctx.facts, views, nodes)
         seeds = settings.seeds or auto_seeds(ctx.facts, budget)
         points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, seeds)
-        movers = None if static or settings.motion not in ("auto", "free") else mover_seeds(ctx, frames, views, points, budget // 2)
-        free = settings.motion == "free" or movers is not None
-        hull, their_colors = hull_seeds(ctx, frames, views, 0 if free else seeds)
-        views.near = near_plane(views, np.concatenate([trusted, hull, *([movers.points] if movers else [])]))
+        movers = None if static or nodes else mover_seeds(ctx, frames, views, points, budget // 2)
+        free = settings.motion == "free" or (settings.motion == "auto" and movers is not None)
+        views.near = near_plane(views, trusted if movers is None else np.concatenate([trusted, movers.points]))
         if frames.background is None:
             views.background = mean_colour(views)
-        pixels = views.width * views.height
-        if nodes and not free:
+        if nodes and ctx.facts.get("alpha"):
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
             points, colors = points[chosen], colors[chosen]
         unit = views.viewing_distance(points)
-        tracks = None if static or nodes or free else tracks_of_movers(ctx, views, points, (hull, their_colors))
-        dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, tracks is not None or free)
-        if tracks is not None:
-            points, colors = np.concatenate([points, tracks.rest]), np.concatenate([colors, tracks.colors])
-            dynamic = np.concatenate([dynamic, np.ones(len(tracks.rest), bool)])
-        elif len(hull):
-            points, colors = np.concatenate([points, hull]), np.concatenate([colors, their_colors])
-            dynamic = np.concatenate([dynamic, np.full(len(hull), not static)])
+        dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, movers is not None)
+        if movers is not None and not free:  # at rest is where it is at the middle time
+            middle = movers.time == movers.time[np.abs(movers.time - 0.5).argmin()]
+            points, colors = np.concatenate([points, movers.points[middle]]), np.concatenate([colors, movers.colors[middle]])
+            dynamic = np.concatenate([dynamic, np.ones(int(middle.sum()), bool)])
         sh_degree = auto_sh_degree(ctx.facts) if settings.sh_degree is None else settings.sh_degree
         gaussians = GaussianSet.from_points(points, colors, sh_degree, max_scale=0.05 * unit)
         field: Any = None
@@ -126,21 +120,15 @@ class Coarse(Stage):
             else:
                 field = make_field(points[dynamic] if dynamic.sum() >= 50 else points, views, settings)
             field.to(ctx.device)
-            if tracks is not None:
-                with ctx.progress(STEPS, "tracks") as bar:
-                    error = follow_tracks(field, tracks.rest, tracks.times, tracks.positions, tracks.alive, unit, settings, bar.advance)
-                off = f"{error / unit:.2%} of the viewing distance"
-                ctx.log(f"{len(tracks.rest)} seeds on what moves, followed along the flow; the field begins {off} beside them")
         empty = ConvexSet.empty(6, sh_degree)
         model = Model(gaussians, empty, field, sh_degree, views.near, views.background).to(ctx.device)
 
         steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
-        if nodes and not free and settings.strategy in ("two-stage", "alternating"):
-            phases = node_phases(steps, 1.0 if pixels < SMALL_IMAGE else HALF_RESOLUTION)
+        small = views.width * views.height < SMALL_IMAGE
+        if nodes and settings.strategy in ("two-stage", "alternating"):
+            phases = node_phases(steps, 1.0 if small else HALF_RESOLUTION)
         else:
-            # A rig shows the rest state at the middle time alone; what lives for a while has no other.
-            from_rest = not free and (tracks is None or len(hull) > 0)
-            phases = coarse_phases(settings.strategy, steps, static, 0.0 if pixels < SMALL_IMAGE else settings.full_from, from_rest)
+            phases = coarse_phases(settings.strategy, steps, static, 0.0 if small else settings.full_from, not free)
         total = sum(phase.iterations for phase in phases)
         with ctx.progress(total, "coarse") as bar:
             trainer = Trainer(
@@ -151,7 +139,7 @@ class Coarse(Stage):
                 budget=budget,
                 checkpoints=ctx.checkpoints,
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
-                measured_depth={camera: torch.from_numpy(inverse) for camera, inverse in inverse_depth.items()},
+                measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
                 recipe=FREE if free else NODE_RECIPE if nodes else PLANES,
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,

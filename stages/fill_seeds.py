@@ -9,12 +9,13 @@ from ..pipeline import Context
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..scene.losses.measured_depth import MeasuredDepth
     from ..scene.views import Views
     from .frameset import FrameSet
 
-HULL_SHARE = 0.2  # of the seeds at most, on what moves
 SHELL_SHARE = 0.1
 LOOKS = 32  # frames of a moving camera from which rays start
+SHRINK = 4  # of masks of what moves, for the loss of depth
 LEAST_SEEN = 2  # frames that must show a seed
 
 
@@ -83,22 +84,31 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     return Swept(found, colors, {int(views.camera[one.frame]): one.inverse for one in maps})
 
 
-def hull_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Up to ``HULL_SHARE`` of ``count`` seeds [n, 3] on what masks of the middle time enclose, with their colours [n, 3] in [0, 1]; none
-    where fewer than four cameras saw that time, or where one of them has no mask."""
-    import numpy as np
+def measured_depth(inverse: dict[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
+    """`Swept.inverse` as training holds a model to it; masks of what moves are kept small."""
+    import cv2
+    import torch
 
-    from ..scene.seeds.colours import median_colours
-    from ..scene.seeds.hull import visual_hull
-    from ..scene.training.curriculum import MIN_CAMERAS
+    from ..scene.losses.measured_depth import MeasuredDepth
 
-    chosen = middle_frames(views)
-    masks = [mask for i in chosen if (mask := moving_mask(ctx, frames, int(i))) is not None]
-    if len(chosen) < MIN_CAMERAS or len(masks) < len(chosen):
-        return np.zeros((0, 3)), np.zeros((0, 3))
-    points = visual_hull(views, masks, chosen, int(HULL_SHARE * count), ctx.settings.seed)
-    ctx.log(f"seeds: {len(points)} on what masks enclose at the middle time")
-    return points, median_colours(views, points, chosen, masks)[0]
+    if not inverse:
+        return None
+    known: dict[int, torch.Tensor | None] = {}
+
+    def moving(i: int) -> torch.Tensor | None:
+        if i not in known:
+            mask = moving_mask(ctx, frames, i)
+            if mask is not None:
+                height, width = mask.shape
+                small = cv2.resize(
+                    mask.astype("float32"), (max(1, width // SHRINK), max(1, height // SHRINK)), interpolation=cv2.INTER_AREA
+                )
+                known[i] = torch.from_numpy(small > 0).to(ctx.device) if small.any() else None
+            else:
+                known[i] = None
+        return known[i]
+
+    return MeasuredDepth({camera: torch.from_numpy(one).to(ctx.device) for camera, one in inverse.items()}, unit, moving)
 
 
 def middle_frames(views: Views) -> np.ndarray:

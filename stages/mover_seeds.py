@@ -1,7 +1,7 @@
 """Seeds on what moves, at several times: where it is then and how fast it goes, from masks and flow.
 
-Where several cameras see a time at once, seeds lie on the visual hull of their masks; before one moving camera, on the mask's pixels, as far
-away as `mover_depths.py` finds. Velocities are measured over the frames beside.
+Where several cameras see a time at once, seeds lie on the visual hull of their masks; before one moving camera, on the mask's pixels, as
+far away as `mover_depths.py` finds. Velocities are measured over the frames beside.
 """
 
 from __future__ import annotations
@@ -13,15 +13,16 @@ import numpy as np
 
 from .mover_chain import Chain
 from .mover_depths import component_depths, depth_at, steady
-from .mover_tracks import FEWEST_FRAMES, lift
-from .rig_tracks import next_positions
+from .scene_flow import next_positions
 from .sequences import camera_sequences
 
 if TYPE_CHECKING:
     from ..pipeline import Artifact
     from ..scene.views import Views
 
-KEYS = int(__import__("os").environ.get("KEYS", 30))  # times at which seeds are placed, at most
+KEYS = 12  # times at which seeds are placed, and more
+APART = 8  # frames, where these would lie farther apart
+FEWEST_FRAMES = 3  # of a camera, for a path; of cameras that see a time, for a hull
 AROUND = 3  # frames to either side over which the velocity before one camera is measured
 
 
@@ -36,7 +37,7 @@ class MoverSeeds(NamedTuple):
 
 def key_times(times: np.ndarray) -> np.ndarray:
     """Rows of ``times`` [T] at which seeds are placed: evenly spread, the first and the last among them."""
-    return np.unique(np.linspace(0, len(times) - 1, min(KEYS, len(times))).round().astype(int))
+    return np.unique(np.linspace(0, len(times) - 1, min(max(KEYS, len(times) // APART), len(times))).round().astype(int))
 
 
 def rig_seeds(
@@ -138,3 +139,10 @@ def per_frame(views: Views, times: np.ndarray, k: int) -> float:
 
 def join(found: list[MoverSeeds]) -> MoverSeeds | None:
     return MoverSeeds(*(np.concatenate(parts) for parts in zip(*found))) if found else None
+
+
+def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """World positions [n, 3] of pixels ``places`` [n, 2] (centres at +0.5) of frame ``i`` at depths ``z`` [n]."""
+    K, pose = views.K[i], views.cam_from_world[i]
+    ray = np.stack([(places[:, 0] + 0.5 - K[0, 2]) / K[0, 0], (places[:, 1] + 0.5 - K[1, 2]) / K[1, 1], np.ones(len(places))], 1)
+    return ((ray * z[:, None] - pose[:3, 3]) @ pose[:3, :3]).astype(np.float32)

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ..scene.views import Views
     from .frameset import FrameSet
     from .mover_seeds import MoverSeeds
-    from .mover_tracks import Tracks
 
 # Shares of the looks at a seed that must find something that moves there, for the seed to be one that may move.
 FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever changes before it
@@ -28,8 +27,8 @@ LOOKS = 60  # masks of a moving camera that are looked at
 
 
 class Seeds(NamedTuple):
-    """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: those of them, or others, that were measured and not guessed. inverse_depth: of what stands
-    still before each camera, see `Swept`."""
+    """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: those of them, or others, that were measured and not guessed.
+    inverse_depth: of what stands still before each camera, see `Swept`."""
 
     points: np.ndarray
     colors: np.ndarray
@@ -83,25 +82,6 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
         ctx.log(f"seeds: {len(more)} more spread over the volume that the cameras share")
         points, colors = np.concatenate([points, more]), np.concatenate([colors, np.full((count, 3), 0.5)])
     return Seeds(points, colors, measured if len(measured) else points, swept.inverse if swept else {})
-
-
-def tracks_of_movers(ctx: Context, views: Views, points: np.ndarray, movers: tuple[np.ndarray, np.ndarray] | None = None) -> Tracks | None:
-    """Where flow takes what moves; None without masks of movers. Before several cameras at once these are the seeds ``movers`` [M, 3] with
-    their colours [M, 3]; before one moving camera they have yet to be found, and before cameras that stand there are none."""
-    flow = ctx.inputs["flow"]
-    if flow is None or "movers" not in flow:
-        return None
-    if movers is not None and len(movers[0]):
-        from .rig_tracks import rig_tracks
-
-        with ctx.progress(len(set(views.time[views.train])) - 1, "following what moves") as bar:
-            return rig_tracks(flow, views, *movers, bar.advance)
-    if "moving" in flow:
-        return None
-    from .mover_tracks import mover_tracks
-
-    with ctx.progress(len(views.train), "following what moves") as bar:
-        return mover_tracks(flow, views, points, bar.advance)
 
 
 def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MoverSeeds | None:

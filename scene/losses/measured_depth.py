@@ -5,6 +5,8 @@ Few cameras leave depth open: what is right for them, painted on the wrong surfa
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
@@ -14,10 +16,14 @@ LARGEST = 0.2  # of unit / depth: a difference beyond it is taken for a wrong me
 
 
 class MeasuredDepth:
-    """inverse: by camera, [h, w] float32, 1 / world units, 0 where nothing is known. unit: the viewing distance, world units."""
+    """What stands still before each camera.
 
-    def __init__(self, inverse: dict[int, Tensor], unit: float) -> None:
-        self._maps, self.unit = inverse, unit
+    inverse: by camera, [h, w] float32, 1 / world units, 0 where nothing is known. unit: the viewing distance, world units. moving(i): [h,
+    w] bool of any size, what passes before it in frame i; None where nothing does.
+    """
+
+    def __init__(self, inverse: Mapping[int, Tensor], unit: float, moving: Callable[[int], Tensor | None] = lambda i: None) -> None:
+        self._maps, self.unit, self._moving = inverse, unit, moving
         self._sized: dict[tuple[int, int, int], Tensor] = {}
 
     def of(self, camera: int, height: int, width: int) -> Tensor | None:
@@ -29,17 +35,18 @@ class MeasuredDepth:
             self._sized[key] = interpolate(self._maps[camera][None, None], (height, width), mode="nearest")[0, 0]
         return self._sized[key]
 
-    def loss(self, depth: Tensor, alpha: Tensor, camera: int, still: Tensor | None = None) -> Tensor:
+    def loss(self, depth: Tensor, alpha: Tensor, camera: int, frame: int) -> Tensor:
         """Mean over the picture of the difference in ``unit`` / depth where it is known, at most `LARGEST` each.
 
-        depth [H, W]: alpha-weighted mean z, world units. alpha [H, W]. still [H, W] bool: where nothing moves; None for everywhere.
+        depth [H, W]: alpha-weighted mean z, world units. alpha [H, W]. camera and frame: numbers of those that it was rendered for.
         """
         measured = self.of(camera, *depth.shape)
         if measured is None:
             return depth.new_zeros(())
         known = (measured > 0) & (alpha.detach() > COVERED) & (depth.detach() > 1e-3 * self.unit)
-        if still is not None:
-            known &= still
+        moving = self._moving(frame)
+        if moving is not None:
+            known &= interpolate(moving[None, None].float(), depth.shape, mode="nearest")[0, 0] == 0
         inverse = alpha.clamp(min=COVERED) / depth.clamp(min=1e-3 * self.unit)
         off = (self.unit * (inverse - measured)).abs().clamp(max=LARGEST)
         return torch.where(known, off, 0.0).mean()

@@ -31,7 +31,7 @@ class Phase:
 def coarse_phases(strategy: Strategy, iterations: int, static: bool, full_from: float = 0.0, from_rest: bool = True) -> list[Phase]:
     """Gaussians alone: a static warm-up, then deformation. Images have half their size up to the fraction ``full_from`` of the steps, then
     their full size; ``progressive`` goes from a quarter to a half instead and leaves the full size to `fine`. ``joint`` ends after the
-    warm-up. Without ``from_rest`` the motion is known roughly, and there is no warm-up without it.
+    warm-up. Without ``from_rest`` there is no state of rest to begin with, and no warm-up.
     """
     first, last = (QUARTER_RESOLUTION, HALF_RESOLUTION) if strategy == "progressive" else (HALF_RESOLUTION, 1.0)
     change = round(iterations * (0.5 if strategy == "progressive" else full_from))

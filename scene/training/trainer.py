@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -66,7 +66,8 @@ class Trainer:
 
     phases: what to do, in order. settings: see `TrainingSettings`. budget: most Gaussians. lr_scale: factor on the rates of what a stage
     before has already trained. measured_flow: for frame i the flow to its next frame [H, W, 2] px and a weight [H, W], or None where there
-    is none. measured_depth: by camera, see `MeasuredDepth`. checkpoints: folder of this run; a state found there is continued. advance: called with (steps, note). log: a line for people.
+    is none. measured_depth: of what stands still. checkpoints: folder of this run; a state found there is continued. advance:
+    called with (steps, note). log: a line for people.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Trainer:
         lr_scale: float = 1.0,
         grow: bool = True,
         measured_flow: MeasuredFlow | None = None,
-        measured_depth: Mapping[int, Tensor] | None = None,
+        measured_depth: MeasuredDepth | None = None,
         recipe: Recipe = PLANES,
         advance: Callable[[int, str], None] = lambda n, note: None,
         log: Callable[[str], None] = lambda message: None,
@@ -105,8 +106,7 @@ class Trainer:
         if settings.affine and several and model.affine is None:
             model.affine = CameraAffine(cameras).to(model.device)
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
-        inverse = {camera: one.to(model.device) for camera, one in (measured_depth or {}).items()}
-        self.measured_depth = MeasuredDepth(inverse, self.unit) if inverse and settings.depth else None
+        self.measured_depth = measured_depth if settings.depth else None
         self.motion_terms = MotionTerms(
             views,
             settings,
@@ -199,7 +199,7 @@ class Trainer:
         if s.smooth and self.curriculum.several:
             loss = loss + s.smooth * depth_smoothness(frame.depth, frame.alpha, target, self.unit)
         if self.measured_depth is not None:
-            loss = loss + s.depth * self.measured_depth.loss(frame.depth, frame.alpha, int(views.camera[i]))
+            loss = loss + s.depth * self.measured_depth.loss(frame.depth, frame.alpha, int(views.camera[i]), i)
         loss = loss + self.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, self.iteration, self.total)

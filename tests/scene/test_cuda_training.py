@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.training.motion_start import follow_tracks
+from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.coarse import make_nodes
@@ -70,20 +70,20 @@ def test_a_checkpoint_goes_on_on_the_device(views, tmp_path):
 def test_nodes_train_and_are_renewed(views):
     with pretending_cuda():
         model = fresh(views)
-        model.field = make_nodes(model.gaussians.means.detach().numpy(), views, QUICK)
+        model.field = make_nodes(model.gaussians.means.detach().numpy(), QUICK)
         log, _ = trained(model.to("cuda"), there(views), phases=[Phase("moving", 30, move=True)])
     assert log.iterations == 30 and log.nonfinite_steps == 0
 
 
-def test_a_field_follows_tracks(views, monkeypatch):
-    monkeypatch.setattr("e4dgs.scene.training.motion_start.STEPS", 8)
-    rest = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
-    times = np.linspace(0, 1, 4)
-    positions = np.stack([rest + np.array([t, 0, 0]) for t in times])
+def test_primitives_of_their_own_life_train(views):
     with pretending_cuda():
-        field = fresh(views).field.to("cuda")
-        left = follow_tracks(field, rest, times, positions, np.ones((4, 20), bool), 4.0, QUICK)
-    assert np.isfinite(left)
+        model = fresh(views)
+        model.field = FreeMotion(4)
+        model.gaussians.live(1.5, 2.0)
+        before = model.gaussians.velocities.detach().clone()
+        log, trainer = trained(model.to("cuda"), there(views), phases=[Phase("moving", 30, move=True)])
+    assert log.iterations == 30 and log.nonfinite_steps == 0
+    assert float(trainer.model.gaussians.velocities.detach().abs().max()) > float(before.abs().max())
 
 
 def test_a_step_waits_for_the_device_a_few_times_only(views):

@@ -1,4 +1,4 @@
-"""The whole stage `coarse` on a ball that crosses a room before a moving camera: it begins with tracks of the ball, or without."""
+"""The whole stage `coarse` on a ball that crosses a room before a moving camera: it begins with seeds on the ball, or without."""
 
 import re
 from dataclasses import replace
@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.training import motion_start, schedule
+from e4dgs.scene.training import schedule
 from e4dgs.stages.coarse import Coarse, CoarseSettings
 from e4dgs.stages.dataset import load_frameset, load_views
 from e4dgs.stages.training_artifact import read_model
@@ -17,6 +17,7 @@ from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 9
 ITERATIONS = 24
+KIND = {"with_masks": "free", "without_masks": "planes"}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def ball(tmp_path_factory) -> SimpleNamespace:
 
 
 def train(ball, inputs, folder):
-    """What ran, and the phases of its training. The field is fitted to tracks in fewer steps, to stay quick."""
+    """What ran, and the phases of its training."""
     phases: list[schedule.Phase] = []
     planned = schedule.coarse_phases
 
@@ -60,28 +61,27 @@ def train(ball, inputs, folder):
         return phases
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(motion_start, "STEPS", 300)
         patch.setattr(schedule, "coarse_phases", plan)
         ran = run_stage(Coarse(), ball.capture, folder, CoarseSettings(iterations=ITERATIONS), inputs)
     return ran, phases
 
 
 @pytest.fixture(scope="module")
-def tracked(ball, tmp_path_factory):
-    return train(ball, ball.with_masks, tmp_path_factory.mktemp("tracked"))
+def with_masks(ball, tmp_path_factory):
+    return train(ball, ball.with_masks, tmp_path_factory.mktemp("masks"))
 
 
 @pytest.fixture(scope="module")
-def untracked(ball, tmp_path_factory):
-    return train(ball, ball.without_masks, tmp_path_factory.mktemp("untracked"))
+def without_masks(ball, tmp_path_factory):
+    return train(ball, ball.without_masks, tmp_path_factory.mktemp("no masks"))
 
 
-@pytest.mark.parametrize("which", ["tracked", "untracked"])
+@pytest.mark.parametrize("which", ["with_masks", "without_masks"])
 def test_training_stays_finite_and_learns(ball, which, request):
     ran = request.getfixturevalue(which)[0]
     artifact = ran.artifact
     assert all(np.isfinite(artifact.read(name)).all() for name in artifact.names())
-    assert artifact.attrs["model"]["field"]["kind"] == "planes" and artifact.attrs["iterations"] == ITERATIONS
+    assert artifact.attrs["model"]["field"]["kind"] == KIND[which] and artifact.attrs["iterations"] == ITERATIONS
     training = artifact.info["training"]
     assert training["iterations"] == ITERATIONS and training["nonfinite_steps"] == 0
     model, views = read_model(artifact), load_views(load_frameset(ran.context.inputs, ball.capture.root), None)
@@ -93,17 +93,20 @@ def test_training_stays_finite_and_learns(ball, which, request):
     assert left < 0.8 * without, f"{left} against {without}"
 
 
-def test_with_tracks_what_moves_has_seeds_and_motion_needs_no_warm_up(tracked):
-    ran, phases = tracked
-    (told,) = [line for line in ran.lines if "seeds on what moves, followed along the flow" in line]
-    seeds, off = re.fullmatch(r"(\d+) seeds on .*; the field begins ([\d.]+)% of the viewing distance beside them", told).groups()
-    assert int(seeds) > 300 and float(off) < 2
+def test_with_masks_what_moves_has_seeds_and_a_life_and_motion_needs_no_warm_up(with_masks):
+    ran, phases = with_masks
+    (told,) = [line for line in ran.lines if "on what moves, at" in line]
+    seeds, times = map(int, re.fullmatch(r"seeds: (\d+) on what moves, at (\d+) times", told).groups())
+    assert seeds > 300 and times == len(ran.context.inputs["frames"].read("split")) - int(
+        ran.context.inputs["frames"].read("split").astype(bool).sum()
+    )
     assert len(ran.artifact.read("gaussians_means")) > 300, "more than the points of the capture"
+    assert len(np.unique(ran.artifact.read("gaussians_times"))) > times
     assert phases and all(phase.move for phase in phases)
 
 
-def test_without_tracks_training_begins_at_rest(untracked):
-    ran, phases = untracked
+def test_without_masks_training_begins_at_rest(without_masks):
+    ran, phases = without_masks
     assert not any("seeds on what moves" in line for line in ran.lines)
     assert len(ran.artifact.read("gaussians_means")) < 300
     assert not phases[0].move and phases[-1].move
@@ -113,23 +116,16 @@ def rendered(model, views, i):
     return model.render(views.rasterizer_camera(i), float(views.time[i])).color
 
 
-def on_the_ball(ball, ran, moved: bool) -> list[float]:
-    """For each frame the share, of the Gaussians that may move, of those within the ball's outline; without `moved` at rest."""
+def test_at_each_time_what_is_there_lies_on_the_ball(ball, with_masks):
+    """It crosses more than half of the picture. What lives then and where covers it, in frames without seeds too."""
+    ran, _ = with_masks
     model, views = read_model(ran.artifact), load_views(load_frameset(ran.context.inputs, ball.capture.root), None)
-    rest = model.gaussians.means[model.gaussians.dynamic].detach()
-    shares = []
+    moving = model.gaussians.dynamic.nonzero()[:, 0]
+    lives = model.gaussians.log_spans[moving] < np.log(2 * FRAMES)
     for i, t in enumerate(views.time):
         with torch.no_grad():
-            places = rest + model.field(rest, float(t)).dx if moved else rest
-        found = views.project(i, places.double().numpy())
-        shares.append(float(ball.shown[i, found.y, found.x].sum() / len(rest)))
-    return shares
-
-
-def test_what_has_tracks_follows_the_ball(ball, tracked):
-    """It crosses more than half of the picture: at the ends of its way no place is left that it covers in the middle."""
-    ran, _ = tracked
-    moved, rest = (np.array(on_the_ball(ball, ran, moved)) for moved in (True, False))
-    middle, ends = FRAMES // 2, [0, FRAMES - 1]
-    assert not (ball.shown[middle] & ball.shown[ends]).any() and rest[ends].max() < 0.05
-    assert rest[middle] > 0.7 and moved[ends].min() > 0.2 and moved.mean() > rest.mean() + 0.1
+            there = model.at(float(t))[0]
+        places, opacity = there.means[moving][lives].double().numpy(), there.opacities[moving][lives].numpy()
+        found = views.project(i, places)
+        on = ball.shown[i, found.y, found.x]
+        assert (opacity[found.point] * on).sum() > 0.4 * opacity.sum()

@@ -8,7 +8,7 @@ from e4dgs.pipeline import Context
 from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.stages.coarse import CoarseSettings, auto_budget, auto_seeds, is_rig, mean_colour
 from e4dgs.stages.dataset import load_frameset, load_views
-from e4dgs.stages.fill_seeds import hull_seeds, middle_frames
+from e4dgs.stages.fill_seeds import middle_frames
 from e4dgs.stages.seeds import load_seeds
 from factory import Options, make, render, write_panoptic
 from run_stage import run_frames
@@ -46,15 +46,6 @@ def test_every_part_of_each_picture_has_seeds_at_about_its_depth(rig):
         filled.append(blocks.mean())
     assert min(filled) > 0.9
     assert np.median(np.concatenate(off)) < 0.15
-
-
-def test_what_moves_has_seeds_on_its_masks(rig):
-    context, frames, views = rig[:3]
-    points, colors = hull_seeds(context, frames, views, COUNT)
-    assert 50 < len(points) == len(colors) <= COUNT
-    for i in middle_frames(views):
-        _, x, y, _ = views.project(int(i), points)
-        assert (frames.mask(int(i))[y, x] > 127).mean() > 0.8
 
 
 def test_near_plane_and_background_follow_from_the_capture(rig):

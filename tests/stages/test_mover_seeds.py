@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.stages.mover_depths import BEFORE
-from e4dgs.stages.mover_seeds import KEYS, camera_seeds, key_times, rig_seeds, slope
+from e4dgs.stages.mover_seeds import APART, KEYS, camera_seeds, key_times, rig_seeds, slope
 from moving_square import CAMERA, FRAMES, SQUARE, WALL, flow_of, pose, views, wall
 from sliding_ball import RADIUS, TIMES, place, sliding_ball
 
@@ -49,7 +49,9 @@ def test_before_a_rig_without_masks_there_are_no_seeds(rig):
     assert rig_seeds(flow, seen, lambda i: None, 2000, 0) is None
 
 
-@pytest.mark.parametrize(("count", "expected"), [(1, 1), (KEYS, KEYS), (KEYS + 1, KEYS), (300, KEYS)])
+@pytest.mark.parametrize(
+    ("count", "expected"), [(1, 1), (KEYS, KEYS), (KEYS + 1, KEYS), (APART * KEYS, KEYS), (APART * KEYS + APART, KEYS + 1)]
+)
 def test_key_times_reach_from_first_to_last(count, expected):
     rows = key_times(np.linspace(0, 1, count))
     assert len(rows) == expected and rows[0] == 0 and rows[-1] == count - 1

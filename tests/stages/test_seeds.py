@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, Progress
+from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.views import Views
-from e4dgs.stages import mover_tracks
-from e4dgs.stages.seeds import initial_dynamic, tracks_of_movers
+from e4dgs.stages import mover_seeds as mover_seeds_room
+from e4dgs.stages.mover_seeds import MoverSeeds
+from e4dgs.stages.seeds import initial_dynamic, living, mover_seeds
 from write_artifact import write_artifact
 
 LOOKS = 20
@@ -95,21 +97,30 @@ def test_without_masks_every_seed_may_move(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("fixed", "movers", "followed"), [(False, True, True), (True, True, False), (True, False, False), (False, False, False)]
+    ("fixed", "movers", "expected"), [(False, True, "seeds"), (True, True, None), (True, False, None), (False, False, None)]
 )
-def test_what_moves_is_followed_before_moving_cameras_alone(fixed, movers, followed, tmp_path, monkeypatch):
-    """Nobody follows anything without masks of movers, or where the cameras stand."""
-    asked = []
-
-    def found(*given):
-        asked.append(given[:3])
-        return "tracks"
-
-    monkeypatch.setattr(mover_tracks, "mover_tracks", found)
-    ctx, seen, still = context(flow(tmp_path / "flow", fixed, movers)), views(fixed), points()
-    assert tracks_of_movers(ctx, seen, still) == ("tracks" if followed else None)
-    assert asked == ([(ctx.inputs["flow"], seen, still)] if followed else [])
+def test_one_camera_seeds_what_moves_when_it_moves_itself(fixed, movers, expected, tmp_path, monkeypatch):
+    """No seeds without masks of movers, nor where the camera stands: nothing tells a depth."""
+    found = MoverSeeds(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]))
+    monkeypatch.setattr(mover_seeds_room, "camera_seeds", lambda *given: found)
+    ctx = context(flow(tmp_path / "flow", fixed, movers))
+    ctx.facts = {"frames": LOOKS, "times": LOOKS}
+    assert mover_seeds(ctx, None, views(fixed), points(), 100) is (found if expected else None)
+    assert ctx.lines == (["seeds: 3 on what moves, at 2 times"] if expected else [])
 
 
-def test_without_flow_nothing_is_followed():
-    assert tracks_of_movers(context(None), views(False), points()) is None
+def test_without_flow_nothing_is_seeded():
+    assert mover_seeds(context(None), None, views(False), points(), 100) is None
+
+
+def test_seeds_of_each_time_live_around_it_and_overlap_the_next():
+    time = np.array([0.0] * 4 + [0.5] * 5 + [1.0] * 6)
+    rng = np.random.default_rng(0)
+    velocities = rng.normal(size=(15, 3))
+    sets = living(MoverSeeds(rng.normal(size=(15, 3)), rng.uniform(size=(15, 3)), velocities, time), FreeMotion(41), 1, 1.0)
+    assert [len(one) for one in sets] == [4, 5, 6]
+    for one, frame in zip(sets, (0.0, 20.0, 40.0)):
+        assert one.times.tolist() == [frame] * len(one) and one.dynamic.all()
+        presence = np.exp(-0.5 * (10 / one.log_spans.exp().detach().numpy()) ** 2)  # half way to the next
+        assert (presence > 0.5).all()
+    assert np.allclose(np.concatenate([one.velocities.detach().numpy() for one in sets]), velocities, atol=1e-6)

@@ -1,22 +1,18 @@
-"""Where things that move are over time before several cameras at once: seeds on the masks' visual hull, carried along by all their flows.
+"""Where places on something that moves are at the next time before several cameras at once, by all their flows.
 
-A seed that some cameras see goes, to the next time, where the rays through its flowed pixels meet (robust least squares). What nobody sees,
-and what rays disagree about, goes with its neighbours. Scene flow from many views, as in Vedula et al. 1999.
+A place that some cameras see goes, to the next time, where the rays through its flowed pixels meet (robust least squares). What nobody
+sees, and what rays disagree about, goes with its neighbours. Scene flow from many views, as in Vedula et al. 1999.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .mover_chain import Chain
-from .mover_tracks import FEWEST_FRAMES, Tracks
-from .sequences import camera_sequences
 
 if TYPE_CHECKING:
-    from ..pipeline import Artifact
     from ..scene.views import Views
 
 FEWEST_CAMERAS = 2  # that see a seed and agree where it goes
@@ -25,32 +21,6 @@ ROUNDS = 4  # of reweighting
 NEIGHBOURS = 12
 BLOCK = 4  # px, side of a pixel of the map that tells which seeds others hide
 BEHIND = 0.02  # of the depth, by which a seed may lie behind the first in its block
-
-
-def rig_tracks(
-    flow: Artifact, views: Views, rest: np.ndarray, colors: np.ndarray, advance: Callable[[int], None] = lambda n: None
-) -> Tracks | None:
-    """Tracks of ``rest`` [N, 3] (world units), places on what moves at the middle time, colours [N, 3] in [0, 1], through all times; None
-    where fewer than two cameras have flow or there are too few times. advance: called with the number of times that are done.
-    """
-    times = np.unique(views.time[views.train])
-    sequences = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) == len(times)]
-    if len(times) < FEWEST_FRAMES or len(sequences) < FEWEST_CAMERAS or not len(rest):
-        return None
-    chains = [(Chain(flow, frames), frames) for frames in sequences]
-    positions = np.tile(rest.astype(np.float32), (len(times), 1, 1))
-    alive = np.zeros((len(times), len(rest)), bool)
-    middle = len(times) // 2
-    alive[middle] = True
-    for direction in (1, -1):
-        k = middle
-        while 0 <= k + direction < len(times) and alive[k].any():
-            positions[k + direction], alive[k + direction] = next_positions(views, chains, k, direction, positions[k], alive[k])
-            k += direction
-            advance(1)
-    if alive.any(1).sum() < 2:
-        return None
-    return Tracks(rest, colors, times, positions, alive)
 
 
 def next_positions(
