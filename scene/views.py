@@ -145,7 +145,7 @@ class Views:
         image = load(int(i))
         if scale != 1.0:
             image = cv2.resize(image, self.size(scale), interpolation=cv2.INTER_AREA)
-        self._images[key] = np.ascontiguousarray(image)
+        self._images[key] = np.require(image, requirements=["C", "W"])  # torch takes no memory that cannot be written
         self._bytes += image.nbytes
         while self._bytes > CACHE_BYTES and len(self._images) > 1:
             self._bytes -= self._images.popitem(last=False)[1].nbytes

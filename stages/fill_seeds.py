@@ -50,8 +50,8 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
 
 
 class Swept(NamedTuple):
-    """points [n, 3] at rest (world units), colors [n, 3] in [0, 1]. inverse: by camera, [h, w] float32, 1 / world units, 0 where the depth
-    is not known or something moves."""
+    """points [n, 3] at rest (world units), colors [n, 3] in [0, 1]. inverse: by frame, [h, w] float32, 1 / world units, 0 where the depth
+    is not known or something moves; of a fixed camera one for all its frames."""
 
     points: np.ndarray
     colors: np.ndarray
@@ -59,14 +59,15 @@ class Swept(NamedTuple):
 
 
 def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> Swept | None:
-    """What a plane sweep finds between the cameras of the middle time. points [P, 3]: trusted ones."""
+    """What a plane sweep finds between the cameras of the middle time, or along the way of few. points [P, 3]: trusted ones."""
     import cv2
     import numpy as np
 
     from ..scene.seeds.sweep import plane_sweep, points_of
     from .clean_plates import clean_plates
 
-    plates = clean_plates(views, lambda i: moving_mask(ctx, frames, i), bool(ctx.facts.get("fixed_cameras")))
+    fixed = bool(ctx.facts.get("fixed_cameras"))
+    plates = clean_plates(views, lambda i: moving_mask(ctx, frames, i), fixed)
     with ctx.progress(len(plates.frames), "depth") as bar:
         maps = plane_sweep(views, plates.frames, plates.pictures, points, bar.advance)
     if not maps:
@@ -80,8 +81,12 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     pictures = np.stack(plates.pictures)
     colors = pictures[[place[int(i)] for i in frame], at[:, 1].astype(int), at[:, 0].astype(int)] / 255.0
     known = len(found) / sum(one.inverse.size for one in maps)
-    ctx.log(f"seeds: plane sweep tells the depth of {known:.0%} of the pixels of {len(maps)} cameras")
-    return Swept(found, colors, {int(views.camera[one.frame]): one.inverse for one in maps})
+    ctx.log(f"seeds: plane sweep tells the depth of {known:.0%} of the pixels of {len(maps)} {'cameras' if fixed else 'frames'}")
+    inverse = {one.frame: one.inverse for one in maps}
+    if fixed:
+        of_camera = {int(views.camera[frame]): one for frame, one in inverse.items()}
+        inverse = {int(i): of_camera[int(views.camera[i])] for i in views.train if int(views.camera[i]) in of_camera}
+    return Swept(found, colors, inverse)
 
 
 def measured_depth(inverse: dict[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
@@ -108,7 +113,8 @@ def measured_depth(inverse: dict[int, np.ndarray], unit: float, ctx: Context, fr
                 known[i] = None
         return known[i]
 
-    return MeasuredDepth({camera: torch.from_numpy(one).to(ctx.device) for camera, one in inverse.items()}, unit, moving)
+    there = {id(one): torch.from_numpy(one).to(ctx.device) for one in inverse.values()}
+    return MeasuredDepth({frame: there[id(one)] for frame, one in inverse.items()}, unit, moving)
 
 
 def middle_frames(views: Views) -> np.ndarray:

@@ -58,7 +58,7 @@ class MotionTerms:
         loss = torch.zeros((), device=model.device)
         if self.still:
             loss = loss + self.still / self.unit * stillness(moved, model.gaussians.means, dynamic)
-        if iteration % PRIOR_EVERY == 0:
+        if iteration % PRIOR_EVERY == 0 and not model.field.steady:
             if s.tv:
                 loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()
             if s.rigid or s.inertia:
@@ -83,7 +83,8 @@ class MotionTerms:
     def _flow(self, model: Model, i: int, t: float, scale: float) -> Tensor:
         s, views = self.settings, self.views
         total = torch.zeros((), device=model.device)
-        if s.interval and self.times >= 3:
+        assert model.field is not None
+        if s.interval and self.times >= 3 and not model.field.steady:
             start = min(t, 1 - 2 * self.dt)
             camera = views.rasterizer_camera(i, scale * 0.5)
             total = total + s.interval * interval_loss(model, camera, start, self.dt, views.edges(i, scale * 0.5))

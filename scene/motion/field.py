@@ -36,6 +36,7 @@ class DeformationField(nn.Module):
     reach: float
 
     worth_culling = True
+    steady = False
 
     def __init__(
         self,

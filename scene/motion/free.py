@@ -22,6 +22,7 @@ class FreeMotion(nn.Module):
     """
 
     worth_culling = True
+    steady = True
 
     def __init__(self, times: int) -> None:
         super().__init__()

@@ -52,6 +52,7 @@ class Motion(Protocol):
     """A motion model: the six-plane field, or control nodes."""
 
     worth_culling: bool  # positions outside of the image are better left out
+    steady: bool  # by construction: nothing changes course, and no prior says how
 
     def carry(self, rest: Rest, t: float) -> Moved:
         """``rest`` at time ``t`` in [0, 1]. Positions get gradients by how they are carried, not by where they are looked up."""

@@ -43,6 +43,7 @@ class ControlNodes(nn.Module):
     """
 
     worth_culling = False  # a look at where a position lies in the image takes as long as skinning it
+    steady = False
     positions: Tensor
     centre: Tensor
 

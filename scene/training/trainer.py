@@ -199,7 +199,7 @@ class Trainer:
         if s.smooth and self.curriculum.several:
             loss = loss + s.smooth * depth_smoothness(frame.depth, frame.alpha, target, self.unit)
         if self.measured_depth is not None:
-            loss = loss + s.depth * self.measured_depth.loss(frame.depth, frame.alpha, int(views.camera[i]), i)
+            loss = loss + s.depth * self.measured_depth.loss(frame.depth, frame.alpha, i)
         loss = loss + self.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, self.iteration, self.total)

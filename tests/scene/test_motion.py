@@ -24,6 +24,7 @@ class Path(torch.nn.Module):
         self.acceleration = torch.nn.Parameter(torch.tensor(acceleration).float())
 
     worth_culling = True
+    steady = False
     carry = DeformationField.carry  # by its displacement
 
     def links(self, points, hyper):

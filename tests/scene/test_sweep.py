@@ -79,14 +79,14 @@ def test_the_loss_is_the_clamped_difference_where_depth_is_known():
     measured = torch.tensor([[0.25, 0.0, 0.25], [0.5, 0.25, 0.25]])
     depth = 0.8 * torch.tensor([[4.0, 4.0, 5.0], [4.0, 3.9, 4.0]])
     alpha[1, 2] = 0.3  # no surface
-    loss = MeasuredDepth({7: measured}, unit).loss(depth, alpha, 7, 0)
+    loss = MeasuredDepth({7: measured}, unit).loss(depth, alpha, 7)
     expected = (0 + 0 + abs(4 / 5 - 1) + LARGEST + (4 / 3.9 - 1) + 0) / 6
     assert float(loss) == pytest.approx(expected, rel=1e-5)
-    assert float(MeasuredDepth({7: measured}, unit).loss(depth, alpha, 8, 0)) == 0.0
+    assert float(MeasuredDepth({7: measured}, unit).loss(depth, alpha, 8)) == 0.0
     passing = torch.tensor([[False, False, True]])
-    without = MeasuredDepth({7: measured}, unit, lambda i: passing if i == 3 else None)
-    assert float(without.loss(depth, alpha, 7, 0)) == float(loss)
-    assert float(without.loss(depth, alpha, 7, 3)) == pytest.approx((LARGEST + (4 / 3.9 - 1)) / 6, rel=1e-5)
+    without = MeasuredDepth({7: measured, 3: measured}, unit, lambda i: passing if i == 3 else None)
+    assert float(without.loss(depth, alpha, 7)) == float(loss)
+    assert float(without.loss(depth, alpha, 3)) == pytest.approx((LARGEST + (4 / 3.9 - 1)) / 6, rel=1e-5)
 
 
 def test_gradients_of_the_loss_agree_with_central_differences():
@@ -94,4 +94,4 @@ def test_gradients_of_the_loss_agree_with_central_differences():
     depth = (3 + torch.rand(4, 5, generator=draw, dtype=torch.float64)).requires_grad_()
     alpha = (0.6 + 0.3 * torch.rand(4, 5, generator=draw, dtype=torch.float64)).requires_grad_()
     measured = MeasuredDepth({0: 0.2 + 0.05 * torch.rand(4, 5, generator=draw, dtype=torch.float64)}, 1.0)
-    assert torch.autograd.gradcheck(lambda d, a: measured.loss(d, a, 0, 0), (depth, alpha), eps=1e-6, atol=1e-8)
+    assert torch.autograd.gradcheck(lambda d, a: measured.loss(d, a, 0), (depth, alpha), eps=1e-6, atol=1e-8)
