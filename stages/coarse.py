@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
 ITERATIONS = 6000
-ITERATIONS_A_TIME = 200  # of a rig, whose times come in one after another
+ITERATIONS_A_TIME = 200  # of a rig: each time has its own
 MOST_ITERATIONS = 30_000
+LEAST_ITERATIONS = 2000  # fewer show fog
 ITERATIONS_NODES = 40_000
 NODES = 512
 NODE_SEEDS = 2500  # few seeds that multiply where the error is come out better than many
@@ -43,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 6  # 6: near plane, background and camera colours; seeds along rays
+    version = 7  # 7: lives of their own, depth by plane sweep
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
@@ -52,7 +53,11 @@ class Coarse(Stage):
     def applies(self, facts: Mapping[str, Any], settings: CoarseSettings) -> Applies:
         if facts.get("static"):
             return Applies.yes("nothing moves: Gaussians without a deformation field")
-        return Applies.yes(f"Gaussians and their motion by {'control nodes' if use_nodes(facts, settings) else 'the six-plane field'}")
+        if use_nodes(facts, settings):
+            return Applies.yes("Gaussians, moved by control nodes")
+        if settings.motion == "free" or (settings.motion == "auto" and facts.get("pairs", 0)):
+            return Applies.yes("Gaussians; what masks show to move lives around a time of its own")
+        return Applies.yes("Gaussians, moved by the six-plane field")
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
         from .estimates import node_training_seconds, training_seconds
@@ -194,12 +199,12 @@ def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
 
 def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
     """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; `ITERATIONS_NODES` for control nodes;
-    all of them times the effort."""
+    all of them times the effort, but never below 2000."""
     steps = ITERATIONS_NODES
     if not use_nodes(facts, settings):
         moving_rig = is_rig(facts) and not facts.get("static")
         steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.get("times", 1) if moving_rig else 0), MOST_ITERATIONS)
-    return max(round(steps * settings.effort), 1)
+    return max(round(steps * settings.effort), min(steps, LEAST_ITERATIONS))
 
 
 def make_nodes(points: np.ndarray, settings: TrainingSettings):

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from e4dgs.stages.coarse import ITERATIONS_NODES, CoarseSettings, auto_iterations, is_static, use_nodes
+from e4dgs.stages.coarse import ITERATIONS_NODES, LEAST_ITERATIONS, CoarseSettings, auto_iterations, is_static, use_nodes
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,8 @@ from e4dgs.stages.coarse import ITERATIONS_NODES, CoarseSettings, auto_iteration
 def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, times, cameras, static, expected):
     facts = {"frames": frames, "times": times, "cameras": cameras, "static": static, "pairs": 0}
     assert auto_iterations(facts, CoarseSettings()) == expected
-    assert auto_iterations(facts, CoarseSettings(effort=0.2)) == round(0.2 * expected)
+    assert auto_iterations(facts, CoarseSettings(effort=0.5)) == round(0.5 * expected)
+    assert auto_iterations(facts, CoarseSettings(effort=0.01)) == LEAST_ITERATIONS
 
 
 @pytest.mark.parametrize(
