@@ -26,9 +26,11 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "robot": ("robot", []),
     "basketball": ("basketball", []),
     "stage": ("stage", []),
-    "balloon1-images": ("balloon1/images", ["--preset", "fast"]),
+    "balloon1": ("balloon1", []),
     "room-video": ("room_video/room.mp4", []),
-    "sceaux-static": ("sceaux/images", ["--static", "--preset", "fast", "--set", "frames.max_size=708"]),
+    "room-mono": ("room_mono", []),
+    "dog-gooses": ("dog_gooses/dog-gooses.mp4", []),
+    "sceaux-static": ("sceaux/images", ["--static", "--set", "frames.max_size=708"]),
 }
 
 

@@ -42,11 +42,6 @@ class Curriculum:
         share = (step - self.first) / (self.last - self.first)
         return int(np.clip(self.start + np.ceil(share * (self.farthest - self.start)), self.start, self.farthest))
 
-    def span(self, step: int) -> tuple[float, float]:
-        """First and last time in [0, 1] of the frames that ``step`` may look at."""
-        window = self.window(step)
-        return float(self.times[max(self.middle - window, 0)]), float(self.times[min(self.middle + window, len(self.times) - 1)])
-
     def complete(self, step: int) -> bool:
         """All times have been in for this and all later steps."""
         return not self.opens or step >= self.last
