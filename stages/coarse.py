@@ -119,7 +119,6 @@ class Coarse(Stage):
                 gaussians.live(0.5 * (field.times - 1), field.times)
                 if movers is not None:
                     gaussians = GaussianSet.joined([gaussians, *living(movers, field, sh_degree, 0.05 * unit)])
-                    budget += len(movers.points)
             elif nodes:
                 field = make_nodes(points, settings)
             else:

@@ -69,7 +69,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
     points, colors = points[keep], colors[keep]
     ctx.log(f"seeds: {len(points)} points; {int((~keep).sum())} that stand alone are left out")
     measured = points
-    swept = sweep(ctx, frames, views, points) if len(points) >= LEAST_POINTS else None
+    swept = sweep(ctx, frames, views, points) if fill and len(points) >= LEAST_POINTS else None
     if swept is not None:
         chosen = np.random.default_rng(settings.seed).permutation(len(swept.points))[: int(SWEPT_SHARE * count)]
         points, colors = np.concatenate([points, swept.points[chosen]]), np.concatenate([colors, swept.colors[chosen]])

@@ -17,16 +17,21 @@ from ..primitives import GaussianSet, PrimitiveSet
 from ..rotation import quats_to_matrices
 from ..views import Views
 
+LEAST_LIFE = 0.5  # of probed views, within a primitive's lifetime; with less they say nothing about it
+
 
 @dataclass
 class Responsibility:
     """For [N] Gaussians and [M] convexes: blending weight in px of a full-size image, as a mean over the probed views whose image holds the
-    primitive's centre, and the sum over all probed views of weight times error."""
+    primitive's centre, infinite where hardly any was of its lifetime; weight times error, as a mean over the probed views of its lifetime;
+    and the share of these views that its life makes up, in [0, 1]."""
 
     weight_gaussians: Tensor
     weight_convexes: Tensor
     error_gaussians: Tensor
     error_convexes: Tensor
+    life_gaussians: Tensor
+    life_convexes: Tensor
 
 
 def measure_responsibility(model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility:
@@ -35,6 +40,8 @@ def measure_responsibility(model: Model, views: Views, frames: list[int], move: 
     device = model.device
     total = [torch.zeros(n, 2, device=device), torch.zeros(m, 2, device=device)]
     seen = [torch.zeros(n, device=device), torch.zeros(m, device=device)]
+    lived = [torch.zeros(n, device=device), torch.zeros(m, device=device)]
+    whole = model.gaussians.opacities.detach(), model.convexes.opacities.detach()
     background = torch.tensor(views.background)
     for i in frames:
         camera = views.rasterizer_camera(i, scale)
@@ -49,10 +56,16 @@ def measure_responsibility(model: Model, views: Views, frames: list[int], move: 
         for sums, gradient in zip(total, gradients):
             if gradient is not None:
                 sums += gradient
-        for count, centres in zip(seen, (gaussians.means, convexes.points.mean(1))):
-            count += inside_image(camera, centres)
-    weight = [sums[:, 0] / (count.clamp(min=1) * scale**2) for sums, count in zip(total, seen)]
-    return Responsibility(weight[0], weight[1], total[0][:, 1], total[1][:, 1])
+        with torch.no_grad():
+            now = gaussians.opacities / whole[0].clamp(min=1e-9), convexes.opacities / whole[1].clamp(min=1e-9)
+        for count, life, there, centres in zip(seen, lived, now, (gaussians.means, convexes.points.mean(1))):
+            count += inside_image(camera, centres) * there
+            life += there
+    weight = [sums[:, 0] / (count.clamp(min=LEAST_LIFE) * scale**2) for sums, count in zip(total, seen)]
+    weight = [torch.where(life < LEAST_LIFE, torch.inf, w) for w, life in zip(weight, lived)]
+    error = [sums[:, 1] / life.clamp(min=LEAST_LIFE) for sums, life in zip(total, lived)]
+    share = [life / max(len(frames), 1) for life in lived]
+    return Responsibility(*weight, *error, *share)
 
 
 def survivors(primitives: PrimitiveSet, weight: Tensor, min_opacity: float, min_weight: float) -> Tensor:

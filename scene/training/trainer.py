@@ -37,6 +37,7 @@ from .turning import bodies_for_turning_parts, bound_to_bodies, leave_only_bodie
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
 PROBE_VIEWS = 16
 DENSIFY_EVERY = 100
+MOST_FOR_ONE = 4  # Gaussians at most, for each of the budget, which counts those that are there at a time
 SMALL_SHARE = 0.6  # of the budget, on small images of a rig, whose cameras see more than one image holds
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
 # A new body's way is found on small images first, with all else at rest: steps on each size, at most this share of all steps.
@@ -302,11 +303,13 @@ class Trainer:
         width, height = self.views.size(phase.scale)
         of_cameras = round(SMALL_SHARE * self.budget) if self.curriculum.several else 0
         most = max(round(GAUSSIANS_PER_PIXEL * width * height), of_cameras)
-        room = (min(self.budget, most) if phase.scale < 1 else self.budget) - len(model.gaussians)
+        alive = round(float(measured.life_gaussians[keep].sum()))  # what is not there at a time costs nothing then
+        room = (min(self.budget, most) if phase.scale < 1 else self.budget) - alive
+        room = min(room, MOST_FOR_ONE * self.budget - len(model.gaussians))
         if grow and room > 0:
             progress = self.iteration / max(self.total, 1)
             rounds_left = max(1, round((self.grow_until - progress) * self.total / self.densify_every))
-            wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, len(model.gaussians) // 8)
+            wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
             chosen = choose_to_split(model.gaussians, error, min(room, wanted))
             self._replace(*split_along_longest_axis(model.gaussians, chosen))
         if len(model.convexes):

@@ -11,6 +11,8 @@ from e4dgs.scene.motion.free import FreeMotion, turned_by
 from e4dgs.scene.motion.interface import Rest
 from e4dgs.scene.primitives import ALWAYS, LIFE, ConvexSet, GaussianSet, Life
 from e4dgs.scene.rotation import quats_to_matrices
+from e4dgs.scene.training.density import measure_responsibility, survivors
+from e4dgs.scene.views import Views
 
 TIMES = 11
 
@@ -125,3 +127,42 @@ def test_by_default_primitives_are_there_throughout():
     assert set(LIFE) < set(gaussians.parameters)
     moved = FreeMotion(1000).carry(Rest(gaussians.means, gaussians.quats, gaussians.hyper, None, gaussians.life), 1.0)
     assert ALWAYS > 1000 and float(moved.presence.detach().min()) > 0.99
+
+
+def standing(times: int = TIMES) -> Views:
+    """One camera that stands, once for each time, before a grey wall."""
+    K = np.tile(np.array([[60.0, 0, 32], [0, 60.0, 24], [0, 0, 1]]), (times, 1, 1))
+    pose = np.eye(4)
+    pose[2, 3] = 3.0
+    index = np.arange(times)
+    picture = np.full((48, 64, 3), 128, np.uint8)
+    return Views(
+        K,
+        np.tile(pose, (times, 1, 1)),
+        np.linspace(0, 1, times),
+        np.zeros(times, int),
+        np.append(index[1:], -1),
+        index,
+        64,
+        48,
+        lambda i: picture,
+    )
+
+
+def test_a_short_life_is_judged_by_the_views_in_it():
+    """The first lives around frame 2, the second throughout; both would look alike."""
+    gaussians = GaussianSet.from_points(np.array([[-0.5, 0, 0], [0.5, 0, 0]]), np.zeros((2, 3)), 0, opacity=0.8)
+    gaussians.live(torch.tensor([2.0, 5.0]), 1.0)
+    with torch.no_grad():
+        gaussians.log_scales.fill_(math.log(0.1))
+        gaussians.log_spans[1] = math.log(ALWAYS)
+    made = Model(gaussians, ConvexSet.empty(6, 0), FreeMotion(TIMES), 0)
+    found = measure_responsibility(made, standing(), list(range(TIMES)), move=True)
+    assert float(found.weight_gaussians[0] / found.weight_gaussians[1]) == pytest.approx(1, abs=0.15)
+    assert float(found.error_gaussians[0] / found.error_gaussians[1]) == pytest.approx(1, abs=0.15)
+    share = np.exp(-0.5 * (np.arange(TIMES) - 2.0) ** 2).mean()
+    assert found.life_gaussians.tolist() == pytest.approx([share, 1.0], rel=1e-3)
+    without = measure_responsibility(made, standing(), [8, 9, 10], move=True)
+    assert torch.isinf(without.weight_gaussians[0]) and torch.isfinite(without.weight_gaussians[1])
+    assert float(without.error_gaussians[0]) == 0.0
+    assert survivors(made.gaussians, without.weight_gaussians, 0.01, 0.25).tolist() == [0, 1]

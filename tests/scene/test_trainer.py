@@ -181,7 +181,7 @@ def test_control_nodes_are_spread_anew_and_survive_a_kill(tmp_path):
     def nodes_model():
         model = fresh(views, static=True)
         model.gaussians.dynamic[:] = True
-        model.field = make_nodes(model.gaussians.means.detach().numpy(), views, settings)
+        model.field = make_nodes(model.gaussians.means.detach().numpy(), settings)
         return model
 
     options = {"phases": node_phases(240, 0.5), "recipe": NODES}
