@@ -69,7 +69,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     fixed = bool(ctx.facts.get("fixed_cameras"))
     plates = clean_plates(views, lambda i: moving_mask(ctx, frames, i), fixed)
     with ctx.progress(len(plates.frames), "depth") as bar:
-        maps = plane_sweep(views, plates.frames, plates.pictures, points, bar.advance)
+        maps = plane_sweep(views, plates.frames.tolist(), plates.pictures, points, bar.advance)
     if not maps:
         return None
     place = {int(i): k for k, i in enumerate(plates.frames)}

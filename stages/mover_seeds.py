@@ -62,8 +62,7 @@ def rig_seeds(
     found = []
     for k in rows:
         frames = views.train[views.time[views.train] == times[k]]
-        masks = [mask(int(i)) for i in frames]
-        known = [(i, m) for i, m in zip(frames, masks) if m is not None]
+        known = [(i, m) for i in frames if (m := mask(int(i))) is not None]
         advance(1)
         if len(known) < FEWEST_FRAMES:
             continue
