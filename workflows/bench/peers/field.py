@@ -106,6 +106,7 @@ class TorchField(nn.Module):
         change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)
         return rigidity, change.norm(dim=1).mean()
 
+    steady = False
     worth_culling, links, spread_over, carry = True, DeformationField.links, DeformationField.spread_over, DeformationField.carry
 
     def regulariser(self) -> Tensor:
