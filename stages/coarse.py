@@ -83,7 +83,7 @@ class Coarse(Stage):
         from .dataset import load_frameset, load_views, measured_flow
         from .fill_seeds import measured_depth
         from .seeds import initial_dynamic, living, load_seeds, mover_seeds
-        from .training_artifact import write_training
+        from .training_artifact import write_depth, write_training
 
         settings = ctx.settings
         torch.manual_seed(settings.seed)
@@ -152,6 +152,7 @@ class Coarse(Stage):
         ctx.out.attrs["strategy"] = settings.strategy
         ctx.out.attrs["iterations"] = steps
         write_training(ctx.out, model, log)
+        write_depth(ctx.out, inverse_depth)
 
 
 def is_static(ctx: Context) -> bool:

@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 7  # 7: lives of their own
+    version = 7  # 7: lives of their own, measured depth
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True
@@ -41,18 +41,20 @@ class Fine(Stage):
         import torch
 
         from ..scene.primitives import LIFE, ConvexSet
-        from ..scene.training.recipe import NODES, PLANES
+        from ..scene.training.recipe import FREE, NODES, PLANES
         from ..scene.training.schedule import fine_phases
         from ..scene.training.trainer import Trainer
         from .coarse import auto_budget, is_static
         from .dataset import load_frameset, load_views, measured_flow
-        from .training_artifact import read_model, required, write_training
+        from .fill_seeds import measured_depth
+        from .training_artifact import read_depth, read_model, required, write_training
 
         settings = ctx.settings
         torch.manual_seed(settings.seed)
         coarse, hulls = required(ctx.inputs["coarse"]), ctx.inputs["hulls"]
         model = read_model(coarse)
-        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
+        frames = load_frameset(ctx.inputs, ctx.capture.root)
+        views = load_views(frames, ctx.inputs["flow"], ctx.device, model)
         if hulls is not None and hulls.array("points").shape[0]:
             model.convexes = ConvexSet.from_hulls(hulls.read("points"), hulls.read("colors"), model.sh_degree, settings.convex_opacity)
             seeds = torch.from_numpy(hulls.read("seed")).long()
@@ -64,7 +66,10 @@ class Fine(Stage):
         model.to(ctx.device)
 
         strategy = coarse.attrs["strategy"]
-        nodes = (model.config["field"] or {}).get("kind") == "nodes"
+        kind = (model.config["field"] or {}).get("kind")
+        nodes = kind == "nodes"
+        unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
+        depth = measured_depth(read_depth(coarse), unit, ctx, frames)
         phases = fine_phases(strategy, coarse.attrs["iterations"], settings.iterations, is_static(ctx))
         with ctx.progress(sum(phase.iterations for phase in phases), "fine") as bar:
             trainer = Trainer(
@@ -77,7 +82,8 @@ class Fine(Stage):
                 lr_scale=1.0 if strategy == "joint" else settings.lr_scale,
                 grow=strategy == "joint",
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
-                recipe=NODES if nodes else PLANES,
+                measured_depth=depth,
+                recipe=NODES if nodes else FREE if kind == "free" else PLANES,
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,
             )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from ..pipeline import Artifact, ArtifactWriter, StageError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..scene.model import Model
     from ..scene.training.trainer import TrainingLog
 
@@ -22,6 +25,27 @@ def write_training(out: ArtifactWriter, model: Model, log: TrainingLog) -> None:
     out.info["training"] = dict(vars(log))
 
 
+def write_depth(out: ArtifactWriter, inverse: Mapping[int, np.ndarray]) -> None:
+    """What a plane sweep found (`Swept.inverse`), for the stages that go on: each map once, and which frame has which."""
+    import numpy as np
+
+    if not inverse:
+        return
+    maps = {id(one): one for one in inverse.values()}
+    number = {key: k for k, key in enumerate(maps)}
+    out.write("depth_maps", np.stack(list(maps.values())), unit="1/world unit", doc="inverse depth of what stands still, 0 where unknown")
+    of_frame = np.array([(frame, number[id(one)]) for frame, one in sorted(inverse.items())], np.int32)
+    out.write("depth_of_frame", of_frame, doc="frame, and its row of depth_maps")
+
+
+def read_depth(artifact: Artifact) -> dict[int, np.ndarray]:
+    """Inverse of `write_depth`; empty where nothing was written."""
+    if "depth_maps" not in artifact:
+        return {}
+    maps = list(artifact.read("depth_maps"))
+    return {int(frame): maps[int(k)] for frame, k in artifact.read("depth_of_frame")}
+
+
 def required(coarse: Artifact | None) -> Artifact:
     """The artifact of `coarse`; raises StageError where that was skipped."""
     if coarse is None:
@@ -33,5 +57,5 @@ def read_model(artifact: Artifact) -> Model:
     """The model of a `coarse` or `fine` artifact."""
     from ..scene.model import Model
 
-    arrays = {name: artifact.read(name) for name in artifact.names()}
+    arrays = {name: artifact.read(name) for name in artifact.names() if not name.startswith("depth_")}
     return Model.from_arrays(arrays, artifact.attrs["model"])
