@@ -124,6 +124,14 @@ def test_metrics_of_a_known_error(result):
     assert "test (2 views)" in protocol["split"]
 
 
+def test_some_training_views_are_measured_beside_the_held_out_ones_and_not_shown(result):
+    artifact, _ = result
+    train = artifact.attrs["metrics"]["splits"]["train"]
+    assert [row["frame"] for row in train["per_view"]] == [0, 2, 4] and train["psnr"] == pytest.approx(20.0, abs=0.2)
+    assert {view["split"] for view in artifact.attrs["views"]} == {"val", "test"}
+    assert "train (3 views)" in artifact.attrs["metrics"]["protocol"]["split"]
+
+
 def test_without_weights_lpips_is_null_with_a_reason(result):
     test = result[0].attrs["metrics"]["splits"]["test"]
     assert test["lpips"] is None and "evaluate.lpips_weights" in test["lpips_reason"]
