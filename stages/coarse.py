@@ -100,7 +100,7 @@ class Coarse(Stage):
         views.near = near_plane(views, trusted if movers is None else np.concatenate([trusted, movers.points]))
         if frames.background is None:
             views.background = mean_colour(views)
-        if nodes and ctx.facts.get("alpha"):
+        if nodes:
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
             points, colors = points[chosen], colors[chosen]
         unit = views.viewing_distance(points)
