@@ -76,8 +76,7 @@ class Coarse(Stage):
         from ..scene.motion.free import FreeMotion
         from ..scene.primitives import ConvexSet, GaussianSet
         from ..scene.seeds.near_plane import near_plane
-        from ..scene.training.recipe import FREE, PLANES
-        from ..scene.training.recipe import NODES as NODE_RECIPE
+        from ..scene.training.recipe import RECIPES
         from ..scene.training.schedule import HALF_RESOLUTION, coarse_phases, node_phases
         from ..scene.training.trainer import Trainer
         from .dataset import load_frameset, load_views, measured_flow
@@ -144,7 +143,7 @@ class Coarse(Stage):
                 checkpoints=ctx.checkpoints,
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
                 measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
-                recipe=FREE if free else NODE_RECIPE if nodes else PLANES,
+                recipe=RECIPES["planes" if field is None else field.config["kind"]],
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,
             )

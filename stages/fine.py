@@ -41,7 +41,7 @@ class Fine(Stage):
         import torch
 
         from ..scene.primitives import LIFE, ConvexSet
-        from ..scene.training.recipe import FREE, NODES, PLANES
+        from ..scene.training.recipe import RECIPES
         from ..scene.training.schedule import fine_phases
         from ..scene.training.trainer import Trainer
         from .coarse import auto_budget, is_static
@@ -66,8 +66,7 @@ class Fine(Stage):
         model.to(ctx.device)
 
         strategy = coarse.attrs["strategy"]
-        kind = (model.config["field"] or {}).get("kind")
-        nodes = kind == "nodes"
+        kind = "planes" if model.field is None else model.field.config["kind"]
         unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
         depth = measured_depth(read_depth(coarse), unit, ctx, frames)
         phases = fine_phases(strategy, coarse.attrs["iterations"], settings.iterations, is_static(ctx))
@@ -77,13 +76,13 @@ class Fine(Stage):
                 views,
                 phases,
                 settings,
-                budget=settings.budget or auto_budget(ctx.facts, views, nodes),
+                budget=settings.budget or auto_budget(ctx.facts, views, kind == "nodes"),
                 checkpoints=ctx.checkpoints,
                 lr_scale=1.0 if strategy == "joint" else settings.lr_scale,
                 grow=strategy == "joint",
                 measured_flow=measured_flow(ctx.inputs["flow"], views),
                 measured_depth=depth,
-                recipe=NODES if nodes else FREE if kind == "free" else PLANES,
+                recipe=RECIPES[kind],
                 advance=lambda n, note: bar.advance(n, note),
                 log=ctx.log,
             )

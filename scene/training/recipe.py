@@ -42,3 +42,4 @@ NODES = Recipe(
     steady=True,
 )
 FREE = Recipe(still=0.0, freeze_at=2.0, opens=False)
+RECIPES = {"planes": PLANES, "nodes": NODES, "free": FREE}  # by the kind in the config of a motion
