@@ -44,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 7  # 7: lives of their own, depth by plane sweep
+    version = 8  # 8: removed by many views, at the end
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True

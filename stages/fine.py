@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 7  # 7: lives of their own, measured depth
+    version = 8  # 8: removed by many views, at the end
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True
@@ -66,7 +66,7 @@ class Fine(Stage):
         model.to(ctx.device)
 
         strategy = coarse.attrs["strategy"]
-        kind = "planes" if model.field is None else model.field.config["kind"]
+        kind = "planes" if model.field is None else str(model.field.config["kind"])
         unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
         depth = measured_depth(read_depth(coarse), unit, ctx, frames)
         phases = fine_phases(strategy, coarse.attrs["iterations"], settings.iterations, is_static(ctx))

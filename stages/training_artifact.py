@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..scene.model import Model
-    from ..scene.training.trainer import TrainingLog
+    from ..scene.training.log import TrainingLog
 
 UNITS = {"means": "world unit", "points": "world unit", "log_tau": "ln(1/world unit)", "log_kappa": "ln(1/world unit)", "quats": "w x y z"}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from .curriculum import Curriculum
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .dynamics import freeze_still_gaussians
 from .guard import NonFiniteGuard
+from .log import TrainingLog
 from .optimiser import RowAdam
 from .rates import learning_rates
 from .recipe import PLANES, Recipe
@@ -35,7 +36,7 @@ from .schedule import Phase, alike_since
 from .turning import bodies_for_turning_parts, bound_to_bodies, leave_only_bodies
 
 CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
-PROBE_VIEWS = 16
+PROBE_VIEWS, FINAL_VIEWS = 16, 120  # whose error says where to grow; whose blending says what to remove at the end
 DENSIFY_EVERY = 100
 MOST_FOR_ONE = 4  # Gaussians at most, for each of the budget, which counts those that are there at a time
 SMALL_SHARE = 0.6  # of the budget, on small images of a rig, whose cameras see more than one image holds
@@ -45,21 +46,6 @@ SETTLE_SCALES, SETTLE_STEPS, SETTLE_SHARE = (0.125, 0.25, 0.5), 1000, 0.03
 RELINK_EVERY = 100  # steps between two searches for what carries each primitive
 SOLID = 0.2  # opacity of Gaussians over which the motion is spread
 WHOLE_EVERY = 8  # steps of which one looks at the whole image where the others look at the object alone
-
-
-@dataclass
-class TrainingLog:
-    """What happened, for the artifact and the report. Curves hold [step, value, ...] rows."""
-
-    loss: list[list[float]] = field(default_factory=list)
-    psnr: list[list[float]] = field(default_factory=list)
-    primitives: list[list[int]] = field(default_factory=list)
-    events: list[str] = field(default_factory=list)
-    skipped: dict[str, int] = field(default_factory=dict)
-    iterations: int = 0
-    seconds: float = 0.0
-    nonfinite_steps: int = 0
-    stopped: str = "all steps done"
 
 
 class Trainer:
@@ -248,7 +234,7 @@ class Trainer:
             self.log.skipped["still Gaussians taken out of the field"] = count
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
         if self.iteration % self.densify_every == 0 and self.iteration >= 200 and progress <= self.grow_until:
-            self._control(phase, grow=self.grow)
+            self._control(phase)
 
     def _spread_motion(self, progress: float) -> None:
         """Where the recipe says so, over what is opaque by then."""
@@ -290,40 +276,43 @@ class Trainer:
             if known.get(f"field.{name}") is not parameter:
                 self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
 
-    def _control(self, phase: Phase, grow: bool) -> None:
-        model = self.model
-        probed = self.curriculum.probe(self.iteration, PROBE_VIEWS)
-        measured = measure_responsibility(model, self.views, probed, phase.move, phase.scale)
-        s = self.settings
-        keep = survivors(model.gaussians, measured.weight_gaussians, s.min_opacity, s.min_weight)
-        self._replace(model.gaussians.select(keep), keep)
-        error = measured.error_gaussians[keep]
-        if self._settles:
-            error = torch.where(bound_to_bodies(model), error, 0.0)
+    def _control(self, phase: Phase) -> None:
+        """What has faded is removed; Gaussians are added where the error is."""
+        self._prune()
+        if not self.grow:
+            return
+        model, progress = self.model, self.iteration / max(self.total, 1)
+        measured = measure_responsibility(model, self.views, self.curriculum.probe(self.iteration, PROBE_VIEWS), phase.move, phase.scale)
+        alive = round(float(measured.life_gaussians.sum()))  # what is not there at a time costs nothing then
+        room = min(self._most(phase) - alive, MOST_FOR_ONE * self.budget - len(model.gaussians))
+        if room <= 0:
+            return
+        error = torch.where(bound_to_bodies(model), measured.error_gaussians, 0.0) if self._settles else measured.error_gaussians
+        rounds_left = max(1, round((self.grow_until - progress) * self.total / self.densify_every))
+        wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
+        self._replace(*split_along_longest_axis(model.gaussians, choose_to_split(model.gaussians, error, min(room, wanted))))
+
+    def _most(self, phase: Phase) -> int:
+        """Gaussians that the images of ``phase`` bear."""
+        if phase.scale == 1:
+            return self.budget
         width, height = self.views.size(phase.scale)
         of_cameras = round(SMALL_SHARE * self.budget) if self.curriculum.several else 0
-        most = max(round(GAUSSIANS_PER_PIXEL * width * height), of_cameras)
-        alive = round(float(measured.life_gaussians[keep].sum()))  # what is not there at a time costs nothing then
-        room = (min(self.budget, most) if phase.scale < 1 else self.budget) - alive
-        room = min(room, MOST_FOR_ONE * self.budget - len(model.gaussians))
-        if grow and room > 0:
-            progress = self.iteration / max(self.total, 1)
-            rounds_left = max(1, round((self.grow_until - progress) * self.total / self.densify_every))
-            wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
-            chosen = choose_to_split(model.gaussians, error, min(room, wanted))
-            self._replace(*split_along_longest_axis(model.gaussians, chosen))
-        if len(model.convexes):
-            keep = survivors(model.convexes, measured.weight_convexes, s.min_opacity, s.min_weight)
-            self._replace(model.convexes.select(keep), keep)
+        return min(self.budget, max(round(GAUSSIANS_PER_PIXEL * width * height), of_cameras))
+
+    def _prune(self, weights: tuple[Tensor | None, Tensor | None] = (None, None)) -> None:
+        """Remove what is all but transparent and, where ``weights`` in px a view are known, what is hardly blended."""
+        for primitives, weight in zip((self.model.gaussians, self.model.convexes), weights):
+            keep = survivors(primitives, self.settings.min_opacity, weight, self.settings.min_weight)
+            if len(keep) < len(primitives):
+                self._replace(primitives.select(keep), keep)
 
     def _final_prune(self) -> None:
         """What the training views hardly blend is removed at the end."""
         move = self.phases[-1].move if self.phases else False
-        measured = measure_responsibility(self.model, self.views, self.curriculum.probe(self.total, 120), move, 0.5)
+        measured = measure_responsibility(self.model, self.views, self.curriculum.probe(self.total, FINAL_VIEWS), move, 0.5)
         before = len(self.model.gaussians), len(self.model.convexes)
-        for primitives, weight in ((self.model.gaussians, measured.weight_gaussians), (self.model.convexes, measured.weight_convexes)):
-            keep = survivors(primitives, weight, self.settings.min_opacity, self.settings.min_weight)
-            self._replace(primitives.select(keep), keep)
+        self._prune((measured.weight_gaussians, measured.weight_convexes))
         self._event(
             f"removed at the end, hardly blended by any training view: {before[0] - len(self.model.gaussians)} Gaussians, "
             f"{before[1] - len(self.model.convexes)} convexes"

@@ -165,4 +165,4 @@ def test_a_short_life_is_judged_by_the_views_in_it():
     without = measure_responsibility(made, standing(), [8, 9, 10], move=True)
     assert torch.isinf(without.weight_gaussians[0]) and torch.isfinite(without.weight_gaussians[1])
     assert float(without.error_gaussians[0]) == 0.0
-    assert survivors(made.gaussians, without.weight_gaussians, 0.01, 0.25).tolist() == [0, 1]
+    assert survivors(made.gaussians, 0.01, without.weight_gaussians, 0.25).tolist() == [0, 1]

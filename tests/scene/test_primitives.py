@@ -87,17 +87,18 @@ def test_survivors_are_opaque_finite_and_seen():
         g.opacity_logits[0] = -20
         g.means[1, 0] = float("nan")
     weight = torch.tensor([9.0, 9.0, 0.0, 9.0])
-    assert survivors(g, weight, 0.01, 0.0).tolist() == [2, 3]
-    assert survivors(g, weight, 0.01, 0.25).tolist() == [3]
+    assert survivors(g, 0.01).tolist() == [2, 3]
+    assert survivors(g, 0.01, weight, 0.0).tolist() == [2, 3]
+    assert survivors(g, 0.01, weight, 0.25).tolist() == [3]
 
 
 def test_survivor_threshold_at_the_threshold():
     g = gaussians(1)
     opacity = float(g.opacities)
     weight = torch.tensor([0.25])
-    assert survivors(g, weight, opacity, 0.25).tolist() == [0]
-    assert survivors(g, weight, opacity + 1e-4, 0.25).tolist() == []
-    assert survivors(g, weight, opacity, 0.2501).tolist() == []
+    assert survivors(g, opacity, weight, 0.25).tolist() == [0]
+    assert survivors(g, opacity + 1e-4, weight, 0.25).tolist() == []
+    assert survivors(g, opacity, weight, 0.2501).tolist() == []
 
 
 def test_rotations_are_rotations():

@@ -34,7 +34,7 @@ def test_primitive_budget_respected(budget: int) -> None:
     train, phase = trainer(budget)
     sizes = []
     for _ in range(12):
-        train._control(phase, grow=True)
+        train._control(phase)
         sizes.append(len(train.model.gaussians))
     assert max(sizes) <= max(budget, COUNT)  # what is there already is not thrown away
     assert budget <= COUNT or max(sizes) > 0.9 * budget  # and what is allowed is used
@@ -44,5 +44,5 @@ def test_primitive_budget_respected(budget: int) -> None:
 def test_small_images_have_a_budget_of_their_own() -> None:
     train, phase = trainer(10_000, scale=0.5)
     for _ in range(12):
-        train._control(phase, grow=True)
+        train._control(phase)
     assert COUNT < len(train.model.gaussians) <= round(GAUSSIANS_PER_PIXEL * (SIZE // 2) ** 2)

@@ -1,0 +1,20 @@
+"""What a training run tells of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class TrainingLog:
+    """What happened, for the artifact and the report. Curves hold [step, value, ...] rows."""
+
+    loss: list[list[float]] = field(default_factory=list)
+    psnr: list[list[float]] = field(default_factory=list)
+    primitives: list[list[int]] = field(default_factory=list)
+    events: list[str] = field(default_factory=list)
+    skipped: dict[str, int] = field(default_factory=dict)
+    iterations: int = 0
+    seconds: float = 0.0
+    nonfinite_steps: int = 0
+    stopped: str = "all steps done"
