@@ -47,7 +47,7 @@ def recognise_for(path: str | Path, settings: FramesSettings) -> Capture:
 
 class Frames(Stage):
     name = "frames"
-    version = 1
+    version = 2  # 2: times of a short part of [0, 1] are stretched
     inputs = ()
     settings = FramesSettings
     reads_capture = True

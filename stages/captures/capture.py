@@ -16,6 +16,7 @@ from . import checks
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")
 DEFAULT_FPS = 30.0  # for numbered images and cameras whose files give no rate
+LEAST_SPAN = 0.5  # of [0, 1]; a few frames cut from a longer video say 0 to 0.06
 
 
 @dataclass(frozen=True)
@@ -191,10 +192,10 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
 
 
 def _unit_times(raw: np.ndarray) -> np.ndarray:
-    """Times in [0,1] are kept as they are (D-NeRF's convention); others are stretched over the capture."""
-    if raw.min() >= 0 and raw.max() <= 1:
-        return raw
+    """Times in [0,1] that span at least `LEAST_SPAN` are kept as they are (D-NeRF's convention); others are stretched over the capture."""
     span = raw.max() - raw.min()
+    if raw.min() >= 0 and raw.max() <= 1 and span >= LEAST_SPAN:
+        return raw
     return (raw - raw.min()) / span if span > 0 else np.zeros_like(raw)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures.capture import LEAST_SPAN
 from PIL import Image
 
 
@@ -82,6 +83,19 @@ def test_nerfstudio_holds_out_every_eighth_frame_and_keeps_distortion(nerfstudio
     assert (facts["format"], facts["cameras"], facts["splits"]) == ("nerfstudio", 1, {"train": 8, "val": 0, "test": 2})
     np.testing.assert_array_equal(np.flatnonzero(capture.split == 2), [0, 8])
     assert_cameras(capture, nerfstudio_capture)
+
+
+@pytest.mark.parametrize(("last", "stretched"), [(LEAST_SPAN, False), (LEAST_SPAN - 0.01, True), (1.0, False), (1.5, True)])
+def test_times_of_a_short_part_of_a_recording_are_stretched_over_the_capture(nerfstudio_capture, tmp_path, last, stretched):
+    """Frames cut from a longer video may say 0 to 0.06, and motion is scaled to the whole of [0, 1]."""
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "part")
+
+    def retime(data):
+        for i, frame in enumerate(data["frames"]):
+            frame["time"] = last * i / (len(data["frames"]) - 1)
+
+    edit(root / "transforms.json", retime)
+    np.testing.assert_allclose(recognise(root).time[[0, -1]], [0, 1 if stretched else last])
 
 
 def test_pairs_never_touch_held_out_frames(nerfstudio_capture):
