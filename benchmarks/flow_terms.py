@@ -51,10 +51,11 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
     import torch
     from e4dgs.pipeline import Records, Store
     from e4dgs.scene.losses.flow_loss import rendered_flow
-    from e4dgs.stages.evaluate import Judge, spread
+    from e4dgs.stages.evaluate import spread
     from e4dgs.stages.flow_fields import FlowFields
     from e4dgs.stages.flow_pictures import COVERED, EDGE, TRUSTED
     from e4dgs.stages.frameset import FrameSet
+    from e4dgs.stages.judge import Judge
     from e4dgs.stages.training_artifact import read_model
 
     store, records = Store(workspace / "store"), Records(workspace / "scenes" / name / "records")
@@ -64,7 +65,7 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
         return None if record is None or record.get("skipped") else store.open(stage, record["key"])
 
     frames = FrameSet(artifact("frames"), capture)
-    judge = Judge(read_model(artifact("fine") or artifact("coarse")), frames, None, affine=False)
+    judge = Judge(read_model(artifact("fine") or artifact("coarse")), frames, None, fixed=False)
     fields = FlowFields(artifact("flow"))
     dt = 1 / max(len(np.unique(frames.time)) - 1, 1)
     everywhere, moving, steady = [], [], []

@@ -6,9 +6,7 @@ undistorted. Frames without a pose are counted and left out.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,17 +17,17 @@ from ..pipeline import Applies, Context, Settings, Stage, StageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..rasterizer import Camera, Frame
     from ..scene.metrics.lpips import Lpips
-    from ..scene.model import Model
     from .frameset import FrameSet
+    from .judge import Judge
 
 Split = Literal["train", "val", "test"]
-METRICS = ("psnr", "ssim", "edge_psnr", "lpips", "psnr_affine", "ssim_affine", "psnr_foreground", "psnr_other_background")
-OTHER = {"white": "black", "black": "white"}
+METRICS = (
+    *("psnr", "ssim", "edge_psnr", "lpips", "psnr_affine", "ssim_affine"),
+    *("psnr_moving", "psnr_static", "psnr_foreground", "psnr_other_background"),
+)
 TRAIN_VIEWS = 32  # where nothing is held out, so many training views stand in
 SAMPLE = 16  # training views beside the held-out ones: far better ones mean a model that has learned views, not the scene
-FPS_RENDERS, FPS_SECONDS = 20, 10.0
 
 
 class EvaluateSettings(Settings):
@@ -47,7 +45,7 @@ class Evaluate(Stage):
     """
 
     name = "evaluate"
-    version = 4  # 4: some training views beside the held-out ones
+    version = 5  # 5: what moves and what does not, before fixed cameras
     inputs = ("frames", "poses", "flow", "coarse", "fine")
     settings = EvaluateSettings
     reads_capture = True
@@ -70,6 +68,7 @@ class Evaluate(Stage):
         from .evaluation_pictures import PictureBook
         from .flow_pictures import add_flow
         from .frameset import FrameSet
+        from .judge import Judge
         from .training_artifact import read_model
 
         artifact = ctx.inputs["fine"] if ctx.inputs["fine"] is not None else ctx.inputs["coarse"]
@@ -82,7 +81,7 @@ class Evaluate(Stage):
             ctx.log(note)
         lpips, lpips_facts = load_lpips(ctx.settings, frames)
         book = PictureBook(ctx.settings.picture_size)
-        judge = Judge(model, frames, lpips, affine=bool(ctx.facts.get("fixed_cameras")))
+        judge = Judge(model, frames, lpips, fixed=bool(ctx.facts.get("fixed_cameras")))
         splits: dict[str, Any] = {}
         sample = {} if "train" in views else {"train": spread([int(i) for i in frames.train], SAMPLE)}
         with ctx.progress(sum(map(len, [*views.values(), *sample.values()])), "views") as bar:
@@ -108,105 +107,6 @@ class Evaluate(Stage):
             "primitives": {"gaussians": len(model.gaussians), "convexes": len(model.convexes)},
         }
         ctx.out.info["metrics"] = {"render_fps": judge.frames_per_second(next(reversed(views.values())))}
-
-
-class Judge:
-    """Renders views of ``frames`` and measures them. affine: also after a colour fit (captures of several cameras)."""
-
-    def __init__(self, model: Model, frames: FrameSet, lpips: Lpips | None, affine: bool) -> None:
-        self.model, self.frames, self.lpips, self.affine = model, frames, lpips, affine
-
-    def camera(self, i: int) -> Camera:
-        import torch
-
-        from ..rasterizer import Camera
-
-        assert self.frames.K is not None and self.frames.cam_from_world is not None
-        K, pose = (torch.tensor(a[i], dtype=torch.float32) for a in (self.frames.K, self.frames.cam_from_world))
-        return Camera(K, pose, self.frames.width, self.frames.height, self.model.near)
-
-    def render(self, i: int, at: float | None = None) -> tuple[np.ndarray, Frame]:
-        """Colour float32 [H, W, 3] clamped to [0, 1] of frame i's camera at its own time or ``at``, and the whole frame."""
-        import torch
-
-        frame = self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at)
-        if not torch.isfinite(frame.color).all():
-            raise StageError(
-                f"evaluate: the render of frame {self.frames.names[i]!r} holds non-finite colours, so the model is damaged; "
-                "train it again with --force, and look at nonfinite_steps of its training log"
-            )
-        frame = on_the_cpu(frame)
-        return frame.color.clamp(0, 1).numpy(), frame
-
-    def view(self, i: int) -> tuple[dict[str, Any], Frame, np.ndarray]:
-        """Row of metrics, the rendered frame, and the ground truth uint8 [H, W, 3] of frame i."""
-        import numpy as np
-
-        from ..scene.metrics.edge_psnr import edge_psnr
-        from ..scene.metrics.psnr import affine_fit, psnr
-        from ..scene.metrics.ssim import ssim
-
-        picture = self.frames.composited(i)
-        truth = picture.astype(np.float64) / 255.0
-        color, frame = self.render(i)
-        row: dict[str, Any] = {
-            "name": self.frames.names[i],
-            "frame": int(i),
-            "camera": int(self.frames.camera[i]),
-            "time": float(self.frames.time[i]),
-            "psnr": psnr(color, truth),
-            "ssim": ssim(color, truth),
-            "edge_psnr": edge_psnr(color, truth),
-            "lpips": None if self.lpips is None else self.lpips(color, truth),
-        }
-        if self.affine:
-            fitted = affine_fit(color, truth)
-            row |= {"psnr_affine": psnr(fitted, truth), "ssim_affine": ssim(fitted, truth)}
-        if self.frames.alpha and self.frames.background is not None:
-            row |= self._of_alpha(i, color, truth, frame)
-        return row, frame, picture
-
-    def _of_alpha(self, i: int, color: np.ndarray, truth: np.ndarray, frame: Frame) -> dict[str, float | None]:
-        """What only captures with alpha tell: PSNR where they are not empty, and on the background that was not trained on, which a model
-        fails that shows dark or bright surfaces as holes."""
-        from ..scene.metrics.psnr import psnr
-        from .pictures import composite
-
-        assert self.frames.background is not None
-        picture = self.frames.image(i)
-        filled = picture[..., 3] > 0
-        other = OTHER[self.frames.background]
-        behind = 1.0 if other == "white" else -1.0
-        on_other = (frame.color.numpy() + behind * (1 - frame.alpha.numpy()[..., None])).clip(0, 1)
-        return {
-            "psnr_foreground": psnr(color, truth, filled) if filled.any() else None,
-            "psnr_other_background": psnr(on_other, composite(picture, other) / 255.0),
-        }
-
-    def frames_per_second(self, indices: Sequence[int]) -> float:
-        """1 / median time of up to `FPS_RENDERS` renders (deformation included) of held-out views, after one that is not counted."""
-        import numpy as np
-        import torch
-
-        seconds: list[float] = []
-        begin = time.perf_counter()
-        for k in range(FPS_RENDERS + 1):
-            i = indices[k % len(indices)]
-            camera, at = self.camera(i), float(self.frames.time[i])
-            start = time.perf_counter()
-            self.model.render(camera, at)
-            if self.model.device.type == "cuda":
-                torch.cuda.synchronize()
-            if k:
-                seconds.append(time.perf_counter() - start)
-            if seconds and time.perf_counter() - begin > FPS_SECONDS:
-                break
-        return round(1.0 / float(np.median(seconds)), 3)
-
-
-def on_the_cpu(frame: Frame) -> Frame:
-    """The same frame, wherever it was rendered."""
-    return replace(frame, **{field.name: getattr(frame, field.name).cpu() for field in fields(frame)})
 
 
 def choose_views(frames: FrameSet, splits: Sequence[str]) -> tuple[dict[str, list[int]], list[str]]:
@@ -283,6 +183,7 @@ def protocol(
         "background": frames.background,
         "lpips_net": settings.lpips_net if measured else None,
         "colours": "of the mean training camera; psnr_affine after one affine a channel and view",
+        "moving": "of fixed cameras: pixels within 2 px of one that is more than 0.1 from the camera's median over time",
         "metrics": "float64 on clamped float renders; SSIM 11x11 Gaussian, sigma 1.5, zero padding; edges: Canny 50/100, within 2 px",
         "notes": list(notes),
     }

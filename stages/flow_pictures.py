@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .evaluate import Judge, spread
+from .evaluate import spread
 from .flow_colours import colour_wheel, flow_colours, typical_largest
 from .flow_fields import FlowFields
+from .judge import Judge
 from .overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, overlay
 
 if TYPE_CHECKING:

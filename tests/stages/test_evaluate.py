@@ -10,13 +10,14 @@ import pytest
 import torch
 from blake3 import blake3
 from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
-from e4dgs.rasterizer import Camera
+from e4dgs.rasterizer import Camera, Frame
 from e4dgs.scene.metrics.lpips import expected_shapes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, Judge, choose_views, means, spread
+from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, choose_views, means, spread
 from e4dgs.stages.evaluation_pictures import depth_picture, error_picture, read_pictures
+from e4dgs.stages.judge import LEAST_TIMES, Judge
 from run_stage import run_stage
 from safetensors.torch import save_file
 
@@ -263,6 +264,26 @@ def test_a_damaged_model_is_an_error_that_names_the_frame():
     judge = Judge(SimpleNamespace(render=lambda *a: frame, near=0.01), frames, None, False)  # type: ignore[arg-type]
     with pytest.raises(StageError, match=r"'r_007'.*non-finite"):
         judge.render(0)
+
+
+@pytest.mark.parametrize("times", [LEAST_TIMES - 1, LEAST_TIMES])
+def test_what_moves_before_a_fixed_camera_is_measured_apart(times):
+    """A white square of 10 x 10 px stands in one of the pictures, all else is 0.1 off; with few times nothing tells what moves."""
+    pictures = np.full((times, 40, 48, 3), 51, np.uint8)
+    pictures[0, 10:20, 10:20] = 255
+    K, poses = cameras(times)
+    many = {"camera": np.zeros(times, int), "registered": np.ones(times, bool), "time": np.linspace(0, 1, times)}
+    names = [str(i) for i in range(times)]
+    frames = SimpleNamespace(K=K, cam_from_world=poses, width=48, height=40, names=names, background=None, alpha=False, **many)
+    frames.composited = lambda i: pictures[i]
+    frame = Frame(torch.full((40, 48, 3), 0.3), *[torch.zeros(40, 48)] * 2, torch.zeros(40, 48, 0), *[torch.ones(1) > 0] * 2)
+    row = Judge(SimpleNamespace(render=lambda *a: frame, near=0.01), frames, None, True).view(0)[0]  # type: ignore[arg-type]
+    if times < LEAST_TIMES:
+        assert (row["psnr_moving"], row["psnr_static"]) == (None, None)
+        return
+    rim = 14 * 14 - 10 * 10  # what lies within 2 px counts as moving too
+    assert row["psnr_moving"] == pytest.approx(-10 * np.log10((100 * 0.7**2 + rim * 0.1**2) / 14**2), abs=1e-3)
+    assert row["psnr_static"] == pytest.approx(20.0, abs=1e-3)
 
 
 def test_means_leave_out_what_a_view_does_not_have():
