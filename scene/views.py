@@ -41,6 +41,7 @@ class Views:
     K [F,3,3] px and cam_from_world [F,4,4], float64; time [F] in [0,1]; camera [F] int; next [F] int, the same camera's frame at its
     next time or -1; train [n] int, the frames to learn from. ``load(i)`` returns uint8 [H,W,3], composited on the background,
     ``load_alpha(i)`` uint8 [H,W]; None where the capture has no alpha.
+    recorder [F] int: frames of one number record colours alike; the camera where None.
     background [3] in [0,1]. near: world units. device: where pictures are wanted; cameras are always on the CPU.
     """
 
@@ -57,6 +58,7 @@ class Views:
     near: float = 0.01
     load_alpha: Callable[[int], np.ndarray] | None = None
     stored_edges: Callable[[int], np.ndarray] | None = None
+    recorder: np.ndarray | None = None
     device: str | torch.device = "cpu"
     _images: OrderedDict[tuple[int, float, bool], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _windows: dict[int, tuple[int, int, int, int] | None] = field(default_factory=dict, repr=False)
@@ -66,6 +68,10 @@ class Views:
         default_factory=OrderedDict, repr=False
     )  # on `device`, where that is not the CPU
     _there_bytes: int = 0
+
+    def recorded_by(self, i: int) -> int:
+        """Number under which frame ``i`` shares its exposure and white balance with others."""
+        return int((self.camera if self.recorder is None else self.recorder)[i])
 
     def rasterizer_camera(self, i: int, scale: float = 1.0, window: Window | None = None) -> Camera:
         """Camera of frame ``i``, its image resized by ``scale`` (1 = full size), of which only ``window`` is wanted."""

@@ -49,9 +49,15 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
         background=BACKGROUNDS[frames.background] if model is None else model.background,
         load_alpha=(lambda i: np.ascontiguousarray(frames.image(i)[..., 3])) if frames.alpha else None,
         stored_edges=edges,
+        recorder=np.arange(len(frames.time)) if are_photos(frames) else None,
         device=device,
         near=Views.near if model is None else model.near,
     )
+
+
+def are_photos(frames: FrameSet) -> bool:
+    """One camera went around something that stands still: every picture may have an exposure and a white balance of its own."""
+    return len(np.unique(frames.camera)) == 1 and len(np.unique(frames.time)) == 1 and not frames.alpha
 
 
 def measured_flow(flow: Artifact | None, views: Views):

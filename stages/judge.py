@@ -24,7 +24,7 @@ MOVING_DIFFERENCE = 0.1  # from the median, of [0, 1], in some channel
 
 
 class Judge:
-    """Renders views of ``frames`` and measures them. fixed: by fixed cameras, so also after a colour fit, and apart what moves."""
+    """Renders views of ``frames`` and measures them. fixed: by fixed cameras, so what moves is measured apart."""
 
     def __init__(self, model: Model, frames: FrameSet, lpips: Lpips | None, fixed: bool) -> None:
         self.model, self.frames, self.lpips, self.fixed = model, frames, lpips, fixed
@@ -73,7 +73,7 @@ class Judge:
             "edge_psnr": edge_psnr(color, truth),
             "lpips": None if self.lpips is None else self.lpips(color, truth),
         }
-        if self.fixed:
+        if not self.frames.alpha:
             fitted = affine_fit(color, truth)
             row |= {"psnr_affine": psnr(fitted, truth), "ssim_affine": ssim(fitted, truth)}
         if self.fixed:

@@ -50,7 +50,7 @@ def measure_responsibility(model: Model, views: Views, frames: list[int], move: 
         probes = [torch.zeros(count, 2, device=device, requires_grad=True) for count in (n, m)]
         frame = rasterize(camera, replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1]), background)
         with torch.no_grad():
-            color = frame.color if model.affine is None else model.affine(frame.color, int(views.camera[i]))
+            color = frame.color if model.affine is None else model.affine(frame.color, views.recorded_by(i))
             error = (color - views.target(i, scale)).abs().mean(-1)
         gradients = torch.autograd.grad((frame.extras * torch.stack([torch.ones_like(error), error], -1)).sum(), probes, allow_unused=True)
         for sums, gradient in zip(total, gradients):

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import rasterize
-from ..colour import CameraAffine
+from ..colour import CameraAffine, colour_recorders
 from ..losses.depth_smoothness import depth_smoothness
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow, MotionTerms
@@ -88,10 +88,8 @@ class Trainer:
         self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
         self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until
         self.densify_every = settings.densify_every or max(DENSIFY_EVERY, self.total // recipe.rounds)
-        cameras = np.unique(views.camera[views.train])
-        several = len(cameras) > 1 and len(views.train) > 1.5 * len(cameras)
-        if settings.affine and several and model.affine is None:
-            model.affine = CameraAffine(cameras).to(model.device)
+        if settings.affine and model.affine is None and (recorders := colour_recorders(views)) is not None:
+            model.affine = CameraAffine(recorders).to(model.device)
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
         self.measured_depth = measured_depth if settings.depth else None
         self.motion_terms = MotionTerms(
@@ -172,7 +170,7 @@ class Trainer:
         frame = rasterize(camera, gaussians, convexes, background)
         color = frame.color
         if model.affine is not None:
-            color = model.affine(color, int(views.camera[i]))
+            color = model.affine(color, views.recorded_by(i))
         target = views.target(i, phase.scale, window)
         loss = photometric_loss(color, target, s.l1, s.ssim)
         if s.alpha and views.load_alpha is not None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera
-from e4dgs.scene.colour import CameraAffine
+from e4dgs.scene.colour import CameraAffine, colour_recorders
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
@@ -76,6 +76,25 @@ def test_gains_are_learned_and_a_later_stage_goes_on_with_them():
     before = blob.affine
     trainer = Trainer(blob, seen, phases, settings, budget=2, grow=False)
     assert trainer.model.affine is before and "affine.log_gain" in trainer.optimiser.parameters()
+
+
+def test_photos_of_one_camera_have_an_exposure_each():
+    """Six pictures of one camera, every other one darker: told to be photos, each has a row; told to be a video, they have none."""
+    seen, blob = views(), model(near=2.0)
+    bright = seen.camera == 3
+    seen.camera = np.zeros(6, int)
+    assert colour_recorders(seen) is None
+    seen.recorder = np.arange(6)
+    settings = TrainingSettings(iterations=150, sh_degree=0, ssim=0.0, opacity=0.0)
+    Trainer(blob, seen, [Phase("rest", 150, move=False)], settings, budget=2, grow=False).run()
+    gain = torch.exp(blob.affine.log_gain.detach().mean(1)).numpy()
+    assert blob.affine.cameras == list(range(6)) and gain[bright].min() > 1.05 * gain[~bright].max()
+
+
+def test_rendered_captures_whose_frames_are_cameras_of_their_own_have_one_exposure():
+    seen = views()
+    seen.camera = np.arange(6)
+    assert colour_recorders(seen) is None
 
 
 def test_what_gains_explain_is_no_error_to_grow_at():

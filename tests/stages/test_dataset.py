@@ -1,11 +1,12 @@
 """Measured flow as training reads it: at half resolution, with a weight for each pixel."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from e4dgs.scene.views import Views
-from e4dgs.stages.dataset import measured_flow
+from e4dgs.stages.dataset import are_photos, measured_flow
 from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 16, 8, 5
@@ -81,3 +82,11 @@ def test_frames_without_a_next_one_to_learn_from_have_none(tmp_path):
     assert [of_frame(i) is not None for i in range(FRAMES)] == [False, True, True, False, False], "frame 3 leads to one that is held out"
     assert measured_flow(None, views()) is None
     assert measured_flow(write_artifact(tmp_path / "none", {"pair": np.zeros((0, 2), np.int32)}), views()) is None
+
+
+@pytest.mark.parametrize(
+    ("camera", "time", "alpha", "photos"), [(0, 0, False, True), (1, 0, False, False), (0, 1, False, False), (0, 0, True, False)]
+)
+def test_only_pictures_of_one_camera_at_one_time_are_photos(camera, time, alpha, photos):
+    frames = SimpleNamespace(camera=np.array([0, 0, camera]), time=np.array([0.0, 0, time]), alpha=alpha)
+    assert are_photos(frames) is photos

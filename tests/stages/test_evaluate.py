@@ -118,7 +118,18 @@ def test_metrics_of_a_known_error(result):
     assert test["psnr"] == pytest.approx(20.0, abs=0.2)  # 8-bit rounding and a few saturated pixels
     assert 0.2 < test["ssim"] < 1
     assert [row["frame"] for row in test["per_view"]] == [1, 5] and len(metrics["splits"]["val"]["per_view"]) == 1
-    assert set(test["per_view"][0]) == {"name", "frame", "camera", "time", "psnr", "ssim", "edge_psnr", "lpips"}
+    assert set(test["per_view"][0]) == {
+        "name",
+        "frame",
+        "camera",
+        "time",
+        "psnr",
+        "ssim",
+        "edge_psnr",
+        "lpips",
+        "psnr_affine",
+        "ssim_affine",
+    }
     assert test["psnr"] == pytest.approx(np.mean([row["psnr"] for row in test["per_view"]]))
     protocol = metrics["protocol"]
     assert (protocol["resolution"], protocol["background"], protocol["lpips_net"]) == ("48x40", "black", None)
