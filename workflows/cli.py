@@ -11,13 +11,13 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from ..pipeline import Outcome, PipelineError, Row, Runner, Store, check_targets, duration, explain, make_plan
+from ..pipeline import PipelineError, Store, check_targets, explain, make_plan
 from . import show
 from .bench.cli import app as bench
 from .export import app as export
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
-from .reconstruction import EVALUATION, LIBRARIES
-from .session import DEFAULT_WORKSPACE, Options, Session, open_session
+from .runs import execute
+from .session import DEFAULT_WORKSPACE, Options, open_session
 
 app = typer.Typer(
     add_completion=False,
@@ -51,23 +51,8 @@ def run(
     rows = make_plan(session.job, targets, forced)
     show.show_capture(console, session)
     show.show_plan(console, rows)
-    _run(session, rows, targets, forced)
-
-
-def _run(session: Session, rows: list[Row], targets: list[str] | None, forced: tuple[str, ...]) -> None:
-    from .. import __version__
-    from .publish import publish, write_plan
-
-    def finished(outcome: Outcome) -> None:
-        session.scene.claim()  # only now: a capture that the first stage refuses leaves no scene behind
-        write_plan(session, rows)
-        if outcome.state == "ran":
-            _say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")
-
-    runner = Runner(session.job, _say, console, __version__, LIBRARIES)
-    outcomes = runner.run(targets, forced, finished)
-    if outcomes[-1].stage == EVALUATION and outcomes[-1].artifact is not None:
-        show.show_metrics(console, *publish(session, rows, outcomes))
+    if (found := execute(session, rows, console, _say, targets, forced)) is not None:
+        show.show_metrics(console, *found)
 
 
 def _say(message: str) -> None:

@@ -1,4 +1,4 @@
-"""`e4dgs bench raster | field | cuda | step`: the command line. Nothing heavy is imported before a row is measured."""
+"""`e4dgs bench raster | field | cuda | step | pipeline`: the command line. Nothing heavy is imported before a row is measured."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import typer
 from rich.console import Console
 
 from ...pipeline import Progress, SettingsError
+from ..options import Debug, Device, Format, Set, Static, Workspace
+from ..session import DEFAULT_WORKSPACE, Options
 from . import output
+from .pipeline import LADDER
 from .rows import Bench, choose
 from .suites import SUITES
 
@@ -25,7 +28,6 @@ Threads = Annotated[int, typer.Option("--threads", min=0, help="0 takes all core
 Repeats = Annotated[int, typer.Option("--repeats", min=1, help="Runs of each contender.")]
 Seconds = Annotated[float, typer.Option("--seconds", min=0, help="Most time for the runs of one contender together.")]
 Scale = Annotated[float, typer.Option("--scale", min=1e-4, max=1, help="Fraction of all sizes, for a quick look; bars hold at 1 only.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]
 
 
 @app.command()
@@ -106,13 +108,60 @@ def step(
     _run("step", rows, list, Bench(scale, repeats, seconds, capture=capture), threads, out, plot)
 
 
-def _run(suite: str, names: str | None, only_list: bool, bench: Bench, threads: int, out: Path | None, plot: Path | None) -> None:
-    """Measure the chosen rows one after another; every row is written as soon as it is measured."""
+@app.command()
+def pipeline(
+    captures: Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="Videos, folders of images, folders with poses.")],
+    points: Annotated[str, typer.Option("--points", help="By commas: presets, or settings joined by +.")] = LADDER,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each point, with seeds 0, 1, ...")] = 1,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    set: Set = None,
+    device: Device = "auto",
+    static: Static = False,
+    format: Format = None,
+    out: Out = None,
+    plot: Plot = None,
+    debug: Debug = False,
+) -> None:
+    """Quality against run time of whole runs on captures; presets are points of the curve. Results are kept and reused in the workspace."""
+    _check_plot(plot)
+    from .machine import machine
+    from .pipeline import content, draw, measure, parse_points, summaries, table
+
+    console = _console()
+    chosen = parse_points(points)
+    every = [Options(capture, workspace, "default", set or (), device, None, static, format) for capture in captures]
+    runs = []
+    for number, (options, point, seed) in enumerate((o, p, s) for o in every for p in chosen for s in range(seeds)):
+        console.print(
+            f"[{number + 1}/{len(every) * len(chosen) * seeds}] {options.capture.name}: {point[0]}, seed {seed}",
+            highlight=False,
+            markup=False,
+        )
+        runs.append(measure(options, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False)))
+        if out is not None:  # after each run: hours of others are not lost with one
+            output.write(out, content(runs, machine(), every[0]))
+    console.print(table(summaries(runs)))
+    if plot is not None:
+        draw(plot, summaries(runs))
+        console.print(f"plot: {plot}", markup=False, highlight=False, soft_wrap=True)
+    if out is not None:
+        console.print(f"numbers: {out}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _console() -> Console:
     console = Console()
-    if not console.is_terminal:
-        console = Console(width=WIDTH)
+    return console if console.is_terminal else Console(width=WIDTH)
+
+
+def _check_plot(plot: Path | None) -> None:
     if plot is not None and plot.suffix not in (".svg", ".png"):
         raise SettingsError(f"--plot {plot}: the file must end in .svg or .png")
+
+
+def _run(suite: str, names: str | None, only_list: bool, bench: Bench, threads: int, out: Path | None, plot: Path | None) -> None:
+    """Measure the chosen rows one after another; every row is written as soon as it is measured."""
+    console = _console()
+    _check_plot(plot)
     if only_list:
         output.show_rows(console, SUITES[suite])
         return

@@ -1,0 +1,163 @@
+"""Quality against run time of whole runs: every capture at every point of a ladder, in one table and one plot.
+
+A point is what a user would type: the name of a preset, or settings as `--set` takes them. All runs share a workspace, so that poses and
+flow are made once; a run's seconds still count every stage, those of a cached one as the run took that made it.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ...pipeline import SettingsError, make_plan
+from ..presets import PRESETS
+from ..runs import execute
+from ..session import Options, open_session
+
+LADDER = "coarse.effort=0.05,fast,coarse.effort=0.4,default"
+HELD_OUT = ("test", "val")
+METRICS = ("psnr", "psnr_affine", "ssim", "lpips", "edge_psnr", "psnr_foreground", "psnr_moving", "psnr_static")
+
+
+@dataclass
+class Run:
+    """One run. seconds: wall time of all its stages. metrics: of each split, the means of metrics.json."""
+
+    capture: str
+    point: str
+    seed: int
+    seconds: float
+    train_seconds: float
+    gaussians: int
+    convexes: int
+    resolution: str
+    metrics: dict[str, dict[str, float | None]]
+
+    def held_out(self) -> dict[str, float | None]:
+        """Of the first split that says something about new views, training views where none does."""
+        return next((self.metrics[split] for split in (*HELD_OUT, *self.metrics) if split in self.metrics), {})
+
+
+def parse_points(text: str) -> list[tuple[str, str, tuple[str, ...]]]:
+    """(name, preset, assignments) of each point in ``text``, by commas: a preset, or settings joined by "+". Raises SettingsError."""
+    points = []
+    for name in filter(None, (part.strip() for part in text.split(","))):
+        if "=" in name:
+            points.append((name, "default", tuple(name.split("+"))))
+        elif name in PRESETS:
+            points.append((name, name, ()))
+        else:
+            raise SettingsError(f"--points {name}: neither a preset ({', '.join(PRESETS)}) nor a setting, as in coarse.effort=0.4")
+    if not points:
+        raise SettingsError(f"--points {text!r}: there is no point; for example --points {LADDER}")
+    return points
+
+
+def measure(options: Options, point: tuple[str, str, tuple[str, ...]], seed: int, console: Console, say: Callable[[str], None]) -> Run:
+    """Run everything at ``point``, with ``options`` for the capture and for all points."""
+    name, preset, assignments = point
+    seeds = tuple(f"{stage}.seed={seed}" for stage in ("coarse", "fine")) if seed else ()
+    own = replace(options, preset=preset, assignments=(*options.assignments, *assignments, *seeds))
+    session = open_session(own)
+    slug = "".join(c if c.isalnum() or c in "._-" else "-" for c in f"{session.scene.name}-{name}-{seed}")
+    session = open_session(replace(own, name=slug[-100:].lstrip("._-")))
+    found = execute(session, make_plan(session.job), console, say)
+    assert found is not None
+    metrics = found[0]
+    primitives = metrics.get("primitives", {})
+    return Run(
+        capture=options.capture.name,
+        point=name,
+        seed=seed,
+        seconds=round(sum(float(stage["seconds"] or 0.0) for stage in metrics["stages"].values()), 1),
+        train_seconds=metrics["train_seconds"],
+        gaussians=primitives.get("gaussians", 0),
+        convexes=primitives.get("convexes", 0),
+        resolution=metrics["protocol"].get("resolution", ""),
+        metrics={split: {m: values.get(m) for m in METRICS} for split, values in metrics["splits"].items() if values},
+    )
+
+
+def summaries(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """For each capture and point the mean over seeds: seconds, held-out metrics, `train_psnr`, and `spread` of PSNR (most minus least)."""
+    groups: dict[tuple[str, str], list[Run]] = {}
+    for run in runs:
+        groups.setdefault((run.capture, run.point), []).append(run)
+    rows = []
+    for (capture, point), members in groups.items():
+        held = [run.held_out() for run in members]
+        row: dict[str, Any] = {"capture": capture, "point": point, "seeds": len(members)}
+        row["seconds"] = statistics.mean(run.seconds for run in members)
+        for metric in METRICS:
+            row[metric] = _mean(h.get(metric) for h in held)
+        psnr = [value for h in held if (value := h.get("psnr")) is not None]
+        row["spread"] = max(psnr) - min(psnr) if psnr else None
+        row["train_psnr"] = _mean(run.metrics.get("train", {}).get("psnr") for run in members)
+        row["gaussians"] = round(statistics.mean(run.gaussians for run in members))
+        rows.append(row)
+    return rows
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    """Of those that are known."""
+    known = [value for value in values if value is not None]
+    return statistics.mean(known) if known else None
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """What the command prints."""
+    columns = (
+        *(("PSNR", "psnr", 2), ("spread", "spread", 2), ("after colour fit", "psnr_affine", 2), ("SSIM", "ssim", 4)),
+        *(("LPIPS", "lpips", 4), ("edge PSNR", "edge_psnr", 2), ("train PSNR", "train_psnr", 2), ("Gaussians", "gaussians", 0)),
+    )
+    shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for title in ("capture", "point", "seconds", *(title for title, _, _ in columns)):
+        shown.add_column(title, justify="left" if title in ("capture", "point") else "right")
+    for row in rows:
+        cells = ["-" if row[key] is None else f"{row[key]:.{digits}f}" for _, key, digits in columns]
+        shown.add_row(row["capture"], row["point"], f"{row['seconds']:.0f}", *cells)
+    return shown
+
+
+def content(runs: Sequence[Run], facts: dict[str, Any], options: Options) -> dict[str, Any]:
+    """The JSON file."""
+    protocol = {
+        "seconds": "wall time of all stages; a cached stage counts as the run took that made it",
+        "metrics": "means over the views of a split; see evaluate; held out is test, else val",
+        "settings": list(options.assignments),
+        "device": options.device,
+        "static": options.static,
+    }
+    return {"machine": facts, "protocol": protocol, "points": summaries(runs), "runs": [asdict(run) for run in runs]}
+
+
+def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """PSNR of held-out views over seconds, a line a capture; dotted, that of training views."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    for capture in dict.fromkeys(row["capture"] for row in rows):
+        points = sorted((r for r in rows if r["capture"] == capture and r["psnr"] is not None), key=lambda r: r["seconds"])
+        (line,) = axes.plot([r["seconds"] for r in points], [r["psnr"] for r in points], "o-", label=capture)
+        train = [r for r in points if r["train_psnr"] is not None]
+        axes.plot([r["seconds"] for r in train], [r["train_psnr"] for r in train], ":", color=line.get_color())
+        for r in points:
+            axes.annotate(r["point"], (r["seconds"], r["psnr"]), textcoords="offset points", xytext=(4, -10), fontsize=7)
+    axes.set_xscale("log")
+    axes.set_xlabel("seconds, all stages")
+    axes.set_ylabel("PSNR of held-out views, dB (dotted: training views)")
+    axes.grid(True, which="both", alpha=0.25)
+    axes.legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with matplotlib.rc_context({"svg.hashsalt": "e4dgs", "svg.fonttype": "none"}):
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=150)
