@@ -81,7 +81,9 @@ class Coarse(Stage):
         from ..scene.training.trainer import Trainer
         from .dataset import load_frameset, load_views, measured_flow
         from .fill_seeds import measured_depth
+        from .png import encode_png
         from .seeds import initial_dynamic, living, load_seeds, mover_seeds
+        from .seeds_picture import seeds_picture
         from .training_artifact import write_depth, write_training
 
         settings = ctx.settings
@@ -103,6 +105,7 @@ class Coarse(Stage):
             chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
             points, colors = points[chosen], colors[chosen]
         unit = views.viewing_distance(points)
+        begin = encode_png(seeds_picture(views, points, colors, movers))
         dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, movers is not None)
         if movers is not None and not free:  # at rest is where it is at the middle time
             middle = movers.time == movers.time[np.abs(movers.time - 0.5).argmin()]
@@ -148,6 +151,7 @@ class Coarse(Stage):
                 log=ctx.log,
             )
             log = trainer.run()
+        ctx.out.write("seeds_png", np.frombuffer(begin, np.uint8), doc="where training began, for the report")
         ctx.out.attrs["strategy"] = settings.strategy
         ctx.out.attrs["iterations"] = steps
         write_training(ctx.out, model, log)

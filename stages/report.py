@@ -23,6 +23,7 @@ FLOW_KINDS = (
     ("edges", "edges"),
     ("moving", "what moves"),
 )
+DATA = "data:image/png;base64,"
 HEADLINES = (  # key, title, unit, decimals
     ("psnr", "PSNR", "dB", 2),
     ("edge_psnr", "PSNR near edges", "dB", 2),
@@ -43,19 +44,20 @@ def render_report(
     infos: Mapping[str, Mapping[str, Any]],
     plan_rows: Sequence[Mapping[str, Any]],
     metrics: Mapping[str, Any],
+    seeds: bytes | None = None,
 ) -> str:
     """The page as HTML text.
 
     evaluate: its artifact, for the pictures. infos: by stage, attrs and info in one dict (or under "attrs" and "info"), `training` of
     `coarse` and `fine` among them. plan_rows: `stage`, `state`, `reason`, `seconds`, `peak_rss_mb`. metrics: the content of metrics.json.
-    A key that is missing leaves its part of the page out. All text is escaped.
+    seeds: a PNG of where training began. A key that is missing leaves its part of the page out. All text is escaped.
     """
     from jinja2 import Environment
     from markupsafe import Markup
 
     flat = {name: flatten(info) for name, info in infos.items()}
     training = {name: flat[name].get("training") or {} for name in TRAINED if name in flat}
-    pictures = {name: "data:image/png;base64," + base64.b64encode(data).decode() for name, data in _pictures(evaluate).items()}
+    pictures = {name: DATA + base64.b64encode(data).decode() for name, data in _pictures(evaluate).items()}
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"number": number, "duration": lambda s: duration(float(s)) if is_number(s) else "–"}
     attrs, protocol = evaluate.attrs, metrics.get("protocol") or {}
@@ -70,6 +72,7 @@ def render_report(
         strip=_strip(attrs.get("strip") or {}, pictures),
         flow=_flow(attrs.get("flow") or {}, pictures),
         pictures=pictures,
+        seeds=None if seeds is None else DATA + base64.b64encode(seeds).decode(),
         plots=[(plot.title, plot.series, Markup(drawn)) for plot in plots(training) if (drawn := svg(plot))],
         splits=tables(metrics),
         training={name: {k: v for k, v in log.items() if not isinstance(v, list)} for name, log in training.items() if log},

@@ -57,5 +57,5 @@ def read_model(artifact: Artifact) -> Model:
     """The model of a `coarse` or `fine` artifact."""
     from ..scene.model import Model
 
-    arrays = {name: artifact.read(name) for name in artifact.names() if not name.startswith("depth_")}
+    arrays = {name: artifact.read(name) for name in artifact.names() if not name.startswith(("depth_", "seeds_"))}
     return Model.from_arrays(arrays, artifact.attrs["model"])

@@ -89,4 +89,6 @@ def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcom
         if outcomes[name].artifact is not None
     }
     plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
-    return render_report(session.scene.name, evaluate, infos, plan_rows, metrics)
+    coarse = outcomes["coarse"].artifact if "coarse" in outcomes else None
+    seeds = coarse.read("seeds_png").tobytes() if coarse is not None and "seeds_png" in coarse else None
+    return render_report(session.scene.name, evaluate, infos, plan_rows, metrics, seeds)

@@ -173,6 +173,12 @@ def test_every_text_is_escaped():
     assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;") > 10
 
 
+def test_where_training_began_is_shown_when_known():
+    args = "robot", Evaluation(), infos(), PLAN, metrics()
+    assert "where training began" in render_report(*args, b"png") and "cG5n" in render_report(*args, b"png")  # type: ignore[arg-type]
+    assert "where training began" not in render_report(*args)  # type: ignore[arg-type]
+
+
 def test_pairs_of_frames_stand_beside_their_flow():
     page = render_report("robot", WithFlow(), {}, [], {})  # type: ignore[arg-type]
     parser = parse(page)
