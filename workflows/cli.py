@@ -16,6 +16,7 @@ from . import show
 from .bench.cli import app as bench
 from .export import app as export
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from .render import render
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
 
@@ -27,6 +28,7 @@ app = typer.Typer(
 )
 app.add_typer(bench, name="bench")
 app.add_typer(export, name="export")
+app.command()(render)
 console = Console()
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from ..pipeline import Artifact, ArtifactError, CaptureError, Progress, SettingsError, StageError, make_plan
+from ..pipeline import CaptureError, Progress, SettingsError, StageError
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
-from .session import DEFAULT_WORKSPACE, Options, Session, open_session
+from .results import results
+from .session import DEFAULT_WORKSPACE, Options, open_session
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
@@ -68,37 +68,3 @@ def flow(
         f"flow: {folder}",
     ):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def results(session: Session, stage: str) -> dict[str, Artifact | None]:
-    """What the store has of ``stage`` and the stages it needs, by name; None for those that this capture skips.
-
-    Raises CaptureError where ``stage`` itself is skipped, ArtifactError where it has still to be run with these settings.
-    """
-    rows = {row.stage: row for row in make_plan(session.job, [stage])}
-    wanted, capture = rows[stage], session.options.capture
-    if wanted.state == "skip":
-        raise CaptureError(f"{capture}: there is no {stage} to export: {wanted.reason}")
-    if wanted.state == "run":
-        raise ArtifactError(
-            f"{capture}: the workspace {session.options.workspace} has no {stage} of this capture with these settings ({wanted.reason}); "
-            f"make it with: {run_command(session.options, stage)}"
-        )
-    return {name: row.artifact for name, row in rows.items()}
-
-
-def run_command(options: Options, stage: str) -> str:
-    """The command that runs ``stage`` with the same options, ready to be pasted into a shell."""
-    words = ["e4dgs", "run", stage, str(options.capture)]
-    for flag, value, default in (
-        ("--workspace", str(options.workspace), str(DEFAULT_WORKSPACE)),
-        ("--preset", options.preset, "default"),
-        ("--device", options.device, "auto"),
-        ("--name", options.name, None),
-        ("--format", options.format, None),
-    ):
-        words += [flag, str(value)] if value != default else []
-    words += ["--static"] if options.static else []
-    for assignment in options.assignments:
-        words += ["--set", assignment]
-    return shlex.join(words)

@@ -1,0 +1,109 @@
+"""Ways for a camera to go: around what the capture looks at, on a small spiral before it, along the capture's own cameras.
+
+Poses are cam_from_world [n, 4, 4], OpenCV (x right, y down, z forward), world units.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+REACH, MOST_REACH = 0.12, 0.25  # of the viewing distance: how far a spiral goes to the side, at least and at most
+BETWEEN = 0.7  # of the way from the mean camera to the outermost: a spiral stays between the cameras
+GAP = 90.0  # degrees around the target without a camera, from which on nobody knows what is behind
+SWING = 12.0  # degrees to either side, at least
+TURNS = 2  # of a spiral
+
+
+def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """cam_from_world [4, 4] of a camera at ``eye`` [3] that has ``target`` [3] in the middle and ``up`` [3] upwards.
+
+    Raises ValueError where eye and target are one, or up is along the view.
+    """
+    forward = np.asarray(target, np.float64) - eye
+    right = np.cross(forward, up)
+    lengths = np.linalg.norm(forward), np.linalg.norm(right)
+    if min(lengths) < 1e-9 * max(1.0, float(np.linalg.norm(target))):
+        raise ValueError("look_at: the camera stands on its target, or looks along its up direction")
+    z, x = forward / lengths[0], right / lengths[1]
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([x, np.cross(z, x), z])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    return pose
+
+
+def centres(poses: np.ndarray) -> np.ndarray:
+    """Camera centres [n, 3]."""
+    return -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+
+
+def upward(poses: np.ndarray) -> np.ndarray:
+    """Unit vector [3]: the mean of what the cameras ``poses`` [n, 4, 4] hold upwards."""
+    up = -poses[:, 1, :3].mean(0)
+    length = np.linalg.norm(up)
+    return up / length if length > 1e-6 else -poses[0, 1, :3]
+
+
+def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
+    """[count, 4, 4] around ``target`` [3], at the median distance and height of the cameras ``poses``; the way closes.
+
+    Where the cameras surround the target it is a circle; where they see one side only, it swings there and back between the outermost.
+    """
+    up, offset = upward(poses), centres(poses) - target
+    height = float(np.median(offset @ up))
+    flat = offset - (offset @ up)[:, None] * up
+    radius = float(np.median(np.linalg.norm(flat, axis=1)))
+    distance = float(np.median(np.linalg.norm(offset, axis=1)))
+    radius = max(radius, 0.2 * distance)  # cameras straight above leave no circle to go on
+    first = flat[np.linalg.norm(flat, axis=1).argmax()]
+    first = first - (first @ up) * up
+    if np.linalg.norm(first) < 1e-9:
+        first = np.cross(up, [1.0, 0, 0]) if abs(up[0]) < 0.9 else np.cross(up, [0, 1.0, 0])
+    side = first / np.linalg.norm(first)
+    other = np.cross(up, side)
+    angles = _around(np.arctan2(flat @ other, flat @ side), np.linspace(0, 2 * np.pi, count, endpoint=False))
+    eyes = target + height * up + radius * (np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other)
+    return np.stack([look_at(eye, target, up) for eye in eyes])
+
+
+def _around(azimuths: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """Angles [count] of a way at ``phase`` [count] from 0 to 2 pi: the phase itself, or a swing over what ``azimuths`` [n] cover."""
+    known = np.sort(np.mod(azimuths, 2 * np.pi))
+    gaps = np.diff(np.append(known, known[0] + 2 * np.pi))
+    widest = int(gaps.argmax())
+    if gaps[widest] < np.radians(GAP):
+        return phase
+    covered = 2 * np.pi - gaps[widest]
+    start = known[(widest + 1) % len(known)]
+    return start + 0.5 * covered + max(0.5 * covered, np.radians(SWING)) * np.sin(phase)
+
+
+def spiral(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
+    """[count, 4, 4] around the camera of ``poses`` that is nearest to their middle, always facing ``target`` [3]; the way closes.
+
+    It reaches as far to each side as the cameras do, or a little where they stand in one place.
+    """
+    eyes, up = centres(poses), upward(poses)
+    middle = poses[np.linalg.norm(eyes - eyes.mean(0), axis=1).argmin()]
+    eye = centres(middle[None])[0]
+    distance = float(np.linalg.norm(target - eye))
+    axes = middle[:3, :3]
+    spread = np.percentile(np.abs((eyes - eye) @ axes.T), 90, axis=0)
+    usual = distance * np.array([1, 0.5, 0.25])
+    reach = np.clip(BETWEEN * spread, REACH * usual, MOST_REACH * usual)
+    angles = np.linspace(0, 2 * np.pi * TURNS, count, endpoint=False)
+    shift = np.stack([np.cos(angles), np.sin(angles), np.sin(angles / TURNS)], 1) * reach
+    return np.stack([look_at(eye + s @ axes, target, up) for s in shift])
+
+
+def along(poses: np.ndarray, count: int) -> np.ndarray:
+    """[count, 4, 4] through ``poses`` [n, 4, 4] one after another, from the first to the last at even steps between them."""
+    if len(poses) == 1:
+        return np.repeat(poses, count, axis=0)
+    known, wanted = np.arange(len(poses)), np.linspace(0, len(poses) - 1, count)
+    eyes = centres(poses)
+    result = np.tile(np.eye(4), (count, 1, 1))
+    result[:, :3, :3] = Slerp(known, Rotation.from_matrix(poses[:, :3, :3]))(wanted).as_matrix()
+    between = np.stack([np.interp(wanted, known, eyes[:, c]) for c in range(3)], 1)
+    result[:, :3, 3] = -np.einsum("nij,nj->ni", result[:, :3, :3], between)
+    return result

@@ -1,0 +1,120 @@
+"""`e4dgs render`: a video that plays, pictures that are the model's own renders, depth, and paths from files."""
+
+import json
+
+import av
+import e4dgs
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+from e4dgs.workflows.cli import main
+from PIL import Image
+
+QUICK = ["--set", "coarse.iterations=20", "--set", "hulls.budget=0", "--set", "fine.iterations=0", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def finished(dnerf_capture, tmp_path_factory):
+    workspace = tmp_path_factory.mktemp("render") / "workspace"
+    assert main(["run", "all", str(dnerf_capture.root), "--workspace", str(workspace), *QUICK]) == 0
+    return dnerf_capture, workspace
+
+
+def render(finished, *options: object) -> int:
+    capture, workspace = finished
+    return main(["render", str(capture.root), "--workspace", str(workspace), *QUICK, *map(str, options)])
+
+
+@pytest.mark.parametrize("path", ["turntable", "spiral", "capture"])
+def test_a_video_has_as_many_pictures_as_asked_for(finished, tmp_path, path):
+    out = tmp_path / "new" / "scene.mp4"
+    assert render(finished, "--path", path, "--frames", 7, "--fps", 12, "--out", out) == 0
+    with av.open(str(out)) as container:
+        stream = container.streams.video[0]
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt, stream.average_rate) == ("h264", "yuv420p", 12)
+    assert len(pictures) == 7 and np.ptp([p.mean() for p in pictures]) > 0
+    assert [f.name for f in out.parent.iterdir()] == ["scene.mp4"], "nothing half-written is left"
+
+
+def test_a_file_says_where_to_look_and_the_pictures_are_the_model_s_own(finished, tmp_path):
+    capture, workspace = finished
+    truth = capture.views[0].camera
+    opengl = np.linalg.inv(truth.cam_from_world) @ np.diag([1.0, -1, -1, 1])
+    views = [
+        {"cam_from_world": truth.cam_from_world.tolist(), "K": truth.K.tolist(), "time": 0.25},
+        {"transform_matrix": opengl.tolist(), "K": truth.K.tolist(), "time": 0.25},
+    ]
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps({"frames": views}))
+    out = tmp_path / "pictures"
+    assert render(finished, "--path", file, "--depth", "--out", out) == 0
+    assert sorted(f.name for f in out.iterdir()) == ["0000.exr", "0000.png", "0001.exr", "0001.png"]
+    model = e4dgs.load(capture.root, workspace=workspace)
+    camera = e4dgs.Camera(torch.tensor(truth.K).float(), torch.tensor(truth.cam_from_world).float(), truth.width, truth.height, model.near)
+    frame = model.render(camera, 0.25)
+    for name in ("0000", "0001"):
+        shown = np.asarray(Image.open(out / f"{name}.png")).astype(float) / 255
+        assert np.abs(shown - frame.color.clamp(0, 1).numpy()).max() <= 0.51 / 255 + 1e-3
+        depth = OpenEXR.File(str(out / f"{name}.exr")).channels()["Z"].pixels
+        np.testing.assert_allclose(depth, frame.depth.numpy(), rtol=1e-3, atol=1e-3)
+
+
+def test_a_frozen_moment_is_that_moment_in_every_picture(finished, tmp_path):
+    file = tmp_path / "path.json"
+    pose = finished[0].views[0].camera.cam_from_world.tolist()
+    file.write_text(json.dumps({"frames": [{"cam_from_world": pose}] * 2}))
+    assert render(finished, "--path", file, "--time", 0.5, "--out", tmp_path / "frozen") == 0
+    first, second = ((tmp_path / "frozen" / f"{k:04d}.png").read_bytes() for k in range(2))
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[]", ('"frames"',)),
+        ('{"frames": []}', ('"frames"',)),
+        ("{", ("no camera path in JSON",)),
+        ('{"frames": [3]}', ("frame 0", "object")),
+        ('{"frames": [{}]}', ("frame 0", "neither cam_from_world nor transform_matrix")),
+        ('{"frames": [{"cam_from_world": [[1]]}]}', ("frame 0: cam_from_world", "4x4")),
+        ('{"frames": [{"transform_matrix": [[0,0,0,0],[0,0,0,0],[0,0,0,0],[0,0,0,1]]}]}', ("transform_matrix", "inverted")),
+        ('{"frames": [{"cam_from_world": EYE, "time": 1.5}]}', ("frame 0: time", "1.5")),
+        ('{"frames": [{"cam_from_world": EYE, "K": "wide"}]}', ("frame 0: K", "3x3")),
+    ],
+)
+def test_a_bad_path_is_one_message(finished, tmp_path, capsys, content, words):
+    file = tmp_path / "path.json"
+    file.write_text(content.replace("EYE", json.dumps(np.eye(4).tolist())))
+    assert render(finished, "--path", file, "--out", tmp_path / "out") == 2
+    message = capsys.readouterr().err
+    assert all(word in " ".join(message.split()) for word in words), message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--path", "helix", "--out", "a.mp4"), "turntable, spiral, capture"),
+        (("--out", "a.gif"), "must end in .mp4"),
+        (("--depth", "--out", "a.mp4"), "a video holds no depth"),
+    ],
+)
+def test_a_bad_option_is_one_message(finished, capsys, monkeypatch, tmp_path, options, words):
+    monkeypatch.chdir(tmp_path)
+    assert render(finished, *options) == 2
+    assert words in " ".join(capsys.readouterr().err.split()) and not list(tmp_path.iterdir())
+
+
+def test_what_was_not_trained_is_said_with_the_command_that_trains_it(finished, capsys, tmp_path):
+    capture, workspace = finished
+    code = main(["render", str(capture.root), "--workspace", str(workspace), "--device", "cpu", "--out", str(tmp_path / "a.mp4")])
+    assert code == 1 and "e4dgs run fine" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_folder_that_holds_something_is_left_alone(finished, capsys, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    assert render(finished, "--frames", 1, "--out", tmp_path) == 1
+    assert "already holds something" in " ".join(capsys.readouterr().err.split())
+    assert [f.name for f in tmp_path.iterdir()] == ["notes.txt"]
