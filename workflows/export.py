@@ -10,8 +10,10 @@ from rich.console import Console
 
 from ..pipeline import CaptureError, Progress, SettingsError, StageError
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
-from .results import results
+from .results import results, trained_stage
 from .session import DEFAULT_WORKSPACE, Options, open_session
+
+MOST_TIMES = 60
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
@@ -67,4 +69,53 @@ def flow(
         f"{len(fields.pairs)} pairs, {count} files; full colour is {largest:.3g} px, darker is more, black is not known (wheel.png)",
         f"flow: {folder}",
     ):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
+def ply(
+    capture: Capture,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/ply by default.")] = None,
+    times: Annotated[
+        int | None, typer.Option("--times", min=1, max=10_000, help="Files; one for each time, at most 60, by default.")
+    ] = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Numbered .ply files, one for each time, as SuperSplat, Brush and other 3DGS tools read them; convexes become Gaussians."""
+    if out is not None and out.exists() and not out.is_dir():
+        raise SettingsError(f"--out {out}: this is a file; name a folder")
+    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    trained = trained_stage(session)
+    found = results(session, trained)
+    artifact, frames = found[trained], found["frames"]
+    assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
+    folder = out
+    if folder is None:
+        session.scene.claim()
+        folder = session.scene.folder / "export" / "ply"
+
+    from ..stages.frameset import FrameSet
+    from ..stages.ply_export import export_ply
+    from ..stages.training_artifact import read_model
+
+    model = read_model(artifact)
+    seen = FrameSet(frames, session.job.capture.root, found.get("poses"))
+    moments = 1 if model.field is None else times or min(int(session.job.capture.facts["times"]), MOST_TIMES)
+    console = Console()
+    try:
+        with Progress(moments, "export", console) as bar:
+            done = export_ply(model, seen, folder, moments, bar.advance)
+    except OSError as error:
+        raise StageError(f"export: {error.filename or folder} cannot be written ({error.strerror or error}); give another --out") from error
+    said = f"{moments} files, {done.fewest} to {done.most} Gaussians each"
+    if done.convexes:
+        said += f"; {done.convexes} convexes became Gaussians: {done.psnr:.1f} dB from the full model"
+    for line in (said, f"ply: {folder}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)

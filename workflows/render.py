@@ -9,9 +9,9 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ..pipeline import CaptureError, Progress, SettingsError, make_plan
+from ..pipeline import CaptureError, Progress, SettingsError
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
-from .results import results
+from .results import results, trained_stage
 from .session import DEFAULT_WORKSPACE, Options, open_session
 
 
@@ -39,8 +39,7 @@ def render(
     if out.suffix and not video and not out.is_dir():
         raise SettingsError(f"--out {out}: the file must end in .mp4; without an ending it is a folder for PNG files")
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
-    stages = {row.stage: row.state for row in make_plan(session.job)}
-    trained = "coarse" if stages.get("fine") == "skip" else "fine"
+    trained = trained_stage(session)
     found = results(session, trained)
 
     import torch

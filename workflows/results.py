@@ -40,3 +40,8 @@ def run_command(options: Options, stage: str) -> str:
     for assignment in options.assignments:
         words += ["--set", assignment]
     return shlex.join(words)
+
+
+def trained_stage(session: Session) -> str:
+    """The stage whose model counts with these settings: `fine`, or `coarse` where that is skipped."""
+    return "coarse" if any(row.stage == "fine" and row.state == "skip" for row in make_plan(session.job)) else "fine"

@@ -1,0 +1,68 @@
+"""Gaussians of one moment as a PLY file in the layout of 3D Gaussian Splatting (Kerbl et al. 2023), which viewers and editors read."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..rasterizer import Convexes, Gaussians
+
+LEAST_ALPHA = 1 / 255  # below, the rasterizer draws nothing
+
+
+def write_ply(path: Path, gaussians: Gaussians) -> int:
+    """Write those of ``gaussians`` (with sh) that can be seen, and return how many these are.
+
+    Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_* (SH by channel, then coefficient),
+    opacity (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit). The file is there only when it is whole.
+    """
+    assert gaussians.sh is not None
+    keep = (gaussians.opacities >= LEAST_ALPHA) & torch.isfinite(gaussians.means).all(1)
+    rows = int(keep.sum())
+    sh = gaussians.sh[keep]
+    rest = sh[:, 1:].transpose(1, 2).reshape(rows, -1)
+    quats = torch.nn.functional.normalize(gaussians.quats[keep], dim=1)
+    logit = torch.logit(gaussians.opacities[keep].clamp(LEAST_ALPHA / 2, 1 - 1e-6))
+    columns = [gaussians.means[keep], torch.zeros(rows, 3), sh[:, 0], rest, logit[:, None], gaussians.scales[keep].log(), quats]
+    names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest.shape[1]))]
+    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    table = torch.cat([column.detach().cpu().float() for column in columns], 1).numpy().astype("<f4")
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {rows}", *(f"property float {n}" for n in names), "end_header"]
+    part = path.with_name(f".{path.name}-{os.getpid()}")
+    try:
+        part.write_bytes(("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes())
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    return rows
+
+
+def as_gaussians(convexes: Convexes, spread: float) -> Gaussians:
+    """A Gaussian for each of M smooth ``convexes`` (with sh), for tools that know no convexes: the axes are those of its K points, the
+    standard deviations ``spread`` times theirs; edges become soft."""
+    assert convexes.sh is not None
+    points = convexes.points.detach()
+    centred = points - points.mean(1, keepdim=True)
+    values, axes = torch.linalg.eigh(centred.transpose(1, 2) @ centred / points.shape[1])
+    axes = axes * torch.linalg.det(axes)[:, None, None].sign()
+    scales = spread * values.clamp(min=1e-12).sqrt()
+    return Gaussians(points.mean(1), _quats(axes), scales, convexes.opacities.detach(), sh=convexes.sh.detach())
+
+
+def joined(first: Gaussians, second: Gaussians) -> Gaussians:
+    """Both sets in one; each has sh of the same degree."""
+    fields = ("means", "quats", "scales", "opacities", "sh")
+    return Gaussians(**{name: torch.cat([getattr(first, name).detach(), getattr(second, name).detach()]) for name in fields})
+
+
+def _quats(matrices: Tensor) -> Tensor:
+    from scipy.spatial.transform import Rotation
+
+    if not len(matrices):
+        return matrices.new_zeros(0, 4)
+    xyzw = Rotation.from_matrix(matrices.cpu().double().numpy()).as_quat()
+    return torch.from_numpy(xyzw[:, [3, 0, 1, 2]]).to(matrices)

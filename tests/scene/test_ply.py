@@ -1,0 +1,95 @@
+"""PLY files hold what viewers of 3D Gaussian Splatting expect, and what is read back renders as the model does."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
+from e4dgs.scene.fibonacci import fibonacci_sphere
+from e4dgs.scene.ply import LEAST_ALPHA, as_gaussians, joined, write_ply
+from scipy.spatial.transform import Rotation
+
+
+def gaussians(count: int = 200, degree: int = 2) -> Gaussians:
+    generator = torch.Generator().manual_seed(3)
+    draw = lambda *shape: torch.randn(*shape, generator=generator)  # noqa: E731
+    means, scales = draw(count, 3) * 0.5, torch.exp(0.4 * draw(count, 3) - 2.5)
+    return Gaussians(means, 3 * draw(count, 4), scales, torch.sigmoid(draw(count)), sh=0.3 * draw(count, (degree + 1) ** 2, 3))
+
+
+def read(path: Path) -> tuple[list[str], np.ndarray]:
+    """Names and table [N, columns], by the header alone."""
+    header, body = path.read_bytes().split(b"end_header\n", 1)
+    lines = header.decode().splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    names = [line.split()[2] for line in lines if line.startswith("property float ")]
+    table = np.frombuffer(body, "<f4").reshape(-1, len(names))
+    assert f"element vertex {len(table)}" in lines
+    return names, table
+
+
+def as_a_viewer_reads(path: Path) -> Gaussians:
+    """By the layout's definition: SH of a channel lie together, scales are logarithms, opacity a logit."""
+    names, table = read(path)
+    column = {name: torch.tensor(table[:, k].copy()) for k, name in enumerate(names)}
+    of = lambda prefix, n: torch.stack([column[f"{prefix}_{k}"] for k in range(n)], 1)  # noqa: E731
+    rest = of("f_rest", sum(name.startswith("f_rest_") for name in names)).reshape(len(table), 3, -1)
+    sh = torch.cat([of("f_dc", 3)[:, None], rest.transpose(1, 2)], 1)
+    means = torch.stack([column[axis] for axis in "xyz"], 1)
+    return Gaussians(means, of("rot", 4), of("scale", 3).exp(), torch.sigmoid(column["opacity"]), sh=sh)
+
+
+def view(kind: Gaussians, convexes: Convexes | None = None) -> torch.Tensor:
+    camera = Camera(torch.tensor([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]]), torch.eye(4), 64, 64)
+    camera.cam_from_world[2, 3] = 3.0
+    return rasterize(camera, kind, convexes, torch.full((3,), 0.2)).color.clamp(0, 1)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_what_is_read_back_renders_the_same(tmp_path, degree):
+    made = gaussians(degree=degree)
+    assert write_ply(tmp_path / "a.ply", made) == 200
+    back = as_a_viewer_reads(tmp_path / "a.ply")
+    np.testing.assert_allclose(back.means, made.means, atol=1e-6)
+    error = (view(back) - view(made)).square().mean()
+    assert -10 * torch.log10(error.clamp(min=1e-12)) > 60
+
+
+def test_columns_are_those_that_viewers_ask_for(tmp_path):
+    write_ply(tmp_path / "a.ply", gaussians(degree=1))
+    names, table = read(tmp_path / "a.ply")
+    assert names[:9] == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    assert names[9:18] == [f"f_rest_{k}" for k in range(9)]
+    assert names[18:] == ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    np.testing.assert_allclose(np.linalg.norm(table[:, -4:], axis=1), 1, atol=1e-6)
+    assert [f.name for f in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_what_cannot_be_seen_is_left_out_at_the_rasterizer_s_threshold(tmp_path):
+    made = gaussians(3)
+    made.opacities = torch.tensor([LEAST_ALPHA, LEAST_ALPHA - 1e-5, 1.0])
+    assert write_ply(tmp_path / "a.ply", made) == 2
+    assert np.isfinite(read(tmp_path / "a.ply")[1]).all()
+
+
+def test_a_convex_becomes_a_gaussian_with_its_axes():
+    axes = np.array([0.4, 0.2, 0.1])
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
+    points = torch.tensor(fibonacci_sphere(64) * axes @ turn.T + [1, 2, 3], dtype=torch.float32)[None]
+    hull = Convexes(points, torch.tensor([50.0]), torch.tensor([50.0]), torch.tensor([0.8]), sh=torch.zeros(1, 1, 3))
+    made = as_gaussians(hull, 1.0)
+    np.testing.assert_allclose(made.means[0], [1, 2, 3], atol=1e-2)
+    np.testing.assert_allclose(np.sort(made.scales[0].numpy()), np.sort(axes) / 3**0.5, rtol=0.05)
+    rotation = Rotation.from_quat(made.quats[0].numpy()[[1, 2, 3, 0]]).as_matrix()
+    largest = rotation[:, int(made.scales[0].argmax())]
+    assert abs(largest @ turn[:, 0]) > 0.99
+    half = as_gaussians(hull, 0.5)
+    assert torch.allclose(half.scales, 0.5 * made.scales)
+    both = joined(made, half)
+    assert len(both.means) == 2 and both.sh.shape == (2, 1, 3)
+
+
+def test_no_convexes_are_no_gaussians():
+    empty = Convexes(torch.zeros(0, 6, 3), torch.zeros(0), torch.zeros(0), torch.zeros(0), sh=torch.zeros(0, 9, 3))
+    assert len(joined(gaussians(5), as_gaussians(empty, 1.0)).means) == 5
