@@ -6,6 +6,7 @@ import json
 import signal
 import sys
 import traceback
+from contextlib import nullcontext
 from typing import Annotated, Any
 
 import typer
@@ -19,6 +20,8 @@ from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, 
 from .render import render
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
+from .view.beside import viewer_beside
+from .view.command import view
 
 app = typer.Typer(
     add_completion=False,
@@ -28,6 +31,7 @@ app = typer.Typer(
 )
 app.add_typer(bench, name="bench")
 app.add_typer(export, name="export")
+app.command()(view)
 app.command()(render)
 console = Console()
 
@@ -44,17 +48,22 @@ def run(
     static: Static = False,
     format: Format = None,
     force: Annotated[bool, typer.Option("--force", help="Run the stage (with 'all': every stage) although it is cached.")] = False,
+    watch: Annotated[bool, typer.Option("--view", help="Open the viewer as soon as there is something to see.")] = False,
     debug: Debug = False,
 ) -> None:
     """Run stages; what is in the store is reused."""
-    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    options = Options(capture, workspace, preset, set or (), device, name, static, format)
+    session = open_session(options)
     targets = check_targets(session.job.graph.stages, target)
     forced = tuple(targets or session.job.graph.stages) if force else ()
     rows = make_plan(session.job, targets, forced)
     show.show_capture(console, session)
     show.show_plan(console, rows)
-    if (found := execute(session, rows, console, _say, targets, forced)) is not None:
-        show.show_metrics(console, *found)
+    with viewer_beside(options) if watch else nullcontext():
+        if (found := execute(session, rows, console, _say, targets, forced)) is not None:
+            show.show_metrics(console, *found)
+        if watch:
+            _say("the viewer goes on; Ctrl-C ends it")
 
 
 def _say(message: str) -> None:

@@ -27,7 +27,12 @@ def results(session: Session, stage: str) -> dict[str, Artifact | None]:
 
 def run_command(options: Options, stage: str) -> str:
     """The command that runs ``stage`` with the same options, ready to be pasted into a shell."""
-    words = ["e4dgs", "run", stage, str(options.capture)]
+    return shlex.join(["e4dgs", "run", stage, *words_of(options)])
+
+
+def words_of(options: Options) -> list[str]:
+    """The capture and the options as words of a command line, without those that are the default."""
+    words = [str(options.capture)]
     for flag, value, default in (
         ("--workspace", str(options.workspace), str(DEFAULT_WORKSPACE)),
         ("--preset", options.preset, "default"),
@@ -39,7 +44,7 @@ def run_command(options: Options, stage: str) -> str:
     words += ["--static"] if options.static else []
     for assignment in options.assignments:
         words += ["--set", assignment]
-    return shlex.join(words)
+    return words
 
 
 def trained_stage(session: Session) -> str:

@@ -10,6 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..colour import CameraAffine
+from ..model import Model, motion_from_state
+from ..primitives import ConvexSet, GaussianSet
+
 FILE = "training.safetensors"
 
 
@@ -40,3 +44,41 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | 
     except (SafetensorError, KeyError, ValueError, OSError):
         return None
     return tensors, state
+
+
+def restore(model: Model, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
+    """Give ``model`` the primitives, the motion and the colours of its cameras that `load_checkpoint` has returned."""
+    device = model.device
+    gaussians, convexes = _primitives(tensors)
+    model.gaussians, model.convexes = gaussians.to(device), convexes.to(device)
+    if state["model"]["field"] is not None:
+        motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
+        model.field = motion_from_state(motion, state["model"]["field"]).to(device)
+        for primitives in (model.gaussians, model.convexes):
+            if f"link/{primitives.KIND}" in tensors:
+                model.set_links(primitives, tensors[f"link/{primitives.KIND}"].to(device))
+    if model.affine is not None:
+        with torch.no_grad():
+            for name, p in model.affine.named_parameters():
+                p.copy_(tensors[f"parameter/affine.{name}"])
+
+
+def _primitives(tensors: dict[str, Tensor]) -> tuple[GaussianSet, ConvexSet]:
+    def of(kind: Any) -> Any:
+        parameters = {name: tensors[f"parameter/{kind.KIND}.{name}"] for name in kind.FIELDS}
+        return kind(parameters, tensors[f"dynamic/{kind.KIND}"])
+
+    return of(GaussianSet), of(ConvexSet)
+
+
+def model_of(folder: Path) -> tuple[Model, int] | None:
+    """The model of the newest checkpoint and the step that it was written at; None as for `load_checkpoint`."""
+    found = load_checkpoint(folder)
+    if found is None:
+        return None
+    tensors, state = found
+    config = state["model"]
+    affine = None if config["affine_cameras"] is None else CameraAffine(config["affine_cameras"])
+    model = Model(*_primitives(tensors), None, int(config["sh_degree"]), float(config["near"]), tuple(config["background"]), affine)
+    restore(model, tensors, state)
+    return model, int(state["iteration"])

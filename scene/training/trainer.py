@@ -19,11 +19,11 @@ from ..losses.depth_smoothness import depth_smoothness
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow, MotionTerms
 from ..losses.photometric import photometric_loss
-from ..model import Model, motion_from_state
+from ..model import Model
 from ..primitives import ConvexSet, GaussianSet
 from ..settings import TrainingSettings
 from ..views import Views
-from .checkpoint import load_checkpoint, save_checkpoint
+from .checkpoint import load_checkpoint, restore, save_checkpoint
 from .curriculum import Curriculum
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .dynamics import freeze_still_gaussians
@@ -361,7 +361,7 @@ class Trainer:
             "ema": self._smoothed_loss(),
             "froze": self._froze_still,
             "motion": [self._spread, self._searched, self._joined],
-            "field": None if self.model.field is None else self.model.field.config,
+            "model": self.model.config,
             "nonfinite": self.guard.count,
             "log": vars(self.log),
         }
@@ -372,20 +372,7 @@ class Trainer:
         if found is None:
             return
         tensors, state = found
-        device = self.model.device
-        for kind, name in ((GaussianSet, "gaussians"), (ConvexSet, "convexes")):
-            parameters = {f: tensors[f"parameter/{name}.{f}"] for f in kind.FIELDS}
-            setattr(self.model, name, kind(parameters, tensors[f"dynamic/{name}"]).to(device))
-        if state["field"] is not None:
-            motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
-            self.model.field = motion_from_state(motion, state["field"]).to(device)
-            for primitives in (self.model.gaussians, self.model.convexes):
-                if f"link/{primitives.KIND}" in tensors:
-                    self.model.set_links(primitives, tensors[f"link/{primitives.KIND}"].to(device))
-        if self.model.affine is not None:
-            with torch.no_grad():
-                for name, p in self.model.affine.named_parameters():
-                    p.copy_(tensors[f"parameter/affine.{name}"])
+        restore(self.model, tensors, state)
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
         self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]

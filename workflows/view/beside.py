@@ -1,0 +1,26 @@
+"""The viewer in a process of its own, beside a run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from ..results import words_of
+from ..session import Options
+
+
+@contextmanager
+def viewer_beside(options: Options) -> Iterator[None]:
+    """Opens `e4dgs view` of the capture as soon as it has a checkpoint; once the block is done, waits until Ctrl-C or its end."""
+    command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(options), "--wait"]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    try:
+        yield
+        with suppress(KeyboardInterrupt):
+            process.wait()
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(timeout=10)

@@ -1,0 +1,70 @@
+"""`e4dgs view CAPTURE`: the scene in a browser, finished or while it trains."""
+
+from __future__ import annotations
+
+import time
+import webbrowser
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ...pipeline import CaptureError, SettingsError
+from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from ..session import DEFAULT_WORKSPACE, Options, open_session
+
+LOOK_AGAIN = 2.0  # s between two looks for a newer model
+
+
+def view(
+    capture: Capture,
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port of the page; the next free one is taken.")] = 8080,
+    host: Annotated[str, typer.Option("--host", help="0.0.0.0 lets other machines look too.")] = "127.0.0.1",
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait for a model that a run is about to make.")] = False,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Look at a scene in a browser: any view, any time. Also while it trains. Ends with Ctrl-C."""
+    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+
+    from ...stages.frameset import FrameSet
+    from .server import Viewer
+    from .source import Source
+
+    source = Source(session)
+    console = Console()
+    try:
+        while (found := source.newest()) is None:
+            if not wait:
+                raise source.missing()
+            time.sleep(LOOK_AGAIN)
+        artifacts = source.frames()
+        if artifacts is None:
+            raise source.missing()
+        frames = FrameSet(artifacts[0], session.job.capture.root, artifacts[1])
+        if not len(frames.train):
+            raise CaptureError(f"{capture}: no training frame has a pose, so there is no place to look from")
+        try:
+            viewer = Viewer(frames, found, host, port)
+        except OSError as error:
+            raise SettingsError(f"--host {host} --port {port}: cannot listen there ({error})") from error
+        address = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{viewer.port}"
+        console.print(f"{found.title}: {address} (Ctrl-C ends)", highlight=False, soft_wrap=True)
+        if not no_browser:
+            webbrowser.open(address)
+        try:
+            while True:
+                time.sleep(LOOK_AGAIN)
+                if not source.final and (newer := source.newest()) is not None:
+                    viewer.show(newer)
+        finally:
+            viewer.stop()
+    except KeyboardInterrupt:
+        return

@@ -1,0 +1,101 @@
+"""The pictures that the viewer can show of one view at one time: which primitives, drawn as colour, depth, flow or edges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...rasterizer import Camera, Convexes, Gaussians, rasterize
+from ...scene.edges import edge_mask_canny
+from ...scene.losses.flow_loss import project, rendered_flow
+from ...scene.model import Model
+from ...stages.evaluation_pictures import depth_picture, to_bytes
+from ...stages.flow_colours import flow_colours
+
+PRIMITIVES = ("all", "Gaussians", "convexes", "dynamic", "static")
+LOOKS = ("colour", "depth", "flow", "edges")
+FLOW_STEP = 1 / 30  # of the capture's time: flow is shown to the moment so much later
+OUTLINE = (255, 60, 200)
+EDGE = (255, 210, 0)
+
+Kind = TypeVar("Kind", Gaussians, Convexes)
+
+
+def picture(model: Model, camera: Camera, time: float, look: str = "colour", primitives: str = "all", outlines: bool = False) -> np.ndarray:
+    """uint8 [H, W, 3] RGB of ``camera`` at ``time`` in [0, 1]. look: of `LOOKS`; flow is that of everything. primitives: of `PRIMITIVES`.
+    outlines: draw the outline of each convex over it."""
+    with torch.no_grad():
+        if look == "flow":
+            start = min(time, 1 - FLOW_STEP)
+            flow, alpha = rendered_flow(model, camera, start, camera, start + FLOW_STEP)
+            shown = flow_colours(torch.where(alpha[..., None] > 0.5, flow, 0.0).cpu().numpy())
+        else:
+            frame = rasterize(camera, *chosen(model, camera, time, primitives), torch.tensor(model.background))
+            shown = to_bytes(frame.color.cpu().numpy())
+            if look == "depth":
+                shown = depth_picture(frame.depth.cpu().numpy(), frame.alpha.cpu().numpy())
+            elif look == "edges":
+                edges = edge_mask_canny(shown)
+                shown = (shown * 0.35).astype(np.uint8)
+                shown[edges] = EDGE
+        if outlines:
+            draw_outlines(shown, model, camera, time)
+    return shown
+
+
+def chosen(model: Model, camera: Camera, time: float, primitives: str) -> tuple[Gaussians, Convexes]:
+    """Those of the model's primitives at ``time`` that ``primitives`` of `PRIMITIVES` names."""
+    gaussians, convexes = model.at(time, camera)
+    if primitives == "all":
+        return gaussians, convexes
+    g, c = model.gaussians.dynamic, model.convexes.dynamic
+    keep = {
+        "Gaussians": (torch.ones_like(g), torch.zeros_like(c)),
+        "convexes": (torch.zeros_like(g), torch.ones_like(c)),
+        "dynamic": (g, c),
+        "static": (~g, ~c),
+    }[primitives]
+    return _rows(gaussians, keep[0]), _rows(convexes, keep[1])
+
+
+def _rows(kind: Kind, keep: Tensor) -> Kind:
+    return replace(kind, **{name: value[keep] for name, value in vars(kind).items() if isinstance(value, Tensor)})
+
+
+def draw_outlines(picture: np.ndarray, model: Model, camera: Camera, time: float) -> None:
+    """Draw the hull of each convex's projected points into ``picture``; what reaches behind the near plane has none."""
+    points = model.at(time, camera)[1].points
+    if not len(points):
+        return
+    corners = project(camera, points.reshape(-1, 3)).reshape(*points.shape[:2], 2).cpu().numpy()
+    pose = camera.cam_from_world.to(points)
+    ahead = ((points @ pose[2, :3] + pose[2, 3]) > camera.near).all(1).cpu().numpy()
+    inside = (corners.max(1) > 0).all(1) & (corners.min(1) < (camera.width, camera.height)).all(1)
+    for one in corners[ahead & inside]:
+        cv2.polylines(picture, [cv2.convexHull(np.rint(one - 0.5).astype(np.int32))], True, OUTLINE, 1, cv2.LINE_AA)
+
+
+def photo_beside(shown: np.ndarray, photo: np.ndarray, K: np.ndarray, camera: Camera, share: float) -> np.ndarray:
+    """``shown`` with the left ``share`` of it replaced by ``photo`` [h, w, 3], which a camera with the lens ``K`` took from the same pose.
+
+    The photo is scaled and shifted to the lens of ``camera``; what it does not cover is left as it is.
+    """
+    lens = camera.K.cpu().numpy()
+    scale = lens[0, 0] / K[0, 0], lens[1, 1] / K[1, 1]
+    shift = lens[0, 2] - scale[0] * K[0, 2], lens[1, 2] - scale[1] * K[1, 2]
+    # Pixel centres lie at +0.5 here and at whole numbers in OpenCV.
+    moved = np.array([[scale[0], 0, shift[0] + 0.5 * scale[0] - 0.5], [0, scale[1], shift[1] + 0.5 * scale[1] - 0.5]])
+    size = (camera.width, camera.height)
+    there = cv2.warpAffine(np.full(photo.shape[:2], 255, np.uint8), moved, size, flags=cv2.INTER_NEAREST) > 0
+    there[:, round(share * camera.width) :] = False
+    result = shown.copy()
+    result[there] = cv2.warpAffine(photo, moved, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[there]
+    edge = round(share * camera.width)
+    if 0 < edge < camera.width:
+        result[:, edge - 1 : edge + 1] = 255
+    return result

@@ -1,0 +1,169 @@
+"""The viewer: our own renders as the background of a browser's 3D view, whose camera and panel they follow."""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+from contextlib import redirect_stdout
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import viser
+import viser.transforms as tf
+
+from ...rasterizer import Camera
+from ...scene.model import Model
+from ...stages.frameset import FrameSet
+from ..camera_path import looked_at
+from .looks import photo_beside, picture
+from .panel import Choice, Panel
+from .source import Found
+
+SETTLED = 0.25  # s without a change after which the picture is drawn at full size
+PER_SECOND = 20.0  # pictures while something moves; their size follows
+SMALLEST = 0.15  # of the full size
+QUALITY = (80, 95)  # of JPEG, while something moves and at rest
+
+
+class View(NamedTuple):
+    """What a browser looks at: all that its picture depends on."""
+
+    wxyz: tuple[float, ...]
+    position: tuple[float, ...]
+    fov: float
+    width: int
+    height: int
+    choice: Choice
+    model: int
+
+
+class Viewer:
+    """Serves ``frames`` and the model that `show` was given last, until `stop`.
+
+    Raises OSError where the port cannot be had.
+    """
+
+    def __init__(self, frames: FrameSet, found: Found, host: str, port: int) -> None:
+        self.frames, self.found, self.version = frames, found, 0
+        self.rows = np.concatenate([frames.train, frames.val, frames.test])
+        self.rows.sort()
+        self.rendering = threading.Lock()  # kernels use all cores; two pictures at once would only take turns
+        with redirect_stdout(io.StringIO()):  # its banner; the command says where the page is
+            self.server = viser.ViserServer(host=host, port=port, label="e4dgs", verbose=False)
+        self.port = self.server.get_port()
+        self._look_from(frames.train[0])
+        self.server.on_client_connect(lambda client: _Browser(self, client).run())
+
+    def _look_from(self, i: int) -> None:
+        """Browsers begin where frame ``i`` was taken and turn about what the cameras look at."""
+        assert self.frames.cam_from_world is not None and self.frames.K is not None
+        pose, K = self.frames.cam_from_world[i], self.frames.K[i]
+        ups = -self.frames.cam_from_world[self.frames.train][:, 1, :3].mean(0)
+        position = -pose[:3, :3].T @ pose[:3, 3]
+        self.distance = max(float(np.linalg.norm(looked_at(self.frames, self.found.model) - position)), 1e-6)
+        self.server.scene.set_up_direction(tuple(ups / np.linalg.norm(ups)))
+        camera = self.server.initial_camera
+        camera.position, camera.look_at = position, position + self.distance * pose[2, :3]
+        camera.up, camera.fov = -pose[1, :3], 2 * float(np.arctan(0.5 * self.frames.height / K[1, 1]))
+
+    def show(self, found: Found) -> None:
+        """Go on with another model."""
+        self.found, self.version = found, self.version + 1
+
+    def stop(self) -> None:
+        self.server.stop()
+
+
+class _Browser:
+    """One browser: its panel, and a loop that draws what it looks at."""
+
+    def __init__(self, viewer: Viewer, client: viser.ClientHandle) -> None:
+        self.viewer, self.client = viewer, client
+        frames = viewer.frames
+        seconds = float(np.ptp(frames.seconds)) if len(frames.seconds) else 0.0
+        self.panel = Panel(client.gui, [frames.names[i] for i in viewer.rows], seconds, self._go)
+        self.frame: int | None = None  # of the capture, where the camera was sent
+        self.scale = 0.5  # of the full size, while something moves
+
+    def _go(self, row: int) -> None:
+        frames = self.viewer.frames
+        assert frames.cam_from_world is not None and frames.K is not None
+        i = int(self.viewer.rows[row])
+        pose, camera = frames.cam_from_world[i], self.client.camera
+        with self.client.atomic():
+            camera.position = -pose[:3, :3].T @ pose[:3, 3]
+            camera.look_at = camera.position + self.viewer.distance * pose[2, :3]
+            camera.up_direction = -pose[1, :3]
+            camera.fov = 2 * float(np.arctan(0.5 * frames.height / frames.K[i][1, 1]))
+        self.frame = i
+        self.panel.at_frame(row, float(frames.time[i]))
+
+    def _view(self) -> View:
+        camera = self.client.camera
+        size = max(camera.image_width, 16), max(camera.image_height, 16)
+        pose = tuple(camera.wxyz.tolist()), tuple(camera.position.tolist())
+        return View(*pose, float(camera.fov), *size, self.panel.choice(), self.viewer.version)
+
+    def run(self) -> None:
+        """Until the browser goes."""
+        drawn, sharp = None, False
+        seen, changed = None, 0.0
+        before = time.monotonic()
+        while self.client.client_id in self.viewer.server.get_clients():
+            now = time.monotonic()
+            if self.panel.playing:
+                self.panel.advance(now - before)
+            before = now
+            view = self._view()
+            if view != seen:
+                seen, changed = view, now
+            moving = now - changed < SETTLED
+            if view == drawn and (moving or sharp):
+                time.sleep(0.01)
+                continue
+            self._draw(view, moving)
+            drawn, sharp = view, not moving
+
+    def _draw(self, view: View, moving: bool) -> None:
+        started = time.monotonic()
+        scale = self.scale if moving else 1.0
+        camera = self._camera(view, scale)
+        choice, found = view.choice, self.viewer.found
+        with self.viewer.rendering:
+            shown = picture(found.model, camera, choice.time, choice.look, choice.primitives, choice.outlines)
+        if choice.photo and self.frame is not None and self._stands_at(view, self.frame):
+            assert self.viewer.frames.K is not None
+            photo = self.viewer.frames.composited(self.frame)
+            shown = photo_beside(shown, photo, self.viewer.frames.K[self.frame], camera, choice.photo)
+        self.client.scene.set_background_image(shown, format="jpeg", jpeg_quality=QUALITY[not moving])
+        took = time.monotonic() - started
+        if moving:
+            # The time goes with the number of pixels, in part.
+            self.scale = float(np.clip(self.scale * np.clip((1 / PER_SECOND / took) ** 0.5, 0.7, 1.2), SMALLEST, 1.0))
+        self._tell(found.model, found.title, camera, took)
+
+    def _tell(self, model: Model, title: str, camera: Camera, took: float) -> None:
+        counts = f"{len(model.gaussians):,} Gaussians, {len(model.convexes):,} convexes"
+        self.panel.say(f"**{title}**\n\n{counts}\n\n{camera.width} x {camera.height} px in {1000 * took:.0f} ms")
+
+    def _camera(self, view: View, scale: float) -> Camera:
+        scale *= min(1.0, view.choice.longest / max(view.width, view.height))
+        width, height = max(round(scale * view.width), 8), max(round(scale * view.height), 8)
+        pose = np.eye(4)
+        pose[:3, :3] = tf.SO3(np.array(view.wxyz)).as_matrix().T
+        pose[:3, 3] = -pose[:3, :3] @ np.array(view.position)
+        focal = 0.5 * height / np.tan(0.5 * view.fov)
+        K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float32)
+        return Camera(K, torch.tensor(pose, dtype=torch.float32), width, height, self.viewer.found.model.near)
+
+    def _stands_at(self, view: View, i: int) -> bool:
+        """The camera is where frame ``i`` was taken, at its time."""
+        frames = self.viewer.frames
+        assert frames.cam_from_world is not None
+        pose = frames.cam_from_world[i]
+        turned = tf.SO3(np.array(view.wxyz)).as_matrix() @ pose[:3, :3]
+        away = np.linalg.norm(np.array(view.position) + pose[:3, :3].T @ pose[:3, 3])
+        same_time = abs(view.choice.time - frames.time[i]) < 1e-3
+        return bool(same_time and np.abs(turned - np.eye(3)).max() < 2e-3 and away < 2e-3 * self.viewer.distance)

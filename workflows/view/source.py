@@ -1,0 +1,78 @@
+"""Where the viewer's model comes from: the store where the run is done, the newest checkpoint while it trains."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ...pipeline import Artifact, ArtifactError, Row, make_plan
+from ...scene.model import Model
+from ...scene.training.checkpoint import FILE, model_of
+from ...stages.training_artifact import read_model
+from ..results import run_command
+from ..session import Session
+
+TRAINED = ("fine", "coarse")  # the later one counts
+
+
+class Found(NamedTuple):
+    """A model and what to call it."""
+
+    model: Model
+    title: str
+
+
+class Source:
+    """The best model that there is now of ``session``'s capture with its settings."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.final = False  # what was found last is the result of the finished run
+        self._mark: tuple[str, str] | None = None  # of what was found last
+
+    def newest(self) -> Found | None:
+        """The best model, if it is another one than before."""
+        rows = {row.stage: row for row in make_plan(self.session.job)}
+        wanted = [stage for stage in TRAINED if rows[stage].state != "skip"]
+        for stage in wanted:
+            mark = self._mark_of(rows[stage])
+            if mark is None or mark == self._mark:
+                if mark is not None:
+                    return None
+                continue
+            found = self._load(rows[stage])
+            if found is None:
+                continue
+            self._mark, self.final = mark, stage == wanted[0] and rows[stage].state == "cached"
+            return found
+        return None
+
+    def frames(self) -> tuple[Artifact, Artifact | None] | None:
+        """The artifacts `frames` and `poses` (None where the files hold poses); None as long as they are not there."""
+        frames, poses = make_plan(self.session.job, ["frames", "poses"])
+        if frames.artifact is None or poses.state == "run":
+            return None
+        return frames.artifact, poses.artifact
+
+    def missing(self) -> ArtifactError:
+        """What to say where there is nothing to show."""
+        options = self.session.options
+        return ArtifactError(
+            f"{options.capture}: the workspace {options.workspace} has no model of this capture with these settings, finished or in "
+            f"training; make one with: {run_command(options, 'all')}"
+        )
+
+    def _mark_of(self, row: Row) -> tuple[str, str] | None:
+        if row.artifact is not None:
+            return row.stage, row.artifact.digest
+        if row.key is None:
+            return None
+        file = self.session.job.store.checkpoints(row.stage, row.key) / FILE
+        return (row.stage, str(file.stat().st_mtime_ns)) if file.is_file() else None
+
+    def _load(self, row: Row) -> Found | None:
+        device = self.session.job.device
+        if row.artifact is not None:
+            return Found(read_model(row.artifact).to(device), f"{row.stage}, finished")
+        assert row.key is not None
+        loaded = model_of(self.session.job.store.checkpoints(row.stage, row.key))
+        return None if loaded is None else Found(loaded[0].to(device), f"{row.stage}, step {loaded[1]:,}")
