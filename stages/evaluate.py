@@ -32,7 +32,8 @@ SAMPLE = 16  # training views beside the held-out ones: far better ones mean a m
 
 class EvaluateSettings(Settings):
     splits: tuple[Split, ...] = Field(("val", "test"), min_length=1, description="splits to measure, by commas")
-    max_views: int = Field(8, ge=0, le=1000, description="views of each split shown in the report")
+    max_views: int = Field(8, ge=0, le=1000, description="views of each split shown in the report, half of them the worst")
+    movie_frames: int = Field(60, ge=0, le=1000, description="pictures of each of the report's two movies; 0: none")
     picture_size: int = Field(640, ge=16, le=8192, description="px; longest side of the report's pictures")
     lpips_weights: Path | None = Field(None, description="safetensors file with the network's weights; LPIPS is measured only with it")
     lpips_net: Literal["alex", "vgg"] = Field("alex", description="network of lpips_weights")
@@ -45,7 +46,7 @@ class Evaluate(Stage):
     """
 
     name = "evaluate"
-    version = 5  # 5: what moves and what does not, before fixed cameras
+    version = 6  # 6: two movies, worst views first
     inputs = ("frames", "poses", "flow", "coarse", "fine")
     settings = EvaluateSettings
     reads_capture = True
@@ -65,6 +66,7 @@ class Evaluate(Stage):
         return 3.0 + 1.2 * views * facts["width"] * facts["height"] / 1e6
 
     def run(self, ctx: Context) -> None:
+        from .evaluation_movies import write_movies
         from .evaluation_pictures import PictureBook
         from .flow_pictures import add_flow
         from .frameset import FrameSet
@@ -86,14 +88,13 @@ class Evaluate(Stage):
         sample = {} if "train" in views else {"train": spread([int(i) for i in frames.train], SAMPLE)}
         with ctx.progress(sum(map(len, [*views.values(), *sample.values()])), "views") as bar:
             for split, indices in (sample | views).items():
-                shown = set(spread(indices, ctx.settings.max_views))
                 rows = []
                 for i in indices:
+                    rows.append(judge.view(i)[0])
+                    bar.advance(1, f"{rows[-1]['psnr']:.1f} dB")
+                for i in worst_and_others(rows, ctx.settings.max_views) if split in views else ():
                     row, frame, truth = judge.view(i)
-                    rows.append(row)
-                    if i in shown and split in views:
-                        book.add_view(split, frames.names[i], float(frames.time[i]), truth, frame, row)
-                    bar.advance(1, f"{row['psnr']:.1f} dB")
+                    book.add_view(split, frames.names[i], float(frames.time[i]), truth, frame, row)
                 splits[split] = {**means(rows), **lpips_facts, "frames": len(rows), "per_view": rows}
                 if lpips is not None:
                     splits[split].pop("lpips_reason", None)
@@ -101,6 +102,7 @@ class Evaluate(Stage):
         if ctx.inputs["flow"] is not None:
             add_flow(book, judge, ctx.inputs["flow"], ctx.settings.max_views)
         book.write(ctx.out)
+        write_movies(ctx.out, judge, frames, next(reversed(views.values())), ctx.settings.movie_frames)
         ctx.out.attrs["metrics"] = {
             "protocol": protocol(frames, sample | views, ctx.settings, lpips_facts, notes),
             "splits": splits,
@@ -146,6 +148,13 @@ def spread(items: Sequence[int], count: int) -> list[int]:
     if count < 2:
         return list(items[:count])
     return [items[round(k * (len(items) - 1) / (count - 1))] for k in range(count)]
+
+
+def worst_and_others(rows: Sequence[Mapping[str, Any]], count: int) -> list[int]:
+    """Frames of up to ``count`` of ``rows``, from the lowest PSNR to the highest: half are the worst, the others spread over the rest."""
+    ordered = [int(row["frame"]) for row in sorted(rows, key=lambda row: float(row["psnr"]))]
+    worst = (count + 1) // 2
+    return ordered[:worst] + spread(ordered[worst:], count - worst)
 
 
 def means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:

@@ -33,15 +33,8 @@ class PictureBook:
 
     def add(self, name: str, picture: np.ndarray, size: int) -> None:
         """``picture``: uint8 [H, W, 3] RGB, scaled down to a longest side of ``size`` px."""
-        import cv2
-
-        height, width = picture.shape[:2]
-        if max(height, width) > size:
-            scale = size / max(height, width)
-            fit = (max(1, round(width * scale)), max(1, round(height * scale)))
-            picture = cv2.resize(picture, fit, interpolation=cv2.INTER_AREA)
         self.names.append(name)
-        self.encoded.append(encode_png(picture))
+        self.encoded.append(encode_png(scaled(picture, size)))
 
     def add_view(self, split: str, name: str, time: float, truth: np.ndarray, frame: Frame, row: dict[str, Any]) -> None:
         """Ground truth uint8 [H, W, 3] beside the render, their difference and the depth."""
@@ -79,6 +72,17 @@ def read_pictures(artifact: Artifact) -> dict[str, bytes]:
         return {}
     data, offsets = artifact.read("png").tobytes(), artifact.read("png_offsets")
     return {name: data[offsets[k] : offsets[k + 1]] for k, name in enumerate(artifact.attrs.get("png_names", []))}
+
+
+def scaled(picture: np.ndarray, size: int) -> np.ndarray:
+    """``picture`` scaled down to a longest side of ``size`` px."""
+    import cv2
+
+    height, width = picture.shape[:2]
+    if max(height, width) <= size:
+        return picture
+    scale = size / max(height, width)
+    return cv2.resize(picture, (max(1, round(width * scale)), max(1, round(height * scale))), interpolation=cv2.INTER_AREA)
 
 
 def to_bytes(color: np.ndarray) -> np.ndarray:

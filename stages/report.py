@@ -23,7 +23,9 @@ FLOW_KINDS = (
     ("edges", "edges"),
     ("moving", "what moves"),
 )
-DATA = "data:image/png;base64,"
+VIEWS_OPEN = 6  # the others are folded away
+DATA, MOVIE = "data:image/png;base64,", "data:video/mp4;base64,"
+MOVIES = (("over_time", "held-out views in order of time: ground truth, render"), ("turntable", "a turn about the scene"))
 HEADLINES = (  # key, title, unit, decimals
     ("psnr", "PSNR", "dB", 2),
     ("edge_psnr", "PSNR near edges", "dB", 2),
@@ -45,12 +47,14 @@ def render_report(
     plan_rows: Sequence[Mapping[str, Any]],
     metrics: Mapping[str, Any],
     seeds: bytes | None = None,
+    command: str | None = None,
 ) -> str:
     """The page as HTML text.
 
     evaluate: its artifact, for the pictures. infos: by stage, attrs and info in one dict (or under "attrs" and "info"), `training` of
     `coarse` and `fine` among them. plan_rows: `stage`, `state`, `reason`, `seconds`, `peak_rss_mb`. metrics: the content of metrics.json.
-    seeds: a PNG of where training began. A key that is missing leaves its part of the page out. All text is escaped.
+    seeds: a PNG of where training began. command: what makes the same again. A key that is missing leaves its part of the page out. All
+    text is escaped.
     """
     from jinja2 import Environment
     from markupsafe import Markup
@@ -68,10 +72,14 @@ def render_report(
         notes=protocol.get("notes") or [],
         headlines=headlines(metrics),
         facts=facts(metrics),
-        views=[v for v in attrs.get("views", []) if f"{v['stem']}/render" in pictures],
+        views=[v for v in reversed_splits(attrs.get("views", [])) if f"{v['stem']}/render" in pictures],
+        views_open=VIEWS_OPEN,
+        command=command,
+        over_time=[(plot.title, Markup(drawn)) for plot in plots_over_time(metrics) if (drawn := svg(plot))],
         strip=_strip(attrs.get("strip") or {}, pictures),
         flow=_flow(attrs.get("flow") or {}, pictures),
         pictures=pictures,
+        movies=_movies(evaluate),
         seeds=None if seeds is None else DATA + base64.b64encode(seeds).decode(),
         plots=[(plot.title, plot.series, Markup(drawn)) for plot in plots(training) if (drawn := svg(plot))],
         splits=tables(metrics),
@@ -158,6 +166,22 @@ def plots(training: Mapping[str, Mapping[str, Any]]) -> list[Plot]:
     ]
 
 
+def plots_over_time(metrics: Mapping[str, Any]) -> list[Plot]:
+    """PSNR of each measured view over its time, for splits with several times."""
+    found = []
+    for split, values in reversed(list((metrics.get("splits") or {}).items())):
+        points = sorted(numbers([[row.get("time"), row.get("psnr")] for row in values.get("per_view") or []], 1))
+        if len({time for time, _ in points}) > 1:
+            found.append(Plot(f"PSNR over time, {split}", "time", "dB", [Series(split, points)]))
+    return found
+
+
+def reversed_splits(views: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The split that was measured last comes first, the worst views of each come first."""
+    order = list(dict.fromkeys(view["split"] for view in views))[::-1]
+    return sorted(views, key=lambda view: (order.index(view["split"]), view["psnr"]))
+
+
 def settings_of(flat: Mapping[str, Mapping[str, Any]], evaluate: Artifact) -> dict[str, Mapping[str, Any]]:
     """Settings by stage, as far as they were handed in; those of `evaluate` come from its provenance."""
     found = {name: info["settings"] for name, info in flat.items() if isinstance(info.get("settings"), Mapping)}
@@ -191,3 +215,11 @@ def _flow(flow: Mapping[str, Any], pictures: Mapping[str, str]) -> dict[str, Any
         if f"{pair['stem']}/rendered" in pictures:
             items.append({**pair, "shown": shown})
     return {**flow, "wheel": pictures.get("flow/wheel"), "items": items}
+
+
+def _movies(evaluate: Artifact) -> list[tuple[str, str]]:
+    """(title, source) of each movie that there is."""
+    from .evaluation_movies import read_movies
+
+    found = read_movies(evaluate)
+    return [(title, MOVIE + base64.b64encode(found[name]).decode()) for name, title in MOVIES if name in found]

@@ -9,6 +9,7 @@ from typing import Any
 from ..pipeline import Artifact, Outcome, Row
 from ..pipeline.files import read_json, write_atomically, write_json
 from .reconstruction import EVALUATION, TRAINING
+from .results import run_command
 from .session import Session
 
 
@@ -91,4 +92,4 @@ def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcom
     plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
     coarse = outcomes["coarse"].artifact if "coarse" in outcomes else None
     seeds = coarse.read("seeds_png").tobytes() if coarse is not None and "seeds_png" in coarse else None
-    return render_report(session.scene.name, evaluate, infos, plan_rows, metrics, seeds)
+    return render_report(session.scene.name, evaluate, infos, plan_rows, metrics, seeds, run_command(session.options, "all"))

@@ -46,9 +46,9 @@ def render(
 
     from ..rasterizer import Camera
     from ..stages.frameset import FrameSet
+    from ..stages.movie import Movie, Pictures
     from ..stages.training_artifact import read_model
     from .camera_path import resolve
-    from .movie import Movie, Pictures
 
     artifact, frame_artifact = found[trained], found["frames"]
     assert artifact is not None and frame_artifact is not None  # `results` has seen to the first, and no stage runs without the second

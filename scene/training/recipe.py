@@ -27,6 +27,7 @@ class Recipe:
     rounds: int = 1_000_000
     steady: bool = False
     opens: bool = True
+    hidden_at: tuple[float, ...] = ()
 
 
 PLANES = Recipe()
@@ -40,6 +41,7 @@ NODES = Recipe(
     opacity=0.01,
     still=0.0,
     steady=True,
+    hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )
 FREE = Recipe(still=0.0, freeze_at=2.0, opens=False)
 RECIPES = {"planes": PLANES, "nodes": NODES, "free": FREE}  # by the kind in the config of a motion

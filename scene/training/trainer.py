@@ -28,6 +28,7 @@ from .curriculum import Curriculum
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .dynamics import freeze_still_gaussians
 from .guard import NonFiniteGuard
+from .hidden import seen_share
 from .log import TrainingLog
 from .optimiser import RowAdam
 from .rates import learning_rates
@@ -231,6 +232,8 @@ class Trainer:
             count = freeze_still_gaussians(self.model, self.views, self.recipe.freeze_pixels, self.recipe.freeze_share)
             self.log.skipped["still Gaussians taken out of the field"] = count
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
+        if self.grow and self.settings.hidden and self.iteration in {round(share * self.total) for share in self.recipe.hidden_at}:
+            self._remove_hidden(phase)
         if self.iteration % self.densify_every == 0 and self.iteration >= 200 and progress <= self.grow_until:
             self._control(phase)
 
@@ -304,6 +307,14 @@ class Trainer:
             keep = survivors(primitives, self.settings.min_opacity, weight, self.settings.min_weight)
             if len(keep) < len(primitives):
                 self._replace(primitives.select(keep), keep)
+
+    def _remove_hidden(self, phase: Phase) -> None:
+        """What no view sees for what stands in front of it."""
+        gaussians = self.model.gaussians
+        seen = seen_share(self.model, self.views, self.curriculum.probe(self.iteration, FINAL_VIEWS), phase.move, phase.scale)
+        keep = (seen >= self.settings.hidden).nonzero()[:, 0]
+        self._event(f"step {self.iteration}: {len(gaussians) - len(keep)} of {len(gaussians)} Gaussians are hidden behind others and go")
+        self._replace(gaussians.select(keep), keep)
 
     def _final_prune(self) -> None:
         """What the training views hardly blend is removed at the end."""

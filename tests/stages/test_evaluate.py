@@ -1,9 +1,11 @@
 """The evaluate stage: metrics of a model with a known error, missing views, LPIPS with and without weights, pictures."""
 
+import io
 import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -15,7 +17,8 @@ from e4dgs.scene.metrics.lpips import expected_shapes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, choose_views, means, spread
+from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, choose_views, means, spread, worst_and_others
+from e4dgs.stages.evaluation_movies import read_movies
 from e4dgs.stages.evaluation_pictures import depth_picture, error_picture, read_pictures
 from e4dgs.stages.judge import LEAST_TIMES, Judge
 from run_stage import run_stage
@@ -162,7 +165,41 @@ def test_pictures_are_png_files_of_what_they_are_called(result):
     truth, render = (cv2.imdecode(np.frombuffer(pictures[f"test/1/{k}"], np.uint8), cv2.IMREAD_COLOR) for k in ("truth", "render"))
     assert truth.shape == (40, 48, 3)
     assert np.median(truth.astype(int) - render) == pytest.approx(25.5, abs=1)
-    assert [view["stem"] for view in artifact.attrs["views"]] == ["val/3", "test/1", "test/5"]
+    assert sorted(view["stem"] for view in artifact.attrs["views"]) == ["test/1", "test/5", "val/3"]
+
+
+def test_the_worst_views_are_shown_first_and_others_beside_them():
+    rows = [{"frame": i, "psnr": psnr} for i, psnr in enumerate([30.0, 20.0, 40.0, 10.0, 35.0, 25.0, 45.0])]
+    assert worst_and_others(rows, 4) == [3, 1, 5, 6]
+    assert worst_and_others(rows, 100) == [3, 1, 5, 0, 4, 2, 6]
+    assert worst_and_others(rows, 1) == [3] and worst_and_others(rows, 0) == []
+
+
+def pictures_of(movie: bytes) -> np.ndarray:
+    with av.open(io.BytesIO(movie)) as container:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+
+
+def test_movies_show_the_truth_beside_the_render_and_a_turn(tmp_path):
+    model = small_model(moving=True)
+    frames = scene(tmp_path, [0, 2, 2, 2], model, offset=0.1, fixed=True)
+    artifact, _ = evaluate(tmp_path, frames, fine=trained(tmp_path / "fine", model), movie_frames=3)
+    movies = read_movies(artifact)
+    assert set(movies) == {"over_time", "turntable"}
+    beside, turn = pictures_of(movies["over_time"]), pictures_of(movies["turntable"])
+    assert beside.shape == (3, 40, 96, 3) and turn.shape == (3, 40, 48, 3)
+    truth, render = beside[:, :, :48].astype(int), beside[:, :, 48:]
+    assert (truth - render).mean() == pytest.approx(25.5, abs=4), "the truth is 0.1 brighter"
+    assert np.abs(np.diff(turn.astype(int), axis=0)).max() > 10
+
+
+def test_no_movies_when_none_are_wanted_or_nothing_moves_in_time(tmp_path):
+    model = small_model()
+    fine = trained(tmp_path / "fine", model)
+    artifact, _ = evaluate(tmp_path / "none", scene(tmp_path / "a", [0, 2, 2, 2], model), fine=fine, movie_frames=0)
+    assert read_movies(artifact) == {}
+    artifact, _ = evaluate(tmp_path / "two", scene(tmp_path / "b", [0, 2, 2], model), fine=fine, movie_frames=5)
+    assert set(read_movies(artifact)) == {"turntable"}, "two pictures are no movie"
 
 
 def test_a_perfect_model_reaches_the_limit_of_eight_bits(tmp_path):

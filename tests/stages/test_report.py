@@ -179,6 +179,40 @@ def test_where_training_began_is_shown_when_known():
     assert "where training began" not in render_report(*args)  # type: ignore[arg-type]
 
 
+def test_the_command_and_the_quality_over_time_are_shown_when_known():
+    values = metrics()
+    values["splits"]["test"]["per_view"] = [{"time": t, "psnr": 30 + t} for t in (0.0, 0.5, 1.0)]
+    shown = render_report("robot", Evaluation(), infos(), PLAN, values, None, "e4dgs run all 'my capture'")  # type: ignore[arg-type]
+    assert "e4dgs run all &#39;my capture&#39;" in shown and "PSNR over time, test" in shown and "PSNR over time, val" not in shown
+    without = render_report("robot", Evaluation(), infos(), PLAN, metrics())  # type: ignore[arg-type]
+    assert "The same again" not in without and "PSNR over time" not in without, "one time is no course"
+
+
+def test_movies_play_in_the_page():
+    class WithMovie(Evaluation):
+        def __contains__(self, name):
+            return name == "movie_turntable" or super().__contains__(name)
+
+        def read(self, name):
+            return np.frombuffer(b"mp4", np.uint8) if name == "movie_turntable" else super().read(name)
+
+    shown = render_report("robot", WithMovie(), infos(), PLAN, metrics())  # type: ignore[arg-type]
+    assert parse(shown).references.count("data:video/mp4;base64,bXA0") == 1 and "<video" in shown
+    assert "<video" not in render_report("robot", Evaluation(), infos(), PLAN, metrics())  # type: ignore[arg-type]
+
+
+def test_six_views_are_open_and_the_others_are_folded():
+    class Many(Evaluation):
+        def __init__(self):
+            super().__init__()
+            view = self.attrs["views"][0]
+            self.attrs = {**self.attrs, "views": [{**view, "name": f"view {k}", "psnr": 30.0 - k} for k in range(8)]}
+
+    shown = render_report("robot", Many(), infos(), PLAN, metrics())  # type: ignore[arg-type]
+    parse(shown)
+    assert "2 more views" in shown and shown.index("view 7") < shown.index("view 2") < shown.index("2 more views") < shown.index("view 1")
+
+
 def test_pairs_of_frames_stand_beside_their_flow():
     page = render_report("robot", WithFlow(), {}, [], {})  # type: ignore[arg-type]
     parser = parse(page)

@@ -3,42 +3,40 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import os
 import shutil
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
+from typing import BinaryIO
 
 import numpy as np
 
 from ..pipeline import StageError
 
-QUALITY = "18"  # of x264, constant rate factor: hardly to be told from the original
+QUALITY = 18  # of x264, constant rate factor: hardly to be told from the original
 
 
-class Movie:
-    """``with Movie(path, fps) as movie: movie.add(picture)``. An H.264 file that plays in every browser, there only when it is whole.
+class Encoder:
+    """H.264 that plays in every browser, into a file or memory: `add` pictures, then `close`.
 
     A picture has uint8 [H, W, 3]; of an odd number of rows or columns the last is left out, which the format asks for.
     """
 
-    def __init__(self, path: Path, fps: float) -> None:
-        self.path, self.fps = path, fps
-
-    def __enter__(self) -> Movie:
+    def __init__(self, target: str | BinaryIO, fps: float, quality: int = QUALITY) -> None:
         import av
 
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._part = self.path.with_name(f".{self.path.stem}-{os.getpid()}.mp4")
-        self._container = av.open(str(self._part), "w", options={"movflags": "+faststart"})
-        self._stream = self._container.add_stream("libx264", rate=round(self.fps))
+        # The index goes to the front of a file, for those who watch while it loads; that needs a file that can be opened again.
+        options = {"movflags": "+faststart"} if isinstance(target, str) else {}
+        self._container = av.open(target, "w", format="mp4", options=options)
+        self._stream = self._container.add_stream("libx264", rate=round(fps))
         self._stream.pix_fmt = "yuv420p"
-        self._stream.options = {"crf": QUALITY}
+        self._stream.options = {"crf": str(quality)}
         self._begun = False
-        return self
 
-    def add(self, picture: np.ndarray, depth: np.ndarray) -> None:
-        """The next picture; ``depth`` is not shown."""
+    def add(self, picture: np.ndarray) -> None:
         import av
 
         height, width = (size - size % 2 for size in picture.shape[:2])
@@ -47,11 +45,42 @@ class Movie:
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
         self._container.mux(self._stream.encode(frame))
 
+    def close(self, whole: bool = True) -> None:
+        """``whole`` False leaves out what is still to be written: nobody will look at it."""
+        if whole:
+            self._container.mux(self._stream.encode())
+        self._container.close()
+
+
+def encode_movie(pictures: Iterable[np.ndarray], fps: float, quality: int = QUALITY) -> bytes:
+    """An MP4 file of ``pictures``, uint8 [H, W, 3] each."""
+    file = io.BytesIO()
+    encoder = Encoder(file, fps, quality)
+    for picture in pictures:
+        encoder.add(picture)
+    encoder.close()
+    return file.getvalue()
+
+
+class Movie:
+    """``with Movie(path, fps) as movie: movie.add(picture, depth)``: a file as of `Encoder`, there only when it is whole."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self.path, self.fps = path, fps
+
+    def __enter__(self) -> Movie:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._part = self.path.with_name(f".{self.path.stem}-{os.getpid()}.mp4")
+        self._encoder = Encoder(str(self._part), self.fps)
+        return self
+
+    def add(self, picture: np.ndarray, depth: np.ndarray) -> None:
+        """The next picture; ``depth`` is not shown."""
+        self._encoder.add(picture)
+
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
-            if kind is None:
-                self._container.mux(self._stream.encode())
-            self._container.close()
+            self._encoder.close(kind is None)
             if kind is None:
                 os.replace(self._part, self.path)
         finally:
