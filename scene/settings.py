@@ -33,6 +33,9 @@ class TrainingSettings(Settings):
     opacity: float | None = Field(
         None, ge=0, description="px of error that an opaque primitive must save, else it fades; 0.15 for planes, 0.01 for nodes"
     )
+    spread: float | None = Field(
+        None, ge=0, description="weight of how far apart in depth lies what one pixel shows; 0.3 for nodes, else 0"
+    )
     smooth: float = Field(2.0, ge=0, description="rigs: weight of how much surfaces bend where pictures are smooth")
     depth: float = Field(0.3, ge=0, description="rigs: weight of the difference from depth measured between cameras, where there is any")
     interval: float = Field(1e-3, ge=0, description="weight of L_interval (Eq. 8), flow in px; 0 turns it off")

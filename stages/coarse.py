@@ -44,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 8  # 8: removed by many views, at the end
+    version = 9  # 9: what is hidden goes, depth is drawn together
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True

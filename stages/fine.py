@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 8  # 8: removed by many views, at the end
+    version = 9  # 9: what is hidden goes, depth is drawn together
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True

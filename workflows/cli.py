@@ -14,6 +14,7 @@ from rich.console import Console
 
 from ..pipeline import PipelineError, Store, check_targets, explain, make_plan
 from . import show
+from .batch.command import batch, status
 from .bench.cli import app as bench
 from .export import app as export
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
@@ -31,6 +32,8 @@ app = typer.Typer(
 )
 app.add_typer(bench, name="bench")
 app.add_typer(export, name="export")
+app.command()(batch)
+app.command()(status)
 app.command()(view)
 app.command()(render)
 console = Console()

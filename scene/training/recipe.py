@@ -11,7 +11,7 @@ class Recipe:
 
     freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. freeze_share: of
     what moves, below which nothing leaves. spread_at: when the motion is spread anew over what is there. bodies_at: when parts that
-    turn are searched. opacity, still: default weights of the two terms of `TrainingSettings`. grow_until: default of its
+    turn are searched. opacity, still, spread: default weights of the terms of `TrainingSettings`. grow_until: default of its
     `densify_until`. steady: growth adds an equal number in every round, not as many as the images bear. rounds: of density control at
     most, if they went on to the last step.
     """
@@ -22,6 +22,7 @@ class Recipe:
     spread_at: tuple[float, ...] = ()
     opacity: float = 0.15
     still: float = 0.005
+    spread: float = 0.0
     bodies_at: tuple[float, ...] = ()
     grow_until: float = 0.75
     rounds: int = 1_000_000
@@ -40,6 +41,7 @@ NODES = Recipe(
     rounds=150,
     opacity=0.01,
     still=0.0,
+    spread=0.3,
     steady=True,
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )

@@ -16,6 +16,7 @@ from torch import Tensor
 from ...rasterizer import rasterize
 from ..colour import CameraAffine, colour_recorders
 from ..losses.depth_smoothness import depth_smoothness
+from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow, MotionTerms
 from ..losses.photometric import photometric_loss
@@ -87,6 +88,7 @@ class Trainer:
         opened = round(settings.open_until * self.total) if moving and recipe.opens else 0
         self.curriculum = Curriculum(views.train, times, settings.seed, still, opened)
         self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
+        self.spread = recipe.spread if settings.spread is None else settings.spread
         self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until
         self.densify_every = settings.densify_every or max(DENSIFY_EVERY, self.total // recipe.rounds)
         if settings.affine and model.affine is None and (recorders := colour_recorders(views)) is not None:
@@ -168,7 +170,9 @@ class Trainer:
         if self.iteration % RELINK_EVERY == 0:
             model.relink()
         gaussians, convexes = model.at(t, camera, phase.move, degree)
-        frame = rasterize(camera, gaussians, convexes, background)
+        spread = self.spread if self.iteration % EVERY == 0 and self.iteration > BEGIN * self.total else 0.0
+        seen = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
+        frame = rasterize(camera, *seen, background)
         color = frame.color
         if model.affine is not None:
             color = model.affine(color, views.recorded_by(i))
@@ -177,11 +181,14 @@ class Trainer:
         if s.alpha and views.load_alpha is not None:
             loss = loss + s.alpha * (frame.alpha - views.alpha(i, phase.scale, window)).abs().mean()
         # As if the whole image had been looked at: there is nothing outside of the window.
-        loss = loss * (target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale))))
+        share = target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale)))
+        loss = loss * share
         if self.iteration % 50 == 0:
             mse = float((color.detach() - target).square().mean())
             self.log.psnr.append([self.iteration, -10 * float(np.log10(max(mse, 1e-10)))])
         image_loss = loss.detach()
+        if spread:
+            loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)
         if s.smooth and self.curriculum.several:
             loss = loss + s.smooth * depth_smoothness(frame.depth, frame.alpha, target, self.unit)
         if self.measured_depth is not None:

@@ -1,0 +1,96 @@
+"""`e4dgs batch` and `e4dgs status`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+
+from ...pipeline import SettingsError
+from ..options import Debug, Device, Format, Preset, Set, Static, Workspace
+from ..session import DEFAULT_WORKSPACE
+from .board import table, watch
+from .ledger import Ledger, batches
+from .listing import Entry, entries_of
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+def batch(
+    captures: Annotated[list[str], typer.Argument(metavar="CAPTURE...", help="Paths, patterns with *, lists of scenes in YAML.")],
+    name: Annotated[str, typer.Option("--name", help="Of the batch; the same name goes on with it.")] = "batch",
+    executor: Annotated[str, typer.Option("--executor", metavar="local|FILE.yaml", help="This machine, or a cluster's file.")] = "local",
+    jobs: Annotated[int | None, typer.Option("--jobs", min=1, max=1024, help="local: scenes at a time.")] = None,
+    retries: Annotated[int, typer.Option("--retries", min=0, max=100, help="local: further tries of a scene that failed.")] = 1,
+    stage_timeout: Annotated[float | None, typer.Option("--stage-timeout", min=0.1, help="Seconds after which a stage is ended.")] = None,
+    emit: Annotated[Literal["slurm"] | None, typer.Option("--emit", help="Write job scripts and run nothing.")] = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Run many captures; goes on where it was left. Exit code 1 if a scene failed."""
+    from .summary import rows_of, write_summary
+
+    if not _NAME.fullmatch(name):
+        raise SettingsError(f"--name {name}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
+    settings = tuple(_split(text) for text in set or ())
+    entries = entries_of(captures, Entry("", "", settings, preset, static, format, device))
+    cluster = None
+    if executor != "local":
+        from .cluster import read_cluster
+
+        cluster = read_cluster(Path(executor))
+    ledger = Ledger.create(workspace.resolve(), name, entries)
+    console = Console()
+    if emit is not None:
+        from .slurm import emit as write_scripts
+
+        console.print(f"submit with: {write_scripts(ledger, device != 'cpu')}/submit.sh", highlight=False, soft_wrap=True)
+        return
+    runner: Any
+    if cluster is None:
+        from .local import Local, usual_jobs
+
+        runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), retries, stage_timeout)
+    else:
+        from .cluster import Parsl
+
+        runner = Parsl(ledger, cluster, stage_timeout)
+    try:
+        futures = runner.start([entry for entry in entries if ledger.progress(entry.name).state != "done"])
+        watch(ledger, console, lambda: all(future.done() for future in futures))
+    finally:
+        runner.stop()
+        page = write_summary(ledger)
+    failed = [row["scene"] for row in rows_of(ledger) if row["state"] != "done"]
+    console.print(f"{len(entries) - len(failed)} of {len(entries)} scenes are done: {page}", highlight=False, soft_wrap=True)
+    if failed:
+        raise typer.Exit(1)
+
+
+def status(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Of a batch; the newest one by default.")] = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    debug: Debug = False,
+) -> None:
+    """Show a running or finished batch, from its files alone."""
+    known = batches(workspace.resolve())
+    if name is None and not known:
+        raise SettingsError(f"{workspace}: no batch has been run in this workspace")
+    ledger = Ledger(workspace.resolve(), name or known[-1])
+    ledger.entries()
+    Console().print(table(ledger))
+
+
+def _split(text: str) -> tuple[str, str]:
+    key, sign, value = text.partition("=")
+    if not sign or "." not in key:
+        raise SettingsError(f"--set {text}: expected STAGE.KEY=VALUE")
+    return key, value

@@ -1,0 +1,167 @@
+"""What a batch is made of: captures from paths, patterns and YAML lists, with their settings, and sweeps over settings."""
+
+from __future__ import annotations
+
+import glob
+import itertools
+import os
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ...pipeline import SettingsError
+from ..session import Options
+
+MOST_SCENES = 100_000
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One scene of a batch, as JSON can hold it. capture: an absolute path. settings: ("stage.key", text) as after ``--set``. group: what
+    scenes that differ in their seeds alone have in common."""
+
+    name: str
+    capture: str
+    settings: tuple[tuple[str, str], ...] = ()
+    preset: str = "default"
+    static: bool = False
+    format: str | None = None
+    device: str = "auto"
+    group: str = ""
+
+    def options(self, workspace: Path) -> Options:
+        assignments = [f"{key}={value}" for key, value in self.settings]
+        return Options(Path(self.capture), workspace, self.preset, assignments, self.device, self.name, self.static, self.format)
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Entry:
+        return cls(**{**data, "settings": tuple((key, value) for key, value in data["settings"])})
+
+
+@dataclass
+class _Listed:
+    """Captures and what a list says about all of them."""
+
+    entries: list[Entry] = field(default_factory=list)
+    sweep: dict[str, list[str]] = field(default_factory=dict)
+
+
+def entries_of(words: Sequence[str], common: Entry) -> list[Entry]:
+    """The scenes that the ``words`` of a command line name: paths, patterns with * or ?, and files that end in .yaml or .yml (see
+    `workflows/DESIGN.md`). ``common`` has what holds for all of them; a list's own settings win over it.
+
+    Raises SettingsError where a word names nothing, a list is not one, or two scenes have one name.
+    """
+    listed = _Listed()
+    for word in words:
+        if word.endswith((".yaml", ".yml")):
+            _read_list(Path(word), common, listed)
+        else:
+            listed.entries += [_entry(path, common) for path in _paths(word)]
+    entries = _swept(_named(listed.entries), listed.sweep)
+    if len(entries) > MOST_SCENES:
+        raise SettingsError(f"{len(entries)} scenes: a batch has at most {MOST_SCENES}")
+    twice = [name for name, count in Counter(entry.name for entry in entries).items() if count > 1]
+    if twice:
+        raise SettingsError(f"two scenes of this batch are called {twice[0]}; give them names of their own in a YAML list")
+    return entries
+
+
+def _paths(word: str) -> list[str]:
+    found = sorted(glob.glob(os.path.expanduser(word))) if any(c in word for c in "*?[") else [os.path.expanduser(word)]
+    if not found:
+        raise SettingsError(f"{word}: no file or folder has such a name")
+    return [os.path.abspath(path) for path in found]
+
+
+def _entry(path: str, common: Entry) -> Entry:
+    return replace(common, name="", capture=path)
+
+
+def _read_list(file: Path, common: Entry, listed: _Listed) -> None:
+    import yaml
+
+    try:
+        data = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SettingsError(f"{file}: this is no list of scenes in YAML ({error})") from error
+    if isinstance(data, list):
+        data = {"scenes": data}
+    if not isinstance(data, dict) or not isinstance(data.get("scenes"), list):
+        raise SettingsError(f"{file}: expected a list of captures, or a mapping with a list called scenes")
+    _known(data, {"scenes", "settings", "preset", "sweep"}, str(file))
+    common = _with(common, data, str(file))
+    for k, row in enumerate(data["scenes"]):
+        where = f"{file}: scene {k + 1}"
+        row = {"capture": row} if isinstance(row, str) else row
+        if not isinstance(row, dict) or not isinstance(row.get("capture"), str):
+            raise SettingsError(f"{where}: expected a path, or a mapping with capture")
+        _known(row, {"capture", "name", "settings", "preset", "static", "format"}, where)
+        word = os.path.expanduser(row["capture"])
+        paths = _paths(word if os.path.isabs(word) else str(file.parent / word))
+        if "name" in row and len(paths) > 1:
+            raise SettingsError(f"{where}: {len(paths)} captures cannot share the name {row['name']}")
+        listed.entries += [replace(_with(common, row, where), name=str(row.get("name", "")), capture=path) for path in paths]
+    sweep = data.get("sweep") or {}
+    if not isinstance(sweep, dict) or not all(isinstance(values, list) and values for values in sweep.values()):
+        raise SettingsError(f"{file}: sweep: expected a list of values for each setting")
+    listed.sweep |= {str(key): [_text(value) for value in values] for key, values in sweep.items()}
+
+
+def _known(data: Mapping[str, Any], fields: set[str], where: str) -> None:
+    unknown = sorted(set(map(str, data)) - fields)
+    if unknown:
+        raise SettingsError(f"{where}: unknown field {unknown[0]}; fields: {', '.join(sorted(fields))}")
+
+
+def _with(entry: Entry, data: Mapping[str, Any], where: str) -> Entry:
+    settings = data.get("settings") or {}
+    if not isinstance(settings, dict):
+        raise SettingsError(f"{where}: settings: expected stage.key: value")
+    merged = {**dict(entry.settings), **{str(key): _text(value) for key, value in settings.items()}}
+    preset, static = str(data.get("preset", entry.preset)), bool(data.get("static", entry.static))
+    return replace(entry, settings=tuple(merged.items()), preset=preset, static=static, format=data.get("format", entry.format))
+
+
+def _text(value: Any) -> str:
+    """As ``--set`` takes it."""
+    if isinstance(value, list):
+        return ",".join(map(_text, value))
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _named(entries: list[Entry]) -> list[Entry]:
+    """Scenes without a name get that of the capture, with that of its folder where several are called alike."""
+    names = [entry.name or _safe(Path(entry.capture)) for entry in entries]
+    often = Counter(names)
+    result = []
+    for entry, name in zip(entries, names):
+        if not entry.name and often[name] > 1:
+            name = f"{_safe(Path(entry.capture).parent)}-{name}"
+        result.append(replace(entry, name=name, group=name))
+    return result
+
+
+def _safe(path: Path) -> str:
+    stem = path.stem if path.suffix and not path.is_dir() else path.name
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip("-._")[:60] or "capture"
+
+
+def _swept(entries: list[Entry], sweep: Mapping[str, Sequence[str]]) -> list[Entry]:
+    if not sweep:
+        return entries
+    result = []
+    for entry in entries:
+        for values in itertools.product(*sweep.values()):
+            chosen = dict(zip(sweep, values))
+            tail = ["-".join((key.rsplit(".", 1)[-1], re.sub(r"[^A-Za-z0-9.]+", "-", value))) for key, value in chosen.items()]
+            same = [f"{key}={value}" for key, value in chosen.items() if not key.endswith(".seed")]
+            settings = tuple({**dict(entry.settings), **chosen}.items())
+            result.append(replace(entry, name="-".join([entry.name, *tail]), settings=settings, group=" ".join([entry.group, *same])))
+    return result
