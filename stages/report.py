@@ -23,6 +23,8 @@ FLOW_KINDS = (
     ("edges", "edges"),
     ("moving", "what moves"),
 )
+SPLITS = ("test", "val", "train")
+MEASURED_AS = ("metrics", "colours", "moving")  # of the protocol: sentences, for small print
 VIEWS_OPEN = 6  # the others are folded away
 DATA, MOVIE = "data:image/png;base64,", "data:video/mp4;base64,"
 MOVIES = (("over_time", "held-out views in order of time: ground truth, render"), ("turntable", "a turn about the scene"))
@@ -67,12 +69,12 @@ def render_report(
     attrs, protocol = evaluate.attrs, metrics.get("protocol") or {}
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         scene=scene_name,
-        protocol={key: value for key, value in protocol.items() if key not in ("notes", "metrics")},
-        measured_as=protocol.get("metrics"),
+        protocol={key: value for key, value in protocol.items() if key not in ("notes", *MEASURED_AS)},
+        measured_as=[protocol[key] for key in MEASURED_AS if protocol.get(key)],
         notes=protocol.get("notes") or [],
         headlines=headlines(metrics),
         facts=facts(metrics),
-        views=[v for v in reversed_splits(attrs.get("views", [])) if f"{v['stem']}/render" in pictures],
+        views=[v for v in worst_first(attrs.get("views", [])) if f"{v['stem']}/render" in pictures],
         views_open=VIEWS_OPEN,
         command=command,
         over_time=[(plot.title, Markup(drawn)) for plot in plots_over_time(metrics) if (drawn := svg(plot))],
@@ -110,9 +112,9 @@ def number(value: Any, decimals: int = 2) -> str:
 
 
 def headlines(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Per split, the last measured one first (test before val): its metrics as (title, text, unit, hint)."""
+    """Per split, test first: its metrics as (title, text, unit, hint)."""
     result = []
-    for split, values in reversed(list((metrics.get("splits") or {}).items())):
+    for split, values in in_order(metrics.get("splits") or {}).items():
         tiles = []
         for key, title, unit, decimals in HEADLINES:
             if key in values:
@@ -137,7 +139,7 @@ def facts(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
 def tables(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Per split the columns that hold anything, and a row a view."""
     result = []
-    for split, values in reversed(list((metrics.get("splits") or {}).items())):
+    for split, values in in_order(metrics.get("splits") or {}).items():
         rows = values.get("per_view") or []
         columns = [(key, title, decimals) for key, title, _, decimals in HEADLINES if any(is_number(row.get(key)) for row in rows)]
         if rows:
@@ -169,17 +171,22 @@ def plots(training: Mapping[str, Mapping[str, Any]]) -> list[Plot]:
 def plots_over_time(metrics: Mapping[str, Any]) -> list[Plot]:
     """PSNR of each measured view over its time, for splits with several times."""
     found = []
-    for split, values in reversed(list((metrics.get("splits") or {}).items())):
+    for split, values in in_order(metrics.get("splits") or {}).items():
         points = sorted(numbers([[row.get("time"), row.get("psnr")] for row in values.get("per_view") or []], 1))
         if len({time for time, _ in points}) > 1:
             found.append(Plot(f"PSNR over time, {split}", "time", "dB", [Series(split, points)]))
     return found
 
 
-def reversed_splits(views: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The split that was measured last comes first, the worst views of each come first."""
-    order = list(dict.fromkeys(view["split"] for view in views))[::-1]
+def worst_first(views: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Views of test come first, then those of val; the worst of each come first."""
+    order = list(in_order(dict.fromkeys(view["split"] for view in views)))
     return sorted(views, key=lambda view: (order.index(view["split"]), view["psnr"]))
+
+
+def in_order(splits: Mapping[str, Any]) -> dict[str, Any]:
+    """``splits`` with test first, then val, then train."""
+    return {name: splits[name] for name in sorted(splits, key=lambda name: SPLITS.index(name) if name in SPLITS else len(SPLITS))}
 
 
 def settings_of(flat: Mapping[str, Mapping[str, Any]], evaluate: Artifact) -> dict[str, Mapping[str, Any]]:
