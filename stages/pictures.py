@@ -17,6 +17,9 @@ def read_picture(root: Path, name: str) -> np.ndarray:
     try:
         with Image.open(root / name) as image:
             alpha = "A" in image.getbands() or "transparency" in image.info
+            if image.mode.startswith("I;16"):  # grey of 16 bits, which Pillow would clip to 8
+                grey = np.rint(np.asarray(image, np.float32) / 257).astype(np.uint8)
+                return np.repeat(grey[..., None], 3, axis=2)
             return np.asarray(image.convert("RGBA" if alpha else "RGB"))
     except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
         raise CaptureError(

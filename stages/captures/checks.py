@@ -144,22 +144,28 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float, where: str, skew: flo
 
 
 def resolve_inside(root: Path, name: str, where: str) -> Path:
-    """`root/name` with links resolved; refuses absolute paths, `..` that leaves the capture, and links that lead out of it."""
+    """`root/name` with links resolved; refuses absolute paths and `..` that leaves the capture. Links are followed wherever they lead: a
+    capture is only read, and people link what is too big to copy."""
     normal = posixpath.normpath(name)
     absolute = name.startswith(("/", "~")) or re.match(r"^[A-Za-z]:", name)
     if absolute or normal == ".." or normal.startswith("../") or "\0" in name:
         raise CaptureError(f"{where}: the path {name!r} leaves the capture; use a path relative to {root}")
     try:
-        real = (root / normal).resolve()
+        return (root / normal).resolve()
     except (OSError, RuntimeError, ValueError) as error:
         raise CaptureError(f"{where}: the path {name[:200]!r} cannot be followed ({error}); correct it") from error
-    if not real.is_relative_to(root.resolve()):
-        raise CaptureError(f"{where}: {name!r} is a link that leads out of the capture; copy the file into {root}")
-    return real
 
 
 def find_image(root: Path, name: str, where: str) -> str:
     """Path relative to `root` of the image that `name` means; the extension may be missing, `\\` counts as `/`."""
+    found = seek_image(root, name, where)
+    if found is None:
+        raise CaptureError(f"{where}: no image {name[:200]!r} in {root}; add the file or remove the frame")
+    return found
+
+
+def seek_image(root: Path, name: str, where: str) -> str | None:
+    """As `find_image`, None where there is no such image. Raises CaptureError where the path leaves the capture."""
     name = name.replace("\\", "/")
     resolve_inside(root, name, where)
     normal = posixpath.normpath(name)
@@ -170,9 +176,11 @@ def find_image(root: Path, name: str, where: str) -> str:
         except (OSError, ValueError):
             found = False
         if found:
-            resolve_inside(root, candidate, where)
             return candidate
-    raise CaptureError(f"{where}: no image {name[:200]!r} in {root}; add the file or remove the frame")
+    return None
+
+
+PIXELS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I;16", "I;16B", "I;16L")  # of Pillow, that `read_picture` takes
 
 
 def image_header(root: Path, name: str) -> tuple[int, int, bool]:
@@ -186,8 +194,8 @@ def image_header(root: Path, name: str) -> tuple[int, int, bool]:
             alpha = "A" in image.getbands() or "transparency" in image.info
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{name}: not a readable image ({error}); copy it again or remove it from the capture") from error
-    if mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
-        raise CaptureError(f"{name}: pixels of kind {mode!r} are not supported; convert the images to 8-bit RGB or RGBA")
+    if mode not in PIXELS:
+        raise CaptureError(f"{name}: pixels of kind {mode!r} are not supported; convert the images to RGB or RGBA of 8 or 16 bits")
     return width, height, alpha
 
 

@@ -28,17 +28,18 @@ def read(root: Path, options: Options) -> Reading:
     if detect(root) is None:
         raise CaptureError(f"{root}: no transforms_train.json, which the D-NeRF layout needs; pass its folder or another --format")
     loaded = [(split, file, checks.read_json(root, file)) for split, file in files]
-    entries = [(split, file, data, i, frame) for split, file, data in loaded for i, frame in enumerate(transforms.frames_of(data, file))]
-    paths = [
-        checks.find_image(root, _path(frame, f"{file}: frame {i}"), f"{file}: frame {i}: file_path") for _, file, _, i, frame in entries
-    ]
+    listed = {file: transforms.frames_of(data, file) for _, file, data in loaded}
+    there = {file: transforms.present(root, frames, file) for file, frames in listed.items()}
+    entries = [(split, file, data, i, listed[file][i]) for split, file, data in loaded for i in there[file][0]]
+    paths = [there[file][0][i] for _, file, _, i, _ in entries]
     width, height, alpha = checks.image_headers(root, paths)
 
-    per_file = [transforms.times_of(transforms.frames_of(data, file), file) for _, file, data in loaded]
+    per_file = [transforms.times_of(frames, file) for file, frames in listed.items()]
     if any(t is None for t in per_file) != all(t is None for t in per_file):
         bare = next(file for (_, file, _), t in zip(loaded, per_file, strict=True) if t is None)
         raise CaptureError(f"{bare}: frame 0: time is missing, but the other split files have times; add it, or remove it everywhere")
-    times = [t for found in per_file if found is not None for t in found] or [0.0] * len(entries)
+    times = [found[i] for found, file in zip(per_file, listed, strict=True) if found is not None for i in there[file][0]]
+    times = times or [0.0] * len(entries)
 
     shots = []
     for number, ((split, file, data, i, frame), path, time) in enumerate(zip(entries, paths, times, strict=True)):
@@ -66,11 +67,8 @@ def read(root: Path, options: Options) -> Reading:
         has_split=len(files) > 1,
         fps=None if raw_fps is None else checks.number(raw_fps, f"{files[0][1]}: fps", 1e-3, 1e6),
         sources=tuple(file for _, file in files),
+        notes=tuple(note for _, notes in there.values() for note in notes),
     )
-
-
-def _path(frame: dict[str, object], where: str) -> str:
-    return checks.text(frame.get("file_path"), f"{where}: file_path")
 
 
 def _join_path(shots: list[Shot]) -> bool:

@@ -24,17 +24,12 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{root}: no {_FILE}, which the nerfstudio layout needs; pass its folder or another --format")
     data = checks.read_json(root, _FILE)
     frames = transforms.frames_of(data, _FILE)
-    paths = [
-        checks.find_image(root, checks.text(frame.get("file_path"), f"{_FILE}: frame {i}: file_path"), f"{_FILE}: frame {i}: file_path")
-        for i, frame in enumerate(frames)
-    ]
-    width, height, alpha = checks.image_headers(root, paths)
+    paths, notes = transforms.present(root, frames, _FILE)
+    width, height, alpha = checks.image_headers(root, paths.values())
     times = transforms.times_of(frames, _FILE)
     # Files of this family are often unsorted: frames follow their time, or the natural order of their names.
-    keys: list[Any] = (
-        [checks.natural_key(p) for p in paths] if times is None else [(t, checks.natural_key(p)) for t, p in zip(times, paths)]
-    )
-    order = sorted(range(len(frames)), key=lambda i: keys[i])
+    keys: dict[int, Any] = {i: checks.natural_key(p) if times is None else (times[i], checks.natural_key(p)) for i, p in paths.items()}
+    order = sorted(paths, key=lambda i: keys[i])
     splits = _splits(data, root)
     shots = []
     for rank, i in enumerate(order):
@@ -69,6 +64,7 @@ def read(root: Path, options: Options) -> Reading:
         fps=None if fps is None else checks.number(fps, f"{_FILE}: fps", 1e-3, 1e6),
         fixed_cameras=fixed,
         sources=(_FILE,),
+        notes=notes,
     )
 
 
@@ -83,7 +79,9 @@ def _splits(data: dict[str, Any], root: Path) -> dict[str, int] | None:
             continue
         for i, path in enumerate(checks.items(data[field], f"{_FILE}: {field}")):
             where = f"{_FILE}: {field}[{i}]"
-            file = checks.find_image(root, checks.text(path, where), where)
+            file = checks.seek_image(root, checks.text(path, where), where)
+            if file is None:
+                continue  # `transforms.present` has counted it
             # nerfstudio writes the same list for val and test when there is only one held-out set: it counts as test.
             result[file] = max(split, result.get(file, 0))
     return result

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,26 @@ def frames_of(data: Mapping[str, Any], file: str) -> list[dict[str, Any]]:
         if not isinstance(frame, dict):
             raise CaptureError(f"{file}: frame {i}: expected an object with file_path and transform_matrix; correct the file")
     return frames
+
+
+def present(root: Path, frames: list[dict[str, Any]], file: str) -> tuple[dict[int, str], tuple[str, ...]]:
+    """The image of each frame that has one, by the frame's number, and a note that counts the others: instant-ngp's own captures list
+    frames whose images were taken out for blur. Raises CaptureError where more than half are missing."""
+    found: dict[int, str] = {}
+    gone: list[str] = []
+    for i, frame in enumerate(frames):
+        where = f"{file}: frame {i}: file_path"
+        name = checks.text(frame.get("file_path"), where)
+        path = checks.seek_image(root, name, where)
+        if path is None:
+            gone.append(f"{where}: no image {name[:200]!r}")
+        else:
+            found[i] = path
+    if 2 * len(gone) > len(frames):
+        raise CaptureError(
+            f"{gone[0]} in {root}, and so for {len(gone)} of {len(frames)} frames; add the files, correct the paths or remove the frames"
+        )
+    return found, (f"{len(gone)} of {len(frames)} frames of {file} have no image and are left out; first {gone[0]}",) if gone else ()
 
 
 def times_of(frames: list[dict[str, Any]], file: str) -> list[float] | None:

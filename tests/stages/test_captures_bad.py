@@ -6,7 +6,8 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures import checks, recognise
+from e4dgs.stages.pictures import read_picture
 from PIL import Image
 
 POSE = np.eye(4).tolist()
@@ -88,14 +89,12 @@ def test_bad_pose(tmp_path, case):
 
 
 FIELDS = {
-    "missing image": ({"file_path": "gone.png"}, ("file_path", "gone.png", "add the file or remove the frame")),
     "parent": ({"file_path": "../secret.png"}, ("file_path", "leaves the capture")),
     "hidden parent": ({"file_path": "a/../../secret.png"}, ("file_path", "leaves the capture")),
     "backslash parent": ({"file_path": "..\\secret.png"}, ("file_path", "leaves the capture")),
     "absolute": ({"file_path": "/etc/hostname"}, ("file_path", "leaves the capture")),
     "drive": ({"file_path": "C:/x.png"}, ("file_path", "leaves the capture")),
     "zero byte": ({"file_path": "1\0.png"}, ("file_path", "leaves the capture")),
-    "very long": ({"file_path": "x" * 100_000}, ("file_path", "no image")),
     "no string": ({"file_path": 7}, ("file_path", "expected a non-empty string")),
     "blank": ({"file_path": " "}, ("file_path", "expected a non-empty string")),
     "time NaN": ({"time": float("nan")}, ("time", "finite")),
@@ -141,17 +140,24 @@ def test_bad_json_file(tmp_path, case):
     refused(root, "transforms.json", word)
 
 
-def test_links_may_not_lead_out_of_the_capture(tmp_path):
-    Image.new("RGB", (16, 12)).save(tmp_path / "secret.png")
+def test_links_are_followed_wherever_they_lead(tmp_path):
+    """A capture is only read, and people link what is too big to copy."""
+    Image.new("RGB", (16, 12)).save(tmp_path / "elsewhere.png")
+    root = scene(tmp_path / "s", frames())
+    for target in (tmp_path / "elsewhere.png", "0.png"):
+        (root / "1.png").unlink()
+        (root / "1.png").symlink_to(target)
+        assert recognise(root).facts["frames"] == 3 and not recognise(root).notes
+
+
+def test_frames_without_an_image_are_left_out_and_counted(tmp_path):
     root = scene(tmp_path / "s", frames())
     (root / "1.png").unlink()
-    (root / "1.png").symlink_to(tmp_path / "secret.png")
-    refused(root, "frame 1", "file_path", "leads out of the capture")
-    (root / "transforms.json").unlink()
-    refused(root, "1.png", "leads out of the capture")
-    (root / "1.png").unlink()
-    (root / "1.png").symlink_to("0.png")
-    assert recognise(root).facts["frames"] == 3, "a link inside the capture is fine"
+    capture = recognise(root)
+    assert capture.images == ("0.png", "2.png")
+    assert any("1 of 3 frames of transforms.json have no image" in note and "frame 1" in note for note in capture.notes)
+    (root / "2.png").unlink()
+    refused(root, "frame 1", "2 of 3 frames", "add the files")
 
 
 def test_links_in_a_circle(tmp_path):
@@ -171,8 +177,19 @@ def test_broken_and_unsupported_images(tmp_path):
     root = scene(tmp_path / "s")
     (root / "1.png").write_bytes((root / "1.png").read_bytes()[:20])
     refused(root, "1.png", "not a readable image")
-    Image.fromarray(np.zeros((12, 16), np.uint16)).save(root / "1.png")
-    refused(root, "1.png", "8-bit")
+    Image.fromarray(np.zeros((12, 16), np.float32)).save(root / "1.tif")
+    (root / "1.tif").rename(root / "1.png")
+    refused(root, "1.png", "8 or 16 bits")
+
+
+def test_grey_of_sixteen_bits_and_print_colours_are_read(tmp_path):
+    deep = np.linspace(0, 65535, 12 * 16).reshape(12, 16).round().astype(np.uint16)
+    Image.fromarray(deep).save(tmp_path / "deep.png")
+    assert np.abs(read_picture(tmp_path, "deep.png") - deep[..., None] / 257.0).max() <= 0.5
+    Image.new("CMYK", (16, 12), (255, 0, 0, 0)).save(tmp_path / "print.jpg")
+    assert read_picture(tmp_path, "print.jpg").shape == (12, 16, 3)
+    for name in ("deep.png", "print.jpg"):
+        assert checks.image_header(tmp_path, name)[:2] == (16, 12)
 
 
 def test_the_same_image_twice(tmp_path):
