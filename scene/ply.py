@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,14 +11,14 @@ from ..rasterizer import Convexes, Gaussians
 LEAST_ALPHA = 1 / 255  # below, the rasterizer draws nothing
 
 
-def write_ply(path: Path, gaussians: Gaussians) -> int:
-    """Write those of ``gaussians`` (with sh) that can be seen, and return how many these are.
+def ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
+    """The file of those of ``gaussians`` (with sh) that can be seen, and how many these are.
 
     Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_* (SH by channel, then coefficient),
-    opacity (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit). The file is there only when it is whole.
+    opacity (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit).
     """
     assert gaussians.sh is not None
-    keep = (gaussians.opacities >= LEAST_ALPHA) & torch.isfinite(gaussians.means).all(1)
+    keep = seen_rows(gaussians)
     rows = int(keep.sum())
     sh = gaussians.sh[keep]
     rest = sh[:, 1:].transpose(1, 2).reshape(rows, -1)
@@ -32,13 +29,12 @@ def write_ply(path: Path, gaussians: Gaussians) -> int:
     names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
     table = torch.cat([column.detach().cpu().float() for column in columns], 1).numpy().astype("<f4")
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {rows}", *(f"property float {n}" for n in names), "end_header"]
-    part = path.with_name(f".{path.name}-{os.getpid()}")
-    try:
-        part.write_bytes(("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-    return rows
+    return ("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes(), rows
+
+
+def seen_rows(gaussians: Gaussians) -> Tensor:
+    """[N] bool: what is opaque enough to be drawn, and finite."""
+    return (gaussians.opacities >= LEAST_ALPHA) & torch.isfinite(gaussians.means).all(1)
 
 
 def as_gaussians(convexes: Convexes, spread: float) -> Gaussians:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -14,11 +14,15 @@ from .results import results, trained_stage
 from .session import DEFAULT_WORKSPACE, Options, open_session
 
 MOST_TIMES = 60
+Kind = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]  # of stages.splat_export, which a help page should not import
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/flow in the workspace by default.")]
 Largest = Annotated[float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; chosen by default.")]
+
+Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Files; one for each time, at most 60, by default.")]
+Folder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/ in the workspace by default.")]
 
 
 @app.command()
@@ -75,10 +79,9 @@ def flow(
 @app.command()
 def ply(
     capture: Capture,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/ply by default.")] = None,
-    times: Annotated[
-        int | None, typer.Option("--times", min=1, max=10_000, help="Files; one for each time, at most 60, by default.")
-    ] = None,
+    out: Folder = None,
+    times: Times = None,
+    compressed: Annotated[bool, typer.Option("--compressed", help="The compressed layout of PlayCanvas.")] = False,
     workspace: Workspace = DEFAULT_WORKSPACE,
     preset: Preset = "default",
     set: Set = None,
@@ -89,9 +92,70 @@ def ply(
     debug: Debug = False,
 ) -> None:
     """Numbered .ply files, one for each time, as SuperSplat, Brush and other 3DGS tools read them; convexes become Gaussians."""
+    _splats(
+        "compressed-ply" if compressed else "ply", Options(capture, workspace, preset, set or (), device, name, static, format), out, times
+    )
+
+
+@app.command()
+def spz(
+    capture: Capture,
+    out: Folder = None,
+    times: Times = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Numbered .spz files (Niantic), about a tenth of the size of .ply."""
+    _splats("spz", Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
+
+
+@app.command()
+def sog(
+    capture: Capture,
+    out: Folder = None,
+    times: Times = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Numbered .sog files (PlayCanvas), the smallest for the web."""
+    _splats("sog", Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
+
+
+@app.command()
+def gltf(
+    capture: Capture,
+    out: Folder = None,
+    times: Times = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers."""
+    _splats("gltf", Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
+
+
+def _splats(kind: Kind, options: Options, out: Path | None, times: int | None) -> None:
+    """Gaussians of each time as files of ``kind``, and how far these are from the model."""
     if out is not None and out.exists() and not out.is_dir():
         raise SettingsError(f"--out {out}: this is a file; name a folder")
-    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    session = open_session(options)
     trained = trained_stage(session)
     found = results(session, trained)
     artifact, frames = found[trained], found["frames"]
@@ -99,10 +163,10 @@ def ply(
     folder = out
     if folder is None:
         session.scene.claim()
-        folder = session.scene.folder / "export" / "ply"
+        folder = session.scene.folder / "export" / kind
 
     from ..stages.frameset import FrameSet
-    from ..stages.ply_export import export_ply
+    from ..stages.splat_export import export_splats
     from ..stages.training_artifact import read_model
 
     model = read_model(artifact)
@@ -111,11 +175,11 @@ def ply(
     console = Console()
     try:
         with Progress(moments, "export", console) as bar:
-            done = export_ply(model, seen, folder, moments, bar.advance)
+            done = export_splats(model, seen, folder, moments, kind, bar.advance)
     except OSError as error:
         raise StageError(f"export: {error.filename or folder} cannot be written ({error.strerror or error}); give another --out") from error
     said = f"{moments} files, {done.fewest} to {done.most} Gaussians each"
     if done.convexes:
         said += f"; {done.convexes} convexes became Gaussians: {done.psnr:.1f} dB from the full model"
-    for line in (said, f"ply: {folder}"):
+    for line in (said, f"{kind}: {folder}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -1,13 +1,15 @@
 """PLY files hold what viewers of 3D Gaussian Splatting expect, and what is read back renders as the model does."""
 
-from pathlib import Path
+import json
+import struct
 
 import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
 from e4dgs.scene.fibonacci import fibonacci_sphere
-from e4dgs.scene.ply import LEAST_ALPHA, as_gaussians, joined, write_ply
+from e4dgs.scene.gltf import glb_bytes
+from e4dgs.scene.ply import LEAST_ALPHA, as_gaussians, joined, ply_bytes
 from scipy.spatial.transform import Rotation
 
 
@@ -18,9 +20,9 @@ def gaussians(count: int = 200, degree: int = 2) -> Gaussians:
     return Gaussians(means, 3 * draw(count, 4), scales, torch.sigmoid(draw(count)), sh=0.3 * draw(count, (degree + 1) ** 2, 3))
 
 
-def read(path: Path) -> tuple[list[str], np.ndarray]:
+def read(file: bytes) -> tuple[list[str], np.ndarray]:
     """Names and table [N, columns], by the header alone."""
-    header, body = path.read_bytes().split(b"end_header\n", 1)
+    header, body = file.split(b"end_header\n", 1)
     lines = header.decode().splitlines()
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
     names = [line.split()[2] for line in lines if line.startswith("property float ")]
@@ -29,9 +31,9 @@ def read(path: Path) -> tuple[list[str], np.ndarray]:
     return names, table
 
 
-def as_a_viewer_reads(path: Path) -> Gaussians:
+def as_a_viewer_reads(file: bytes) -> Gaussians:
     """By the layout's definition: SH of a channel lie together, scales are logarithms, opacity a logit."""
-    names, table = read(path)
+    names, table = read(file)
     column = {name: torch.tensor(table[:, k].copy()) for k, name in enumerate(names)}
     of = lambda prefix, n: torch.stack([column[f"{prefix}_{k}"] for k in range(n)], 1)  # noqa: E731
     rest = of("f_rest", sum(name.startswith("f_rest_") for name in names)).reshape(len(table), 3, -1)
@@ -47,30 +49,66 @@ def view(kind: Gaussians, convexes: Convexes | None = None) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_what_is_read_back_renders_the_same(tmp_path, degree):
+def test_what_is_read_back_renders_the_same(degree):
     made = gaussians(degree=degree)
-    assert write_ply(tmp_path / "a.ply", made) == 200
-    back = as_a_viewer_reads(tmp_path / "a.ply")
+    file, rows = ply_bytes(made)
+    assert rows == 200
+    back = as_a_viewer_reads(file)
     np.testing.assert_allclose(back.means, made.means, atol=1e-6)
     error = (view(back) - view(made)).square().mean()
     assert -10 * torch.log10(error.clamp(min=1e-12)) > 60
 
 
-def test_columns_are_those_that_viewers_ask_for(tmp_path):
-    write_ply(tmp_path / "a.ply", gaussians(degree=1))
-    names, table = read(tmp_path / "a.ply")
+def of_glb(file: bytes) -> tuple[dict, dict[str, np.ndarray]]:
+    """JSON and attributes by name, by the definition of binary glTF."""
+    magic, version, size = struct.unpack_from("<4sII", file)
+    length, kind = struct.unpack_from("<II", file, 12)
+    assert (magic, version, size, kind) == (b"glTF", 2, len(file), 0x4E4F534A) and length % 4 == 0
+    content = json.loads(file[20 : 20 + length])
+    binary = file[20 + length + 8 :]
+    assert struct.unpack_from("<II", file, 20 + length) == (content["buffers"][0]["byteLength"], 0x004E4942) and len(binary) % 4 == 0
+    found = {}
+    for name, k in content["meshes"][0]["primitives"][0]["attributes"].items():
+        accessor, width = content["accessors"][k], {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[content["accessors"][k]["type"]]
+        where = content["bufferViews"][accessor["bufferView"]]
+        found[name] = np.frombuffer(binary, "<f4", accessor["count"] * width, where["byteOffset"]).reshape(-1, width)
+    return content, found
+
+
+@pytest.mark.parametrize("degree", [0, 2, 3])
+def test_gltf_that_is_read_back_renders_the_same(degree):
+    made = gaussians(degree=degree)
+    file, rows = glb_bytes(made)
+    content, found = of_glb(file)
+    assert rows == 200 and content["extensionsUsed"] == ["KHR_gaussian_splatting"]
+    primitive = content["meshes"][0]["primitives"][0]
+    assert primitive["mode"] == 0 and primitive["extensions"]["KHR_gaussian_splatting"]["kernel"] == "ellipse"
+    named = {name.removeprefix("KHR_gaussian_splatting:"): torch.tensor(value.copy()) for name, value in found.items()}
+    order = [f"SH_DEGREE_{d}_COEF_{n}" for d in range(degree + 1) for n in range(2 * d + 1)]
+    assert sum(name.startswith("SH_") for name in named) == len(order)
+    sh = torch.stack([named[name] for name in order], 1)
+    quats = named["ROTATION"][:, [3, 0, 1, 2]]
+    back = Gaussians(named["POSITION"], quats, named["SCALE"], named["OPACITY"][:, 0], sh=sh)
+    error = (view(back) - view(made)).square().mean()
+    assert -10 * torch.log10(error.clamp(min=1e-12)) > 60
+    bounds = content["accessors"][0]
+    assert (found["POSITION"].min(0) == np.float32(bounds["min"])).all() and (found["POSITION"].max(0) == np.float32(bounds["max"])).all()
+    assert named["COLOR_0"].min() >= 0 and named["COLOR_0"].max() <= 1
+
+
+def test_columns_are_those_that_viewers_ask_for():
+    names, table = read(ply_bytes(gaussians(degree=1))[0])
     assert names[:9] == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     assert names[9:18] == [f"f_rest_{k}" for k in range(9)]
     assert names[18:] == ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     np.testing.assert_allclose(np.linalg.norm(table[:, -4:], axis=1), 1, atol=1e-6)
-    assert [f.name for f in tmp_path.iterdir()] == ["a.ply"]
 
 
-def test_what_cannot_be_seen_is_left_out_at_the_rasterizer_s_threshold(tmp_path):
+def test_what_cannot_be_seen_is_left_out_at_the_rasterizer_s_threshold():
     made = gaussians(3)
     made.opacities = torch.tensor([LEAST_ALPHA, LEAST_ALPHA - 1e-5, 1.0])
-    assert write_ply(tmp_path / "a.ply", made) == 2
-    assert np.isfinite(read(tmp_path / "a.ply")[1]).all()
+    file, rows = ply_bytes(made)
+    assert rows == 2 and np.isfinite(read(file)[1]).all()
 
 
 def test_a_convex_becomes_a_gaussian_with_its_axes():

@@ -1,19 +1,24 @@
-"""A model as numbered PLY files, and how far these are from it."""
+"""A model as numbered files of Gaussian splats, one for each time, and how far these are from it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
+from ..pipeline import StageError
+from ..pipeline.files import write_atomically
 
 if TYPE_CHECKING:
     from ..rasterizer import Gaussians
     from ..scene.model import Model
     from .frameset import FrameSet
 
+Kind = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]
+KINDS: dict[Kind, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb"}
 SPREADS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of a convex's points: standard deviations of the Gaussian for it, of which the best is taken
 LOOKS = 4  # views that judge
 
@@ -28,11 +33,20 @@ class Exported:
     psnr: float | None
 
 
-def export_ply(model: Model, frames: FrameSet, folder: Path, count: int, advance: Callable[[int], None] = lambda n: None) -> Exported:
-    """``folder/frame0001.ply`` and so on: the Gaussians of ``model`` at ``count`` times from first to last (the middle one, if one)."""
+def export_splats(
+    model: Model, frames: FrameSet, folder: Path, count: int, kind: Kind = "ply", advance: Callable[[int], None] = lambda n: None
+) -> Exported:
+    """``folder/frame0001.ply`` and so on: the Gaussians of ``model`` at ``count`` times from first to last (the middle one, if one).
+
+    kind: of `KINDS`; all but ply lose a little. Each file is there only when it is whole. Raises StageError where ``kind`` needs a package
+    that is not there.
+    """
     import torch
 
-    from ..scene.ply import as_gaussians, joined, write_ply
+    from ..scene.gltf import glb_bytes
+    from ..scene.ply import as_gaussians, joined, ply_bytes
+
+    encode = _encoder(kind)
 
     folder.mkdir(parents=True, exist_ok=True)
     spread, psnr = best_spread(model, frames) if len(model.convexes) else (1.0, None)
@@ -40,9 +54,31 @@ def export_ply(model: Model, frames: FrameSet, folder: Path, count: int, advance
     for k, t in enumerate(np.linspace(0, 1, count) if count > 1 else [0.5]):
         with torch.no_grad():
             gaussians, convexes = model.at(float(t))
-            rows.append(write_ply(folder / f"frame{k + 1:04d}.ply", joined(gaussians, as_gaussians(convexes, spread))))
+            splats = joined(gaussians, as_gaussians(convexes, spread))
+            data, number = glb_bytes(splats) if kind == "gltf" else ply_bytes(splats)
+            write_atomically(folder / f"frame{k + 1:04d}{KINDS[kind]}", encode(data))
+            rows.append(number)
         advance(1)
     return Exported(min(rows), max(rows), len(model.convexes), psnr)
+
+
+def _encoder(kind: Kind) -> Callable[[bytes], bytes]:
+    """From the bytes of a PLY file, or of glTF, to those of ``kind``."""
+    if kind in ("ply", "gltf"):
+        return lambda data: data
+    try:
+        import gaussforge
+    except ImportError as error:
+        raise StageError(f"export {kind} needs the package gaussforge; install it with: pip install 'e4dgs[splats]'") from error
+    forge, suffix = gaussforge.GaussForge(), KINDS[kind].removeprefix(".")
+
+    def convert(data: bytes) -> bytes:
+        converted = forge.convert(data, "ply", suffix)
+        if "data" not in converted:
+            raise StageError(f"export {kind}: {converted.get('error', 'the conversion failed')}")
+        return bytes(converted["data"])
+
+    return convert
 
 
 def best_spread(model: Model, frames: FrameSet) -> tuple[float, float]:

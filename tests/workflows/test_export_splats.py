@@ -1,0 +1,72 @@
+"""`e4dgs export ply` writes a file a time, and says how far the convexes' Gaussians are from the convexes."""
+
+import re
+
+import numpy as np
+import pytest
+from e4dgs.workflows.cli import main
+from scipy.spatial import KDTree
+
+QUICK = ["--set", "coarse.iterations=40", "--set", "hulls.budget=20", "--set", "fine.iterations=10", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def finished(dnerf_capture, tmp_path_factory):
+    workspace = tmp_path_factory.mktemp("ply") / "workspace"
+    assert main(["run", "all", str(dnerf_capture.root), "--workspace", str(workspace), *QUICK]) == 0
+    return ["ply", str(dnerf_capture.root), "--workspace", str(workspace), *QUICK]
+
+
+def test_a_file_for_each_time(finished, tmp_path, capsys):
+    assert main(["export", *finished, "--times", "3", "--out", str(tmp_path / "ply")]) == 0
+    files = sorted((tmp_path / "ply").iterdir())
+    assert [f.name for f in files] == ["frame0001.ply", "frame0002.ply", "frame0003.ply"]
+    assert files[0].read_bytes() != files[2].read_bytes(), "something moves"
+    said = " ".join(capsys.readouterr().out.split())
+    found = re.search(r"(\d+) convexes became Gaussians: ([\d.]+) dB", said)
+    assert found and int(found[1]) > 0 and float(found[2]) > 15
+
+
+def test_without_times_there_is_a_file_for_each_of_the_capture(finished, tmp_path):
+    assert main(["export", *finished, "--out", str(tmp_path)]) == 0
+    assert 1 < len(list(tmp_path.iterdir())) <= 60
+
+
+# The formats for the web round positions: SPZ and SOG to 2e-4 of the scene's size, compressed PLY to 3e-3.
+@pytest.mark.parametrize(
+    ("words", "suffix", "tolerance"),
+    [(["spz"], ".spz", 2e-4), (["sog"], ".sog", 2e-4), (["ply", "--compressed"], ".compressed.ply", 3e-3)],
+)
+def test_compact_formats_hold_the_same_gaussians(finished, tmp_path, words, suffix, tolerance):
+    forge = pytest.importorskip("gaussforge").GaussForge()
+    once = ["--times", "1"]
+    assert main(["export", *finished, *once, "--out", str(tmp_path / "ply")]) == 0
+    assert main(["export", words[0], *finished[1:], *words[1:], *once, "--out", str(tmp_path / "out")]) == 0
+    (file,) = (tmp_path / "out").iterdir()
+    assert file.name == f"frame0001{suffix}"
+    plain = (tmp_path / "ply" / "frame0001.ply").read_bytes()
+    back = forge.convert(file.read_bytes(), suffix[1:], "ply")["data"]
+    ours, theirs = centres(plain), centres(bytes(back))
+    assert len(ours) == len(theirs) and len(file.read_bytes()) < len(plain)
+    distance, _ = KDTree(theirs).query(ours)
+    assert distance.max() <= tolerance * np.ptp(ours, axis=0).max()
+
+
+def centres(file: bytes) -> np.ndarray:
+    header, body = file.split(b"end_header\n", 1)
+    columns = header.count(b"property float")
+    assert header.split(b"property float ")[1].strip() == b"x"
+    return np.frombuffer(body, "<f4").reshape(-1, columns)[:, :3]
+
+
+def test_gltf_is_a_file_for_each_time(finished, tmp_path):
+    assert main(["export", "gltf", *finished[1:], "--times", "2", "--out", str(tmp_path / "glb")]) == 0
+    files = sorted((tmp_path / "glb").iterdir())
+    assert [file.name for file in files] == ["frame0001.glb", "frame0002.glb"]
+    assert all(file.read_bytes()[:4] == b"glTF" for file in files)
+
+
+def test_a_file_as_folder_is_refused(finished, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["export", *finished, "--out", str(tmp_path / "file")]) == 2
+    assert "name a folder" in capsys.readouterr().err
