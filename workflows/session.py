@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..pipeline import Job, SettingsError, Store, build_settings, split_assignment
+from .archive import unpacked
 from .devices import resolve_device
 from .presets import PRESETS
 from .reconstruction import reconstruction
@@ -41,7 +42,7 @@ class Session:
 
 
 def open_session(options: Options) -> Session:
-    """Recognises the capture and writes nothing. Raises SettingsError or CaptureError."""
+    """Recognises the capture; writes nothing, but for what an archive is unpacked to. Raises SettingsError or CaptureError."""
     from ..stages.frames import FramesSettings, recognise_for
 
     graph = reconstruction()
@@ -49,7 +50,7 @@ def open_session(options: Options) -> Session:
     device = resolve_device(options.device)
     frames = settings["frames"]
     assert isinstance(frames, FramesSettings)
-    capture = recognise_for(options.capture, frames)
+    capture = recognise_for(unpacked(options.capture.expanduser(), options.workspace.resolve()), frames)
     path = Path(os.path.abspath(options.capture.expanduser())).resolve()
     scene = find_scene(options.workspace.resolve(), path, capture.name, options.name)
     job = Job(graph, capture, settings, Store(options.workspace.resolve() / "store"), scene.records, device)

@@ -1,0 +1,71 @@
+"""A capture in a .zip file: unpacked once into the workspace, and nothing of it outside."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import tempfile
+import zipfile
+from pathlib import Path, PurePosixPath
+
+from ..pipeline import CaptureError
+from ..pipeline.files import digest_bytes
+
+MOST_FILES = 200_000
+MOST_TIMES_LARGER = 200  # than the archive; pictures and videos hardly shrink, so more is a bomb
+SLACK = 100_000_000  # bytes that any archive may unpack to
+
+
+def unpacked(capture: Path, workspace: Path) -> Path:
+    """``capture`` itself, or the folder ``<workspace>/unpacked/<key>/`` where it is a .zip file. What is there is taken as it is: the key
+    changes with the file's path, size and time of change. A folder that holds all the rest counts as the capture.
+
+    Raises CaptureError where the file is no archive, is damaged, or holds what leads out of its folder.
+    """
+    if capture.suffix.lower() != ".zip" or not capture.is_file():
+        return capture
+    found = capture.resolve().stat()
+    key = digest_bytes(f"{capture.resolve()} {found.st_size} {found.st_mtime_ns}".encode())[:16]
+    folder = workspace / "unpacked" / key
+    if not folder.is_dir():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".{key}-", dir=folder.parent))
+        try:
+            _unpack(capture, part / capture.stem)
+            try:
+                os.rename(part, folder)
+            except OSError:
+                if not folder.is_dir():  # else another run was faster
+                    raise
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+    root = folder / capture.stem
+    while len(inside := [entry for entry in root.iterdir() if entry.name != "__MACOSX"]) == 1 and inside[0].is_dir():
+        root = inside[0]
+    return inside[0] if len(inside) == 1 else root
+
+
+def _unpack(file: Path, folder: Path) -> None:
+    folder.mkdir()
+    try:
+        with zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if len(members) > MOST_FILES or total > MOST_TIMES_LARGER * file.stat().st_size + SLACK:
+                raise CaptureError(f"{file}: {len(members)} files of {total / 1e9:.1f} GB are more than a capture; unpack it yourself")
+            for member in members:
+                _refuse(file, member)
+                archive.extract(member, folder)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
+        raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again without a password") from error
+    except OSError as error:
+        raise CaptureError(f"{file}: {error.filename or folder} cannot be written ({error.strerror or error})") from error
+
+
+def _refuse(file: Path, member: zipfile.ZipInfo) -> None:
+    name = PurePosixPath(member.filename.replace("\\", "/"))
+    if name.is_absolute() or ".." in name.parts or ":" in member.filename:
+        raise CaptureError(f"{file}: {member.filename!r} leads out of the archive's folder; pack it again with relative paths")
+    if stat.S_ISLNK(member.external_attr >> 16):
+        raise CaptureError(f"{file}: {member.filename!r} is a link; pack the file that it leads to")
