@@ -6,7 +6,7 @@ artifact, so memory stays bounded. Arrays and attrs: docs/artifacts.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -120,7 +120,7 @@ def _check(capture: Capture, ctx: Context) -> None:
     """Decode every picture and mask once, so that a file that is cut short is found now and not hours later in training."""
     from .pictures import read_mask, read_picture
 
-    jobs = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
+    jobs: list[tuple[str, Callable[..., Any]]] = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
     jobs += [(name, read_mask) for name in dict.fromkeys(m for m in capture.masks or () if m)]
 
     def decode(job: tuple[str, Any]) -> str:

@@ -73,7 +73,7 @@ class FrameSet:
         if self._images is not None:
             return np.asarray(self._images[i])
         assert self.files is not None
-        picture = pictures.resize(pictures.read_picture(self.root, self.files[i]), self.width, self.height)
+        picture = pictures.resize(pictures.read_picture(self.root, self.files[i], bool(self.attrs.get("upright"))), self.width, self.height)
         if self.alpha and picture.shape[2] == 3:
             picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
         return picture

@@ -10,12 +10,14 @@ import numpy as np
 from ..pipeline import CaptureError
 
 
-def read_picture(root: Path, name: str) -> np.ndarray:
-    """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (EXIF orientation is not applied, as in COLMAP)."""
-    from PIL import Image
+def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
+    """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it). upright: turned as its EXIF data ask
+    for."""
+    from PIL import Image, ImageOps
 
     try:
-        with Image.open(root / name) as image:
+        with Image.open(root / name) as stored:
+            image = ImageOps.exif_transpose(stored) if upright else stored
             alpha = "A" in image.getbands() or "transparency" in image.info
             if image.mode.startswith("I;16"):  # grey of 16 bits, which Pillow would clip to 8
                 grey = np.rint(np.asarray(image, np.float32) / 257).astype(np.uint8)

@@ -78,6 +78,7 @@ class Reading:
     point_colors: np.ndarray | None = None
     K_hint: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    upright: bool = False  # pictures are turned as their EXIF data ask for
 
 
 @dataclass(frozen=True)
@@ -158,6 +159,8 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         "splits": {name: int((split == i).sum()) for i, name in enumerate(SPLITS)},
         "images_in_files": not reading.videos,
     }
+    if reading.upright:
+        facts["upright"] = True
     images = None if reading.videos else tuple(str(s.file) for s in shots)
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
     for mask in dict.fromkeys(m for m in masks or () if m):

@@ -180,16 +180,19 @@ def seek_image(root: Path, name: str, where: str) -> str | None:
     return None
 
 
+ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # the EXIF field, and its values for a quarter turn
 PIXELS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I;16", "I;16B", "I;16L")  # of Pillow, that `read_picture` takes
 
 
-def image_header(root: Path, name: str) -> tuple[int, int, bool]:
-    """(width, height, has alpha) from the header of one image; nothing is decoded."""
+def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int, bool]:
+    """(width, height, has alpha) from the header of one image; nothing is decoded. upright: after the turn that its EXIF data ask for."""
     from PIL import Image
 
     try:
         with Image.open(root / name) as image:
             width, height = image.size
+            if upright and image.getexif().get(ORIENTATION) in LYING:
+                width, height = height, width
             mode = image.mode
             alpha = "A" in image.getbands() or "transparency" in image.info
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
@@ -199,12 +202,26 @@ def image_header(root: Path, name: str) -> tuple[int, int, bool]:
     return width, height, alpha
 
 
-def image_headers(root: Path, names: Iterable[str]) -> tuple[int, int, bool]:
-    """(width, height, any alpha) of all `names`; one size is required."""
+def turned(root: Path, names: Iterable[str]) -> bool:
+    """Whether the EXIF data of any image ask for a turn, as those of a phone that was held upright do."""
+    from PIL import Image
+
+    for name in names:
+        try:
+            with Image.open(root / name) as image:
+                if image.getexif().get(ORIENTATION, 1) in range(2, 9):
+                    return True
+        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+            continue  # `image_header` says what is wrong with it
+    return False
+
+
+def image_headers(root: Path, names: Iterable[str], upright: bool = False) -> tuple[int, int, bool]:
+    """(width, height, any alpha) of all `names`; one size is required. upright: see `image_header`."""
     first: tuple[str, int, int] | None = None
     any_alpha = False
     for name in names:
-        width, height, alpha = image_header(root, name)
+        width, height, alpha = image_header(root, name, upright)
         any_alpha |= alpha
         if first is None:
             first = (name, width, height)

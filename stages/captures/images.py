@@ -32,7 +32,8 @@ def read(root: Path, options: Options) -> Reading:
         checks.resolve_inside(root, name, name)
     taken = video.choose(len(found), options, None)
     paths = [found[i] for i in taken]
-    width, height, alpha = checks.image_headers(root, paths)
+    upright = checks.turned(root, paths)  # where poses come with the files, they are those of the pictures as stored
+    width, height, alpha = checks.image_headers(root, paths, upright)
     hint = _hint(root, prefix + _HINT, width, height)
     # A strip of zeros and a set of photos look alike; only --static says that nothing moves.
     return Reading(
@@ -43,6 +44,7 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         sources=(prefix + _HINT,) if hint is not None else (),
         K_hint=hint,
+        upright=upright,
         notes=(f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if 1 < len(taken) < len(found) else (),
     )
 

@@ -339,3 +339,21 @@ def test_colmap(colmap_capture, tmp_path):
     for part in ("cameras", "images"):
         (root / f"sparse/0/{part}.bin").write_bytes(b"\x05\0\0\0\0\0\0\0\x01")
     refused(root, "sparse/0", "cut short")
+
+
+def test_photos_of_a_phone_are_turned_upright(tmp_path):
+    """Stored lying, as EXIF says; poses that come with the files are those of the pictures as stored."""
+    lying = np.zeros((12, 16, 3), np.uint8)
+    lying[:, :8, 0] = 255  # red at what is the top once it stands
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    for i in range(2):
+        Image.fromarray(lying).save(tmp_path / f"{i}.png", exif=exif)
+    capture = recognise(tmp_path)
+    assert (capture.facts["width"], capture.facts["height"]) == (12, 16) and capture.facts["upright"]
+    picture = read_picture(tmp_path, "0.png", upright=True)
+    assert picture.shape == (16, 12, 3) and (picture[:8, :, 0] == 255).all() and not picture[8:].any()
+    assert read_picture(tmp_path, "0.png").shape == (12, 16, 3)
+    posed = scene(tmp_path / "posed", frames())
+    Image.fromarray(lying).save(posed / "1.png", exif=exif)
+    assert recognise(posed).facts["width"] == 16 and "upright" not in recognise(posed).facts
