@@ -20,11 +20,12 @@ FLOOR = 1e-4  # of unit: a spread below it is none, and its square root has a gr
 
 
 def with_depth(camera: Camera, gaussians: Gaussians, convexes: Convexes, unit: float) -> tuple[Gaussians, Convexes]:
-    """Both kinds with two extras: z of their centres in units of ``unit``, from the mean of the Gaussians, and its square."""
+    """Both kinds with two extras: z in units of ``unit``, from the mean of the Gaussians, and its square; of a Gaussian at its centre, of a
+    convex as means over its points: what sticks out behind an opaque front shows in no training view, but in others."""
     pose = camera.cam_from_world.to(gaussians.means)
-    depths = [centres @ pose[2, :3] + pose[2, 3] for centres in (gaussians.means, convexes.points.mean(1))]
+    depths = [points @ pose[2, :3] + pose[2, 3] for points in (gaussians.means[:, None], convexes.points)]
     origin = depths[0].detach().mean() if len(depths[0]) else 0.0
-    extras = [torch.stack([z, z.square()], 1) for z in ((depth - origin) / unit for depth in depths)]
+    extras = [torch.stack([z.mean(1), z.square().mean(1)], 1) for z in ((depth - origin) / unit for depth in depths)]
     return replace(gaussians, extras=extras[0]), replace(convexes, extras=extras[1])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -29,6 +30,7 @@ class Recipe:
     steady: bool = False
     opens: bool = True
     hidden_at: tuple[float, ...] = ()
+    largest_convex: float = math.inf
 
 
 PLANES = Recipe()
@@ -43,6 +45,7 @@ NODES = Recipe(
     still=0.0,
     spread=0.3,
     steady=True,
+    largest_convex=0.03,
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )
 FREE = Recipe(still=0.0, freeze_at=2.0, opens=False)

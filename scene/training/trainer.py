@@ -26,7 +26,7 @@ from ..settings import TrainingSettings
 from ..views import Views
 from .checkpoint import load_checkpoint, restore, save_checkpoint
 from .curriculum import Curriculum
-from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
+from .density import choose_to_split, keep_small, measure_responsibility, split_along_longest_axis, survivors
 from .dynamics import freeze_still_gaussians
 from .guard import NonFiniteGuard
 from .hidden import seen_share
@@ -202,6 +202,8 @@ class Trainer:
             leave_only_bodies(model, parameters)
         if self.guard.accepts(loss.detach(), parameters, self.iteration, i):
             self.optimiser.step(self.iteration / max(self.total, 1), self._frozen(phase, step))
+            if len(model.convexes) and self.recipe.largest_convex < math.inf:
+                keep_small(model.convexes, self.recipe.largest_convex * self.unit)
         else:
             self.optimiser.zero_grad()
             self._event(f"step {self.iteration}: not finite, rolled back")

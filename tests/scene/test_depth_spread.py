@@ -12,7 +12,7 @@ CAMERA = Camera(torch.tensor([[40.0, 0, 16], [0, 40.0, 12], [0, 0, 1]]), torch.e
 def layers(depths: list[float], opacities: list[float]) -> Gaussians:
     """Discs before the camera that fill its picture, faced to it."""
     n = len(depths)
-    means = torch.tensor([[0.0, 0.0, z] for z in depths])
+    means = torch.tensor([[0.0, 0.0, z] for z in depths]).reshape(n, 3)
     quats = torch.tensor([[1.0, 0, 0, 0]]).expand(n, 4).contiguous()
     scales = torch.tensor([[20.0, 20.0, 1e-3]]).expand(n, 3).contiguous()
     return Gaussians(means, quats, scales, torch.tensor(opacities), colors=torch.zeros(n, 3))
@@ -45,11 +45,19 @@ def test_what_is_hidden_does_not_count():
     assert float(spread_of(layers([5.0, 9.0], [0.999, 0.9]))) < 0.25 * float(spread_of(layers([5.0, 9.0], [0.5, 0.9])))
 
 
-def test_a_convex_counts_by_its_centre():
-    corners = torch.tensor([[x, y, z] for x in (-9.0, 9.0) for y in (-9.0, 9.0) for z in (6.9, 7.1)])[None]
-    convex = Convexes(corners, torch.tensor([50.0]), torch.tensor([50.0]), torch.tensor([0.9]), colors=torch.zeros(1, 3))
-    two = float(spread_of(layers([5.0], [0.5]), convex))
-    assert two == pytest.approx(float(spread_of(layers([5.0, 7.0], [0.5, 0.9]))), rel=0.05)
+def box(near: float, far: float) -> Convexes:
+    corners = torch.tensor([[x, y, z] for x in (-9.0, 9.0) for y in (-9.0, 9.0) for z in (near, far)])[None]
+    return Convexes(corners, torch.tensor([50.0]), torch.tensor([50.0]), torch.tensor([0.9]), colors=torch.zeros(1, 3))
+
+
+def test_a_thin_convex_counts_as_a_surface():
+    two = float(spread_of(layers([5.0], [0.5]), box(6.99, 7.01)))
+    assert two == pytest.approx(float(spread_of(layers([5.0, 7.0], [0.5, 0.9]))), rel=0.03)
+
+
+def test_a_thick_convex_is_spread_by_itself():
+    alone = float(spread_of(layers([], []), box(6.0, 8.0)))
+    assert alone == pytest.approx(1.0 / UNIT * 0.9**0.5, rel=0.03), "half its thickness"
 
 
 def test_its_gradient_is_that_of_central_differences():

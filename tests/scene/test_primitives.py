@@ -6,7 +6,7 @@ import torch
 from e4dgs.scene.fibonacci import fibonacci_hulls, fibonacci_sphere, neighbour_radius
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
-from e4dgs.scene.training.density import choose_to_split, split_along_longest_axis, survivors
+from e4dgs.scene.training.density import choose_to_split, keep_small, split_along_longest_axis, survivors
 from e4dgs.scene.training.optimiser import RowAdam
 from e4dgs.scene.training.rates import exponential
 
@@ -135,3 +135,12 @@ def test_exponential_rate_hits_both_ends():
     rate = exponential(1e-2, 1e-4)
     assert rate(0) == pytest.approx(1e-2) and rate(1) == pytest.approx(1e-4) and rate(0.5) == pytest.approx(1e-3)
     assert rate(2.0) == pytest.approx(1e-4)
+
+
+def test_convexes_shrink_about_their_centroids_and_only_those_that_are_too_large():
+    corners = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+    hulls = np.stack([(0.2 * corners + 3).numpy(), (0.1 * corners).numpy(), (0.1001 * corners).numpy()]).astype(np.float32)
+    convexes = ConvexSet.from_hulls(hulls, np.zeros((3, 3), np.float32), 0)
+    keep_small(convexes, 0.1)
+    np.testing.assert_allclose(convexes.points.detach(), np.stack([0.1 * corners + 3, 0.1 * corners, 0.1 * corners]), atol=1e-6)
+    assert convexes.points.requires_grad and convexes.points.is_leaf
