@@ -3,7 +3,6 @@
 import csv
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -196,7 +195,7 @@ def test_a_batch_that_is_interrupted_ends_its_stages_and_goes_on_later(dnerf_cap
     while not (ledger.exists() and ledger.progress(dnerf_capture.root.name).stage == "coarse"):
         assert time.monotonic() < until
         time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
+    process.terminate()  # as Ctrl-C does, which a shell's background jobs do not hear
     assert process.wait(timeout=40) == 130
     assert ledger.progress(dnerf_capture.root.name).state == "waiting"
     running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
