@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -151,6 +152,17 @@ def test_the_same_batch_again_runs_nothing_that_is_done(finished):
     logs = {file: file.read_bytes() for file in (folder / "work" / "batches" / "pair" / "logs").iterdir()}
     assert main(words) == 1
     assert {file: file.read_bytes() for file in logs} == logs
+
+
+def test_a_scene_whose_results_are_gone_is_run_again(finished):
+    """ "done" in a file is believed only as long as the store says so, too."""
+    _, folder, words = finished
+    log = Ledger(folder / "work", "pair").log(read(folder / "work" / "batches" / "pair")[0]["scene"])
+    before = log.read_text()
+    shutil.rmtree(folder / "work" / "store" / "evaluate")
+    assert main(words) == 1
+    assert log.read_text().startswith(before) and log.read_text() != before
+    assert read(folder / "work" / "batches" / "pair")[0]["state"] == "done"
 
 
 def test_a_scene_with_other_settings_is_run_again(finished, dnerf_capture):

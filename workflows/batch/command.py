@@ -13,8 +13,9 @@ from ...pipeline import SettingsError
 from ..options import Debug, Device, Format, Preset, Set, Static, Workspace
 from ..session import DEFAULT_WORKSPACE
 from .board import table, watch
-from .ledger import Ledger, batches
+from .ledger import Ledger, Progress, batches
 from .listing import Entry, entries_of
+from .work import is_current
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -48,6 +49,9 @@ def batch(
 
         cluster = read_cluster(Path(executor))
     ledger = Ledger.create(workspace.resolve(), name, entries)
+    for entry in entries:
+        if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
+            ledger.write(entry.name, Progress())
     console = Console()
     if emit is not None:
         from .slurm import emit as write_scripts

@@ -80,6 +80,15 @@ def run_part(
     return True
 
 
+def is_current(ledger: Ledger, entry: Entry) -> bool:
+    """Whether the store still has every result of a scene, as its capture and this version of e4dgs would make them."""
+    try:
+        rows = make_plan(open_session(entry.options(ledger.workspace)).job)
+    except PipelineError:
+        return False
+    return bool(ledger.metrics(entry.name)) and all(row.state != "run" for row in rows)
+
+
 def _stages(job: Job, part: str) -> list[str]:
     """Targets of `e4dgs run`, one after the other: stages of ``part`` that are not in the store. The last part ends with "all", which
     measures and draws the report."""
