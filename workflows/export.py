@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -13,8 +14,10 @@ from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, 
 from .results import results, trained_stage
 from .session import DEFAULT_WORKSPACE, Options, open_session
 
+if TYPE_CHECKING:
+    from ..stages.splat_export import Kind
+
 MOST_TIMES = 60
-Kind = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]  # of stages.splat_export, which a help page should not import
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
@@ -97,58 +100,30 @@ def ply(
     )
 
 
-@app.command()
-def spz(
-    capture: Capture,
-    out: Folder = None,
-    times: Times = None,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
-) -> None:
-    """Numbered .spz files (Niantic), about a tenth of the size of .ply."""
-    _splats("spz", Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
+def _command(kind: Kind) -> Callable[..., None]:
+    """A command that takes the options of the run and writes files of ``kind``."""
+
+    def command(
+        capture: Capture,
+        out: Folder = None,
+        times: Times = None,
+        workspace: Workspace = DEFAULT_WORKSPACE,
+        preset: Preset = "default",
+        set: Set = None,
+        device: Device = "auto",
+        name: Name = None,
+        static: Static = False,
+        format: Format = None,
+        debug: Debug = False,
+    ) -> None:
+        _splats(kind, Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
+
+    return command
 
 
-@app.command()
-def sog(
-    capture: Capture,
-    out: Folder = None,
-    times: Times = None,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
-) -> None:
-    """Numbered .sog files (PlayCanvas), the smallest for the web."""
-    _splats("sog", Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
-
-
-@app.command()
-def gltf(
-    capture: Capture,
-    out: Folder = None,
-    times: Times = None,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
-) -> None:
-    """Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers."""
-    _splats("gltf", Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
+app.command("spz", help="Numbered .spz files (Niantic), about a tenth of the size of .ply.")(_command("spz"))
+app.command("sog", help="Numbered .sog files (PlayCanvas), for the web.")(_command("sog"))
+app.command("gltf", help="Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers.")(_command("gltf"))
 
 
 def _splats(kind: Kind, options: Options, out: Path | None, times: int | None) -> None:

@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Camera, Gaussians, rasterize
+from ...rasterizer.reference.gaussians import DILATION
 from ..model import Model, inside_image
 from ..rotation import quats_to_matrices
 from ..views import Views
 
-DILATION = 0.3  # px^2, what the rasterizer adds to a footprint
 LEAST = 0.05  # px: of a smaller footprint nothing is said
 
 
