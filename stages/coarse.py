@@ -44,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 9  # 9: what is hidden goes, depth is drawn together
+    version = 10  # 10: before one moving camera, what moves stands on the floor and has a thickness
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True

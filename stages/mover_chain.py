@@ -34,13 +34,17 @@ class Chain:
         pairs = {(int(a), int(b)): p for p, (a, b) in enumerate(flow.read("pair"))}
         self._pair = [pairs.get((a, b)) for a, b in pairwise(frames)]
         self._flow, self._frames = flow, frames
-        self._height, self._width = flow.array("movers").shape[1:]
+        self.height, self.width = flow.array("movers").shape[1:]
         self._step = lru_cache(maxsize=KEPT)(self._read_step)
         self._small_mask = lru_cache(maxsize=KEPT)(self._read_small_mask)
 
     def mask(self, k: int) -> np.ndarray:
         """bool [H, W]: what moves in frame ``k`` of the sequence."""
         return np.asarray(self._flow.array("movers")[self._frames[k]]) > 127
+
+    def small_mask(self, k: int) -> np.ndarray:
+        """`mask` at `SIZE` px: bool [h, w]."""
+        return self._small_mask(k) > 127
 
     def follow(self, start: int, begin: np.ndarray, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Where pixels ``begin`` [n, 2] of frame ``start`` are in each frame, [F, n, 2] px, and how long they can be followed, [F, n]; for
@@ -97,7 +101,7 @@ class Chain:
         import cv2
 
         small_height, small_width = values.shape[:2]
-        x = (places[:, :1] + 0.5) * np.float32(small_width / self._width) - 0.5
-        y = (places[:, 1:] + 0.5) * np.float32(small_height / self._height) - 0.5
+        x = (places[:, :1] + 0.5) * np.float32(small_width / self.width) - 0.5
+        y = (places[:, 1:] + 0.5) * np.float32(small_height / self.height) - 0.5
         border = {"borderMode": cv2.BORDER_REPLICATE} if outside is None else {"borderMode": cv2.BORDER_CONSTANT, "borderValue": outside}
         return cv2.remap(values, x, y, cv2.INTER_LINEAR, **border)[:, 0]

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from .mover_chain import Chain
-from .mover_depths import component_depths, depth_at, steady
+from .mover_depths import depth_at, object_depths, steady
+from .mover_objects import follow_objects
 from .scene_flow import next_positions
 from .sequences import camera_sequences
 
@@ -91,9 +92,10 @@ def camera_seeds(
     cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
     for frames in cameras:
         chain = Chain(flow, frames)
-        depths = [component_depths(chain.mask(k), views, i, still) for k, i in enumerate(frames)]
+        objects = follow_objects(chain, len(frames))
+        depths = object_depths(objects, views, frames, still)
         advance(len(frames))
-        known = [float(np.median(values[values > 0])) for _, values in depths if (values > 0).any()]
+        known = [float(np.median(values[values > 0])) for values in depths if (values > 0).any()]
         if not known:
             continue
         usual = float(np.median(known))
@@ -106,8 +108,10 @@ def camera_seeds(
             if not len(begin):
                 continue
             places, alive = chain.follow(k, begin, AROUND)
-            z = np.stack([depth_at(depths[j], places[j], usual) for j in range(len(frames))])
             near = [j for j in range(k - AROUND, k + AROUND + 1) if 0 <= j < len(frames)]
+            z = np.zeros(alive.shape, np.float32)
+            for j in near:
+                z[j] = depth_at(objects, depths[j], views.K[frames[j]], j, places[j], usual)
             z = steady(z, alive)
             where = np.stack([lift(views, frames[j], places[j], z[j]) for j in near])
             number = views.time[[frames[j] for j in near]] * (len(np.unique(views.time)) - 1)

@@ -1,21 +1,10 @@
-"""Flow chained from frame to frame, and how far away what moves is taken to be."""
+"""Flow chained from frame to frame."""
 
 import numpy as np
 import pytest
 from e4dgs.stages import mover_chain
 from e4dgs.stages.mover_chain import Chain
-from e4dgs.stages.mover_depths import BEFORE, FEWEST, component_depths
-from moving_square import FRAMES, HEIGHT, WIDTH, flow_of, left_edge, views
-
-
-@pytest.mark.parametrize(("hidden", "known"), [(FEWEST, True), (FEWEST - 1, False)])
-def test_a_depth_needs_a_few_hidden_points(hidden, known):
-    mask = np.zeros((HEIGHT, WIDTH), bool)
-    mask[20:60, 60:100] = True
-    points = np.tile([[0.0, -0.1, 5.0]], (hidden, 1))
-    labels, depths = component_depths(mask, views(), 0, np.concatenate([points, [[3.0, 0, 2.0], [0, 0, -5.0]]]))
-    assert labels[40, 80] == 1 and depths[0] == 0
-    assert depths[1] == pytest.approx(BEFORE * 5.0 if known else 0.0)
+from moving_square import FRAMES, WIDTH, flow_of, left_edge
 
 
 @pytest.mark.parametrize("size", [480, WIDTH // 2])

@@ -41,6 +41,7 @@ SUITES: dict[str, list[Row]] = {
     ],
     "step": [
         _row("step", "step", "a whole training step on 30,000 Gaussians against the same step composed of torch operations"),
+        _row("step", "motions", "a step on control nodes; with a rig as --capture, one on a rig, and what it saves that most stands still"),
         _row("step", "split", "where the time of our step goes"),
     ],
 }

@@ -58,9 +58,9 @@ def views_of(bench: Bench) -> tuple[Views, list[np.ndarray] | None, str]:
     return views, masks, session.job.capture.name
 
 
-def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None) -> Model:
+def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None, count: int = COUNT) -> Model:
     """Gaussians strewn over the capture's objects, half of them nearly opaque, all of them moving; a field that has learned something."""
-    count = bench.count(COUNT, 200)
+    count = bench.count(count, 200)
     settings = TrainingSettings.model_validate({})
     if masks is not None:
         chosen = np.arange(len(views.train))[:: max(1, len(views.train) // 40)]
