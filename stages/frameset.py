@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..pipeline import Artifact
-from . import pictures
+from . import lenses, pictures
 
 _MAPS_KEPT = 4  # undistortion maps take 8 bytes a pixel; one camera needs one
 
@@ -20,7 +20,7 @@ class FrameSet:
     cam_from_world, distortion, points replace the capture's.
 
     camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 where none); K [F,3,3] float64 px and
-    cam_from_world [F,4,4] float64 (OpenCV), None without poses; distortion [F,4]; registered [F] bool; points [P,3] float64 and
+    cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
     Pictures may be read from several threads at once; nothing is cached here.
@@ -46,7 +46,9 @@ class FrameSet:
         posed = "cam_from_world" in source
         self.K = source.read("K") if posed else None
         self.cam_from_world = source.read("cam_from_world") if posed else None
-        self.distortion = source.read("distortion") if posed else np.zeros((len(self), 4))
+        self._distortion = source.read("distortion") if posed else np.zeros((len(self), 4))
+        self._lens_K = source.read("lens_K") if "lens_K" in source else self.K
+        self._fisheye = source.read("fisheye") if "fisheye" in source else np.zeros(len(self), np.uint8)
         self.points = source.read("points") if "points" in source else None
         self.point_colors = source.read("point_colors") if "point_colors" in source else None
         if self.K is None or self.cam_from_world is None:
@@ -93,13 +95,14 @@ class FrameSet:
 
     def _undistortion(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Maps for `pictures.undistort`; None for frames without distortion or without a pose."""
-        if self.K is None or not self.registered[i] or not self.distortion[i].any():
+        if self.K is None or self._lens_K is None or not self.registered[i] or not (self._distortion[i].any() or self._fisheye[i]):
             return None
-        key = self.K[i].tobytes() + self.distortion[i].tobytes()
+        lens_K, terms, fisheye = self._lens_K[i], self._distortion[i], bool(self._fisheye[i])
+        key = self.K[i].tobytes() + lens_K.tobytes() + terms.tobytes() + bytes([fisheye])
         with self._lock:
             maps = self._maps.get(key)
         if maps is None:
-            maps = pictures.undistort_maps(self.K[i], self.distortion[i], self.width, self.height)
+            maps = lenses.undistort_maps(self.K[i], terms, self.width, self.height, lens_K, fisheye)
             with self._lock:
                 if len(self._maps) >= _MAPS_KEPT:
                     self._maps.pop(next(iter(self._maps)))

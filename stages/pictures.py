@@ -49,16 +49,6 @@ def resize(picture: np.ndarray, width: int, height: int) -> np.ndarray:
     return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=cv2.INTER_AREA))
 
 
-def undistort_maps(K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of the pinhole image (same K) lies in the distorted one, for `undistort`. K has pixel centres at +0.5."""
-    import cv2
-
-    # OpenCV counts pixel centres from 0.
-    matrix = np.asarray(K, np.float64) - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    x, y = cv2.initUndistortRectifyMap(matrix, np.asarray(distortion, np.float64), None, matrix, (width, height), cv2.CV_32FC1)  # type: ignore[call-overload]
-    return x, y
-
-
 def undistort(picture: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """`picture` resampled (bicubic) to the pinhole image; beyond the source's border its edge pixels continue."""
     import cv2

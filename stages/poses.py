@@ -42,7 +42,7 @@ class Poses(Stage):
     """Intrinsics and a pose for every frame that registers, sparse points, and a report of what did not register and why."""
 
     name = "poses"
-    version = 3
+    version = 4  # 4: no pixel of an undistorted picture is without data
     inputs = ("frames",)
     settings = PosesSettings
     reads_capture = True
@@ -176,6 +176,7 @@ def _link(source: Path, target: Path) -> None:
 def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage) -> None:
     import numpy as np
 
+    from .lenses import pinholes
     from .sfm.world import POINT_ERROR, keep_points, normalise
 
     registered = arrays["registered"]
@@ -189,8 +190,16 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
     K[:, 1] *= size[:, 1:]
     cam_from_world[registered], points = normalise(cam_from_world[registered], arrays["points"][keep])
 
+    lens_K = K
+    K, kept = pinholes(lens_K, arrays["distortion"], None, frames.width, frames.height)
+    if not kept.all():
+        raise StageError(
+            f"{frames.names[int(kept.argmin())]}: the lens that was fitted folds the picture over; try another poses.camera_model"
+        )
     out = ctx.out
-    out.write("K", K, unit="px", doc="intrinsics, pixel centres at +0.5; NaN where not registered")
+    out.write("K", K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5; NaN where not registered")
+    if not np.array_equal(K, lens_K, equal_nan=True):
+        out.write("lens_K", lens_K, unit="px", doc="intrinsics of the pictures as the lens made them; NaN where not registered")
     out.write("cam_from_world", cam_from_world, unit="world", doc="OpenCV pose of the camera; NaN where not registered")
     out.write("distortion", arrays["distortion"], doc="k1 k2 p1 p2")
     out.write("registered", registered, doc="the frame has a pose")

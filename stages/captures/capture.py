@@ -48,6 +48,7 @@ class Shot:
     K: np.ndarray | None = None
     cam_from_world: np.ndarray | None = None
     distortion: np.ndarray | None = None
+    fisheye: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,8 @@ class Capture:
     """A recognised capture. F frames in a fixed order that every stage uses.
 
     `files` are the paths, relative to `root`, whose content decides the result (the digest of the capture); `facts` is the
-    mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`).
+    mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`); K is that of the
+    pictures as the lens made them (`captures/lens.py` has the meaning of distortion and fisheye).
     """
 
     root: Path
@@ -106,6 +108,7 @@ class Capture:
     K: np.ndarray | None
     cam_from_world: np.ndarray | None
     distortion: np.ndarray | None
+    fisheye: np.ndarray | None
     background: str | None
     points: np.ndarray | None = None
     point_colors: np.ndarray | None = None
@@ -167,7 +170,6 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         if (size := checks.image_header(root, mask)[:2]) != (reading.width, reading.height):
             raise CaptureError(f"{mask}: the mask is {size[0]}x{size[1]}, the images {reading.width}x{reading.height}; make them one size")
     files = {*reading.sources, *(images or ()), *(m for m in masks or () if m), *(v.file for v in reading.videos)}
-    zeros = np.zeros(4)
     return Capture(
         root=root,
         name=name,
@@ -185,13 +187,23 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         next=following,
         K=np.stack([scale @ s.K for s in shots if s.K is not None]) if posed else None,
         cam_from_world=np.stack([s.cam_from_world for s in shots if s.cam_from_world is not None]) if posed else None,
-        distortion=np.stack([zeros if s.distortion is None else s.distortion for s in shots]) if posed else None,
+        distortion=_distortions(shots) if posed else None,
+        fisheye=np.array([s.fisheye for s in shots], np.uint8) if any(s.fisheye for s in shots) else None,
         background=background,
         points=reading.points,
         point_colors=reading.point_colors,
         K_hint=hint,
         notes=reading.notes,
     )
+
+
+def _distortions(shots: Sequence[Shot]) -> np.ndarray:
+    """[F,4], or [F,8] where any lens has so many terms."""
+    terms = [np.zeros(4) if s.distortion is None else s.distortion for s in shots]
+    result = np.zeros((len(shots), max(map(len, terms))))
+    for row, own in zip(result, terms, strict=True):
+        row[: len(own)] = own
+    return result
 
 
 def _unit_times(raw: np.ndarray) -> np.ndarray:

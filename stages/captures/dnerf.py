@@ -43,7 +43,7 @@ def read(root: Path, options: Options) -> Reading:
 
     shots = []
     for number, ((split, file, data, i, frame), path, time) in enumerate(zip(entries, paths, times, strict=True)):
-        K, distortion = transforms.lens(frame, data, f"{file}: frame {i}", width, height)
+        lens = transforms.lens(frame, data, f"{file}: frame {i}", width, height)
         shots.append(
             Shot(
                 name=path,
@@ -51,9 +51,10 @@ def read(root: Path, options: Options) -> Reading:
                 time=time,
                 split=split,
                 file=path,
-                K=K,
+                K=lens.K,
                 cam_from_world=transforms.pose(frame, f"{file}: frame {i}"),
-                distortion=distortion,
+                distortion=lens.distortion,
+                fisheye=lens.fisheye,
             )
         )
     moving = _join_path(shots)

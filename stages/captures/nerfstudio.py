@@ -34,7 +34,7 @@ def read(root: Path, options: Options) -> Reading:
     shots = []
     for rank, i in enumerate(order):
         where = f"{_FILE}: frame {i}"
-        K, distortion = transforms.lens(frames[i], data, where, width, height)
+        lens = transforms.lens(frames[i], data, where, width, height)
         shots.append(
             Shot(
                 name=paths[i],
@@ -42,9 +42,10 @@ def read(root: Path, options: Options) -> Reading:
                 time=float(rank) if times is None else times[i],
                 file=paths[i],
                 mask=_mask(root, frames[i], where),
-                K=K,
+                K=lens.K,
                 cam_from_world=transforms.pose(frames[i], where),
-                distortion=distortion,
+                distortion=lens.distortion,
+                fisheye=lens.fisheye,
             )
         )
     if splits is not None:

@@ -97,27 +97,16 @@ def write_panoptic(synthetic: Synthetic, root: Path) -> Capture:
 
 
 def write_nerfstudio(synthetic: Synthetic, root: Path) -> Capture:
-    """transforms.json of nerfstudio and instant-ngp: one set of intrinsics, OpenGL poses, distortion k1 k2 p1 p2, times."""
+    """transforms.json of nerfstudio and instant-ngp: OpenGL poses, times, intrinsics and distortion at its head, or on every frame where
+    they differ."""
     files = _write_frames(synthetic, root / "images", "images/")
-    camera = synthetic.views[0].camera
-    k1, k2, p1, p2 = camera.distortion
+    lenses = [_nerfstudio_lens(view.camera) for view in synthetic.views]
+    shared = all(lens == lenses[0] for lens in lenses)
     frames = [
-        {"file_path": name, "time": view.time, "transform_matrix": _opengl_pose(view.camera)} for view, name in zip(synthetic.views, files)
+        {"file_path": name, "time": view.time, "transform_matrix": _opengl_pose(view.camera), **({} if shared else lens)}
+        for view, name, lens in zip(synthetic.views, files, lenses)
     ]
-    head = {
-        "camera_model": "OPENCV",
-        "fl_x": float(camera.K[0, 0]),
-        "fl_y": float(camera.K[1, 1]),
-        "cx": float(camera.K[0, 2]),
-        "cy": float(camera.K[1, 2]),
-        "w": camera.width,
-        "h": camera.height,
-        "k1": k1,
-        "k2": k2,
-        "p1": p1,
-        "p2": p2,
-    }
-    _save_json(root / "transforms.json", {**head, "frames": frames})
+    _save_json(root / "transforms.json", {**(lenses[0] if shared else {}), "frames": frames})
     return Capture(root, synthetic, synthetic.views, files)
 
 
@@ -133,18 +122,17 @@ def write_video(synthetic: Synthetic, file: Path, crf: int = 12) -> Capture:
 
 
 def write_colmap(synthetic: Synthetic, root: Path, points: int = 200) -> Capture:
-    """A COLMAP text model in sparse/0 with true poses and points on the visible surfaces, images in images/."""
+    """A COLMAP text model in sparse/0 with true poses and points on the visible surfaces, images in images/; a camera for each lens."""
     files = _write_frames(synthetic, root / "images", "")
     model = root / "sparse" / "0"
     model.mkdir(parents=True)
-    camera = synthetic.views[0].camera
-    K = camera.K
-    numbers = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion]
-    (model / "cameras.txt").write_text(f"1 OPENCV {camera.width} {camera.height} " + " ".join(f"{x:.17g}" for x in numbers) + "\n")
+    lenses = [_colmap_lens(view.camera) for view in synthetic.views]
+    distinct = list(dict.fromkeys(lenses))
+    (model / "cameras.txt").write_text("".join(f"{i + 1} {lens}\n" for i, lens in enumerate(distinct)))
     lines = []
     for i, (view, name) in enumerate(zip(synthetic.views, files)):
         pose = [*_quaternion(view.camera.cam_from_world[:3, :3]), *view.camera.cam_from_world[:3, 3]]
-        lines += [f"{i + 1} " + " ".join(f"{x:.17g}" for x in pose) + f" 1 {name}", ""]
+        lines += [f"{i + 1} " + " ".join(f"{x:.17g}" for x in pose) + f" {distinct.index(lenses[i]) + 1} {name}", ""]
     (model / "images.txt").write_text("\n".join(lines) + "\n")
 
     rng = np.random.default_rng(synthetic.options.seed)
@@ -185,6 +173,28 @@ def flatten(truth: Truth, background: float = 1.0) -> Pixels:
     """[H,W,3]: the image over a grey level."""
     alpha = truth.image[..., 3:]
     return to_uint8(truth.image[..., :3] * alpha + background * (1.0 - alpha))
+
+
+def _nerfstudio_lens(camera: Camera) -> dict:
+    names = ("k1", "k2", "k3", "k4") if camera.fisheye else ("k1", "k2", "p1", "p2", "k3")
+    K = camera.K
+    return {
+        "camera_model": "OPENCV_FISHEYE" if camera.fisheye else "OPENCV",
+        "fl_x": float(K[0, 0]),
+        "fl_y": float(K[1, 1]),
+        "cx": float(K[0, 2]),
+        "cy": float(K[1, 2]),
+        "w": camera.width,
+        "h": camera.height,
+        **dict(zip(names, camera.distortion)),
+    }
+
+
+def _colmap_lens(camera: Camera) -> str:
+    """The line of cameras.txt behind the number."""
+    name = "OPENCV_FISHEYE" if camera.fisheye else "OPENCV" if len(camera.distortion) == 4 else "FULL_OPENCV"
+    numbers = [camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *camera.distortion]
+    return f"{name} {camera.width} {camera.height} " + " ".join(f"{x:.17g}" for x in numbers)
 
 
 def _write_frames(synthetic: Synthetic, folder: Path, prefix: str) -> tuple[str, ...]:
