@@ -94,6 +94,8 @@ def _write(capture: Capture, ctx: Context) -> None:
             out.write("lens_K", capture.K, unit="px", doc="intrinsics of the pictures as the lens made them")
         if capture.fisheye is not None:
             out.write("fisheye", capture.fisheye, doc="1: the lens is OpenCV's fisheye model")
+    if capture.crop is not None:
+        out.write("crop", capture.crop, unit="px", doc="left, top, width, height of the part of each stored picture that is shown")
     if capture.points is not None and capture.point_colors is not None:
         out.write("points", capture.points, unit="world", doc="points of the capture's files")
         out.write("point_colors", capture.point_colors, doc="RGB of points")
@@ -142,7 +144,8 @@ def _extract(capture: Capture, ctx: Context) -> None:
     images = ctx.out.create("images", shape, "uint8", (1, height, width, 3), doc="decoded RGB frames")
     with ctx.progress(frames, "decode") as progress:
         for video in capture.videos:
-            for offset, picture in enumerate(decode(capture.root, video, width, height)):
+            part = None if capture.crop is None else capture.crop[video.start]
+            for offset, picture in enumerate(decode(capture.root, video, width, height, part)):
                 images[video.start + offset] = picture
                 progress.advance(1, video.file)
 

@@ -22,6 +22,8 @@ class FrameSet:
     camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 where none); K [F,3,3] float64 px and
     cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
+    files, upright: the stored pictures, and whether these are turned as their EXIF data ask for; crop [F,4] px or None where all are shown
+    whole.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
     Pictures may be read from several threads at once; nothing is cached here.
     """
@@ -33,6 +35,7 @@ class FrameSet:
         self.height = int(frames.attrs["height"])
         self.background: str | None = frames.attrs["background"]
         self.alpha = bool(frames.attrs["alpha"])
+        self.upright = bool(frames.attrs.get("upright"))
         self.names: list[str] = frames.attrs["names"]
         self.files: list[str] | None = frames.attrs.get("files")
         self.mask_files: list[str | None] | None = frames.attrs.get("mask_files")
@@ -41,6 +44,7 @@ class FrameSet:
         self.seconds = frames.read("seconds")
         self.split = frames.read("split")
         self.next = frames.read("next")
+        self.crop = frames.read("crop") if "crop" in frames else None
         self._images = frames.array("images") if "images" in frames else None
         source = poses if poses is not None else frames
         posed = "cam_from_world" in source
@@ -75,7 +79,8 @@ class FrameSet:
         if self._images is not None:
             return np.asarray(self._images[i])
         assert self.files is not None
-        picture = pictures.resize(pictures.read_picture(self.root, self.files[i], bool(self.attrs.get("upright"))), self.width, self.height)
+        stored = pictures.read_picture(self.root, self.files[i], self.upright)
+        picture = pictures.resize(stored, self.width, self.height, None if self.crop is None else self.crop[i])
         if self.alpha and picture.shape[2] == 3:
             picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
         return picture
@@ -89,7 +94,7 @@ class FrameSet:
         name = self.mask_files[i] if self.mask_files is not None else None
         if name is None:
             return None
-        mask = pictures.resize(pictures.read_mask(self.root, name), self.width, self.height)
+        mask = pictures.resize(pictures.read_mask(self.root, name), self.width, self.height, None if self.crop is None else self.crop[i])
         maps = self._undistortion(i)
         return mask if maps is None else pictures.undistort(mask, maps)
 

@@ -40,13 +40,18 @@ def read_mask(root: Path, name: str) -> np.ndarray:
         raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
 
 
-def resize(picture: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Scaled down by area; the picture itself when it has that size."""
+def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None = None) -> np.ndarray:
+    """Scaled down by area, or up (bicubic); the picture itself when it has that size. crop: left, top, width, height, px, of the part of it
+    that is taken."""
     import cv2
 
+    if crop is not None:
+        left, top, across, down = (int(v) for v in crop)
+        picture = np.ascontiguousarray(picture[top : top + down, left : left + across])
     if picture.shape[:2] == (height, width):
         return picture
-    return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=cv2.INTER_AREA))
+    way = cv2.INTER_AREA if width * height < picture.shape[0] * picture.shape[1] else cv2.INTER_CUBIC
+    return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=way))
 
 
 def undistort(picture: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

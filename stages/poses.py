@@ -15,6 +15,7 @@ from .sfm.pairs import OVERLAP, choose, image_pairs
 
 if TYPE_CHECKING:
     import numpy as np
+    from PIL import Image
 
     from .frameset import FrameSet
     from .sfm.coverage import Coverage
@@ -82,7 +83,7 @@ class Poses(Stage):
             "task": "reconstruct",
             "root": str(ctx.checkpoints / "images"),
             "names": write_images(ctx, frames),
-            "cameras": [int(c) for c in frames.camera],
+            "cameras": lens_groups(frames),
             "K_hint": None if hint is None else np.asarray(hint, np.float64).reshape(3, 3).tolist(),
             "width": frames.width,
             "height": frames.height,
@@ -138,6 +139,15 @@ class Poses(Stage):
         )
 
 
+def lens_groups(frames: FrameSet) -> list[int]:
+    """A number for each frame; frames of one number share a lens. Pictures of another size are taken by another camera, or zoomed."""
+    if frames.crop is None:
+        return [int(c) for c in frames.camera]
+    lenses = [(int(c), *crop) for c, crop in zip(frames.camera, frames.crop.tolist(), strict=True)]
+    number = {lens: n for n, lens in enumerate(dict.fromkeys(lenses))}
+    return [number[lens] for lens in lenses]
+
+
 def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     """Pictures for COLMAP under plain names: links to the capture's own files, or files decoded from what the store holds."""
     from PIL import Image
@@ -147,7 +157,8 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     folder = ctx.checkpoints / "images"
     folder.mkdir(parents=True, exist_ok=True)
     names = []
-    linked = frames.files is not None and not frames.alpha
+    # COLMAP reads files as they are stored: neither turned nor cropped, and without alpha
+    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None
     with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):
             suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
@@ -160,10 +171,27 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
                 if linked and frames.files is not None:
                     _link(frames.root / frames.files[i], partial)
                 else:
-                    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1)
+                    exif = _focal_length(frames.root / frames.files[i]) if frames.files is not None and frames.crop is None else None
+                    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1, exif=exif)
                 partial.replace(target)
             progress.advance()
     return names
+
+
+def _focal_length(file: Path) -> Image.Exif:
+    """What EXIF says of a picture's focal length, in 35 mm terms, and nothing else: COLMAP begins with it."""
+    from PIL import Image
+
+    details, tag = 0x8769, 0xA405
+    result = Image.Exif()
+    try:
+        with Image.open(file) as image:
+            value = image.getexif().get_ifd(details).get(tag)
+    except (OSError, ValueError, SyntaxError, KeyError):  # EXIF data are often broken, and can be done without
+        value = None
+    if isinstance(value, int) and 1 <= value <= 10_000:
+        result[details] = {tag: value}
+    return result
 
 
 def _link(source: Path, target: Path) -> None:

@@ -63,22 +63,20 @@ def read(root: Path, options: Options) -> Reading:
         row = int(np.flatnonzero(~np.isfinite(table).all(1))[0])
         raise CaptureError(f"{files['points3D']}: point {row}: holds NaN or Inf; remove it")
     paths = [checks.find_image(root, f"images/{image.name}", f"{files['images']}: image {image.name!r}: name") for image in images]
-    width, height, alpha = checks.image_headers(root, paths)
+    sizes, alpha = checks.image_headers(root, paths)
     shots = []
-    for i, (image, path) in enumerate(zip(images, paths, strict=True)):
+    for i, (image, path, size) in enumerate(zip(images, paths, sizes, strict=True)):
         if image.camera not in cameras:
             raise CaptureError(f"{files['images']}: image {image.name!r}: camera {image.camera} is not in {files['cameras']}; export again")
-        lens = _lens(cameras[image.camera], f"{files['cameras']}: camera {image.camera}", width, height)
+        lens = _lens(cameras[image.camera], f"{files['cameras']}: camera {image.camera}", *size)
         pose = _pose(image.pose, f"{files['images']}: image {image.name!r}: pose")
-        shot = Shot(name=path, camera=0, time=float(i), file=path, cam_from_world=pose)
+        shot = Shot(name=path, camera=0, time=float(i), size=size, file=path, cam_from_world=pose)
         shot.K, shot.distortion, shot.fisheye = lens
         shots.append(shot)
     present = sum(1 for name in checks.list_folder(root / "images") if name.lower().endswith(checks.IMAGE_SUFFIXES))
     return Reading(
         why=f"a COLMAP model in {folder}, {'a static scene' if options.static else 'one camera over time'}",
         shots=shots,
-        width=width,
-        height=height,
         alpha=alpha,
         sources=tuple(file for part, file in files.items() if part != "points3D" or has_points),
         points=table[:, :3].copy() if len(table) else None,

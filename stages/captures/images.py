@@ -33,14 +33,16 @@ def read(root: Path, options: Options) -> Reading:
     taken = video.choose(len(found), options, None)
     paths = [found[i] for i in taken]
     upright = checks.turned(root, paths)  # where poses come with the files, they are those of the pictures as stored
-    width, height, alpha = checks.image_headers(root, paths, upright)
-    hint = _hint(root, prefix + _HINT, width, height)
+    sizes, alpha = checks.image_headers(root, paths, upright)
+    hint = _hint(root, prefix + _HINT, *sizes[0])
+    if hint is not None and len(set(sizes)) > 1:
+        raise CaptureError(
+            f"{prefix}{_HINT}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
+        )
     # A strip of zeros and a set of photos look alike; only --static says that nothing moves.
     return Reading(
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
-        shots=[Shot(name=path, camera=0, time=float(i), file=path) for i, path in zip(taken, paths, strict=True)],
-        width=width,
-        height=height,
+        shots=[Shot(name=path, camera=0, time=float(i), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)],
         alpha=alpha,
         sources=(prefix + _HINT,) if hint is not None else (),
         K_hint=hint,

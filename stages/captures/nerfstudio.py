@@ -25,7 +25,8 @@ def read(root: Path, options: Options) -> Reading:
     data = checks.read_json(root, _FILE)
     frames = transforms.frames_of(data, _FILE)
     paths, notes = transforms.present(root, frames, _FILE)
-    width, height, alpha = checks.image_headers(root, paths.values())
+    headers, alpha = checks.image_headers(root, paths.values())
+    sizes = dict(zip(paths, headers, strict=True))
     times = transforms.times_of(frames, _FILE)
     # Files of this family are often unsorted: frames follow their time, or the natural order of their names.
     keys: dict[int, Any] = {i: checks.natural_key(p) if times is None else (times[i], checks.natural_key(p)) for i, p in paths.items()}
@@ -34,12 +35,13 @@ def read(root: Path, options: Options) -> Reading:
     shots = []
     for rank, i in enumerate(order):
         where = f"{_FILE}: frame {i}"
-        lens = transforms.lens(frames[i], data, where, width, height)
+        lens = transforms.lens(frames[i], data, where, *sizes[i])
         shots.append(
             Shot(
                 name=paths[i],
                 camera=0,
                 time=float(rank) if times is None else times[i],
+                size=sizes[i],
                 file=paths[i],
                 mask=_mask(root, frames[i], where),
                 K=lens.K,
@@ -58,8 +60,6 @@ def read(root: Path, options: Options) -> Reading:
     return Reading(
         why=f"{_FILE}, {'several cameras' if len({s.camera for s in shots}) > 1 else 'one moving camera'}",
         shots=shots,
-        width=width,
-        height=height,
         alpha=alpha,
         has_split=splits is not None,
         fps=None if fps is None else checks.number(fps, f"{_FILE}: fps", 1e-3, 1e6),

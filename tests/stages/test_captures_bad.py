@@ -169,12 +169,6 @@ def test_links_in_a_circle(tmp_path):
     refused(root, "frame 1", "file_path")
 
 
-def test_images_of_mixed_size(tmp_path):
-    root = scene(tmp_path / "s")
-    Image.new("RGB", (12, 16)).save(root / "2.png")
-    refused(root, "2.png", "12x16", "16x12")
-
-
 def test_broken_and_unsupported_images(tmp_path):
     root = scene(tmp_path / "s")
     (root / "1.png").write_bytes((root / "1.png").read_bytes()[:20])
