@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks, transforms
 from .capture import SPLITS, Options, Reading, Shot
+from .ply_points import read_points
 
 _FILE = "transforms.json"
 
@@ -56,6 +58,8 @@ def read(root: Path, options: Options) -> Reading:
                 raise CaptureError(f"{_FILE}: {shot.file} is in none of train_filenames, val_filenames, test_filenames; add it to one")
             shot.split = splits[shot.file]
     fixed = _cameras(shots)
+    cloud, said = _cloud(root, data)
+    points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     fps = data.get("fps")
     return Reading(
         why=f"{_FILE}, {'several cameras' if len({s.camera for s in shots}) > 1 else 'one moving camera'}",
@@ -64,8 +68,10 @@ def read(root: Path, options: Options) -> Reading:
         has_split=splits is not None,
         fps=None if fps is None else checks.number(fps, f"{_FILE}: fps", 1e-3, 1e6),
         fixed_cameras=fixed,
-        sources=(_FILE,),
-        notes=notes,
+        sources=(_FILE, *([cloud] if cloud else [])),
+        points=points if len(points) else None,
+        point_colors=colors if len(points) else None,
+        notes=(*notes, *said),
     )
 
 
@@ -86,6 +92,18 @@ def _splits(data: dict[str, Any], root: Path) -> dict[str, int] | None:
             # nerfstudio writes the same list for val and test when there is only one held-out set: it counts as test.
             result[file] = max(split, result.get(file, 0))
     return result
+
+
+def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:
+    """The file of points that `ply_file_path` names, and a note where it is not there. nerfstudio keeps the points in the world of
+    `transform_matrix`: `applied_transform`, which led there from COLMAP's, is in both already."""
+    field = f"{_FILE}: ply_file_path"
+    if data.get("ply_file_path") is None:
+        return None, ()
+    name = posixpath.normpath(checks.text(data["ply_file_path"], field).replace("\\", "/"))
+    if checks.resolve_inside(root, name, field).is_file():
+        return name, ()
+    return None, (f"{field}: no file {name[:200]!r}, so training begins at points that are triangulated; copy it if there is one",)
 
 
 def _mask(root: Path, frame: dict[str, Any], where: str) -> str | None:

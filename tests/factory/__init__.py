@@ -21,6 +21,7 @@ from .shapes import Box, Sphere
 from .textures import Cells, Checker, Stripes
 from .writers import (
     Capture,
+    surface_points,
     write_colmap,
     write_dnerf,
     write_images,
@@ -50,6 +51,7 @@ __all__ = [
     "make",
     "optical_flow",
     "render",
+    "surface_points",
     "to_uint8",
     "write_colmap",
     "write_dnerf",

@@ -135,20 +135,26 @@ def write_colmap(synthetic: Synthetic, root: Path, points: int = 200) -> Capture
         lines += [f"{i + 1} " + " ".join(f"{x:.17g}" for x in pose) + f" {distinct.index(lenses[i]) + 1} {name}", ""]
     (model / "images.txt").write_text("\n".join(lines) + "\n")
 
-    rng = np.random.default_rng(synthetic.options.seed)
     lines = []
+    for point, colour in zip(*surface_points(synthetic, points)):
+        lines.append(f"{len(lines) + 1} " + " ".join(f"{x:.17g}" for x in point) + " " + " ".join(map(str, colour)) + " 0.0")
+    (model / "points3D.txt").write_text("\n".join(lines) + "\n")
+    return Capture(root, synthetic, synthetic.views, tuple(f"images/{name}" for name in files))
+
+
+def surface_points(synthetic: Synthetic, count: int) -> tuple[NDArray[np.float64], Pixels]:
+    """Points [P,3] on what the views see, each at its view's time, and their colours [P,3]; about `count`, as many of each view."""
+    rng = np.random.default_rng(synthetic.options.seed)
+    world, colours = [], []
     for view in synthetic.views:
         truth = _truth(synthetic, view)
         rows, columns = np.nonzero(truth.object >= 0)
-        picked = rng.choice(len(rows), min(len(rows), -(-points // len(synthetic.views))), replace=False)
+        picked = rng.choice(len(rows), min(len(rows), -(-count // len(synthetic.views))), replace=False)
         rows, columns = rows[picked], columns[picked]
         origin, directions = view.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
-        world = origin + truth.depth[rows, columns, None] * directions
-        colours = to_uint8(truth.image[rows, columns, :3])
-        for point, colour in zip(world, colours):
-            lines.append(f"{len(lines) + 1} " + " ".join(f"{x:.17g}" for x in point) + " " + " ".join(map(str, colour)) + " 0.0")
-    (model / "points3D.txt").write_text("\n".join(lines) + "\n")
-    return Capture(root, synthetic, synthetic.views, tuple(f"images/{name}" for name in files))
+        world.append(origin + truth.depth[rows, columns, None] * directions)
+        colours.append(to_uint8(truth.image[rows, columns, :3]))
+    return np.concatenate(world), np.concatenate(colours)
 
 
 def write_mp4(file: Path, frames: Iterable[Pixels], fps: float, crf: int = 12) -> None:
