@@ -26,7 +26,7 @@ _DECODE_THREADS = 4
 class FramesSettings(Settings):
     """How the capture is read; the same names as the arguments of `captures.recognise`."""
 
-    format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "colmap", "images", "video"] | None = Field(
+    format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "images", "video"] | None = Field(
         None, description="reader to use; recognised from the files when not set"
     )
     static: bool = Field(False, description="nothing moves: all times are one, no flow, no deformation")
@@ -130,7 +130,7 @@ def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Cont
     if bent.any():
         ctx.log(
             f"{bent.sum()} of {len(bent)} pictures are undistorted to pinhole cameras; what these show is "
-            f"{kept[bent].min():.0%} to {kept[bent].max():.0%} of a picture's area, every pixel of it seen by the lens"
+            f"at least {kept[bent].min():.0%} of a picture's area, every pixel of it seen by the lens"
         )
     return result
 

@@ -110,6 +110,43 @@ def write_nerfstudio(synthetic: Synthetic, root: Path) -> Capture:
     return Capture(root, synthetic, synthetic.views, files)
 
 
+def write_nerfies(synthetic: Synthetic, root: Path, points: int = 200) -> Capture:
+    """Nerfies and HyperNeRF: dataset.json, metadata.json, scene.json, camera/, rgb/1x and rgb/2x, points.npy; in a world of its own, which
+    scene.json brings to ours. Where all views are for training, every third from the second on is for validation."""
+    center, scale = np.array([1.5, -2.0, 0.25]), 0.125
+    to_file = lambda x: x / scale + center  # noqa: E731
+    names = [f"{view.camera_index}_{view.time_index:06d}" for view in synthetic.views]
+    held_out = {i for i, view in enumerate(synthetic.views) if view.split != "train"} or set(range(1, len(names), 3))
+    for view, name in zip(synthetic.views, names):
+        picture, camera = flatten(_truth(synthetic, view)), view.camera
+        _save(root / f"rgb/1x/{name}.png", picture)
+        _save(root / f"rgb/2x/{name}.png", to_uint8(picture.reshape(camera.height // 2, 2, camera.width // 2, 2, 3).mean((1, 3)) / 255))
+        k1, k2, p1, p2, k3 = (*camera.distortion, 0.0)[:5]
+        lens = {
+            "skew": 0.0,
+            "radial_distortion": [k1, k2, k3],
+            "tangential_distortion": [p1, p2],
+            "image_size": [camera.width, camera.height],
+        }
+        K = camera.K
+        lens |= {"focal_length": K[0, 0], "pixel_aspect_ratio": K[1, 1] / K[0, 0], "principal_point": K[:2, 2].tolist()}
+        pose = {"orientation": camera.cam_from_world[:3, :3].tolist(), "position": to_file(camera.centre).tolist()}
+        _save_json(root / f"camera/{name}.json", {**pose, **lens})
+    entries = {
+        name: {"warp_id": view.time_index, "appearance_id": view.time_index, "camera_id": view.camera_index}
+        for view, name in zip(synthetic.views, names)
+    }
+    _save_json(root / "metadata.json", entries)
+    _save_json(root / "scene.json", {"scale": scale, "center": center.tolist(), "near": 0.1, "far": 2.0})
+    lists = {
+        "train_ids": [n for i, n in enumerate(names) if i not in held_out],
+        "val_ids": [n for i, n in enumerate(names) if i in held_out],
+    }
+    _save_json(root / "dataset.json", {"count": len(names), "num_exemplars": len(lists["train_ids"]), "ids": names, **lists})
+    np.save(root / "points.npy", to_file(surface_points(synthetic, points)[0]))
+    return Capture(root, synthetic, synthetic.views, tuple(f"rgb/1x/{name}.png" for name in names))
+
+
 def write_images(synthetic: Synthetic, root: Path) -> Capture:
     """A bare folder of numbered images, nothing else."""
     return Capture(root, synthetic, synthetic.views, _write_frames(synthetic, root, ""))
