@@ -107,6 +107,8 @@ def _write(capture: Capture, ctx: Context) -> None:
         out.attrs["files"] = list(capture.images)
     if capture.masks is not None:
         out.attrs["mask_files"] = list(capture.masks)
+    if capture.keeps is not None:
+        out.attrs["keep_files"] = list(capture.keeps)
     if capture.K_hint is not None:
         out.attrs["K_hint"] = list(capture.K_hint)
 
@@ -152,10 +154,11 @@ def _extract(capture: Capture, ctx: Context) -> None:
 
 def _check(capture: Capture, ctx: Context) -> None:
     """Decode every picture and mask once, so that a file that is cut short is found now and not hours later in training."""
-    from .pictures import read_mask, read_picture
+    from .pictures import read_keep, read_mask, read_picture
 
     jobs: list[tuple[str, Callable[..., Any]]] = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
     jobs += [(name, read_mask) for name in dict.fromkeys(m for m in capture.masks or () if m)]
+    jobs += [(name, read_keep) for name in dict.fromkeys(m for m in capture.keeps or () if m)]
 
     def decode(job: tuple[str, Any]) -> str:
         name, read = job

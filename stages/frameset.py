@@ -10,6 +10,7 @@ import numpy as np
 from ..pipeline import Artifact
 from . import lenses, pictures
 
+WHOLLY = 254  # of 255: of a mask that was scaled or bent, a pixel that lies inside
 _MAPS_KEPT = 4  # undistortion maps take 8 bytes a pixel; one camera needs one
 
 
@@ -39,6 +40,7 @@ class FrameSet:
         self.names: list[str] = frames.attrs["names"]
         self.files: list[str] | None = frames.attrs.get("files")
         self.mask_files: list[str | None] | None = frames.attrs.get("mask_files")
+        self.keep_files: list[str | None] | None = frames.attrs.get("keep_files")
         self.camera = frames.read("camera")
         self.time = frames.read("time")
         self.seconds = frames.read("seconds")
@@ -92,9 +94,17 @@ class FrameSet:
     def mask(self, i: int) -> np.ndarray | None:
         """Foreground of frame i, uint8 [H,W] (255 foreground), undistorted like the image; None where the capture has none."""
         name = self.mask_files[i] if self.mask_files is not None else None
-        if name is None:
-            return None
-        mask = pictures.resize(pictures.read_mask(self.root, name), self.width, self.height, None if self.crop is None else self.crop[i])
+        return None if name is None else self._fitted(i, pictures.read_mask(self.root, name))
+
+    def kept(self, i: int) -> np.ndarray | None:
+        """Pixels of frame i that count, bool [H,W], undistorted like the image; None where the capture says nothing: all do. Pixels that
+        show some of what does not count do not, either."""
+        name = self.keep_files[i] if self.keep_files is not None else None
+        return None if name is None else self._fitted(i, pictures.read_keep(self.root, name)) >= WHOLLY
+
+    def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
+        """A stored mask of frame i at the size of its image, cropped and undistorted as that is."""
+        mask = pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i])
         maps = self._undistortion(i)
         return mask if maps is None else pictures.undistort(mask, maps)
 

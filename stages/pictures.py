@@ -40,6 +40,14 @@ def read_mask(root: Path, name: str) -> np.ndarray:
         raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
 
 
+def read_keep(root: Path, name: str) -> np.ndarray:
+    """uint8 [H,W], 255 what counts, 0 what does not, of a mask file that is black where pixels count for nothing."""
+    keep = np.where(read_mask(root, name) > 127, 255, 0).astype(np.uint8)
+    if not keep.any():
+        raise CaptureError(f"{name}: the mask is black everywhere, so nothing of its image counts; invert the masks, or remove this one")
+    return keep
+
+
 def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None = None) -> np.ndarray:
     """Scaled down by area, or up (bicubic); the picture itself when it has that size. crop: left, top, width, height, px, of the part of it
     that is taken."""

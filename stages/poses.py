@@ -85,6 +85,7 @@ class Poses(Stage):
             "names": write_images(ctx, frames),
             "cameras": lens_groups(frames),
             "K_hint": None if hint is None else np.asarray(hint, np.float64).reshape(3, 3).tolist(),
+            "masks": None if frames.keep_files is None else str(write_masks(ctx, frames)),
             "width": frames.width,
             "height": frames.height,
             "camera_model": settings.camera_model,
@@ -157,8 +158,8 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     folder = ctx.checkpoints / "images"
     folder.mkdir(parents=True, exist_ok=True)
     names = []
-    # COLMAP reads files as they are stored: neither turned nor cropped, and without alpha
-    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None
+    # COLMAP reads files as they are stored: neither turned nor cropped, and without alpha; masks are made for pictures of the frames' size
+    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None and frames.keep_files is None
     with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):
             suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
@@ -176,6 +177,20 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
                 partial.replace(target)
             progress.advance()
     return names
+
+
+def write_masks(ctx: Context, frames: FrameSet) -> Path:
+    """The folder of masks, black where no feature is to be found, called as COLMAP wants them: the picture's name and .png."""
+    import numpy as np
+    from PIL import Image
+
+    folder = ctx.checkpoints / "masks"
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(len(frames)):
+        kept = frames.kept(i)
+        if kept is not None:
+            Image.fromarray(np.where(kept, 255, 0).astype(np.uint8)).save(folder / f"{i:06d}.png.png", compress_level=1)
+    return folder
 
 
 def _focal_length(file: Path) -> Image.Exif:

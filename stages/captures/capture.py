@@ -45,7 +45,8 @@ class Shot:
     size: tuple[int, int]
     split: int = TRAIN
     file: str | None = None
-    mask: str | None = None
+    mask: str | None = None  # white: what moves
+    keep: str | None = None  # black: what counts for nothing
     seconds: float | None = None
     linked: bool = True  # may be paired with the same camera's next frame
     K: np.ndarray | None = None
@@ -101,6 +102,7 @@ class Capture:
     names: tuple[str, ...]
     images: tuple[str, ...] | None
     masks: tuple[str | None, ...] | None
+    keeps: tuple[str | None, ...] | None
     videos: tuple[Video, ...]
     camera: np.ndarray
     time: np.ndarray
@@ -172,10 +174,12 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         facts["upright"] = True
     images = None if reading.videos else tuple(str(s.file) for s in shots)
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
+    keeps = tuple(s.keep for s in shots) if any(s.keep for s in shots) else None
     for shot in shots:
-        if shot.mask and (size := checks.image_header(root, shot.mask)[:2]) != shot.size:
-            raise CaptureError(f"{shot.mask}: the mask is {size[0]}x{size[1]}, its image {shot.size[0]}x{shot.size[1]}; make them one size")
-    files = {*reading.sources, *(images or ()), *(m for m in masks or () if m), *(v.file for v in reading.videos)}
+        for mask in filter(None, (shot.mask, shot.keep)):
+            if (size := checks.image_header(root, mask)[:2]) != shot.size:
+                raise CaptureError(f"{mask}: the mask is {size[0]}x{size[1]}, its image {shot.size[0]}x{shot.size[1]}; make them one size")
+    files = {*reading.sources, *(images or ()), *(m for m in (*(masks or ()), *(keeps or ())) if m), *(v.file for v in reading.videos)}
     return Capture(
         root=root,
         name=name,
@@ -185,6 +189,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         names=tuple(s.name for s in shots),
         images=images,
         masks=masks,
+        keeps=keeps,
         videos=reading.videos,
         camera=camera,
         time=time,

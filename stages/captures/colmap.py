@@ -15,6 +15,7 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks
 from .capture import Options, Reading, Shot
+from .keep_masks import add_masks
 from .lens import LARGEST_TERM, Lens, distortion_of
 
 _FOLDERS = ("sparse/0", "sparse")
@@ -73,6 +74,7 @@ def read(root: Path, options: Options) -> Reading:
         shot = Shot(name=path, camera=0, time=float(i), size=size, file=path, cam_from_world=pose)
         shot.K, shot.distortion, shot.fisheye = lens
         shots.append(shot)
+    masked = add_masks(root, shots)
     present = sum(1 for name in checks.list_folder(root / "images") if name.lower().endswith(checks.IMAGE_SUFFIXES))
     return Reading(
         why=f"a COLMAP model in {folder}, {'a static scene' if options.static else 'one camera over time'}",
@@ -81,7 +83,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=tuple(file for part, file in files.items() if part != "points3D" or has_points),
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
-        notes=(f"{present - len(shots)} images without a pose in {folder} are left out",) if present > len(shots) else (),
+        notes=(*masked, *([f"{present - len(shots)} images without a pose in {folder} are left out"] if present > len(shots) else [])),
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...pipeline import CaptureError
-from . import checks, transforms
+from . import checks, keep_masks, transforms
 from .capture import SPLITS, Options, Reading, Shot
 from .ply_points import read_points
 
@@ -45,7 +45,7 @@ def read(root: Path, options: Options) -> Reading:
                 time=float(rank) if times is None else times[i],
                 size=sizes[i],
                 file=paths[i],
-                mask=_mask(root, frames[i], where),
+                keep=_mask(root, frames[i], where),
                 K=lens.K,
                 cam_from_world=transforms.pose(frames[i], where),
                 distortion=lens.distortion,
@@ -58,6 +58,8 @@ def read(root: Path, options: Options) -> Reading:
                 raise CaptureError(f"{_FILE}: {shot.file} is in none of train_filenames, val_filenames, test_filenames; add it to one")
             shot.split = splits[shot.file]
     fixed = _cameras(shots)
+    of_frames = keep_masks.told(shots, "(mask_path)")
+    masked = (of_frames,) if of_frames else keep_masks.add_masks(root, shots)
     cloud, said = _cloud(root, data)
     points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     fps = data.get("fps")
@@ -71,7 +73,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=(_FILE, *([cloud] if cloud else [])),
         points=points if len(points) else None,
         point_colors=colors if len(points) else None,
-        notes=(*notes, *said),
+        notes=(*notes, *masked, *said),
     )
 
 
