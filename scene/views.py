@@ -7,7 +7,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,7 +21,10 @@ CACHE_BYTES = 4 << 30
 WINDOW_MARGIN = 0.04  # of the image's longer side, around what is filled
 MOST_WINDOW = 0.8  # of the image's area; a larger window saves nothing
 
+WHOLLY = 254 / 255  # of a mask that was made smaller: a pixel all of whose parts count
+
 Window = tuple[int, int, int, int]
+Kind = Literal["colour", "alpha", "kept"]
 
 
 class Projected(NamedTuple):
@@ -40,7 +43,8 @@ class Views:
 
     K [F,3,3] px and cam_from_world [F,4,4], float64; time [F] in [0,1]; camera [F] int; next [F] int, the same camera's frame at its
     next time or -1; train [n] int, the frames to learn from. ``load(i)`` returns uint8 [H,W,3], composited on the background,
-    ``load_alpha(i)`` uint8 [H,W]; None where the capture has no alpha.
+    ``load_alpha(i)`` uint8 [H,W]; None where the capture has no alpha. ``load_kept(i)`` uint8 [H,W], 255 where pixels count, 0 where they
+    do not; None where all do.
     recorder [F] int: frames of one number record colours alike; the camera where None.
     background [3] in [0,1]. near: world units. device: where pictures are wanted; cameras are always on the CPU.
     """
@@ -57,14 +61,15 @@ class Views:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     near: float = 0.01
     load_alpha: Callable[[int], np.ndarray] | None = None
+    load_kept: Callable[[int], np.ndarray] | None = None
     stored_edges: Callable[[int], np.ndarray] | None = None
     recorder: np.ndarray | None = None
     device: str | torch.device = "cpu"
-    _images: OrderedDict[tuple[int, float, bool], np.ndarray] = field(default_factory=OrderedDict, repr=False)
+    _images: OrderedDict[tuple[int, float, Kind], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _windows: dict[int, tuple[int, int, int, int] | None] = field(default_factory=dict, repr=False)
     _edges: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     _bytes: int = 0
-    _there: OrderedDict[tuple[int, float, bool], Tensor] = field(
+    _there: OrderedDict[tuple[int, float, Kind], Tensor] = field(
         default_factory=OrderedDict, repr=False
     )  # on `device`, where that is not the CPU
     _there_bytes: int = 0
@@ -98,7 +103,7 @@ class Views:
         if self.load_alpha is None:
             return None
         if i not in self._windows:
-            self._windows[i] = filled_window(self._image(i, 1.0, alpha=True))
+            self._windows[i] = filled_window(self._image(i, 1.0, "alpha"))
         found = self._windows[i]
         if found is None:
             return None
@@ -109,19 +114,23 @@ class Views:
 
     def target(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor:
         """[H, W, 3] float32 in [0, 1]; of ``window`` alone where one is given."""
-        return self._tensor(i, scale, window, alpha=False)
+        return self._tensor(i, scale, window, "colour")
 
     def alpha(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor:
         """[H, W] float32 in [0, 1], the capture's own; of ``window`` alone where one is given."""
-        return self._tensor(i, scale, window, alpha=True)
+        return self._tensor(i, scale, window, "alpha")
 
-    def _tensor(self, i: int, scale: float, window: Window | None, alpha: bool) -> Tensor:
+    def kept(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor | None:
+        """[H, W] bool, the pixels that count; None where all do."""
+        return None if self.load_kept is None else self._tensor(i, scale, window, "kept") >= WHOLLY
+
+    def _tensor(self, i: int, scale: float, window: Window | None, kind: Kind) -> Tensor:
         if self.device == "cpu":
-            there = torch.from_numpy(self._image(i, scale, alpha))
+            there = torch.from_numpy(self._image(i, scale, kind))
         else:
-            key = (int(i), scale, alpha)
+            key = (int(i), scale, kind)
             if key not in self._there:
-                self._there[key] = torch.from_numpy(self._image(i, scale, alpha)).to(self.device)
+                self._there[key] = torch.from_numpy(self._image(i, scale, kind)).to(self.device)
                 self._there_bytes += self._there[key].nbytes
             self._there.move_to_end(key)
             while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
@@ -141,12 +150,12 @@ class Views:
             edges = cv2.resize(edges, self.size(scale), interpolation=cv2.INTER_AREA)
         return torch.from_numpy(edges).to(self.device).float().div_(255.0)
 
-    def _image(self, i: int, scale: float, alpha: bool = False) -> np.ndarray:
-        key = (int(i), scale, alpha)
+    def _image(self, i: int, scale: float, kind: Kind = "colour") -> np.ndarray:
+        key = (int(i), scale, kind)
         if key in self._images:
             self._images.move_to_end(key)
             return self._images[key]
-        load = self.load_alpha if alpha else self.load
+        load = {"colour": self.load, "alpha": self.load_alpha, "kept": self.load_kept}[kind]
         assert load is not None
         image = load(int(i))
         if scale != 1.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,11 +49,22 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
         load=frames.composited,
         background=BACKGROUNDS[frames.background] if model is None else model.background,
         load_alpha=(lambda i: np.ascontiguousarray(frames.image(i)[..., 3])) if frames.alpha else None,
+        load_kept=None if frames.keep_files is None else kept_pixels(frames),
         stored_edges=edges,
         recorder=np.arange(len(frames.time)) if are_photos(frames) else None,
         device=device,
         near=Views.near if model is None else model.near,
     )
+
+
+def kept_pixels(frames: FrameSet) -> Callable[[int], np.ndarray]:
+    """uint8 [H, W] of a frame: 255 where its pixels count, 0 where the capture's masks say that they do not."""
+
+    def of_frame(i: int) -> np.ndarray:
+        kept = frames.kept(i)
+        return np.full((frames.height, frames.width), 255, np.uint8) if kept is None else np.where(kept, 255, 0).astype(np.uint8)
+
+    return of_frame
 
 
 def are_photos(frames: FrameSet) -> bool:
@@ -87,6 +99,9 @@ def measured_flow(flow: Artifact | None, views: Views):
         if movers is not None:
             moves = cv2.resize(np.asarray(movers[int(i)]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
             weight = weight * (STILL_WEIGHT + (1 - STILL_WEIGHT) * moves)
+        kept = views.kept(int(i), 0.5)
+        if kept is not None:
+            weight = weight * kept.cpu().numpy()
         return torch.from_numpy(np.ascontiguousarray(field)), torch.from_numpy(weight)
 
     return of_frame

@@ -34,7 +34,7 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
     chosen = middle_frames(views)
     if len(chosen) < MIN_CAMERAS:
         chosen = views.train[np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int)]
-    masks = [moving_mask(ctx, frames, int(i)) for i in chosen]
+    masks = [unsteady_mask(ctx, frames, int(i)) for i in chosen]
     seed = ctx.settings.seed
     found: dict[str, np.ndarray] = {}
     colors: list[np.ndarray] = []
@@ -67,7 +67,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     from .clean_plates import clean_plates
 
     fixed = bool(ctx.facts.get("fixed_cameras"))
-    plates = clean_plates(views, lambda i: moving_mask(ctx, frames, i), fixed)
+    plates = clean_plates(views, lambda i: unsteady_mask(ctx, frames, i), fixed)
     with ctx.progress(len(plates.frames), "depth") as bar:
         maps = plane_sweep(views, plates.frames.tolist(), plates.pictures, points, bar.advance)
     if not maps:
@@ -102,7 +102,7 @@ def measured_depth(inverse: dict[int, np.ndarray], unit: float, ctx: Context, fr
 
     def moving(i: int) -> torch.Tensor | None:
         if i not in known:
-            mask = moving_mask(ctx, frames, i)
+            mask = unsteady_mask(ctx, frames, i)
             if mask is not None:
                 height, width = mask.shape
                 small = cv2.resize(
@@ -133,4 +133,15 @@ def moving_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
     flow = ctx.inputs["flow"]
     if mask is None and flow is not None and "movers" in flow:
         mask = np.asarray(flow.array("movers")[i])
-    return None if mask is None else mask > 127
+    if mask is None:
+        return None
+    kept = frames.kept(i)
+    return mask > 127 if kept is None else (mask > 127) & kept
+
+
+def unsteady_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
+    """[H, W] bool, where frame ``i`` does not show what stands still: something moves, or its pixels do not count; None without either."""
+    moving, kept = moving_mask(ctx, frames, i), frames.kept(i)
+    if kept is None:
+        return moving
+    return ~kept if moving is None else moving | ~kept

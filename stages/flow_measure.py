@@ -124,6 +124,8 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
                 masks[camera] = moving.mask(ctx.settings.grow)
             if movers is not None and gathered is not None:
                 for i, mask in zip(mine, (mask for job in gathered.masks(pool) for mask in job.result()), strict=True):
+                    kept = frames.kept(i)
+                    mask = mask if kept is None else np.where(kept, mask, 0)  # nothing is to begin on what does not count
                     movers[i] = mask
                     moved += np.count_nonzero(mask) / mask.size
                     bar.advance(1, frames.names[i])

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from ..pipeline import Applies, Context, Settings, Stage
+from ..pipeline import Applies, CaptureError, Context, Settings, Stage
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from .captures import Capture
 
 _DECODE_THREADS = 4
@@ -24,7 +26,7 @@ _DECODE_THREADS = 4
 class FramesSettings(Settings):
     """How the capture is read; the same names as the arguments of `captures.recognise`."""
 
-    format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "colmap", "images", "video"] | None = Field(
+    format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "images", "video"] | None = Field(
         None, description="reader to use; recognised from the files when not set"
     )
     static: bool = Field(False, description="nothing moves: all times are one, no flow, no deformation")
@@ -47,7 +49,7 @@ def recognise_for(path: str | Path, settings: FramesSettings) -> Capture:
 
 class Frames(Stage):
     name = "frames"
-    version = 2  # 2: times of a short part of [0, 1] are stretched
+    version = 3  # 3: no pixel of an undistorted picture is without data
     inputs = ()
     settings = FramesSettings
     reads_capture = True
@@ -84,9 +86,16 @@ def _write(capture: Capture, ctx: Context) -> None:
     out.write("split", capture.split, doc="0 train, 1 val, 2 test")
     out.write("next", capture.next, doc="the same camera's train frame at its next time, -1 where none")
     if capture.K is not None and capture.cam_from_world is not None and capture.distortion is not None:
-        out.write("K", capture.K, unit="px", doc="intrinsics, pixel centres at +0.5")
+        K = _pinholes(capture, capture.K, capture.distortion, ctx)
+        out.write("K", K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5")
         out.write("cam_from_world", capture.cam_from_world, unit="world", doc="OpenCV pose of the camera")
-        out.write("distortion", capture.distortion, doc="k1 k2 p1 p2")
+        out.write("distortion", capture.distortion, doc="k1 k2 p1 p2 [k3 k4 k5 k6], of fisheye lenses k1 k2 k3 k4")
+        if (K != capture.K).any():
+            out.write("lens_K", capture.K, unit="px", doc="intrinsics of the pictures as the lens made them")
+        if capture.fisheye is not None:
+            out.write("fisheye", capture.fisheye, doc="1: the lens is OpenCV's fisheye model")
+    if capture.crop is not None:
+        out.write("crop", capture.crop, unit="px", doc="left, top, width, height of the part of each stored picture that is shown")
     if capture.points is not None and capture.point_colors is not None:
         out.write("points", capture.points, unit="world", doc="points of the capture's files")
         out.write("point_colors", capture.point_colors, doc="RGB of points")
@@ -98,8 +107,34 @@ def _write(capture: Capture, ctx: Context) -> None:
         out.attrs["files"] = list(capture.images)
     if capture.masks is not None:
         out.attrs["mask_files"] = list(capture.masks)
+    if capture.keeps is not None:
+        out.attrs["keep_files"] = list(capture.keeps)
     if capture.K_hint is not None:
         out.attrs["K_hint"] = list(capture.K_hint)
+
+
+def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Context) -> np.ndarray:
+    """K of the pinhole cameras to which the pictures are undistorted; says what of them is lost."""
+    import numpy as np
+
+    from .lenses import pinholes
+
+    result, kept = pinholes(K, distortion, capture.fisheye, capture.facts["width"], capture.facts["height"])
+    if not kept.all():
+        i = int(kept.argmin())
+        raise CaptureError(
+            f"{capture.names[i]}: distortion: the lens's terms {distortion[i].tolist()} fold the picture over or leave too little of it; "
+            "correct the calibration, or undistort the images first"
+        )
+    bent = np.asarray(distortion.any(1))
+    if capture.fisheye is not None:
+        bent |= capture.fisheye > 0
+    if bent.any():
+        ctx.log(
+            f"{bent.sum()} of {len(bent)} pictures are undistorted to pinhole cameras; what these show is "
+            f"at least {kept[bent].min():.0%} of a picture's area, every pixel of it seen by the lens"
+        )
+    return result
 
 
 def _extract(capture: Capture, ctx: Context) -> None:
@@ -111,17 +146,19 @@ def _extract(capture: Capture, ctx: Context) -> None:
     images = ctx.out.create("images", shape, "uint8", (1, height, width, 3), doc="decoded RGB frames")
     with ctx.progress(frames, "decode") as progress:
         for video in capture.videos:
-            for offset, picture in enumerate(decode(capture.root, video, width, height)):
+            part = None if capture.crop is None else capture.crop[video.start]
+            for offset, picture in enumerate(decode(capture.root, video, width, height, part)):
                 images[video.start + offset] = picture
                 progress.advance(1, video.file)
 
 
 def _check(capture: Capture, ctx: Context) -> None:
     """Decode every picture and mask once, so that a file that is cut short is found now and not hours later in training."""
-    from .pictures import read_mask, read_picture
+    from .pictures import read_keep, read_mask, read_picture
 
     jobs: list[tuple[str, Callable[..., Any]]] = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
     jobs += [(name, read_mask) for name in dict.fromkeys(m for m in capture.masks or () if m)]
+    jobs += [(name, read_keep) for name in dict.fromkeys(m for m in capture.keeps or () if m)]
 
     def decode(job: tuple[str, Any]) -> str:
         name, read = job

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from ..pipeline import Artifact
-from . import pictures
+from . import lenses, pictures
 
+WHOLLY = 254  # of 255: of a mask that was scaled or bent, a pixel that lies inside
 _MAPS_KEPT = 4  # undistortion maps take 8 bytes a pixel; one camera needs one
 
 
@@ -20,8 +21,10 @@ class FrameSet:
     cam_from_world, distortion, points replace the capture's.
 
     camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 where none); K [F,3,3] float64 px and
-    cam_from_world [F,4,4] float64 (OpenCV), None without poses; distortion [F,4]; registered [F] bool; points [P,3] float64 and
+    cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
+    files, upright: the stored pictures, and whether these are turned as their EXIF data ask for; crop [F,4] px or None where all are shown
+    whole.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
     Pictures may be read from several threads at once; nothing is cached here.
     """
@@ -33,20 +36,25 @@ class FrameSet:
         self.height = int(frames.attrs["height"])
         self.background: str | None = frames.attrs["background"]
         self.alpha = bool(frames.attrs["alpha"])
+        self.upright = bool(frames.attrs.get("upright"))
         self.names: list[str] = frames.attrs["names"]
         self.files: list[str] | None = frames.attrs.get("files")
         self.mask_files: list[str | None] | None = frames.attrs.get("mask_files")
+        self.keep_files: list[str | None] | None = frames.attrs.get("keep_files")
         self.camera = frames.read("camera")
         self.time = frames.read("time")
         self.seconds = frames.read("seconds")
         self.split = frames.read("split")
         self.next = frames.read("next")
+        self.crop = frames.read("crop") if "crop" in frames else None
         self._images = frames.array("images") if "images" in frames else None
         source = poses if poses is not None else frames
         posed = "cam_from_world" in source
         self.K = source.read("K") if posed else None
         self.cam_from_world = source.read("cam_from_world") if posed else None
-        self.distortion = source.read("distortion") if posed else np.zeros((len(self), 4))
+        self._distortion = source.read("distortion") if posed else np.zeros((len(self), 4))
+        self._lens_K = source.read("lens_K") if "lens_K" in source else self.K
+        self._fisheye = source.read("fisheye") if "fisheye" in source else np.zeros(len(self), np.uint8)
         self.points = source.read("points") if "points" in source else None
         self.point_colors = source.read("point_colors") if "point_colors" in source else None
         if self.K is None or self.cam_from_world is None:
@@ -73,7 +81,8 @@ class FrameSet:
         if self._images is not None:
             return np.asarray(self._images[i])
         assert self.files is not None
-        picture = pictures.resize(pictures.read_picture(self.root, self.files[i], bool(self.attrs.get("upright"))), self.width, self.height)
+        stored = pictures.read_picture(self.root, self.files[i], self.upright)
+        picture = pictures.resize(stored, self.width, self.height, None if self.crop is None else self.crop[i])
         if self.alpha and picture.shape[2] == 3:
             picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
         return picture
@@ -85,21 +94,30 @@ class FrameSet:
     def mask(self, i: int) -> np.ndarray | None:
         """Foreground of frame i, uint8 [H,W] (255 foreground), undistorted like the image; None where the capture has none."""
         name = self.mask_files[i] if self.mask_files is not None else None
-        if name is None:
-            return None
-        mask = pictures.resize(pictures.read_mask(self.root, name), self.width, self.height)
+        return None if name is None else self._fitted(i, pictures.read_mask(self.root, name))
+
+    def kept(self, i: int) -> np.ndarray | None:
+        """Pixels of frame i that count, bool [H,W], undistorted like the image; None where the capture says nothing: all do. Pixels that
+        show some of what does not count do not, either."""
+        name = self.keep_files[i] if self.keep_files is not None else None
+        return None if name is None else self._fitted(i, pictures.read_keep(self.root, name)) >= WHOLLY
+
+    def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
+        """A stored mask of frame i at the size of its image, cropped and undistorted as that is."""
+        mask = pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i])
         maps = self._undistortion(i)
         return mask if maps is None else pictures.undistort(mask, maps)
 
     def _undistortion(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Maps for `pictures.undistort`; None for frames without distortion or without a pose."""
-        if self.K is None or not self.registered[i] or not self.distortion[i].any():
+        if self.K is None or self._lens_K is None or not self.registered[i] or not (self._distortion[i].any() or self._fisheye[i]):
             return None
-        key = self.K[i].tobytes() + self.distortion[i].tobytes()
+        lens_K, terms, fisheye = self._lens_K[i], self._distortion[i], bool(self._fisheye[i])
+        key = self.K[i].tobytes() + lens_K.tobytes() + terms.tobytes() + bytes([fisheye])
         with self._lock:
             maps = self._maps.get(key)
         if maps is None:
-            maps = pictures.undistort_maps(self.K[i], self.distortion[i], self.width, self.height)
+            maps = lenses.undistort_maps(self.K[i], terms, self.width, self.height, lens_K, fisheye)
             with self._lock:
                 if len(self._maps) >= _MAPS_KEPT:
                     self._maps.pop(next(iter(self._maps)))

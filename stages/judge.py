@@ -63,19 +63,22 @@ class Judge:
         picture = self.frames.composited(i)
         truth = picture.astype(np.float64) / 255.0
         color, frame = self.render(i)
+        kept = self._kept(i)
+        if kept is not None:  # for windows that reach into what does not count
+            color = np.where(kept[..., None], color, truth).astype(np.float32)
         row: dict[str, Any] = {
             "name": self.frames.names[i],
             "frame": int(i),
             "camera": int(self.frames.camera[i]),
             "time": float(self.frames.time[i]),
-            "psnr": psnr(color, truth),
-            "ssim": ssim(color, truth),
-            "edge_psnr": edge_psnr(color, truth),
+            "psnr": psnr(color, truth, kept),
+            "ssim": ssim(color, truth, kept),
+            "edge_psnr": edge_psnr(color, truth, kept),
             "lpips": None if self.lpips is None else self.lpips(color, truth),
         }
         if not self.frames.alpha:
-            fitted = affine_fit(color, truth)
-            row |= {"psnr_affine": psnr(fitted, truth), "ssim_affine": ssim(fitted, truth)}
+            fitted = affine_fit(color, truth, kept)
+            row |= {"psnr_affine": psnr(fitted, truth, kept), "ssim_affine": ssim(fitted, truth, kept)}
         if self.fixed:
             row |= self._of_motion(i, color, truth)
         if self.frames.alpha and self.frames.background is not None:
@@ -98,9 +101,10 @@ class Judge:
         if not median.size:
             return {"psnr_moving": None, "psnr_static": None}
         moving = cv2.dilate((np.abs(truth - median).max(-1) > MOVING_DIFFERENCE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        return {
-            name: psnr(color, truth, mask) if mask.any() else None for name, mask in (("psnr_moving", moving), ("psnr_static", ~moving))
-        }
+        kept = self._kept(i)
+        both = {"psnr_moving": moving, "psnr_static": ~moving}
+        both = both if kept is None else {name: mask & kept for name, mask in both.items()}
+        return {name: psnr(color, truth, mask) if mask.any() else None for name, mask in both.items()}
 
     def _of_alpha(self, i: int, color: np.ndarray, truth: np.ndarray, frame: Frame) -> dict[str, float | None]:
         """What only captures with alpha tell: PSNR where they are not empty, and on the background that was not trained on, which a model
@@ -114,10 +118,17 @@ class Judge:
         other = OTHER[self.frames.background]
         behind = 1.0 if other == "white" else -1.0
         on_other = (frame.color.numpy() + behind * (1 - frame.alpha.numpy()[..., None])).clip(0, 1)
+        kept = self._kept(i)
+        filled = filled if kept is None else filled & kept
         return {
             "psnr_foreground": psnr(color, truth, filled) if filled.any() else None,
-            "psnr_other_background": psnr(on_other, composite(picture, other) / 255.0),
+            "psnr_other_background": psnr(on_other, composite(picture, other) / 255.0, kept),
         }
+
+    def _kept(self, i: int) -> np.ndarray | None:
+        """[H, W] bool, the pixels of frame i that are measured; None for all, also where so few count that nothing could be said."""
+        kept = self.frames.kept(i)
+        return kept if kept is not None and kept.any() else None
 
     def frames_per_second(self, indices: Sequence[int]) -> float:
         """1 / median time of up to `FPS_RENDERS` renders (deformation included) of held-out views, after one that is not counted."""

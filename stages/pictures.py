@@ -40,23 +40,26 @@ def read_mask(root: Path, name: str) -> np.ndarray:
         raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
 
 
-def resize(picture: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Scaled down by area; the picture itself when it has that size."""
+def read_keep(root: Path, name: str) -> np.ndarray:
+    """uint8 [H,W], 255 what counts, 0 what does not, of a mask file that is black where pixels count for nothing."""
+    keep = np.where(read_mask(root, name) > 127, 255, 0).astype(np.uint8)
+    if not keep.any():
+        raise CaptureError(f"{name}: the mask is black everywhere, so nothing of its image counts; invert the masks, or remove this one")
+    return keep
+
+
+def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None = None) -> np.ndarray:
+    """Scaled down by area, or up (bicubic); the picture itself when it has that size. crop: left, top, width, height, px, of the part of it
+    that is taken."""
     import cv2
 
+    if crop is not None:
+        left, top, across, down = (int(v) for v in crop)
+        picture = np.ascontiguousarray(picture[top : top + down, left : left + across])
     if picture.shape[:2] == (height, width):
         return picture
-    return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=cv2.INTER_AREA))
-
-
-def undistort_maps(K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of the pinhole image (same K) lies in the distorted one, for `undistort`. K has pixel centres at +0.5."""
-    import cv2
-
-    # OpenCV counts pixel centres from 0.
-    matrix = np.asarray(K, np.float64) - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    x, y = cv2.initUndistortRectifyMap(matrix, np.asarray(distortion, np.float64), None, matrix, (width, height), cv2.CV_32FC1)  # type: ignore[call-overload]
-    return x, y
+    way = cv2.INTER_AREA if width * height < picture.shape[0] * picture.shape[1] else cv2.INTER_CUBIC
+    return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=way))
 
 
 def undistort(picture: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -15,6 +15,7 @@ from .sfm.pairs import OVERLAP, choose, image_pairs
 
 if TYPE_CHECKING:
     import numpy as np
+    from PIL import Image
 
     from .frameset import FrameSet
     from .sfm.coverage import Coverage
@@ -42,7 +43,7 @@ class Poses(Stage):
     """Intrinsics and a pose for every frame that registers, sparse points, and a report of what did not register and why."""
 
     name = "poses"
-    version = 3
+    version = 4  # 4: no pixel of an undistorted picture is without data
     inputs = ("frames",)
     settings = PosesSettings
     reads_capture = True
@@ -82,8 +83,9 @@ class Poses(Stage):
             "task": "reconstruct",
             "root": str(ctx.checkpoints / "images"),
             "names": write_images(ctx, frames),
-            "cameras": [int(c) for c in frames.camera],
+            "cameras": lens_groups(frames),
             "K_hint": None if hint is None else np.asarray(hint, np.float64).reshape(3, 3).tolist(),
+            "masks": None if frames.keep_files is None else str(write_masks(ctx, frames)),
             "width": frames.width,
             "height": frames.height,
             "camera_model": settings.camera_model,
@@ -138,6 +140,15 @@ class Poses(Stage):
         )
 
 
+def lens_groups(frames: FrameSet) -> list[int]:
+    """A number for each frame; frames of one number share a lens. Pictures of another size are taken by another camera, or zoomed."""
+    if frames.crop is None:
+        return [int(c) for c in frames.camera]
+    lenses = [(int(c), *crop) for c, crop in zip(frames.camera, frames.crop.tolist(), strict=True)]
+    number = {lens: n for n, lens in enumerate(dict.fromkeys(lenses))}
+    return [number[lens] for lens in lenses]
+
+
 def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     """Pictures for COLMAP under plain names: links to the capture's own files, or files decoded from what the store holds."""
     from PIL import Image
@@ -147,7 +158,8 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     folder = ctx.checkpoints / "images"
     folder.mkdir(parents=True, exist_ok=True)
     names = []
-    linked = frames.files is not None and not frames.alpha
+    # COLMAP reads files as they are stored: neither turned nor cropped, and without alpha; masks are made for pictures of the frames' size
+    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None and frames.keep_files is None
     with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):
             suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
@@ -160,10 +172,41 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
                 if linked and frames.files is not None:
                     _link(frames.root / frames.files[i], partial)
                 else:
-                    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1)
+                    exif = _focal_length(frames.root / frames.files[i]) if frames.files is not None and frames.crop is None else None
+                    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1, exif=exif)
                 partial.replace(target)
             progress.advance()
     return names
+
+
+def write_masks(ctx: Context, frames: FrameSet) -> Path:
+    """The folder of masks, black where no feature is to be found, called as COLMAP wants them: the picture's name and .png."""
+    import numpy as np
+    from PIL import Image
+
+    folder = ctx.checkpoints / "masks"
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(len(frames)):
+        kept = frames.kept(i)
+        if kept is not None:
+            Image.fromarray(np.where(kept, 255, 0).astype(np.uint8)).save(folder / f"{i:06d}.png.png", compress_level=1)
+    return folder
+
+
+def _focal_length(file: Path) -> Image.Exif:
+    """What EXIF says of a picture's focal length, in 35 mm terms, and nothing else: COLMAP begins with it."""
+    from PIL import Image
+
+    details, tag = 0x8769, 0xA405
+    result = Image.Exif()
+    try:
+        with Image.open(file) as image:
+            value = image.getexif().get_ifd(details).get(tag)
+    except (OSError, ValueError, SyntaxError, KeyError):  # EXIF data are often broken, and can be done without
+        value = None
+    if isinstance(value, int) and 1 <= value <= 10_000:
+        result[details] = {tag: value}
+    return result
 
 
 def _link(source: Path, target: Path) -> None:
@@ -176,6 +219,7 @@ def _link(source: Path, target: Path) -> None:
 def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage) -> None:
     import numpy as np
 
+    from .lenses import pinholes
     from .sfm.world import POINT_ERROR, keep_points, normalise
 
     registered = arrays["registered"]
@@ -189,8 +233,16 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
     K[:, 1] *= size[:, 1:]
     cam_from_world[registered], points = normalise(cam_from_world[registered], arrays["points"][keep])
 
+    lens_K = K
+    K, kept = pinholes(lens_K, arrays["distortion"], None, frames.width, frames.height)
+    if not kept.all():
+        raise StageError(
+            f"{frames.names[int(kept.argmin())]}: the lens that was fitted folds the picture over; try another poses.camera_model"
+        )
     out = ctx.out
-    out.write("K", K, unit="px", doc="intrinsics, pixel centres at +0.5; NaN where not registered")
+    out.write("K", K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5; NaN where not registered")
+    if not np.array_equal(K, lens_K, equal_nan=True):
+        out.write("lens_K", lens_K, unit="px", doc="intrinsics of the pictures as the lens made them; NaN where not registered")
     out.write("cam_from_world", cam_from_world, unit="world", doc="OpenCV pose of the camera; NaN where not registered")
     out.write("distortion", arrays["distortion"], doc="k1 k2 p1 p2")
     out.write("registered", registered, doc="the frame has a pose")

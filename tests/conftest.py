@@ -20,6 +20,7 @@ from factory import (
     write_dnerf,
     write_images,
     write_n3v,
+    write_nerfies,
     write_nerfstudio,
     write_panoptic,
     write_video,
@@ -84,6 +85,22 @@ def nerfstudio_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
         backdrop="room", rig="path", times=10, width=80, height=64, samples=3, fov_degrees=60.0, distortion=(-0.06, 0.01, 0.001, -0.0005)
     )
     return write_nerfstudio(make(options), tmp_path_factory.mktemp("nerfstudio"))
+
+
+@pytest.fixture(scope="session")
+def nerfies_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """Nerfies: one moving camera with lens distortion, 9 times, 80x64, every third held out."""
+    options = Options(
+        backdrop="room",
+        rig="path",
+        times=9,
+        width=80,
+        height=64,
+        samples=3,
+        fov_degrees=60.0,
+        distortion=(-0.06, 0.01, 0.001, -0.0005, 0.02),
+    )
+    return write_nerfies(make(options), tmp_path_factory.mktemp("nerfies"))
 
 
 @pytest.fixture(scope="session")

@@ -28,16 +28,17 @@ def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
     return CAP if mse <= 10 ** (-CAP / 10) else -10.0 * math.log10(mse)
 
 
-def affine_fit(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def affine_fit(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
     """``image`` after the per-channel gain and offset that bring it closest to ``truth`` (least squares), clamped to [0, 1].
 
     Cameras of one rig differ in gain and offset; a novel view cannot know those of a camera it never saw. A channel without variation
-    gets an offset only. float [H, W, 3] in, float64 [H, W, 3] out.
+    gets an offset only. float [H, W, 3] in, float64 [H, W, 3] out. mask: bool [H, W], the pixels that are brought close; all without one.
     """
     image, truth = as_pair(image, truth)
-    mean, target = image.mean((0, 1)), truth.mean((0, 1))
+    near, goal = (image.reshape(-1, 3), truth.reshape(-1, 3)) if mask is None else (image[mask], truth[mask])
+    mean, target = near.mean(0), goal.mean(0)
     centred = image - mean
-    variance = np.square(centred).mean((0, 1))
-    covariance = (centred * (truth - target)).mean((0, 1))
+    variance = np.square(near - mean).mean(0)
+    covariance = ((near - mean) * (goal - target)).mean(0)
     gain = np.divide(covariance, variance, out=np.zeros(3), where=variance > 1e-12)
     return np.clip(centred * gain + target, 0.0, 1.0)

@@ -28,6 +28,8 @@ def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return ((2 * mx * my + C1) * (2 * vxy + C2)) / ((mx * mx + my * my + C1) * (vx + vy + C2))
 
 
-def ssim(image: np.ndarray, truth: np.ndarray) -> float:
-    """Mean of `ssim_map` over pixels and channels, in [-1, 1]. image, truth: float [H, W, 3] in [0, 1]."""
-    return float(ssim_map(image, truth).mean())
+def ssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """Mean of `ssim_map` over pixels and channels, in [-1, 1]. image, truth: float [H, W, 3] in [0, 1]. mask: bool [H, W], the pixels that
+    count, all without one."""
+    found = ssim_map(image, truth)
+    return float(found.mean() if mask is None else found[mask].mean())

@@ -52,6 +52,9 @@ def measure_responsibility(model: Model, views: Views, frames: list[int], move: 
         with torch.no_grad():
             color = frame.color if model.affine is None else model.affine(frame.color, views.recorded_by(i))
             error = (color - views.target(i, scale)).abs().mean(-1)
+            kept = views.kept(i, scale)
+            if kept is not None:
+                error = error * kept
         gradients = torch.autograd.grad((frame.extras * torch.stack([torch.ones_like(error), error], -1)).sum(), probes, allow_unused=True)
         for sums, gradient in zip(total, gradients):
             if gradient is not None:

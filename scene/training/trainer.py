@@ -177,14 +177,18 @@ class Trainer:
         if model.affine is not None:
             color = model.affine(color, views.recorded_by(i))
         target = views.target(i, phase.scale, window)
+        kept = views.kept(i, phase.scale, window)
+        if kept is not None:  # what does not count is as it was drawn, and pulls at nothing
+            target = torch.where(kept[..., None], target, color.detach())
         loss = photometric_loss(color, target, s.l1, s.ssim)
         if s.alpha and views.load_alpha is not None:
-            loss = loss + s.alpha * (frame.alpha - views.alpha(i, phase.scale, window)).abs().mean()
+            wrong = (frame.alpha - views.alpha(i, phase.scale, window)).abs()
+            loss = loss + s.alpha * (wrong if kept is None else wrong * kept).mean()
         # As if the whole image had been looked at: there is nothing outside of the window.
         share = target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale)))
         loss = loss * share
         if self.iteration % 50 == 0:
-            mse = float((color.detach() - target).square().mean())
+            mse = float((color.detach() - target).square().mean()) / (1.0 if kept is None else max(float(kept.float().mean()), 1e-6))
             self.log.psnr.append([self.iteration, -10 * float(np.log10(max(mse, 1e-10)))])
         image_loss = loss.detach()
         if spread:

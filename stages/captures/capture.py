@@ -12,6 +12,7 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from . import checks
+from .common_size import Crop, common_size, crop, told
 
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")
@@ -35,19 +36,23 @@ class Options:
 
 @dataclass
 class Shot:
-    """One frame as a reader found it. `camera` is any sortable id; `time` is in the file's own unit."""
+    """One frame as a reader found it. `camera` is any sortable id; `time` is in the file's own unit; `size` is width and height, px, of its
+    picture, for which K holds."""
 
     name: str
     camera: Any
     time: float
+    size: tuple[int, int]
     split: int = TRAIN
     file: str | None = None
-    mask: str | None = None
+    mask: str | None = None  # white: what moves
+    keep: str | None = None  # black: what counts for nothing
     seconds: float | None = None
     linked: bool = True  # may be paired with the same camera's next frame
     K: np.ndarray | None = None
     cam_from_world: np.ndarray | None = None
     distortion: np.ndarray | None = None
+    fisheye: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,8 +71,6 @@ class Reading:
 
     why: str
     shots: list[Shot]
-    width: int
-    height: int
     alpha: bool = False
     has_split: bool = False
     fps: float | None = None
@@ -86,7 +89,9 @@ class Capture:
     """A recognised capture. F frames in a fixed order that every stage uses.
 
     `files` are the paths, relative to `root`, whose content decides the result (the digest of the capture); `facts` is the
-    mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`).
+    mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`); K is that of the
+    pictures as the lens made them (`captures/lens.py` has the meaning of distortion and fisheye). crop [F,4]: left, top, width and
+    height, px, of the part of each stored picture that is scaled to the output size; None where all are taken whole.
     """
 
     root: Path
@@ -97,6 +102,7 @@ class Capture:
     names: tuple[str, ...]
     images: tuple[str, ...] | None
     masks: tuple[str | None, ...] | None
+    keeps: tuple[str | None, ...] | None
     videos: tuple[Video, ...]
     camera: np.ndarray
     time: np.ndarray
@@ -106,6 +112,8 @@ class Capture:
     K: np.ndarray | None
     cam_from_world: np.ndarray | None
     distortion: np.ndarray | None
+    fisheye: np.ndarray | None
+    crop: np.ndarray | None
     background: str | None
     points: np.ndarray | None = None
     point_colors: np.ndarray | None = None
@@ -138,8 +146,11 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     following = np.full(len(shots), -1, np.int32) if static else _next_frames(shots, camera, time, split)
 
     posed = all(s.cam_from_world is not None for s in shots)
-    width, height, sx, sy = _output_size(reading.width, reading.height, options.max_size)
-    scale = np.diag([sx, sy, 1.0])
+    sizes = [s.size for s in shots]
+    common = common_size(sizes)
+    crops = [crop(size, common) for size in sizes]
+    width, height = _output_size(*common, options.max_size)
+    scale = _scaled((0, 0, *common), width, height)
     hint = None if reading.K_hint is None else tuple(float(v) for v in (scale @ reading.K_hint).reshape(-1))
     background = options.background or ("white" if reading.alpha else None)
     facts: dict[str, Any] = {
@@ -163,11 +174,12 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         facts["upright"] = True
     images = None if reading.videos else tuple(str(s.file) for s in shots)
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
-    for mask in dict.fromkeys(m for m in masks or () if m):
-        if (size := checks.image_header(root, mask)[:2]) != (reading.width, reading.height):
-            raise CaptureError(f"{mask}: the mask is {size[0]}x{size[1]}, the images {reading.width}x{reading.height}; make them one size")
-    files = {*reading.sources, *(images or ()), *(m for m in masks or () if m), *(v.file for v in reading.videos)}
-    zeros = np.zeros(4)
+    keeps = tuple(s.keep for s in shots) if any(s.keep for s in shots) else None
+    for shot in shots:
+        for mask in filter(None, (shot.mask, shot.keep)):
+            if (size := checks.image_header(root, mask)[:2]) != shot.size:
+                raise CaptureError(f"{mask}: the mask is {size[0]}x{size[1]}, its image {shot.size[0]}x{shot.size[1]}; make them one size")
+    files = {*reading.sources, *(images or ()), *(m for m in (*(masks or ()), *(keeps or ())) if m), *(v.file for v in reading.videos)}
     return Capture(
         root=root,
         name=name,
@@ -177,21 +189,35 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         names=tuple(s.name for s in shots),
         images=images,
         masks=masks,
+        keeps=keeps,
         videos=reading.videos,
         camera=camera,
         time=time,
         seconds=seconds,
         split=split,
         next=following,
-        K=np.stack([scale @ s.K for s in shots if s.K is not None]) if posed else None,
+        K=np.stack([_scaled(part, width, height) @ s.K for s, part in zip(shots, crops, strict=True) if s.K is not None])
+        if posed
+        else None,
         cam_from_world=np.stack([s.cam_from_world for s in shots if s.cam_from_world is not None]) if posed else None,
-        distortion=np.stack([zeros if s.distortion is None else s.distortion for s in shots]) if posed else None,
+        distortion=_distortions(shots) if posed else None,
+        fisheye=np.array([s.fisheye for s in shots], np.uint8) if any(s.fisheye for s in shots) else None,
+        crop=np.array(crops, np.int32) if len(set(sizes)) > 1 else None,
         background=background,
         points=reading.points,
         point_colors=reading.point_colors,
         K_hint=hint,
-        notes=reading.notes,
+        notes=(*reading.notes, *([note] if (note := told(sizes, [s.name for s in shots], common)) else [])),
     )
+
+
+def _distortions(shots: Sequence[Shot]) -> np.ndarray:
+    """[F,4], or [F,8] where any lens has so many terms."""
+    terms = [np.zeros(4) if s.distortion is None else s.distortion for s in shots]
+    result = np.zeros((len(shots), max(map(len, terms))))
+    for row, own in zip(result, terms, strict=True):
+        row[: len(own)] = own
+    return result
 
 
 def _unit_times(raw: np.ndarray) -> np.ndarray:
@@ -202,26 +228,31 @@ def _unit_times(raw: np.ndarray) -> np.ndarray:
     return (raw - raw.min()) / span if span > 0 else np.zeros_like(raw)
 
 
-def _output_size(width: int, height: int, max_size: int | None) -> tuple[int, int, float, float]:
-    """Size after `max_size` and the exact factors on x and y (pixel centres lie at +0.5, so K scales without an offset)."""
+def _output_size(width: int, height: int, max_size: int | None) -> tuple[int, int]:
     if not max_size or max(width, height) <= max_size:
-        return width, height, 1.0, 1.0
+        return width, height
     factor = max_size / max(width, height)
-    w, h = max(1, round(width * factor)), max(1, round(height * factor))
-    return w, h, w / width, h / height
+    return max(1, round(width * factor)), max(1, round(height * factor))
+
+
+def _scaled(part: Crop, width: int, height: int) -> np.ndarray:
+    """[3,3]: pixels of a picture to those of its `part` scaled to width x height. Pixel centres lie at +0.5, so scaling has no offset."""
+    left, top, across, down = part
+    return np.diag([width / across, height / down, 1.0]) @ np.array([[1.0, 0, -left], [0, 1.0, -top], [0, 0, 1.0]])
 
 
 def _next_frames(shots: Sequence[Shot], camera: np.ndarray, time: np.ndarray, split: np.ndarray) -> np.ndarray:
     """Index of the same camera's train frame at its next time, -1 where none.
 
-    Held-out frames have no next and are stepped over, so that measured flow never looks at a picture that is evaluated.
+    Held-out frames have no next and are stepped over, so that measured flow never looks at a picture that is evaluated. Pictures of two
+    sizes are no pair: scaled to one, they would seem to move.
     """
     result = np.full(len(shots), -1, np.int32)
     for key in np.unique(camera):
         members = np.flatnonzero((camera == key) & (split == TRAIN))
         members = members[np.argsort(time[members], kind="stable")].tolist()
         for a, b in itertools.pairwise(members):
-            if time[b] > time[a] and shots[a].linked:
+            if time[b] > time[a] and shots[a].linked and shots[a].size == shots[b].size:
                 result[a] = b
     return result
 

@@ -216,23 +216,12 @@ def turned(root: Path, names: Iterable[str]) -> bool:
     return False
 
 
-def image_headers(root: Path, names: Iterable[str], upright: bool = False) -> tuple[int, int, bool]:
-    """(width, height, any alpha) of all `names`; one size is required. upright: see `image_header`."""
-    first: tuple[str, int, int] | None = None
-    any_alpha = False
-    for name in names:
-        width, height, alpha = image_header(root, name, upright)
-        any_alpha |= alpha
-        if first is None:
-            first = (name, width, height)
-        elif (width, height) != first[1:]:
-            raise CaptureError(
-                f"{name}: {width}x{height}, but {first[0]} is {first[1]}x{first[2]}; all images of a capture need one size, "
-                "resize or remove the ones that differ"
-            )
-    if first is None:
+def image_headers(root: Path, names: Iterable[str], upright: bool = False) -> tuple[list[tuple[int, int]], bool]:
+    """((width, height) of each of `names`, whether any has alpha). upright: see `image_header`."""
+    headers = [image_header(root, name, upright) for name in names]
+    if not headers:
         raise CaptureError(f"{root}: holds no image")
-    return first[1], first[2], any_alpha
+    return [header[:2] for header in headers], any(header[2] for header in headers)
 
 
 def _kind(value: Any) -> str:

@@ -15,17 +15,19 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks
 from .capture import Options, Reading, Shot
+from .keep_masks import add_masks
+from .lens import LARGEST_TERM, Lens, distortion_of
 
 _FOLDERS = ("sparse/0", "sparse")
-# COLMAP's model number -> name; and where fx, fy, cx, cy, k1, k2, p1, p2 stand among the parameters (None: zero).
-_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-_LAYOUT: dict[str, tuple[int | None, ...]] = {
-    "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None, None, None),
-    "PINHOLE": (0, 1, 2, 3, None, None, None, None),
-    "SIMPLE_RADIAL": (0, 0, 1, 2, 3, None, None, None),
-    "RADIAL": (0, 0, 1, 2, 3, 4, None, None),
-    "OPENCV": (0, 1, 2, 3, 4, 5, 6, 7),
-}
+# COLMAP's models by number, and of those that are read whether one focal length stands for both and how many terms of distortion follow
+# cx, cy, which are OpenCV's in OpenCV's order. Those of the fisheye model stand apart.
+_MODELS = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE"),
+    *("RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE"),
+)
+_BROWN = {"SIMPLE_PINHOLE": (True, 0), "PINHOLE": (False, 0), "SIMPLE_RADIAL": (True, 1), "RADIAL": (True, 2), "OPENCV": (False, 4)}
+_FISHEYE = {"SIMPLE_FISHEYE": (True, 0), "FISHEYE": (False, 0), "SIMPLE_RADIAL_FISHEYE": (True, 1), "RADIAL_FISHEYE": (True, 2)}
+_LAYOUT = {**_BROWN, "FULL_OPENCV": (False, 8), **_FISHEYE, "OPENCV_FISHEYE": (False, 4)}
 
 
 @dataclass(frozen=True)
@@ -62,25 +64,26 @@ def read(root: Path, options: Options) -> Reading:
         row = int(np.flatnonzero(~np.isfinite(table).all(1))[0])
         raise CaptureError(f"{files['points3D']}: point {row}: holds NaN or Inf; remove it")
     paths = [checks.find_image(root, f"images/{image.name}", f"{files['images']}: image {image.name!r}: name") for image in images]
-    width, height, alpha = checks.image_headers(root, paths)
+    sizes, alpha = checks.image_headers(root, paths)
     shots = []
-    for i, (image, path) in enumerate(zip(images, paths, strict=True)):
+    for i, (image, path, size) in enumerate(zip(images, paths, sizes, strict=True)):
         if image.camera not in cameras:
             raise CaptureError(f"{files['images']}: image {image.name!r}: camera {image.camera} is not in {files['cameras']}; export again")
-        K, distortion = _lens(cameras[image.camera], f"{files['cameras']}: camera {image.camera}", width, height)
+        lens = _lens(cameras[image.camera], f"{files['cameras']}: camera {image.camera}", *size)
         pose = _pose(image.pose, f"{files['images']}: image {image.name!r}: pose")
-        shots.append(Shot(name=path, camera=0, time=float(i), file=path, K=K, cam_from_world=pose, distortion=distortion))
+        shot = Shot(name=path, camera=0, time=float(i), size=size, file=path, cam_from_world=pose)
+        shot.K, shot.distortion, shot.fisheye = lens
+        shots.append(shot)
+    masked = add_masks(root, shots)
     present = sum(1 for name in checks.list_folder(root / "images") if name.lower().endswith(checks.IMAGE_SUFFIXES))
     return Reading(
         why=f"a COLMAP model in {folder}, {'a static scene' if options.static else 'one camera over time'}",
         shots=shots,
-        width=width,
-        height=height,
         alpha=alpha,
         sources=tuple(file for part, file in files.items() if part != "points3D" or has_points),
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
-        notes=(f"{present - len(shots)} images without a pose in {folder} are left out",) if present > len(shots) else (),
+        notes=(*masked, *([f"{present - len(shots)} images without a pose in {folder} are left out"] if present > len(shots) else [])),
     )
 
 
@@ -93,20 +96,28 @@ def _model(root: Path) -> tuple[str, str] | None:
     return None
 
 
-def _lens(camera: tuple[str, float, float, list[float]], where: str, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+def _lens(camera: tuple[str, float, float, list[float]], where: str, width: int, height: int) -> Lens:
     model, file_width, file_height, values = camera
     if model not in _LAYOUT:
-        raise CaptureError(f"{where}: model {model} is not supported ({', '.join(_LAYOUT)} are); undistort the images first")
-    used = _LAYOUT[model]
-    if len(values) <= max(i for i in used if i is not None):
-        raise CaptureError(f"{where}: {len(values)} parameters are too few for {model}; export the model again")
-    fx, fy, cx, cy, *distortion = (0.0 if i is None else checks.number(values[i], f"{where}: parameter {i}") for i in used)
+        raise CaptureError(f"{where}: {_refusal(model)}")
+    one_focal, count = _LAYOUT[model]
+    if len(values) != 4 - one_focal + count:
+        raise CaptureError(f"{where}: {len(values)} parameters, but {model} has {4 - one_focal + count}; export the model again")
+    numbers = [checks.number(value, f"{where}: parameter {i}") for i, value in enumerate(values)]
+    fx, fy, cx, cy, *terms = numbers[:1] * one_focal + numbers
+    for i, term in enumerate(terms, len(values) - count):
+        checks.number(term, f"{where}: parameter {i}", -LARGEST_TERM, LARGEST_TERM)
     checks.number(file_width, f"{where}: width", 1, 1e6)
     checks.number(file_height, f"{where}: height", 1, 1e6)
     sx, sy = width / file_width, height / file_height
     if abs(sx / sy - 1) > 0.02:
         raise CaptureError(f"{where}: made for {file_width:g}x{file_height:g}, the images are {width}x{height}, another shape; resize them")
-    return checks.intrinsics(fx * sx, fy * sy, cx * sx, cy * sy, where), np.array(distortion)
+    fisheye = model.endswith("FISHEYE")
+    return Lens(checks.intrinsics(fx * sx, fy * sy, cx * sx, cy * sy, where), distortion_of(terms), fisheye)
+
+
+def _refusal(model: str) -> str:
+    return f"model {model[:40]} is not supported ({', '.join(_LAYOUT)} are); undistort the images with colmap image_undistorter first"
 
 
 def _pose(values: np.ndarray, where: str) -> np.ndarray:
@@ -179,10 +190,11 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, 
     source = _Bytes(path)
     for _ in range(source.take("Q")[0]):
         number, kind, width, height = source.take("iiQQ")
-        if not 0 <= kind < len(_MODELS):
-            raise CaptureError(f"{path.name}: camera {number}: model {kind} is not supported ({', '.join(_MODELS)} are); undistort first")
-        count = 1 + max(i for i in _LAYOUT[_MODELS[kind]] if i is not None)
-        yield number, (_MODELS[kind], float(width), float(height), list(source.take(f"{count}d")))
+        model = _MODELS[kind] if 0 <= kind < len(_MODELS) else f"number {kind}"
+        if model not in _LAYOUT:  # nor is it known how long its record is
+            raise CaptureError(f"{path.name}: camera {number}: {_refusal(model)}")
+        one_focal, count = _LAYOUT[model]
+        yield number, (model, float(width), float(height), list(source.take(f"{4 - one_focal + count}d")))
 
 
 def _binary_images(path: Path) -> Iterator[_Image]:

@@ -32,7 +32,7 @@ def read(root: Path, options: Options) -> Reading:
     there = {file: transforms.present(root, frames, file) for file, frames in listed.items()}
     entries = [(split, file, data, i, listed[file][i]) for split, file, data in loaded for i in there[file][0]]
     paths = [there[file][0][i] for _, file, _, i, _ in entries]
-    width, height, alpha = checks.image_headers(root, paths)
+    sizes, alpha = checks.image_headers(root, paths)
 
     per_file = [transforms.times_of(frames, file) for file, frames in listed.items()]
     if any(t is None for t in per_file) != all(t is None for t in per_file):
@@ -42,18 +42,20 @@ def read(root: Path, options: Options) -> Reading:
     times = times or [0.0] * len(entries)
 
     shots = []
-    for number, ((split, file, data, i, frame), path, time) in enumerate(zip(entries, paths, times, strict=True)):
-        K, distortion = transforms.lens(frame, data, f"{file}: frame {i}", width, height)
+    for number, ((split, file, data, i, frame), path, time, size) in enumerate(zip(entries, paths, times, sizes, strict=True)):
+        lens = transforms.lens(frame, data, f"{file}: frame {i}", *size)
         shots.append(
             Shot(
                 name=path,
                 camera=(1, number),
                 time=time,
+                size=size,
                 split=split,
                 file=path,
-                K=K,
+                K=lens.K,
                 cam_from_world=transforms.pose(frame, f"{file}: frame {i}"),
-                distortion=distortion,
+                distortion=lens.distortion,
+                fisheye=lens.fisheye,
             )
         )
     moving = _join_path(shots)
@@ -61,8 +63,6 @@ def read(root: Path, options: Options) -> Reading:
     return Reading(
         why=" + ".join(file for _, file in files) + (", poses along one smooth path" if moving else ""),
         shots=shots,
-        width=width,
-        height=height,
         alpha=alpha,
         has_split=len(files) > 1,
         fps=None if raw_fps is None else checks.number(raw_fps, f"{files[0][1]}: fps", 1e-3, 1e6),

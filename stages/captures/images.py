@@ -9,6 +9,7 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks, video
 from .capture import Options, Reading, Shot
+from .keep_masks import add_masks
 
 _HINT = "K.txt"
 
@@ -33,19 +34,23 @@ def read(root: Path, options: Options) -> Reading:
     taken = video.choose(len(found), options, None)
     paths = [found[i] for i in taken]
     upright = checks.turned(root, paths)  # where poses come with the files, they are those of the pictures as stored
-    width, height, alpha = checks.image_headers(root, paths, upright)
-    hint = _hint(root, prefix + _HINT, width, height)
+    sizes, alpha = checks.image_headers(root, paths, upright)
+    hint = _hint(root, prefix + _HINT, *sizes[0])
+    if hint is not None and len(set(sizes)) > 1:
+        raise CaptureError(
+            f"{prefix}{_HINT}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
+        )
+    shots = [Shot(name=path, camera=0, time=float(i), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)]
+    thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if 1 < len(taken) < len(found) else ()
     # A strip of zeros and a set of photos look alike; only --static says that nothing moves.
     return Reading(
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
-        shots=[Shot(name=path, camera=0, time=float(i), file=path) for i, path in zip(taken, paths, strict=True)],
-        width=width,
-        height=height,
+        shots=shots,
         alpha=alpha,
         sources=(prefix + _HINT,) if hint is not None else (),
         K_hint=hint,
         upright=upright,
-        notes=(f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if 1 < len(taken) < len(found) else (),
+        notes=(*thinned, *add_masks(root, shots)),
     )
 
 
@@ -54,13 +59,13 @@ def _images(folder: Path) -> list[str]:
 
 
 def _folder(root: Path) -> str | None:
-    """ "" when the images lie in `root`, "images" when that is its only folder, None when there are none."""
+    """ "" when the images lie in `root`, "images" when that is its only folder but for masks/, None when there are none."""
     if not root.is_dir():
         return None
     if _images(root):
         return ""
     folders = [name for name in checks.list_folder(root) if (root / name).is_dir()]
-    return "images" if folders == ["images"] and _images(root / "images") else None
+    return "images" if [name for name in folders if name != "masks"] == ["images"] and _images(root / "images") else None
 
 
 def _hint(root: Path, name: str, width: int, height: int) -> np.ndarray | None:

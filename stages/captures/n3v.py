@@ -39,7 +39,8 @@ def read(root: Path, options: Options) -> Reading:
     poses = _poses(root, cameras)
     test = cameras[0]  # cam00
     reading = _from_videos(root, cameras, options) if use_movies else _from_folders(root, cameras, options)
-    by_camera = {name: _camera(poses[i], f"{_POSES}: row {i} ({name})", reading.width, reading.height) for i, name in enumerate(cameras)}
+    sizes = {shot.camera: shot.size for shot in reading.shots}
+    by_camera = {name: _camera(poses[i], f"{_POSES}: row {i} ({name})", sizes[name]) for i, name in enumerate(cameras)}
     for shot in reading.shots:
         shot.split = TEST if shot.camera == test else TRAIN
         shot.K, shot.cam_from_world = by_camera[shot.camera]
@@ -54,16 +55,12 @@ def _from_videos(root: Path, cameras: list[str], options: Options) -> Reading:
     headers = {name: video.probe(root, name) for name in cameras}
     _same_counts({name: len(h.seconds) for name, h in headers.items()})
     first = headers[cameras[0]]
-    for name, header in headers.items():
-        if (header.width, header.height) != (first.width, first.height):
-            raise CaptureError(
-                f"{name}: {header.width}x{header.height}, but {cameras[0]} is {first.width}x{first.height}; bring the videos to one size"
-            )
+    sizes = {name: (header.width, header.height) for name, header in headers.items()}
     total = len(first.seconds)
     taken = video.choose(total, options, None)
-    shots = [Shot(name=f"{name}#{i}", camera=name, time=float(i), seconds=first.seconds[i]) for name in cameras for i in taken]
+    shots = [Shot(f"{name}#{i}", name, float(i), sizes[name], seconds=first.seconds[i]) for name in cameras for i in taken]
     movies = tuple(Video(name, n * len(taken), taken, total) for n, name in enumerate(cameras))
-    return Reading("", shots, first.width, first.height, fps=first.fps, videos=movies, notes=_note(taken, total))
+    return Reading("", shots, fps=first.fps, videos=movies, notes=_note(taken, total))
 
 
 def _from_folders(root: Path, cameras: list[str], options: Options) -> Reading:
@@ -71,9 +68,17 @@ def _from_folders(root: Path, cameras: list[str], options: Options) -> Reading:
     _same_counts({name: len(f) for name, f in files.items()})
     total = len(files[cameras[0]])
     taken = video.choose(total, options, None)
-    shots = [Shot(name=files[c][i], camera=c, time=float(i), file=files[c][i]) for c in cameras for i in taken]
-    width, height, alpha = checks.image_headers(root, [str(s.file) for s in shots])
-    return Reading("", shots, width, height, alpha=alpha, notes=_note(taken, total))
+    taken_files = [(c, i, files[c][i]) for c in cameras for i in taken]
+    sizes, alpha = checks.image_headers(root, [file for _, _, file in taken_files])
+    shots = [Shot(file, c, float(i), size, file=file) for (c, i, file), size in zip(taken_files, sizes, strict=True)]
+    first: dict[str, Shot] = {}
+    for shot in shots:
+        if shot.size != (one := first.setdefault(shot.camera, shot)).size:
+            raise CaptureError(
+                f"{shot.name}: {shot.size[0]}x{shot.size[1]}, but {one.name} of the same camera is {one.size[0]}x{one.size[1]}; "
+                "one row of poses cannot serve both, bring them to one size"
+            )
+    return Reading("", shots, alpha=alpha, notes=_note(taken, total))
 
 
 def _note(taken: tuple[int, ...], total: int) -> tuple[str, ...]:
@@ -107,10 +112,11 @@ def _poses(root: Path, cameras: list[str]) -> np.ndarray:
     return table.astype(np.float64)
 
 
-def _camera(row: np.ndarray, where: str, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+def _camera(row: np.ndarray, where: str, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """(K, cam_from_world) of one row; the focal length is scaled from the file's h, w to the pictures'."""
     if not np.isfinite(row).all():
         raise CaptureError(f"{where}: holds NaN or Inf; estimate the poses again")
+    width, height = size
     matrix = row[:15].reshape(3, 5)
     down, right, back = matrix[:, 0], matrix[:, 1], matrix[:, 2]
     file_height, file_width, focal = matrix[:, 4]

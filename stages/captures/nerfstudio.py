@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from ...pipeline import CaptureError
-from . import checks, transforms
+from . import checks, keep_masks, transforms
 from .capture import SPLITS, Options, Reading, Shot
+from .ply_points import read_points
 
 _FILE = "transforms.json"
 
@@ -25,7 +27,8 @@ def read(root: Path, options: Options) -> Reading:
     data = checks.read_json(root, _FILE)
     frames = transforms.frames_of(data, _FILE)
     paths, notes = transforms.present(root, frames, _FILE)
-    width, height, alpha = checks.image_headers(root, paths.values())
+    headers, alpha = checks.image_headers(root, paths.values())
+    sizes = dict(zip(paths, headers, strict=True))
     times = transforms.times_of(frames, _FILE)
     # Files of this family are often unsorted: frames follow their time, or the natural order of their names.
     keys: dict[int, Any] = {i: checks.natural_key(p) if times is None else (times[i], checks.natural_key(p)) for i, p in paths.items()}
@@ -34,17 +37,19 @@ def read(root: Path, options: Options) -> Reading:
     shots = []
     for rank, i in enumerate(order):
         where = f"{_FILE}: frame {i}"
-        K, distortion = transforms.lens(frames[i], data, where, width, height)
+        lens = transforms.lens(frames[i], data, where, *sizes[i])
         shots.append(
             Shot(
                 name=paths[i],
                 camera=0,
                 time=float(rank) if times is None else times[i],
+                size=sizes[i],
                 file=paths[i],
-                mask=_mask(root, frames[i], where),
-                K=K,
+                keep=_mask(root, frames[i], where),
+                K=lens.K,
                 cam_from_world=transforms.pose(frames[i], where),
-                distortion=distortion,
+                distortion=lens.distortion,
+                fisheye=lens.fisheye,
             )
         )
     if splits is not None:
@@ -53,18 +58,22 @@ def read(root: Path, options: Options) -> Reading:
                 raise CaptureError(f"{_FILE}: {shot.file} is in none of train_filenames, val_filenames, test_filenames; add it to one")
             shot.split = splits[shot.file]
     fixed = _cameras(shots)
+    of_frames = keep_masks.told(shots, "(mask_path)")
+    masked = (of_frames,) if of_frames else keep_masks.add_masks(root, shots)
+    cloud, said = _cloud(root, data)
+    points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     fps = data.get("fps")
     return Reading(
         why=f"{_FILE}, {'several cameras' if len({s.camera for s in shots}) > 1 else 'one moving camera'}",
         shots=shots,
-        width=width,
-        height=height,
         alpha=alpha,
         has_split=splits is not None,
         fps=None if fps is None else checks.number(fps, f"{_FILE}: fps", 1e-3, 1e6),
         fixed_cameras=fixed,
-        sources=(_FILE,),
-        notes=notes,
+        sources=(_FILE, *([cloud] if cloud else [])),
+        points=points if len(points) else None,
+        point_colors=colors if len(points) else None,
+        notes=(*notes, *masked, *said),
     )
 
 
@@ -85,6 +94,18 @@ def _splits(data: dict[str, Any], root: Path) -> dict[str, int] | None:
             # nerfstudio writes the same list for val and test when there is only one held-out set: it counts as test.
             result[file] = max(split, result.get(file, 0))
     return result
+
+
+def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:
+    """The file of points that `ply_file_path` names, and a note where it is not there. nerfstudio keeps the points in the world of
+    `transform_matrix`: `applied_transform`, which led there from COLMAP's, is in both already."""
+    field = f"{_FILE}: ply_file_path"
+    if data.get("ply_file_path") is None:
+        return None, ()
+    name = posixpath.normpath(checks.text(data["ply_file_path"], field).replace("\\", "/"))
+    if checks.resolve_inside(root, name, field).is_file():
+        return name, ()
+    return None, (f"{field}: no file {name[:200]!r}, so training begins at points that are triangulated; copy it if there is one",)
 
 
 def _mask(root: Path, frame: dict[str, Any], where: str) -> str | None:

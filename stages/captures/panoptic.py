@@ -36,12 +36,13 @@ def read(root: Path, options: Options) -> Reading:
         sizes.append((checks.number(data.get("w"), f"{file}: w", 1, 1e6), checks.number(data.get("h"), f"{file}: h", 1, 1e6)))
         shots += _shots(root, file, data, split)
     shots.sort(key=lambda s: (s.camera, s.time))
-    width, height, alpha = checks.image_headers(root, [str(s.file) for s in shots])
-    for shot in shots:
+    headers, alpha = checks.image_headers(root, [str(s.file) for s in shots])
+    for shot, (width, height) in zip(shots, headers, strict=True):
+        shot.size = width, height
         file_width, file_height = sizes[0 if shot.split == TRAIN else 1]
         if abs(width * file_height / (height * file_width) - 1) > 0.02:
             raise CaptureError(
-                f"{_FILES[shot.split == TEST][1]}: w, h say {file_width:g}x{file_height:g}, the images are {width}x{height}; "
+                f"{_FILES[shot.split == TEST][1]}: w, h say {file_width:g}x{file_height:g}, {shot.file} is {width}x{height}; "
                 "correct w and h or the images"
             )
         if shot.K is not None:
@@ -50,8 +51,6 @@ def read(root: Path, options: Options) -> Reading:
     return Reading(
         why="train_meta.json + test_meta.json",
         shots=shots,
-        width=width,
-        height=height,
         alpha=alpha,
         has_split=True,
         fixed_cameras=_fixed(shots),
@@ -84,6 +83,7 @@ def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> list[Shot
                     name=image,
                     camera=checks.integer(row["cam_id"][c], f"{where}: cam_id", 0, 10**6),
                     time=float(t),
+                    size=(0, 0),  # `read` looks at all headers together
                     split=split,
                     file=image,
                     mask=mask if (root / mask).is_file() else None,

@@ -6,11 +6,18 @@ from pathlib import Path
 from types import ModuleType
 
 from ...pipeline import CaptureError
-from . import checks, colmap, dnerf, images, n3v, nerfstudio, panoptic, video
+from . import checks, colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video
 from .capture import Capture, Options, assemble
 
 # Formats with poses first: a bare folder of images or a lone video is what remains when no file says more.
-_POSED: dict[str, ModuleType] = {"dnerf": dnerf, "n3v": n3v, "panoptic": panoptic, "nerfstudio": nerfstudio, "colmap": colmap}
+_POSED: dict[str, ModuleType] = {
+    "dnerf": dnerf,
+    "n3v": n3v,
+    "panoptic": panoptic,
+    "nerfstudio": nerfstudio,
+    "nerfies": nerfies,
+    "colmap": colmap,
+}
 _BARE: dict[str, ModuleType] = {"images": images, "video": video}
 FORMATS = (*_POSED, *_BARE)
 _STEPPED = ("n3v", "images", "video")

@@ -15,9 +15,11 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from . import checks
+from .lens import LARGEST_TERM, Lens, distortion_of
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+_PERSPECTIVE = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+_FISHEYE = ("OPENCV_FISHEYE", "FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE")
 
 
 def pose(frame: Mapping[str, Any], where: str) -> np.ndarray:
@@ -27,8 +29,8 @@ def pose(frame: Mapping[str, Any], where: str) -> np.ndarray:
     return checks.inverse(world_from_cam @ OPENCV_FROM_OPENGL)
 
 
-def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """(K [3,3] px, distortion [4] = k1 k2 p1 p2) of one frame; its own values win over the file's.
+def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: int, height: int) -> Lens:
+    """The lens of one frame; its own values win over the file's.
 
     `w` and `h` that differ from the images' size by one factor scale K (images were resized after calibration).
     """
@@ -38,9 +40,13 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: in
         return None if raw is None else checks.number(raw, f"{where}: {key}", low, high)
 
     model = frame.get("camera_model", top.get("camera_model", "OPENCV"))
-    if frame.get("is_fisheye", top.get("is_fisheye", False)) or (isinstance(model, str) and model.upper() not in _PERSPECTIVE):
-        name = "fisheye" if not isinstance(model, str) or model.upper() in _PERSPECTIVE else model
-        raise CaptureError(f"{where}: camera_model: {name} lenses are not supported; undistort the images to a pinhole camera first")
+    name = model.upper() if isinstance(model, str) else ""
+    if name not in _PERSPECTIVE + _FISHEYE:
+        raise CaptureError(
+            f"{where}: camera_model: {str(model)[:40]} is not supported ({', '.join(_PERSPECTIVE + _FISHEYE)} are); "
+            "undistort the images to a pinhole camera first"
+        )
+    fisheye = name in _FISHEYE or bool(frame.get("is_fisheye", top.get("is_fisheye")))
     file_width = value("w", 1, 1e6) or float(width)
     file_height = value("h", 1, 1e6) or float(height)
     sx, sy = width / file_width, height / file_height
@@ -62,11 +68,15 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: in
             f"{where}: cx, cy = {cx:g}, {cy:g} lie far outside the {file_width:g}x{file_height:g} image; "
             "give w and h of the calibrated image, or correct cx and cy"
         )
-    for key in ("k3", "k4", "k5", "k6"):
-        if value(key):
-            raise CaptureError(f"{where}: {key}: only k1, k2, p1, p2 are supported; undistort the images first")
-    distortion = np.array([value(key, -10, 10) or 0.0 for key in ("k1", "k2", "p1", "p2")])
-    return checks.intrinsics(fx * sx, fy * sy, cx * sx, cy * sy, where), distortion
+    used = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    for key in ("k4", "k5", "k6", "p1", "p2"):
+        if key not in used and value(key):
+            raise CaptureError(
+                f"{where}: {key}: {'fisheye' if fisheye else 'OPENCV'} lenses have {', '.join(used)}; "
+                "remove it, or undistort the images first"
+            )
+    distortion = [value(key, -LARGEST_TERM, LARGEST_TERM) or 0.0 for key in used]
+    return Lens(checks.intrinsics(fx * sx, fy * sy, cx * sx, cy * sy, where), distortion_of(distortion), fisheye)
 
 
 def frames_of(data: Mapping[str, Any], file: str) -> list[dict[str, Any]]:

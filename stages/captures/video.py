@@ -47,10 +47,9 @@ def read(root: Path, options: Options) -> Reading:
     return Reading(
         why=f"video {path.name}, {total} frames, one camera over time",
         shots=[
-            Shot(name=f"{path.name}#{i}", camera=0, time=header.seconds[i], seconds=header.seconds[i] - header.seconds[0]) for i in taken
+            Shot(f"{path.name}#{i}", 0, header.seconds[i], (header.width, header.height), seconds=header.seconds[i] - header.seconds[0])
+            for i in taken
         ],
-        width=header.width,
-        height=header.height,
         fps=header.fps,
         videos=(Video(path.name, 0, taken, total),),
         notes=(f"took {len(taken)} of {total} video frames (every {step}); frames.every and frames.max_frames change it",),
@@ -99,8 +98,9 @@ def probe(root: Path, name: str) -> Header:
     return Header(width, height, seconds, rate)
 
 
-def decode(root: Path, video: Video, width: int, height: int) -> Iterator[np.ndarray]:
-    """The taken frames in order, uint8 [H,W,3] RGB, upright, scaled down by area to width x height where they are larger.
+def decode(root: Path, video: Video, width: int, height: int, crop: np.ndarray | None = None) -> Iterator[np.ndarray]:
+    """The taken frames in order, uint8 [H,W,3] RGB, upright, scaled to width x height. crop: left, top, width, height of the part of each
+    frame that is taken, px; all of it where None.
 
     Frames stream: one is held at a time. Raises `CaptureError` naming file and frame for damaged data and for a count of
     decoded frames that differs from the container's.
@@ -118,7 +118,7 @@ def decode(root: Path, video: Video, width: int, height: int) -> Iterator[np.nda
                 if frame.is_corrupt:
                     raise CaptureError(f"{video.file}: frame {index}: the picture is damaged; copy or record the video again")
                 if index == target:
-                    yield _picture(frame, width, height)
+                    yield _picture(frame, width, height, crop)
                     target = next(wanted, None)
                 index += 1
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -127,16 +127,14 @@ def decode(root: Path, video: Video, width: int, height: int) -> Iterator[np.nda
         raise CaptureError(f"{video.file}: frame {index}: {video.total} frames in the file, only {index} decode; copy or record it again")
 
 
-def _picture(frame: Any, width: int, height: int) -> np.ndarray:
+def _picture(frame: Any, width: int, height: int, crop: np.ndarray | None) -> np.ndarray:
+    from ..pictures import resize
+
     rgb = frame.to_ndarray(format="rgb24")
     turns = round(frame.rotation / 90) % 4  # counter-clockwise, as np.rot90
     if turns:
         rgb = np.rot90(rgb, turns)
-    if rgb.shape[:2] != (height, width):
-        import cv2
-
-        rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(rgb)
+    return np.ascontiguousarray(resize(np.ascontiguousarray(rgb), width, height, crop))
 
 
 def _stream(container: Any, name: str) -> Any:

@@ -24,8 +24,11 @@ def write_cameras(path: Path, cameras: Sequence[pycolmap.Camera]) -> list[int]:
     return list(range(1, len(cameras) + 1))
 
 
-def extract(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int], max_features: int, report: Report) -> None:
-    """SIFT features of every image, `camera_ids[i]` being the camera of `names[i]`. Images that have features are left alone."""
+def extract(
+    path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int], max_features: int, report: Report, masks: str | None = None
+) -> None:
+    """SIFT features of every image, `camera_ids[i]` being the camera of `names[i]`. Images that have features are left alone. masks: a
+    folder; where it has NAME.png, the image NAME has no features where that is black."""
     _register(path, root, names, camera_ids)
     with pycolmap.Database.open(path) as database:
         have = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
@@ -36,6 +39,8 @@ def extract(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[i
     for camera in sorted(set(camera_ids)):
         reader = pycolmap.ImageReaderOptions()
         reader.existing_camera_id = camera
+        if masks is not None:
+            reader.mask_path = masks
         todo = [name for name, c in zip(names, camera_ids, strict=True) if c == camera and name not in have]
         for start in range(0, len(todo), EXTRACT_CHUNK):
             chunk = todo[start : start + EXTRACT_CHUNK]

@@ -101,7 +101,7 @@ class _Lens:
     def __init__(self, K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> None:
         import cv2
 
-        from ..pictures import undistort_maps
+        from ..lenses import undistort_maps
 
         self._to: tuple[np.ndarray, np.ndarray] | None = None
         known = np.flatnonzero(np.isfinite(K).all((1, 2)))

@@ -1,4 +1,4 @@
-"""A pinhole camera with OpenCV axes and OpenCV lens distortion."""
+"""A camera with OpenCV axes and OpenCV lens distortion."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Camera:
-    """K [3,3] px, cam_from_world [4,4], distortion (k1, k2, p1, p2) as in OpenCV's model."""
+    """K [3,3] px, cam_from_world [4,4], distortion (k1, k2, p1, p2[, k3, k4, k5, k6]) as in OpenCV's model, or (k1, k2, k3, k4) as in its
+    fisheye model."""
 
     K: Array
     cam_from_world: Array
     width: int
     height: int
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    fisheye: bool = False
 
     @property
     def world_from_cam(self) -> Array:
@@ -58,24 +60,37 @@ class Camera:
         return np.stack([xy[..., 0] * self.K[0, 0] + self.K[0, 2], xy[..., 1] * self.K[1, 1] + self.K[1, 2]], axis=-1), depth
 
     def _distort(self, xy: Array) -> Array:
-        k1, k2, p1, p2 = self.distortion
+        if self.fisheye:
+            r = np.linalg.norm(xy, axis=-1, keepdims=True)
+            return xy * self._bend(np.arctan(r)) / np.maximum(r, 1e-12)
         if not any(self.distortion):
             return xy
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *[0.0] * (8 - len(self.distortion)))
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2 * r2
+        radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
         return np.stack(
             [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
             axis=-1,
         )
 
     def _undistort(self, distorted: Array) -> Array:
-        """Fixed-point inverse of `_distort`; 30 steps reach float64 precision for the mild lenses that tests use."""
+        """Inverse of `_distort` by fixed-point steps; 30 reach float64 precision for the mild lenses that tests use."""
         xy = distorted
+        if self.fisheye:
+            bent = np.linalg.norm(distorted, axis=-1, keepdims=True)
+            angle = bent
+            for _ in range(30):
+                angle = bent - (self._bend(angle) - angle)
+            return distorted * np.tan(angle) / np.maximum(bent, 1e-12)
         if any(self.distortion):
             for _ in range(30):
                 xy = distorted - (self._distort(xy) - xy)
         return xy
+
+    def _bend(self, angle: Array) -> Array:
+        """Angle from the optical axis (radians) to distance from the principal point, in focal lengths."""
+        return angle * (1 + sum(k * angle ** (2 * i + 2) for i, k in enumerate(self.distortion[:4])))
 
 
 def look_at(eye: Array, target: Array, up: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Array:

@@ -59,6 +59,8 @@ class Options:
     rig: "orbit" has a new camera on a dome at every time (D-NeRF); "arc" has `cameras` fixed, synchronised ones; "path" is one
     hand-held camera. motion scales all movement (0: nothing moves), deform adds squash and stretch to spheres.
     val, test: held-out views, on "orbit" only; on "arc" camera 0 is the test camera.
+    distortion, fisheye: of every camera, see `Camera`. sizes: width and height of the cameras' pictures in turn ("arc": by camera, else by
+    view), all of `fov_degrees`, for rigs and folders of mixed sizes; `width` and `height` where empty.
     """
 
     backdrop: Literal["none", "slab", "room"] = "slab"
@@ -75,7 +77,9 @@ class Options:
     width: int = 64
     height: int = 64
     fov_degrees: float = 45.0
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    sizes: tuple[tuple[int, int], ...] = ()
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    fisheye: bool = False
     fps: float = 30.0
     samples: int = 4
     seed: int = 0
@@ -131,9 +135,10 @@ def _make_views(options: Options, rng: np.random.Generator) -> tuple[View, ...]:
     times = np.linspace(0.0, 1.0, options.times) if options.times > 1 else np.zeros(1)
     target = np.array([0.0, 0.0, 0.35])
 
-    def camera(eye: np.ndarray, aim: np.ndarray = target) -> Camera:
-        K = intrinsics(options.width, options.height, options.fov_degrees)
-        return Camera(K, look_at(eye, aim), options.width, options.height, options.distortion)
+    def camera(eye: np.ndarray, index: int) -> Camera:
+        width, height = options.sizes[index % len(options.sizes)] if options.sizes else (options.width, options.height)
+        K = intrinsics(width, height, options.fov_degrees)
+        return Camera(K, look_at(eye, target), width, height, options.distortion, options.fisheye)
 
     radius = 3.2 if options.backdrop == "room" else 5.2
     if options.rig == "orbit":
@@ -145,7 +150,7 @@ def _make_views(options: Options, rng: np.random.Generator) -> tuple[View, ...]:
             elevations = np.radians(rng.uniform(18.0, 55.0, count))
             for i in range(count):
                 eye = on_dome(radius, azimuths[i], elevations[i])
-                views.append(View(len(views), i, float(moments[i]), camera(eye), split))
+                views.append(View(len(views), i, float(moments[i]), camera(eye, i), split))
         return tuple(views)
     if options.rig == "arc":
         spread = np.radians(70.0)
@@ -155,13 +160,13 @@ def _make_views(options: Options, rng: np.random.Generator) -> tuple[View, ...]:
             share = 0.5 if c == 0 else (c - 1) / max(options.cameras - 2, 1)
             eye = on_dome(radius, -0.5 * np.pi + spread * (share - 0.5), np.radians(28.0 + 8.0 * (c % 2)))
             for k, time in enumerate(times):
-                views.append(View(c, k, float(time), camera(eye), "test" if c == 0 else "train"))
+                views.append(View(c, k, float(time), camera(eye, c), "test" if c == 0 else "train"))
         return tuple(views)
     views = []
     for k, time in enumerate(times):
         azimuth = -0.5 * np.pi + np.radians(50.0) * (time - 0.5)
         eye = on_dome(radius, azimuth, np.radians(26.0 + 6.0 * np.sin(2.0 * np.pi * time)))
-        views.append(View(0, k, float(time), camera(eye), "train"))
+        views.append(View(0, k, float(time), camera(eye, k), "train"))
     return tuple(views)
 
 

@@ -97,28 +97,54 @@ def write_panoptic(synthetic: Synthetic, root: Path) -> Capture:
 
 
 def write_nerfstudio(synthetic: Synthetic, root: Path) -> Capture:
-    """transforms.json of nerfstudio and instant-ngp: one set of intrinsics, OpenGL poses, distortion k1 k2 p1 p2, times."""
+    """transforms.json of nerfstudio and instant-ngp: OpenGL poses, times, intrinsics and distortion at its head, or on every frame where
+    they differ."""
     files = _write_frames(synthetic, root / "images", "images/")
-    camera = synthetic.views[0].camera
-    k1, k2, p1, p2 = camera.distortion
+    lenses = [_nerfstudio_lens(view.camera) for view in synthetic.views]
+    shared = all(lens == lenses[0] for lens in lenses)
     frames = [
-        {"file_path": name, "time": view.time, "transform_matrix": _opengl_pose(view.camera)} for view, name in zip(synthetic.views, files)
+        {"file_path": name, "time": view.time, "transform_matrix": _opengl_pose(view.camera), **({} if shared else lens)}
+        for view, name, lens in zip(synthetic.views, files, lenses)
     ]
-    head = {
-        "camera_model": "OPENCV",
-        "fl_x": float(camera.K[0, 0]),
-        "fl_y": float(camera.K[1, 1]),
-        "cx": float(camera.K[0, 2]),
-        "cy": float(camera.K[1, 2]),
-        "w": camera.width,
-        "h": camera.height,
-        "k1": k1,
-        "k2": k2,
-        "p1": p1,
-        "p2": p2,
-    }
-    _save_json(root / "transforms.json", {**head, "frames": frames})
+    _save_json(root / "transforms.json", {**(lenses[0] if shared else {}), "frames": frames})
     return Capture(root, synthetic, synthetic.views, files)
+
+
+def write_nerfies(synthetic: Synthetic, root: Path, points: int = 200) -> Capture:
+    """Nerfies and HyperNeRF: dataset.json, metadata.json, scene.json, camera/, rgb/1x and rgb/2x, points.npy; in a world of its own, which
+    scene.json brings to ours. Where all views are for training, every third from the second on is for validation."""
+    center, scale = np.array([1.5, -2.0, 0.25]), 0.125
+    to_file = lambda x: x / scale + center  # noqa: E731
+    names = [f"{view.camera_index}_{view.time_index:06d}" for view in synthetic.views]
+    held_out = {i for i, view in enumerate(synthetic.views) if view.split != "train"} or set(range(1, len(names), 3))
+    for view, name in zip(synthetic.views, names):
+        picture, camera = flatten(_truth(synthetic, view)), view.camera
+        _save(root / f"rgb/1x/{name}.png", picture)
+        _save(root / f"rgb/2x/{name}.png", to_uint8(picture.reshape(camera.height // 2, 2, camera.width // 2, 2, 3).mean((1, 3)) / 255))
+        k1, k2, p1, p2, k3 = (*camera.distortion, 0.0)[:5]
+        lens = {
+            "skew": 0.0,
+            "radial_distortion": [k1, k2, k3],
+            "tangential_distortion": [p1, p2],
+            "image_size": [camera.width, camera.height],
+        }
+        K = camera.K
+        lens |= {"focal_length": K[0, 0], "pixel_aspect_ratio": K[1, 1] / K[0, 0], "principal_point": K[:2, 2].tolist()}
+        pose = {"orientation": camera.cam_from_world[:3, :3].tolist(), "position": to_file(camera.centre).tolist()}
+        _save_json(root / f"camera/{name}.json", {**pose, **lens})
+    entries = {
+        name: {"warp_id": view.time_index, "appearance_id": view.time_index, "camera_id": view.camera_index}
+        for view, name in zip(synthetic.views, names)
+    }
+    _save_json(root / "metadata.json", entries)
+    _save_json(root / "scene.json", {"scale": scale, "center": center.tolist(), "near": 0.1, "far": 2.0})
+    lists = {
+        "train_ids": [n for i, n in enumerate(names) if i not in held_out],
+        "val_ids": [n for i, n in enumerate(names) if i in held_out],
+    }
+    _save_json(root / "dataset.json", {"count": len(names), "num_exemplars": len(lists["train_ids"]), "ids": names, **lists})
+    np.save(root / "points.npy", to_file(surface_points(synthetic, points)[0]))
+    return Capture(root, synthetic, synthetic.views, tuple(f"rgb/1x/{name}.png" for name in names))
 
 
 def write_images(synthetic: Synthetic, root: Path) -> Capture:
@@ -133,34 +159,39 @@ def write_video(synthetic: Synthetic, file: Path, crf: int = 12) -> Capture:
 
 
 def write_colmap(synthetic: Synthetic, root: Path, points: int = 200) -> Capture:
-    """A COLMAP text model in sparse/0 with true poses and points on the visible surfaces, images in images/."""
+    """A COLMAP text model in sparse/0 with true poses and points on the visible surfaces, images in images/; a camera for each lens."""
     files = _write_frames(synthetic, root / "images", "")
     model = root / "sparse" / "0"
     model.mkdir(parents=True)
-    camera = synthetic.views[0].camera
-    K = camera.K
-    numbers = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion]
-    (model / "cameras.txt").write_text(f"1 OPENCV {camera.width} {camera.height} " + " ".join(f"{x:.17g}" for x in numbers) + "\n")
+    lenses = [_colmap_lens(view.camera) for view in synthetic.views]
+    distinct = list(dict.fromkeys(lenses))
+    (model / "cameras.txt").write_text("".join(f"{i + 1} {lens}\n" for i, lens in enumerate(distinct)))
     lines = []
     for i, (view, name) in enumerate(zip(synthetic.views, files)):
         pose = [*_quaternion(view.camera.cam_from_world[:3, :3]), *view.camera.cam_from_world[:3, 3]]
-        lines += [f"{i + 1} " + " ".join(f"{x:.17g}" for x in pose) + f" 1 {name}", ""]
+        lines += [f"{i + 1} " + " ".join(f"{x:.17g}" for x in pose) + f" {distinct.index(lenses[i]) + 1} {name}", ""]
     (model / "images.txt").write_text("\n".join(lines) + "\n")
 
-    rng = np.random.default_rng(synthetic.options.seed)
     lines = []
+    for point, colour in zip(*surface_points(synthetic, points)):
+        lines.append(f"{len(lines) + 1} " + " ".join(f"{x:.17g}" for x in point) + " " + " ".join(map(str, colour)) + " 0.0")
+    (model / "points3D.txt").write_text("\n".join(lines) + "\n")
+    return Capture(root, synthetic, synthetic.views, tuple(f"images/{name}" for name in files))
+
+
+def surface_points(synthetic: Synthetic, count: int) -> tuple[NDArray[np.float64], Pixels]:
+    """Points [P,3] on what the views see, each at its view's time, and their colours [P,3]; about `count`, as many of each view."""
+    rng = np.random.default_rng(synthetic.options.seed)
+    world, colours = [], []
     for view in synthetic.views:
         truth = _truth(synthetic, view)
         rows, columns = np.nonzero(truth.object >= 0)
-        picked = rng.choice(len(rows), min(len(rows), -(-points // len(synthetic.views))), replace=False)
+        picked = rng.choice(len(rows), min(len(rows), -(-count // len(synthetic.views))), replace=False)
         rows, columns = rows[picked], columns[picked]
         origin, directions = view.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
-        world = origin + truth.depth[rows, columns, None] * directions
-        colours = to_uint8(truth.image[rows, columns, :3])
-        for point, colour in zip(world, colours):
-            lines.append(f"{len(lines) + 1} " + " ".join(f"{x:.17g}" for x in point) + " " + " ".join(map(str, colour)) + " 0.0")
-    (model / "points3D.txt").write_text("\n".join(lines) + "\n")
-    return Capture(root, synthetic, synthetic.views, tuple(f"images/{name}" for name in files))
+        world.append(origin + truth.depth[rows, columns, None] * directions)
+        colours.append(to_uint8(truth.image[rows, columns, :3]))
+    return np.concatenate(world), np.concatenate(colours)
 
 
 def write_mp4(file: Path, frames: Iterable[Pixels], fps: float, crf: int = 12) -> None:
@@ -185,6 +216,28 @@ def flatten(truth: Truth, background: float = 1.0) -> Pixels:
     """[H,W,3]: the image over a grey level."""
     alpha = truth.image[..., 3:]
     return to_uint8(truth.image[..., :3] * alpha + background * (1.0 - alpha))
+
+
+def _nerfstudio_lens(camera: Camera) -> dict:
+    names = ("k1", "k2", "k3", "k4") if camera.fisheye else ("k1", "k2", "p1", "p2", "k3")
+    K = camera.K
+    return {
+        "camera_model": "OPENCV_FISHEYE" if camera.fisheye else "OPENCV",
+        "fl_x": float(K[0, 0]),
+        "fl_y": float(K[1, 1]),
+        "cx": float(K[0, 2]),
+        "cy": float(K[1, 2]),
+        "w": camera.width,
+        "h": camera.height,
+        **dict(zip(names, camera.distortion)),
+    }
+
+
+def _colmap_lens(camera: Camera) -> str:
+    """The line of cameras.txt behind the number."""
+    name = "OPENCV_FISHEYE" if camera.fisheye else "OPENCV" if len(camera.distortion) == 4 else "FULL_OPENCV"
+    numbers = [camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *camera.distortion]
+    return f"{name} {camera.width} {camera.height} " + " ".join(f"{x:.17g}" for x in numbers)
 
 
 def _write_frames(synthetic: Synthetic, folder: Path, prefix: str) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.capture import LEAST_SPAN
+from factory import Options, make, write_colmap
 from PIL import Image
 
 
@@ -185,6 +187,39 @@ def test_colmap_binary_model_equals_the_text(colmap_capture, tmp_path):
     order = np.lexsort(capture.points.T)
     text = recognise(colmap_capture.root).points
     np.testing.assert_allclose(capture.points[order], text[np.lexsort(text.T)], atol=1e-9)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_colmap_model_of_several_cameras(tmp_path, binary):
+    """Three lenses, two sizes, and a camera that no image uses; each image keeps its own."""
+    options = Options(backdrop="room", rig="path", times=6, sizes=((80, 64), (80, 64), (160, 128)), samples=1)
+    synthetic = make(options)
+    views = tuple(
+        replace(
+            v,
+            camera=replace(v.camera, K=v.camera.K * [[1.2], [1.2], [1]], distortion=(-0.05, 0, 0, 0))
+            if v.time_index % 3 == 1
+            else v.camera,
+        )
+        for v in synthetic.views
+    )
+    truth = write_colmap(replace(synthetic, views=views), tmp_path / "capture")
+    sparse = truth.root / "sparse/0"
+    with (sparse / "cameras.txt").open("a") as file:
+        file.write("9 FOV 80 64 70 70 40 32 0.9\n" if not binary else "9 PINHOLE 8 6 70 70 4 3\n")
+    if binary:
+        pycolmap = pytest.importorskip("pycolmap")
+        model = pycolmap.Reconstruction(str(sparse))
+        for file in sparse.glob("*.txt"):
+            file.unlink()
+        model.write_binary(str(sparse))
+    capture = recognise(truth.root)
+    assert len({tuple(K.ravel()) for K in capture.K}) == 2 and (capture.facts["width"], capture.facts["height"]) == (80, 64)
+    for i, view in enumerate(truth.views):
+        shrunk = np.diag([80 / view.camera.width, 64 / view.camera.height, 1]) @ view.camera.K
+        np.testing.assert_allclose(capture.K[i], shrunk, atol=1e-9)
+        np.testing.assert_allclose(capture.distortion[i], view.camera.distortion)
+        np.testing.assert_allclose(capture.cam_from_world[i], view.camera.cam_from_world, atol=1e-9)
 
 
 def test_folder_of_images_is_one_camera_over_time(images_capture):

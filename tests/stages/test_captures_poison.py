@@ -29,7 +29,12 @@ def put(document, path, value):
 
 @pytest.mark.parametrize(
     ("fixture", "file"),
-    [("dnerf_capture", "transforms_train.json"), ("nerfstudio_capture", "transforms.json"), ("panoptic_capture", "train_meta.json")],
+    [
+        ("dnerf_capture", "transforms_train.json"),
+        ("nerfstudio_capture", "transforms.json"),
+        ("panoptic_capture", "train_meta.json"),
+        ("nerfies_capture", "camera/0_000003.json"),
+    ],
 )
 def test_poisoned_json(request, tmp_path, fixture, file):
     root = shutil.copytree(request.getfixturevalue(fixture).root, tmp_path / "capture")

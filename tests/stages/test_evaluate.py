@@ -323,7 +323,7 @@ def test_what_moves_before_a_fixed_camera_is_measured_apart(times):
     many = {"camera": np.zeros(times, int), "registered": np.ones(times, bool), "time": np.linspace(0, 1, times)}
     names = [str(i) for i in range(times)]
     frames = SimpleNamespace(K=K, cam_from_world=poses, width=48, height=40, names=names, background=None, alpha=False, **many)
-    frames.composited = lambda i: pictures[i]
+    frames.composited, frames.kept = lambda i: pictures[i], lambda i: None
     frame = Frame(torch.full((40, 48, 3), 0.3), *[torch.zeros(40, 48)] * 2, torch.zeros(40, 48, 0), *[torch.ones(1) > 0] * 2)
     row = Judge(SimpleNamespace(render=lambda *a: frame, near=0.01), frames, None, True).view(0)[0]  # type: ignore[arg-type]
     if times < LEAST_TIMES:

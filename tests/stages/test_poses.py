@@ -229,3 +229,33 @@ def test_real_captures_register_whole(shared_scenes, tmp_path, scene, frames):
     assert result.artifact.attrs["registered"] == frames
     assert result.artifact.attrs["mean_reprojection_error"] < 0.6
     shutil.rmtree(tmp_path / "work")
+
+
+def test_photos_that_lie_in_their_files_are_matched_upright(room, truth, tmp_path):
+    """COLMAP reads pictures as they are stored, so it is not given the files of a phone that was held upright."""
+    folder = tmp_path / "phone"
+    folder.mkdir()
+    exif = Image.Exif()
+    exif[0x0112] = 6  # turn clockwise to see
+    exif.get_ifd(0x8769)[0xA405] = 31  # mm on 35 mm film: 60 degrees
+    for name in room.files:
+        Image.open(room.root / name).transpose(Image.Transpose.ROTATE_90).save(folder / name, exif=exif)
+    ran = run_poses(folder, tmp_path / "out", movers="off")
+    assert pose_error(ran.artifact.read("cam_from_world"), truth)["percent"] < 0.5
+    K, true = ran.artifact.read("K"), room.synthetic.views[0].camera.K
+    assert K[0, 0, 0] == pytest.approx(true[0, 0], rel=0.02) and np.allclose(K[0, :2, 2], true[:2, 2])
+    written = sorted((tmp_path / "out/checkpoints/poses/images").iterdir())
+    assert Image.open(written[0]).size == (240, 180) and dict(Image.open(written[0]).getexif().get_ifd(0x8769)) == {0xA405: 31}
+
+
+def test_photos_of_two_sizes_have_a_lens_each(tmp_path):
+    sizes = ((240, 180), (240, 180), (300, 240))
+    options = Options(backdrop="room", rig="path", times=FRAMES, sizes=sizes, samples=2, fov_degrees=60.0, motion=0.0)
+    capture = write_images(make(options), tmp_path / "photos")
+    ran = run_poses(capture.root, tmp_path / "out", movers="off")
+    assert ran.artifact.read("registered").all()
+    assert pose_error(ran.artifact.read("cam_from_world"), np.stack([v.camera.cam_from_world for v in capture.views]))["percent"] < 0.7
+    focal = ran.artifact.read("K")[:, 0, 0]
+    # 300x240 is scaled to 240x192, and 6 rows go at the top and at the bottom: the same field of view across
+    assert focal == pytest.approx(capture.views[0].camera.K[0, 0], rel=0.03)
+    assert len(set(focal)) == 2

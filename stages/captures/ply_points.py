@@ -1,0 +1,108 @@
+"""Points and colours of a PLY file, ascii or binary, as COLMAP, nerfstudio and scanners write it. Faces and other elements are not read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ...pipeline import CaptureError
+from . import checks
+
+_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float32": "f4",
+    "float64": "f8",
+}
+_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_HEADER_LIMIT = 64 * 2**10
+_FILE_LIMIT = 4 * 2**30
+_GREY = 128  # of points without a colour
+
+
+def read_points(root: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """points [P,3] float64 in the file's own world and colours [P,3] uint8 of `root/name`; P may be 0. Colours of type float are in [0,1].
+
+    Raises CaptureError for broken or cut files, for vertices without x, y, z, and for values that are not finite.
+    """
+    path = checks.resolve_inside(root, name, name)
+    try:
+        if path.stat().st_size > _FILE_LIMIT:
+            raise CaptureError(f"{name}: larger than 4 GiB, which are too many points to begin with; thin them out")
+        data = path.read_bytes()
+    except OSError as error:
+        raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
+    order, count, fields, begin = _header(data, name)
+    try:
+        table = _ascii(data[begin:], count, fields) if order == "ascii" else _binary(data, begin, count, fields, _ORDER[order])
+    except (ValueError, TypeError) as error:
+        raise CaptureError(f"{name}: {count} vertices are promised and not there, perhaps cut short ({error}); copy it again") from error
+    points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    bad = np.flatnonzero(~(np.abs(points) < 1e12).all(1))
+    if len(bad):
+        raise CaptureError(f"{name}: vertex {bad[0]}: x, y, z = {points[bad[0]].tolist()} is no place; remove the vertex")
+    return points, _colours(table, dict(fields), count, name)
+
+
+def _colours(table: dict[str, np.ndarray], types: dict[str, str], count: int, name: str) -> np.ndarray:
+    if not all(channel in table for channel in ("red", "green", "blue")):
+        return np.full((count, 3), _GREY, np.uint8)
+    values = np.stack([table[c].astype(np.float64) * (255 if types[c][0] == "f" else 1) for c in ("red", "green", "blue")], axis=1)
+    bad = np.flatnonzero(~np.isfinite(values).all(1))
+    if len(bad):
+        raise CaptureError(f"{name}: vertex {bad[0]}: its colour is not a number; correct or remove the vertex")
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _header(data: bytes, name: str) -> tuple[str, int, list[tuple[str, str]], int]:
+    """(format, vertices, [(field, type)], where the body begins)."""
+    end = data.find(b"end_header", 0, _HEADER_LIMIT)
+    newline = data.find(b"\n", end)
+    if not data.startswith(b"ply") or end < 0 or newline < 0:
+        raise CaptureError(f"{name}: not a PLY file, or cut short within its header; copy it again")
+    words = [line.split() for line in data[:end].decode("latin-1").splitlines()]
+    order = next((line[1] for line in words if line[:1] == ["format"] and len(line) > 1), "")
+    if order not in _ORDER:
+        raise CaptureError(f"{name}: format {order[:40]!r}; expected {', '.join(_ORDER)}, write the file again")
+    elements = [i for i, line in enumerate(words) if line[:1] == ["element"]]
+    if not elements or words[elements[0]][1:2] != ["vertex"]:
+        raise CaptureError(f"{name}: the first element is not vertex; write the file again, points first")
+    if len(words[elements[0]]) != 3 or not words[elements[0]][2].isdecimal() or len(words[elements[0]][2]) > 12:
+        raise CaptureError(f"{name}: element vertex has no count; write the file again")
+    fields: list[tuple[str, str]] = []
+    for line in words[elements[0] + 1 : elements[1] if len(elements) > 1 else None]:
+        if line[:1] == ["property"]:
+            if len(line) != 3 or line[1] not in _TYPES or line[2] in dict(fields):
+                raise CaptureError(f"{name}: vertex property {' '.join(line[1:])[:80]!r} is not supported; write x, y, z and colours alone")
+            fields.append((line[2], _TYPES[line[1]]))
+    missing = [axis for axis in "xyz" if axis not in dict(fields)]
+    if missing:
+        raise CaptureError(f"{name}: vertices have no {', '.join(missing)}; write the file again")
+    return order, int(words[elements[0]][2]), fields, newline + 1
+
+
+def _binary(data: bytes, begin: int, count: int, fields: list[tuple[str, str]], order: str) -> dict[str, np.ndarray]:
+    kind = np.dtype([(field, order + code) for field, code in fields])
+    table = np.frombuffer(data, kind, count, begin)  # ValueError where the file ends before
+    return {field: table[field] for field, _ in fields}
+
+
+def _ascii(body: bytes, count: int, fields: list[tuple[str, str]]) -> dict[str, np.ndarray]:
+    if count > len(body):  # a number takes a byte at least
+        raise ValueError(f"{len(body)} bytes")
+    words = body.split(None, count * len(fields))[: count * len(fields)]
+    table = np.array(words, dtype=np.float64).reshape(count, len(fields))
+    return {field: table[:, i] for i, (field, _) in enumerate(fields)}
