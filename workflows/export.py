@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from ..pipeline import CaptureError, Progress, SettingsError
+from .export_mesh import mesh
 from .export_trained import check_folder, open_trained, writing
 from .export_usd import usd
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
@@ -121,6 +122,7 @@ app.command("spz", help="Numbered .spz files (Niantic), about a tenth of the siz
 app.command("sog", help="Numbered .sog files (PlayCanvas), for the web.")(_command("sog"))
 app.command("gltf", help="Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers.")(_command("gltf"))
 app.command()(usd)
+app.command()(mesh)
 
 
 def _splats(kind: Kind, options: Options, out: Path | None, times: int | None) -> None:
