@@ -132,3 +132,15 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
 def fused_views(frames: FrameSet) -> np.ndarray:
     """Frames from whose cameras the scene is seen."""
     return distinct_views(frames, frames.train, CAMERAS)
+
+
+def hulls(model: Model, t: float, advance: Callable[[int], None] = lambda n: None) -> Mesh:
+    """The hulls of the convexes of ``model`` at time ``t``. Each time has triangles of its own: a corner may move inside."""
+    import torch
+
+    from ..scene.hull_mesh import hull_mesh
+
+    with torch.no_grad():
+        _, convexes = model.at(t)
+    advance(1)
+    return hull_mesh(convexes)

@@ -4,11 +4,13 @@ import io
 import json
 import struct
 
+import e4dgs
 import numpy as np
 import pytest
 import trimesh
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.workflows.cli import main
+from scipy.spatial import ConvexHull
 
 QUICK = ["--set", "coarse.iterations=150", "--set", "hulls.budget=20", "--set", "fine.iterations=10", "--device", "cpu"]
 
@@ -50,9 +52,30 @@ def test_several_times_are_numbered_files_or_one_that_plays(finished, tmp_path):
     assert [len(shape.vertices) for shape in read.geometry.values()] == sizes
 
 
+def test_convexes_are_an_animated_mesh_of_their_hulls(finished, tmp_path, capsys):
+    capture, workspace = finished
+    assert export(finished, "--convexes", "--out", tmp_path / "hulls.glb") == 0
+    content, binary = parsed((tmp_path / "hulls.glb").read_bytes())
+    times = len({view.time for view in capture.views})
+    assert len(content["nodes"]) == len(content["animations"][0]["channels"]) == times
+    model = e4dgs.load(capture.root, workspace=workspace)
+    for k in (0, times // 2):
+        _, convexes = model.at(k / (times - 1))
+        primitive = content["meshes"][content["nodes"][k]["mesh"]]["primitives"][0]
+        shown = rows(content, binary, primitive["attributes"]["POSITION"])
+        seen = convexes.points[convexes.opacities >= 1 / 255].detach().numpy()
+        np.testing.assert_allclose([shown.min(0), shown.max(0)], [seen.min((0, 1)), seen.max((0, 1))], atol=1e-6)
+        triangles = shown[rows(content, binary, primitive["indices"]).reshape(-1, 3)].astype(float)
+        volume = np.linalg.det(triangles - seen.mean((0, 1))).sum() / 6
+        assert volume == pytest.approx(sum(ConvexHull(one).volume for one in seen), rel=1e-3)
+    assert export(finished, "--convexes", "--time", 1, "--out", tmp_path / "hulls.ply") == 0
+    assert f"{len(model.convexes)} convexes" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (("--convexes", "--voxel", 0.1), "know no voxels"),
         (("--voxel", 0), "positive size"),
         (("--time", 0.5, "--times", 2), "give one of them"),
         (("--times", 2, "--out", "a.ply"), "holds one time"),
