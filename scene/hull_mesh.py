@@ -29,8 +29,8 @@ def hull_mesh(convexes: Convexes) -> Mesh:
 
 
 def hull_triangles(points: np.ndarray) -> np.ndarray:
-    """[F, 3]: the hulls of M sets of K >= 3 ``points`` [M, K, 3] float64, as rows of the points flattened to [M K, 3]; counter-clockwise seen
-    from outside. Of three points, one triangle."""
+    """[F, 3]: the hulls of M sets of K >= 3 ``points`` [M, K, 3] float64, as rows of the points flattened to [M K, 3]; counter-clockwise
+    seen from outside. Of three points, one triangle."""
     count, corners = points.shape[:2]
     extent = np.ptp(points, axis=1).max(1, initial=0)[:, None, None]
     moved = points - points.mean(1, keepdims=True) + JITTER * extent * np.random.default_rng(0).uniform(-1, 1, (corners, 3))
