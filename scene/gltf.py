@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import struct
-
-import numpy as np
 import torch
 from torch import Tensor
 
 from ..rasterizer import Gaussians
+from .glb import FLOAT, Glb
 from .ply import seen_rows
 
 EXTENSION = "KHR_gaussian_splatting"
-FLOAT, POINTS, ARRAY_BUFFER = 5126, 0, 34962  # of glTF 2.0
-JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+POINTS = 0  # a mode of glTF 2.0
 SH_0 = 0.28209479177387814  # the constant spherical harmonic
 
 
@@ -38,38 +34,20 @@ def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     for k in range(sh.shape[1]):
         degree = int(k**0.5)
         named[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{k - degree * degree}"] = sh[:, k]
-    accessors: list[dict[str, object]] = []
-    views: list[dict[str, int]] = []
-    parts: list[bytes] = []
-    offset = 0
+    file = Glb()
+    attributes = {}
     for name, value in named.items():
-        array = np.ascontiguousarray(value.detach().cpu().numpy(), "<f4")
-        kind = "SCALAR" if array.shape[1] == 1 else f"VEC{array.shape[1]}"
-        accessor: dict[str, object] = {"bufferView": len(views), "componentType": FLOAT, "count": len(array), "type": kind}
-        if name == "POSITION" and len(array):
-            accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
-        accessors.append(accessor)
-        views.append({"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": ARRAY_BUFFER})
-        parts.append(array.tobytes())
-        offset += array.nbytes
+        attributes[name] = file.add(value.detach().cpu().numpy().astype("<f4"), FLOAT, bounds=name == "POSITION")
     primitive = {
         "mode": POINTS,
-        "attributes": {name: k for k, name in enumerate(named)},
+        "attributes": attributes,
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective"}},
     }
     content = {
-        "asset": {"version": "2.0", "generator": "e4dgs"},
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [primitive]}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offset}],
     }
-    text = json.dumps(content, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    binary = b"".join(parts)  # of float32, so its length is a multiple of four
-    chunks = struct.pack("<II", len(text), JSON_CHUNK) + text + struct.pack("<II", len(binary), BINARY_CHUNK) + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks, int(keep.sum())
+    return file.bytes(content), int(keep.sum())

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..rasterizer import Convexes, Gaussians
+from ..rasterizer import Gaussians
 
 LEAST_ALPHA = 1 / 255  # below, the rasterizer draws nothing
 
@@ -37,28 +37,7 @@ def seen_rows(gaussians: Gaussians) -> Tensor:
     return (gaussians.opacities >= LEAST_ALPHA) & torch.isfinite(gaussians.means).all(1)
 
 
-def as_gaussians(convexes: Convexes, spread: float) -> Gaussians:
-    """A Gaussian for each of M smooth ``convexes`` (with sh), for tools that know no convexes: the axes are those of its K points, the
-    standard deviations ``spread`` times theirs; edges become soft."""
-    assert convexes.sh is not None
-    points = convexes.points.detach()
-    centred = points - points.mean(1, keepdim=True)
-    values, axes = torch.linalg.eigh(centred.transpose(1, 2) @ centred / points.shape[1])
-    axes = axes * torch.linalg.det(axes)[:, None, None].sign()
-    scales = spread * values.clamp(min=1e-12).sqrt()
-    return Gaussians(points.mean(1), _quats(axes), scales, convexes.opacities.detach(), sh=convexes.sh.detach())
-
-
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:
     """Both sets in one; each has sh of the same degree."""
     fields = ("means", "quats", "scales", "opacities", "sh")
-    return Gaussians(**{name: torch.cat([getattr(first, name).detach(), getattr(second, name).detach()]) for name in fields})
-
-
-def _quats(matrices: Tensor) -> Tensor:
-    from scipy.spatial.transform import Rotation
-
-    if not len(matrices):
-        return matrices.new_zeros(0, 4)
-    xyzw = Rotation.from_matrix(matrices.cpu().double().numpy()).as_quat()
-    return torch.from_numpy(xyzw[:, [3, 0, 1, 2]]).to(matrices)
+    return Gaussians(**{name: torch.cat([getattr(first, name), getattr(second, name)]) for name in fields})

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ..pipeline import CaptureError, Progress, SettingsError, StageError
+from ..pipeline import CaptureError, Progress, SettingsError
+from .export_mesh import mesh
+from .export_trained import check_folder, open_trained, writing
+from .export_usd import usd
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
-from .results import results, trained_stage
+from .results import results
 from .session import DEFAULT_WORKSPACE, Options, open_session
 
 if TYPE_CHECKING:
     from ..stages.splat_export import Kind
-
-MOST_TIMES = 60
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
@@ -45,8 +46,7 @@ def flow(
     """Measured flow of every pair of frames as .flo and PNG, with edges and what moves laid over the first frame."""
     if largest is not None and not 0 < largest < float("inf"):
         raise SettingsError(f"--largest {largest}: give a positive number of px")
-    if out is not None and out.exists() and not out.is_dir():
-        raise SettingsError(f"--out {out}: this is a file; name a folder")
+    check_folder(out)
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
     found = results(session, "flow")
     artifact, frames = found["flow"], found["frames"]
@@ -67,11 +67,8 @@ def flow(
         raise CaptureError(f"{capture}: no flow was measured, so there is none to export: {why}")
     largest = largest or common_largest(fields)
     pictures = FrameSet(frames, session.job.capture.root, found.get("poses"))
-    try:
-        with Progress(len(fields.pairs), "export", console) as bar:
-            count = export_flow(fields, pictures, folder, largest, bar.advance)
-    except OSError as error:
-        raise StageError(f"export: {error.filename or folder} cannot be written ({error.strerror or error}); give another --out") from error
+    with Progress(len(fields.pairs), "export", console) as bar, writing(folder):
+        count = export_flow(fields, pictures, folder, largest, bar.advance)
     for line in (
         f"{len(fields.pairs)} pairs, {count} files; full colour is {largest:.3g} px, darker is more, black is not known (wheel.png)",
         f"flow: {folder}",
@@ -124,37 +121,21 @@ def _command(kind: Kind) -> Callable[..., None]:
 app.command("spz", help="Numbered .spz files (Niantic), about a tenth of the size of .ply.")(_command("spz"))
 app.command("sog", help="Numbered .sog files (PlayCanvas), for the web.")(_command("sog"))
 app.command("gltf", help="Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers.")(_command("gltf"))
+app.command()(usd)
+app.command()(mesh)
 
 
 def _splats(kind: Kind, options: Options, out: Path | None, times: int | None) -> None:
     """Gaussians of each time as files of ``kind``, and how far these are from the model."""
-    if out is not None and out.exists() and not out.is_dir():
-        raise SettingsError(f"--out {out}: this is a file; name a folder")
-    session = open_session(options)
-    trained = trained_stage(session)
-    found = results(session, trained)
-    artifact, frames = found[trained], found["frames"]
-    assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
-    folder = out
-    if folder is None:
-        session.scene.claim()
-        folder = session.scene.folder / "export" / kind
+    check_folder(out)
+    trained = open_trained(options)
+    folder = trained.folder(out, kind)
 
-    from ..stages.frameset import FrameSet
     from ..stages.splat_export import export_splats
-    from ..stages.training_artifact import read_model
 
-    model = read_model(artifact)
-    seen = FrameSet(frames, session.job.capture.root, found.get("poses"))
-    moments = 1 if model.field is None else times or min(int(session.job.capture.facts["times"]), MOST_TIMES)
+    moments = trained.moments(times)
     console = Console()
-    try:
-        with Progress(moments, "export", console) as bar:
-            done = export_splats(model, seen, folder, moments, kind, bar.advance)
-    except OSError as error:
-        raise StageError(f"export: {error.filename or folder} cannot be written ({error.strerror or error}); give another --out") from error
-    said = f"{moments} files, {done.fewest} to {done.most} Gaussians each"
-    if done.convexes:
-        said += f"; {done.convexes} convexes became Gaussians: {done.psnr:.1f} dB from the full model"
-    for line in (said, f"{kind}: {folder}"):
+    with Progress(moments, "export", console) as bar, writing(folder):
+        done = export_splats(trained.model, trained.frames, folder, moments, kind, bar.advance)
+    for line in (f"{moments} files, {done.fewest} to {done.most} Gaussians each; {done.loss}", f"{kind}: {folder}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)

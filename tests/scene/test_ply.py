@@ -6,11 +6,9 @@ import struct
 import numpy as np
 import pytest
 import torch
-from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
-from e4dgs.scene.fibonacci import fibonacci_sphere
+from e4dgs.rasterizer import Camera, Gaussians, rasterize
 from e4dgs.scene.gltf import glb_bytes
-from e4dgs.scene.ply import LEAST_ALPHA, as_gaussians, joined, ply_bytes
-from scipy.spatial.transform import Rotation
+from e4dgs.scene.ply import LEAST_ALPHA, ply_bytes
 
 
 def gaussians(count: int = 200, degree: int = 2) -> Gaussians:
@@ -42,10 +40,10 @@ def as_a_viewer_reads(file: bytes) -> Gaussians:
     return Gaussians(means, of("rot", 4), of("scale", 3).exp(), torch.sigmoid(column["opacity"]), sh=sh)
 
 
-def view(kind: Gaussians, convexes: Convexes | None = None) -> torch.Tensor:
+def view(kind: Gaussians) -> torch.Tensor:
     camera = Camera(torch.tensor([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]]), torch.eye(4), 64, 64)
     camera.cam_from_world[2, 3] = 3.0
-    return rasterize(camera, kind, convexes, torch.full((3,), 0.2)).color.clamp(0, 1)
+    return rasterize(camera, kind, None, torch.full((3,), 0.2)).color.clamp(0, 1)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
@@ -109,25 +107,3 @@ def test_what_cannot_be_seen_is_left_out_at_the_rasterizer_s_threshold():
     made.opacities = torch.tensor([LEAST_ALPHA, LEAST_ALPHA - 1e-5, 1.0])
     file, rows = ply_bytes(made)
     assert rows == 2 and np.isfinite(read(file)[1]).all()
-
-
-def test_a_convex_becomes_a_gaussian_with_its_axes():
-    axes = np.array([0.4, 0.2, 0.1])
-    turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
-    points = torch.tensor(fibonacci_sphere(64) * axes @ turn.T + [1, 2, 3], dtype=torch.float32)[None]
-    hull = Convexes(points, torch.tensor([50.0]), torch.tensor([50.0]), torch.tensor([0.8]), sh=torch.zeros(1, 1, 3))
-    made = as_gaussians(hull, 1.0)
-    np.testing.assert_allclose(made.means[0], [1, 2, 3], atol=1e-2)
-    np.testing.assert_allclose(np.sort(made.scales[0].numpy()), np.sort(axes) / 3**0.5, rtol=0.05)
-    rotation = Rotation.from_quat(made.quats[0].numpy()[[1, 2, 3, 0]]).as_matrix()
-    largest = rotation[:, int(made.scales[0].argmax())]
-    assert abs(largest @ turn[:, 0]) > 0.99
-    half = as_gaussians(hull, 0.5)
-    assert torch.allclose(half.scales, 0.5 * made.scales)
-    both = joined(made, half)
-    assert len(both.means) == 2 and both.sh.shape == (2, 1, 3)
-
-
-def test_no_convexes_are_no_gaussians():
-    empty = Convexes(torch.zeros(0, 6, 3), torch.zeros(0), torch.zeros(0), torch.zeros(0), sh=torch.zeros(0, 9, 3))
-    assert len(joined(gaussians(5), as_gaussians(empty, 1.0)).means) == 5

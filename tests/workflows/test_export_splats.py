@@ -10,6 +10,12 @@ from scipy.spatial import KDTree
 QUICK = ["--set", "coarse.iterations=40", "--set", "hulls.budget=20", "--set", "fine.iterations=10", "--device", "cpu"]
 
 
+@pytest.fixture(autouse=True)
+def short_fit(monkeypatch):
+    """How well convexes are fitted is for tests/stages/test_splat_bake.py."""
+    monkeypatch.setattr("e4dgs.stages.splat_bake.STEPS", 5)
+
+
 @pytest.fixture(scope="module")
 def finished(dnerf_capture, tmp_path_factory):
     workspace = tmp_path_factory.mktemp("ply") / "workspace"

@@ -23,7 +23,19 @@ def imported_by(*arguments: str) -> list[str]:
     return heavy
 
 
-@pytest.mark.parametrize("command", ["--help", "run --help", "plan --help", "bench --help", "bench raster --list", "export flow --help"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "--help",
+        "run --help",
+        "plan --help",
+        "bench --help",
+        "bench raster --list",
+        "export flow --help",
+        "export usd --help",
+        "export mesh --help",
+    ],
+)
 def test_help_imports_nothing_heavy(command):
     assert imported_by(*command.split()) == []
 

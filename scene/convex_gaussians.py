@@ -1,0 +1,86 @@
+"""A Gaussian for each convex, for tools that know no convexes: in the frame of the convex's points, so that it moves with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..rasterizer import Convexes, Gaussians
+
+THINNEST = 1e-3  # of a convex's longest axis; a flat one has no frame without
+
+
+@dataclass
+class GaussianFit:
+    """What M convexes become. The frame of one has its points' principal axes at rest, in standard deviations of the points.
+
+    reference [M, K, 3]: the points at rest. log_spread [M, 3]: ln of the Gaussian's standard deviations along the axes. offset [M, 3]: its
+    mean, from the mean of the points. opacity [M]: what is added to the logit.
+    """
+
+    reference: Tensor
+    log_spread: Tensor
+    offset: Tensor
+    opacity: Tensor
+
+    @classmethod
+    def uniform(cls, reference: Tensor, spread: float) -> GaussianFit:
+        """Every standard deviation ``spread`` times that of the points."""
+        none = reference.new_zeros(len(reference), 3)
+        return cls(reference.detach(), none + float(torch.tensor(spread).log()), none.clone(), none[:, 0].clone())
+
+    def gaussians(self, convexes: Convexes) -> Gaussians:
+        """The Gaussians for ``convexes`` (with sh), which are those of ``reference`` after some motion.
+
+        Differentiable in this fit, but for the turn of the axes that an uneven spread of a sheared convex makes."""
+        assert convexes.sh is not None
+        points = convexes.points.detach()
+        frame = frames(points, self.reference)
+        wide = frame * self.log_spread.exp()[:, None]
+        covariance = wide @ wide.transpose(1, 2)
+        with torch.no_grad():
+            _, axes = torch.linalg.eigh(covariance)
+            axes = axes * torch.linalg.det(axes)[:, None, None].sign()
+        scales = (axes * (covariance @ axes)).sum(1).clamp(min=1e-14).sqrt()
+        means = points.mean(1) + (frame @ self.offset[:, :, None])[..., 0]
+        opacities = torch.sigmoid(torch.logit(convexes.opacities.detach(), eps=1e-6) + self.opacity)
+        # What is not there at this time stays away, whatever the fit wants.
+        opacities = torch.where(convexes.opacities.detach() > 0, opacities, 0.0)
+        return Gaussians(means, _quats(axes), scales, opacities, sh=convexes.sh.detach())
+
+
+@torch.no_grad()
+def frames(points: Tensor, reference: Tensor) -> Tensor:
+    """[M, 3, 3] F with F F^T the covariance of ``points`` [M, K, 3], turned with them: where an affine map A takes ``reference`` to them, F
+    is A times the principal axes of ``reference``; elsewhere the nearest to it."""
+    now, rest = (p.double() - p.double().mean(1, keepdim=True) for p in (points, reference))
+    root, inverse = _root(now)
+    values, axes = _spectrum(rest)
+    white, white_rest = now @ inverse, rest @ (axes / values[:, None].sqrt())
+    u, _, vt = torch.linalg.svd(white.transpose(1, 2) @ white_rest)
+    return (root @ u @ vt).to(points)
+
+
+def _spectrum(centred: Tensor) -> tuple[Tensor, Tensor]:
+    """Eigenvalues [M, 3], held away from 0, and axes [M, 3, 3] of the covariance of ``centred`` [M, K, 3]."""
+    values, axes = torch.linalg.eigh(centred.transpose(1, 2) @ centred / centred.shape[1])
+    return values.clamp(min=1e-30).maximum(THINNEST**2 * values[:, 2:]), axes
+
+
+def _root(centred: Tensor) -> tuple[Tensor, Tensor]:
+    """The covariance's symmetric root and its inverse, [M, 3, 3] each."""
+    values, axes = _spectrum(centred)
+    scaled = axes * values.sqrt()[:, None], axes / values.sqrt()[:, None]
+    return scaled[0] @ axes.transpose(1, 2), scaled[1] @ axes.transpose(1, 2)
+
+
+def _quats(matrices: Tensor) -> Tensor:
+    """[M, 4] w x y z of rotations [M, 3, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    if not len(matrices):
+        return matrices.new_zeros(0, 4)
+    xyzw = Rotation.from_matrix(matrices.cpu().double().numpy()).as_quat()
+    return torch.from_numpy(xyzw[:, [3, 0, 1, 2]]).to(matrices)

@@ -1,0 +1,151 @@
+"""`e4dgs export usd` writes one file that OpenUSD reads: the model's Gaussians as time samples, upright, with a rate."""
+
+import sys
+
+import e4dgs
+import numpy as np
+import pytest
+import torch
+from e4dgs.rasterizer import Camera, Gaussians, rasterize
+from e4dgs.scene.ply import LEAST_ALPHA
+from e4dgs.scene.usd import nearest_axis, write_usd
+from e4dgs.workflows.cli import main
+
+pxr = pytest.importorskip("pxr")
+from pxr import Gf, Usd, UsdGeom, UsdVol  # noqa: E402
+
+QUICK = ["--set", "coarse.iterations=40", "--set", "hulls.budget=20", "--set", "fine.iterations=10", "--device", "cpu"]
+
+
+@pytest.fixture(autouse=True)
+def short_fit(monkeypatch):
+    """How well convexes are fitted is for tests/stages/test_splat_bake.py."""
+    monkeypatch.setattr("e4dgs.stages.splat_bake.STEPS", 5)
+
+
+@pytest.fixture(scope="module")
+def finished(dnerf_capture, tmp_path_factory):
+    workspace = tmp_path_factory.mktemp("usd") / "workspace"
+    assert main(["run", "all", str(dnerf_capture.root), "--workspace", str(workspace), *QUICK]) == 0
+    return dnerf_capture, workspace
+
+
+def export(finished, *options: object) -> int:
+    capture, workspace = finished
+    return main(["export", "usd", str(capture.root), "--workspace", str(workspace), *QUICK, *map(str, options)])
+
+
+def splats_of(stage: Usd.Stage) -> UsdVol.ParticleField3DGaussianSplat:
+    """The one prim of this type."""
+    (found,) = (prim for prim in stage.Traverse() if prim.IsA(UsdVol.ParticleField3DGaussianSplat))
+    return UsdVol.ParticleField3DGaussianSplat(found)
+
+
+def gaussians_of(splats: UsdVol.ParticleField3DGaussianSplat, code: float) -> Gaussians:
+    """At a time code, by the schema's definitions alone."""
+    at = lambda attribute: np.array(attribute.Get(code))  # noqa: E731
+    means = at(splats.GetPositionsAttr())
+    quats = np.array([[q.real, *q.imaginary] for q in splats.GetOrientationsAttr().Get(code)])
+    degree = splats.GetRadianceSphericalHarmonicsDegreeAttr().Get()
+    sh = at(splats.GetRadianceSphericalHarmonicsCoefficientsAttr()).reshape(len(means), (degree + 1) ** 2, 3)
+    tensors = (torch.tensor(a).float() for a in (means, quats, at(splats.GetScalesAttr()), at(splats.GetOpacitiesAttr())))
+    return Gaussians(*tensors, sh=torch.tensor(sh))
+
+
+def test_time_samples_are_the_model_at_these_times(finished, tmp_path, capsys):
+    capture, workspace = finished
+    out = tmp_path / "new" / "scene.usdc"
+    assert export(finished, "--times", 3, "--out", out) == 0
+    assert [f.name for f in out.parent.iterdir()] == ["scene.usdc"], "nothing half-written is left"
+    assert "convexes became Gaussians" in " ".join(capsys.readouterr().out.split())
+    stage = Usd.Stage.Open(str(out))
+    last = len({view.time for view in capture.views}) - 1
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, last)
+    assert stage.GetFramesPerSecond() == stage.GetTimeCodesPerSecond() > 0
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1 and UsdGeom.GetStageUpAxis(stage) == "Z", "D-NeRF stands upright on z"
+    splats = splats_of(stage)
+    for attribute in (
+        splats.GetPositionsAttr(),
+        splats.GetOrientationsAttr(),
+        splats.GetScalesAttr(),
+        splats.GetOpacitiesAttr(),
+        splats.GetRadianceSphericalHarmonicsCoefficientsAttr(),
+        splats.GetExtentAttr(),
+    ):
+        assert attribute.GetTimeSamples() == [0, last / 2, last], attribute.GetName()
+    model = e4dgs.load(capture.root, workspace=workspace)
+    for t in (0.0, 0.5, 1.0):
+        back = gaussians_of(splats, t * last)
+        gaussians, convexes = model.at(t)
+        seen = (gaussians.opacities >= LEAST_ALPHA).numpy()
+        assert len(back.means) == seen.sum() + (convexes.opacities >= LEAST_ALPHA).sum()
+        np.testing.assert_allclose(back.means[: seen.sum()], gaussians.means.detach()[seen], atol=1e-4)
+    assert np.ptp([gaussians_of(splats, t * last).means.numpy() for t in (0, 1)], axis=0).max() > 1e-3, "something moves"
+
+
+def moving(t: float) -> Gaussians:
+    """Gaussians that drift, spin and fade; the first is never seen, the last only at the end."""
+    generator = torch.Generator().manual_seed(5)
+    draw = lambda *shape: torch.randn(*shape, generator=generator)  # noqa: E731
+    means, quats, drift, spin = draw(50, 3) * 0.5, draw(50, 4), draw(50, 3), draw(50, 4)
+    opacities = torch.sigmoid(draw(50) + 2 * t)
+    opacities[0], opacities[-1] = 0.001, t
+    return Gaussians(means + 0.3 * t * drift, quats + 4 * t * spin, torch.exp(0.3 * draw(50, 3) - 2), opacities, sh=0.3 * draw(50, 9, 3))
+
+
+def view(gaussians: Gaussians) -> torch.Tensor:
+    camera = Camera(torch.tensor([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]]), torch.eye(4), 64, 64)
+    camera.cam_from_world[2, 3] = 3.0
+    return rasterize(camera, gaussians, None, torch.full((3,), 0.2)).color
+
+
+@pytest.mark.parametrize("ending", [".usdc", ".usda"])
+def test_what_is_read_back_renders_the_same(tmp_path, ending):
+    times = [0.0, 0.25, 0.5, 1.0]
+    assert write_usd(tmp_path / f"a{ending}", moving, times, 8.0, 12.0, np.array([0.1, 0.9, 0])) == 49
+    assert ((tmp_path / f"a{ending}").read_bytes()[:8] == b"PXR-USDC") is (ending == ".usdc")
+    stage = Usd.Stage.Open(str(tmp_path / f"a{ending}"))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0, 8, 12)
+    splats = splats_of(stage)
+    for t in times:
+        torch.testing.assert_close(view(gaussians_of(splats, 8 * t)), view(moving(t)), atol=2e-5, rtol=0)
+    lengths = gaussians_of(splats, 1.0).quats.norm(dim=1)  # between two samples
+    torch.testing.assert_close(lengths, torch.ones(49), atol=1e-5, rtol=0)
+    before, after = (gaussians_of(splats, 8 * t).quats for t in times[:2])
+    assert ((before * after).sum(1) >= 0).all(), "between samples each turns the short way"
+    low, high = np.array(splats.GetExtentAttr().Get(0))
+    assert (gaussians_of(splats, 0).means.numpy() > low).all() and (gaussians_of(splats, 0).means.numpy() < high).all()
+
+
+def test_what_does_not_change_is_stored_once(tmp_path):
+    for count in (2, 20):
+        write_usd(tmp_path / f"{count}.usdc", moving, np.linspace(0, 1, count).tolist(), 8.0, 12.0, np.array([0, 0, 1.0]))
+    grown = (tmp_path / "20.usdc").stat().st_size - (tmp_path / "2.usdc").stat().st_size
+    assert grown < 18 * 49 * (3 + 4 + 1) * 4 * 1.3, "18 more samples of positions, orientations and opacities; none of scales and SH"
+
+
+@pytest.mark.parametrize("up", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1)])
+def test_the_stage_is_upright(tmp_path, up):
+    tilted = np.array(up) + 0.3 * np.array([0.3, -0.5, 0.4])
+    write_usd(tmp_path / "a.usdc", moving, [0.0], 0.0, 24.0, tilted)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    shown = UsdGeom.Xformable(splats_of(stage)).ComputeLocalToWorldTransform(0).TransformDir(Gf.Vec3d(*map(float, up)))
+    axis = {"Y": (0, 1, 0), "Z": (0, 0, 1)}[UsdGeom.GetStageUpAxis(stage)]
+    np.testing.assert_allclose(np.array(shown), axis, atol=1e-9)
+    assert nearest_axis(tilted) in ("X", "Y", "Z", "-X", "-Y", "-Z")
+
+
+def test_a_folder_gets_the_scene_s_name(finished, tmp_path):
+    assert export(finished, "--times", 2, "--out", tmp_path / "folder") == 0
+    assert [f.name for f in (tmp_path / "folder").iterdir()] == [f"{finished[0].root.name}.usdc"]
+
+
+def test_another_ending_is_refused(finished, tmp_path, capsys):
+    assert export(finished, "--out", tmp_path / "scene.obj") == 2
+    assert ".usdc or .usda" in " ".join(capsys.readouterr().err.split()) and not list(tmp_path.iterdir())
+
+
+def test_without_the_package_it_is_said_how_to_get_it(finished, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    assert export(finished, "--out", tmp_path / "scene.usdc") == 1
+    assert "e4dgs[usd]" in capsys.readouterr().err and not list(tmp_path.iterdir())
