@@ -161,7 +161,7 @@ class Trainer:
     def _step(self, phase: Phase, step: int) -> None:
         views, model, s = self.views, self.model, self.settings
         i = self.curriculum.frame(self.iteration)
-        t = float(views.time[i])
+        t = self.curriculum.near(self.iteration, float(views.time[i]), self._time_noise()) if phase.move else float(views.time[i])
         window = None if self.iteration % WHOLE_EVERY == 0 else views.window(i, phase.scale)
         camera = views.rasterizer_camera(i, phase.scale, window)
         highest = model.sh_degree if s.sh_degree is None else s.sh_degree
@@ -214,6 +214,12 @@ class Trainer:
         self._losses[self.iteration] = image_loss
         if self.iteration % 20 == 0:
             self.log.loss.append([self.iteration, self._smoothed_loss()])
+
+    def _time_noise(self) -> float:
+        """In gaps between times. A motion that must serve neighbouring times as well cannot fit each one by itself."""
+        if not self.grow or not self.recipe.time_noise:
+            return 0.0
+        return self.recipe.time_noise * max(0.0, 1 - self.iteration / max(self.recipe.time_noise_until * self.total, 1))
 
     def _smoothed_loss(self) -> float:
         """Of the images, over the steps so far."""

@@ -228,3 +228,18 @@ def test_the_captures_alpha_forbids_to_hide_dark_surfaces_as_holes():
 def test_small_images_hold_few_gaussians(views):
     _, log, _ = train(views, budget=500, phases=[Phase("quarter", 400, move=False, scale=0.25)], recipe=NODES)
     assert max(n for _, n, _ in log.primitives) <= max(60, round(GAUSSIANS_PER_PIXEL * (SIZE // 4) ** 2))
+
+
+def test_times_are_noisy_at_first_and_exact_later(views):
+    model = fresh(views, static=True)
+    model.gaussians.dynamic[:] = True
+    model.field = make_nodes(model.gaussians.means.detach().numpy(), SETTINGS)
+    _, _, trainer = train(views, model, phases=node_phases(40, 1.0), recipe=NODES)
+    half = round(NODES.time_noise_until * trainer.total)
+    looks = []
+    for step in (0, half // 2, half, trainer.total - 1):
+        trainer.iteration = step
+        looks.append(trainer._time_noise())
+    assert looks == pytest.approx([NODES.time_noise, NODES.time_noise / 2, 0, 0])
+    trainer.iteration, trainer.grow = 0, False
+    assert trainer._time_noise() == 0  # refining what has been found
