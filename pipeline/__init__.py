@@ -1,7 +1,7 @@
 """Stages, keys, store, plan and runner of a workflow; knows nothing of 3D. See DESIGN.md."""
 
 from .artifact import Artifact
-from .errors import ArtifactError, CaptureError, PipelineError, SettingsError, StageError
+from .errors import ArtifactError, CaptureError, DamagedError, PipelineError, SettingsError, StageError
 from .graph import Graph
 from .job import Job
 from .keys import capture_digest
@@ -23,6 +23,7 @@ __all__ = [
     "Capture",
     "CaptureError",
     "Context",
+    "DamagedError",
     "Graph",
     "Job",
     "Outcome",

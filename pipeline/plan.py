@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from .artifact import Artifact
-from .errors import ArtifactError
+from .errors import DamagedError
 from .job import Job
 from .keys import key_of
 from .records import differences
@@ -27,6 +27,7 @@ class Row:
     parts: Mapping[str, Any] | None = None
     artifact: Artifact | None = None  # of a cached row
     task: str = ""
+    damage: str = ""  # which file of the result that lies there is damaged, and how
 
     def as_json(self) -> dict[str, Any]:
         shown = {"stage": self.stage, "state": self.state, "reason": self.reason, "task": self.task}
@@ -64,12 +65,12 @@ def assess(job: Job, stage: Stage, inputs: Mapping[str, str | None], forced: boo
             artifact = job.store.open(stage.name, key)
             if not forced:
                 return Row(stage.name, "cached", _cached_reason(job, stage, key), None, key, parts, artifact, applies.reason)
-        except ArtifactError as error:
-            damage = str(error)
+        except DamagedError as error:
+            damage = error.problem
     reason = "forced" if forced else f"damaged: {damage}" if damage else _run_reason(job, stage, parts, key)
     if not forced and _has_entries(job, stage, key):
         reason += "; continues from a checkpoint"
-    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason)
+    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason, damage=damage)
 
 
 def _digest(row: Row) -> str | None:

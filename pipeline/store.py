@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 import uuid
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from .artifact import MANIFEST, Artifact
-from .errors import ArtifactError
+from .errors import DamagedError
 from .files import sync_file
+from .hold import alone
 from .writer import ArtifactWriter
 
-_INTERNAL = ("locks", "tmp", "checkpoints")
+_INTERNAL = ("locks", "tmp", "checkpoints", "quarantine")
 
 
 class Store:
-    """``<stage>/<key>/`` artifacts, ``tmp/`` for what is being written, ``checkpoints/<stage>-<key>/``, ``locks/``.
+    """``<stage>/<key>/`` artifacts, ``tmp/`` for what is being written, ``checkpoints/<stage>-<key>/``, ``locks/``, ``quarantine/``.
 
     Whoever holds the lock of a key is the only one who builds it, so whatever lies in ``tmp`` for that key was left by a dead run.
     """
@@ -41,8 +43,41 @@ class Store:
         return self.path(stage, key).is_dir()
 
     def open(self, stage: str, key: str) -> Artifact:
-        """The artifact under a key. Raises ArtifactError when there is none or it is damaged."""
+        """The artifact under a key, which nobody removes as long as the object lives. Raises ArtifactError when there is none or it is
+        damaged (DamagedError)."""
         return Artifact(self.path(stage, key))
+
+    def problem(self, stage: str, key: str) -> str:
+        """What is wrong with an artifact, after reading all of it; "" where all is well. Raises ArtifactError where it cannot be read."""
+        try:
+            self.open(stage, key).verify()
+        except DamagedError as error:
+            return error.problem
+        return ""
+
+    def quarantine(self, stage: str, key: str) -> Path:
+        """Moves what lies under a key to ``quarantine/<stage>-<key>-<UTC time>`` in one rename; returns the new place. Hold the key's lock.
+
+        Nothing is deleted: a person may still want to look at it.
+        """
+        folder = self.root / "quarantine"
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / f"{stage}-{key}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{uuid.uuid4().hex[:4]}"
+        os.rename(self.path(stage, key), target)
+        sync_file(folder)
+        return target
+
+    def quarantine_damaged(self, stage: str, key: str) -> Path | None:
+        """`quarantine`, where the artifact is damaged and no process builds it; None where it stays."""
+        lock = self._lock(stage, key)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            return None
+        try:
+            return self.quarantine(stage, key) if self.has(stage, key) and self.problem(stage, key) else None
+        finally:
+            lock.release()
 
     @contextmanager
     def lock(self, stage: str, key: str, waiting: Any = None) -> Iterator[None]:
@@ -134,26 +169,25 @@ class Store:
         return [(folder.name, entry.name) for folder in stages for entry in sorted(folder.iterdir()) if entry.is_dir()]
 
     def remove(self, stage: str, key: str) -> bool:
-        """Removes an artifact (its manifest first, so that a crash leaves nothing valid). False when a process builds or keeps it."""
+        """Removes an artifact at once (a crash leaves all of it or nothing). False when a process builds or uses it."""
         lock = self._lock(stage, key)
         try:
             lock.acquire(timeout=0)
         except Timeout:
             return False
         try:
-            (self.path(stage, key) / MANIFEST).unlink(missing_ok=True)
-            shutil.rmtree(self.path(stage, key), ignore_errors=True)
+            gone = self.root / "tmp" / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
+            gone.parent.mkdir(parents=True, exist_ok=True)
+            with alone(self.path(stage, key) / MANIFEST) as free:
+                if not free:
+                    return False
+                with suppress(FileNotFoundError):
+                    os.rename(self.path(stage, key), gone)
+            shutil.rmtree(gone, ignore_errors=True)
         finally:
             lock.release()
         return True
 
     def verify(self) -> list[tuple[str, str, str]]:
-        """Digests everything again: (stage, key, problem) with an empty problem where all is well."""
-        results = []
-        for stage, key in self.entries():
-            try:
-                self.open(stage, key).verify()
-                results.append((stage, key, ""))
-            except ArtifactError as error:
-                results.append((stage, key, str(error)))
-        return results
+        """Digests everything again: (stage, key, problem) with an empty problem where all is well. Nothing is changed."""
+        return [(stage, key, self.problem(stage, key)) for stage, key in self.entries()]

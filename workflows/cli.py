@@ -134,11 +134,13 @@ def doctor(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> No
 
 @app.command()
 def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
-    """Digest every result in the store again; exit code 1 when one is damaged."""
-    results = Store(workspace.resolve() / "store").verify()
-    damaged = [problem for _, _, problem in results if problem]
-    for problem in damaged:
-        _say(problem)
+    """Digest every result in the store again; a damaged one is moved aside, to be made again by the next run. Exit code 1 for any."""
+    store = Store(workspace.resolve() / "store")
+    results = store.verify()
+    damaged = [result for result in results if result[2]]
+    for stage, key, problem in damaged:
+        place = store.quarantine_damaged(stage, key)
+        _say(f"{stage}: damaged: {problem}; " + (f"moved to {place}; the next run makes it again" if place else "a process builds it now"))
     _say(f"{len(results) - len(damaged)} of {len(results)} results in {workspace} are as they were written")
     if damaged:
         raise typer.Exit(1)

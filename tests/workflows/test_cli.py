@@ -144,8 +144,21 @@ def test_verify_finds_damage_and_the_next_run_repairs_it(cli, capture):
     path.write_bytes(path.read_bytes().replace(b"1234", b"4321"))
     result = cli("verify")
     assert result.code == 1 and "info.json" in result.out and "2 of 3 results" in result.out
-    cli("run", "fine", capture, "--force")
-    assert cli("verify").code == 0
+    assert not path.parent.exists() and path.parent.name in result.out.split("moved to ")[1], "it is in quarantine"
+    assert cli("verify").out.startswith("2 of 2 results")
+    assert "fine: done" in cli("run", "all", capture).out
+    assert cli("verify").out.startswith("3 of 3 results")
+
+
+def test_a_run_names_what_is_damaged_and_makes_it_again(cli, capture):
+    cli("run", "all", capture)
+    path = next(Path("e4dgs-workspace/store/fine").glob("*/zarr.json"))
+    path.write_bytes(path.read_bytes().replace(b'"steps": 10', b'"steps": 11'))
+    result = cli("run", "all", capture)
+    assert result.code == 0 and result.out.count("damaged: ") == 1
+    line = next(line for line in result.out.splitlines() if "damaged: " in line)
+    assert line.startswith("fine: damaged: ") and f"fine/{path.parent.name}/zarr.json" in line
+    assert json.loads((SCENE / "metrics.json").read_text())["splits"]["test"]["psnr"] == 30.0
 
 
 def test_gc_removes_what_no_scene_used_last(cli, capture):
