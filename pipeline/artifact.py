@@ -37,6 +37,17 @@ def seal(manifest: Mapping[str, Any]) -> str:
     return digest_bytes(canonical_json({name: value for name, value in manifest.items() if name != "seal"}))
 
 
+def parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
+    """The manifest of the artifact at ``path``, given its bytes. Raises DamagedError."""
+    try:
+        manifest = json.loads(content)
+    except ValueError as error:
+        raise DamagedError(path, MANIFEST, f"the manifest cannot be read ({error})") from None
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or manifest.get("seal") != seal(manifest):
+        raise DamagedError(path, MANIFEST, "the manifest is damaged or of another format")
+    return manifest
+
+
 class Artifact:
     """One published zarr v3 group. Opening it checks the manifest and the size of every file, which costs no decoding.
 
@@ -68,13 +79,7 @@ class Artifact:
             raise DamagedError(self.path, MANIFEST, "there is no manifest, so the artifact was never finished") from None
         except OSError as error:
             raise _unreadable(self.path, MANIFEST, error) from error
-        try:
-            manifest = json.loads(content)
-        except ValueError as error:
-            raise DamagedError(self.path, MANIFEST, f"the manifest cannot be read ({error})") from None
-        if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or manifest.get("seal") != seal(manifest):
-            raise DamagedError(self.path, MANIFEST, "the manifest is damaged or of another format")
-        return manifest
+        return parse_manifest(self.path, content)
 
     @property
     def digest(self) -> str:

@@ -213,6 +213,7 @@ class Runner:
             "settings": settings,
             "seeds": {name: value for name, value in settings.items() if name == "seed" or name.endswith("_seed")},
             "device": self.job.device,
+            "made": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "code_version": self._code_version,
             "libraries": {"python": sys.version.split()[0], **_versions(self._libraries)},
             "seconds": seconds,

@@ -13,7 +13,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from .artifact import MANIFEST, Artifact
+from .artifact import MANIFEST, Artifact, parse_manifest
 from .errors import DamagedError
 from .files import sync_file
 from .hold import alone
@@ -46,6 +46,14 @@ class Store:
         """The artifact under a key, which nobody removes as long as the object lives. Raises ArtifactError when there is none or it is
         damaged (DamagedError)."""
         return Artifact(self.path(stage, key))
+
+    def manifest(self, stage: str, key: str) -> dict[str, Any] | None:
+        """The manifest of an artifact, which is not held and whose files are not looked at; None where there is none that is valid."""
+        path = self.path(stage, key)
+        try:
+            return parse_manifest(path, (path / MANIFEST).read_bytes())
+        except (OSError, DamagedError):
+            return None
 
     def problem(self, stage: str, key: str) -> str:
         """What is wrong with an artifact, after reading all of it; "" where all is well. Raises ArtifactError where it cannot be read."""

@@ -21,6 +21,7 @@ from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, 
 from .render import render
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
+from .store import app as store_commands
 from .view.beside import viewer_beside
 from .view.command import view
 
@@ -32,6 +33,7 @@ app = typer.Typer(
 )
 app.add_typer(bench, name="bench")
 app.add_typer(export, name="export")
+app.add_typer(store_commands, name="store")
 app.command()(batch)
 app.command()(status)
 app.command()(view)

@@ -6,23 +6,14 @@ import shutil
 from pathlib import Path
 
 from ..pipeline import Store
-from ..pipeline.files import read_json, sizes
-
-
-def referenced(workspace: Path) -> set[tuple[str, str]]:
-    """(stage, key) of every result that some scene's last run used."""
-    found = set()
-    for path in (workspace / "scenes").glob("*/records/*.json"):
-        record = read_json(path)
-        if isinstance(record, dict) and isinstance(record.get("key"), str):
-            found.add((path.stem, record["key"]))
-    return found
+from ..pipeline.files import sizes
+from .stored import users
 
 
 def garbage(workspace: Path) -> list[tuple[str, str, int]]:
     """(stage, key, bytes) of results in the store that no scene refers to."""
     store = Store(workspace / "store")
-    keep = referenced(workspace)
+    keep = users(workspace)
     return [(stage, key, sum(sizes(store.path(stage, key)).values())) for stage, key in store.entries() if (stage, key) not in keep]
 
 
