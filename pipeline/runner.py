@@ -132,6 +132,7 @@ class Runner:
             row.artifact.verify(arrays=False)
         except DamagedError as error:
             raise _Damaged(stage.name, row.key, error) from None
+        self.job.store.touch(stage.name, row.key)
         made = row.artifact.provenance
         return Outcome(stage.name, "cached", row.reason, made["seconds"], made["peak_rss_mb"], row.artifact)
 

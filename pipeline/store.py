@@ -19,11 +19,12 @@ from .files import sync_file
 from .hold import alone
 from .writer import ArtifactWriter
 
-_INTERNAL = ("locks", "tmp", "checkpoints", "quarantine")
+_INTERNAL = ("locks", "tmp", "checkpoints", "quarantine", "pins", "trash")
 
 
 class Store:
-    """``<stage>/<key>/`` artifacts, ``tmp/`` for what is being written, ``checkpoints/<stage>-<key>/``, ``locks/``, ``quarantine/``.
+    """``<stage>/<key>/`` artifacts, ``tmp/`` for what is being written, ``checkpoints/<stage>-<key>/``, ``locks/``, ``pins/``, and
+    ``quarantine/`` and ``trash/`` for what is damaged and what is being removed.
 
     Whoever holds the lock of a key is the only one who builds it, so whatever lies in ``tmp`` for that key was left by a dead run.
     """
@@ -77,15 +78,13 @@ class Store:
 
     def quarantine_damaged(self, stage: str, key: str) -> Path | None:
         """`quarantine`, where the artifact is damaged and no process builds it; None where it stays."""
-        lock = self._lock(stage, key)
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            return None
-        try:
-            return self.quarantine(stage, key) if self.has(stage, key) and self.problem(stage, key) else None
-        finally:
-            lock.release()
+        with self.lock_if_free(stage, key) as free:
+            return self.quarantine(stage, key) if free and self.has(stage, key) and self.problem(stage, key) else None
+
+    def touch(self, stage: str, key: str) -> None:
+        """Notes that a result was used now: its manifest's time of change, by which the oldest are chosen when something has to go."""
+        with suppress(OSError):  # not ours, or not to be written: it only looks older than it is
+            os.utime(self.path(stage, key) / MANIFEST)
 
     @contextmanager
     def lock(self, stage: str, key: str, waiting: Any = None) -> Iterator[None]:
@@ -102,6 +101,20 @@ class Store:
             lock.acquire()
         try:
             yield
+        finally:
+            lock.release()
+
+    @contextmanager
+    def lock_if_free(self, stage: str, key: str) -> Iterator[bool]:
+        """`lock`, but False at once, and without the right, where another process holds it."""
+        lock = self._lock(stage, key)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            yield False
+            return
+        try:
+            yield True
         finally:
             lock.release()
 
@@ -157,16 +170,10 @@ class Store:
         removed = []
         for folder in sorted((self.root / "tmp").glob("*-*-*")):
             stage, key, _ = folder.name.rsplit("-", 2)
-            lock = self._lock(stage, key)
-            try:
-                lock.acquire(timeout=0)
-            except Timeout:
-                continue
-            try:
-                shutil.rmtree(folder, ignore_errors=True)
-                removed.append(folder.name)
-            finally:
-                lock.release()
+            with self.lock_if_free(stage, key) as free:
+                if free:
+                    shutil.rmtree(folder, ignore_errors=True)
+                    removed.append(folder.name)
         return removed
 
     def entries(self) -> list[tuple[str, str]]:
@@ -178,23 +185,25 @@ class Store:
 
     def remove(self, stage: str, key: str) -> bool:
         """Removes an artifact at once (a crash leaves all of it or nothing). False when a process builds or uses it."""
-        lock = self._lock(stage, key)
+        place = self.take(stage, key, "tmp")
+        if place is not None:
+            shutil.rmtree(place, ignore_errors=True)
+        return place is not None
+
+    def take(self, stage: str, key: str, folder: str) -> Path | None:
+        """Moves an artifact that no process builds or uses to another folder of the store, in one rename; None where it stays."""
+        place = self.root / folder / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
+        place.parent.mkdir(parents=True, exist_ok=True)
         try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            return False
-        try:
-            gone = self.root / "tmp" / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
-            gone.parent.mkdir(parents=True, exist_ok=True)
-            with alone(self.path(stage, key) / MANIFEST) as free:
-                if not free:
-                    return False
-                with suppress(FileNotFoundError):
-                    os.rename(self.path(stage, key), gone)
-            shutil.rmtree(gone, ignore_errors=True)
-        finally:
-            lock.release()
-        return True
+            with self.lock_if_free(stage, key) as unlocked, alone(self.path(stage, key) / MANIFEST) as unused:
+                if not (unlocked and unused):
+                    return None
+                os.rename(self.path(stage, key), place)
+        except FileNotFoundError:
+            return place  # nothing lies there: it is gone, as was asked for
+        except OSError:
+            return None  # it cannot be locked, or belongs to somebody else
+        return place
 
     def verify(self) -> list[tuple[str, str, str]]:
         """Digests everything again: (stage, key, problem) with an empty problem where all is well. Nothing is changed."""

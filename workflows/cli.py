@@ -22,6 +22,7 @@ from .render import render
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
 from .store import app as store_commands
+from .upkeep import gc
 from .view.beside import viewer_beside
 from .view.command import view
 
@@ -38,6 +39,7 @@ app.command()(batch)
 app.command()(status)
 app.command()(view)
 app.command()(render)
+app.command()(gc)
 console = Console()
 
 
@@ -146,23 +148,6 @@ def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> No
     _say(f"{len(results) - len(damaged)} of {len(results)} results in {workspace} are as they were written")
     if damaged:
         raise typer.Exit(1)
-
-
-@app.command()
-def gc(
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be removed, remove nothing.")] = False,
-    debug: Debug = False,
-) -> None:
-    """Remove results that no scene's last run used, and what dead runs left half-written."""
-    from .upkeep import collect, garbage
-
-    entries, swept = (garbage(workspace.resolve()), []) if dry_run else collect(workspace.resolve())
-    for stage, key, size in entries:
-        _say(f"{'would remove' if dry_run else 'removed'} {stage}/{key} ({size / 1e6:.1f} MB)")
-    for left in swept:
-        _say(f"removed half-written {left}")
-    _say(f"{len(entries)} results, {sum(size for _, _, size in entries) / 1e6:.1f} MB")
 
 
 def main(arguments: list[str] | None = None) -> Any:

@@ -11,11 +11,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from ..pipeline import Artifact, ArtifactError, SettingsError, duration
+from ..pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, duration
 from ..pipeline.records import differences
+from .amounts import megabytes
 from .options import Debug, Workspace
 from .session import DEFAULT_WORKSPACE
-from .stored import Stored, every, find
+from .stored import Stored, every, find, users
 
 SHORT = 12  # digits of a key or digest that are shown in tables
 WIDTH = 180  # of tables in a file or a pipe
@@ -32,23 +33,24 @@ def list_(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Every result: stage, key, size, when it was made, time and memory it took, and the scenes whose last run used it."""
+    """Every result: stage, key, size, when it was made, time and memory it took, the scenes whose last run used it, and its pins."""
     found = [stored for stored in every(workspace.resolve()) if stage in (None, stored.stage)]
     if as_json:
         print(json.dumps([_facts(stored) for stored in found], indent=2, ensure_ascii=False))
         return
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    pinned = Pins(Store(workspace.resolve() / "store")).results()
     numbers = ("size", "took", "memory")
-    for title in ("stage", "key", *numbers, "made", "scenes"):
-        table.add_column(title, no_wrap=title != "scenes", overflow="fold", justify="right" if title in numbers else "left")
+    for title in ("stage", "key", *numbers, "made", "scenes", "pins"):
+        table.add_column(title, no_wrap=title not in ("scenes", "pins"), overflow="fold", justify="right" if title in numbers else "left")
     for stored in found:
         facts = _facts(stored)
         spent = duration(facts["seconds"] or 0.0), f"{facts['peak_rss_mb'] or 0.0:.0f} MB"
-        where = facts["made"] or "", ", ".join(stored.scenes)
-        table.add_row(stored.stage, stored.key[:SHORT], _megabytes(stored.size), *spent, *where)
+        where = facts["made"] or "", ", ".join(stored.scenes), ", ".join(pinned.get((stored.stage, stored.key), ()))
+        table.add_row(stored.stage, stored.key[:SHORT], megabytes(stored.size), *spent, *where)
     console = Console()
     (console if console.is_terminal else Console(width=WIDTH)).print(table)
-    _say(f"{len(found)} results, {_megabytes(sum(stored.size for stored in found))}")
+    _say(f"{len(found)} results, {megabytes(sum(stored.size for stored in found))}")
 
 
 @app.command()
@@ -70,7 +72,7 @@ def show(
     rows = [
         ("scenes", ", ".join(stored.scenes) or "none: no scene's last run used it"),
         ("made", f"{facts['made'] or 'at an unknown time'} in {took}"),
-        ("size", f"{_megabytes(stored.size)} in {len(stored.manifest['files'])} files, content {facts['digest'][:SHORT]}"),
+        ("size", f"{megabytes(stored.size)} in {len(stored.manifest['files'])} files, content {facts['digest'][:SHORT]}"),
         ("version", f"{stored.stage} {parts.get('version')}, e4dgs {stored.made('code_version') or 'unknown'}; {libraries}"),
     ]
     try:
@@ -107,6 +109,35 @@ def diff(
     _say("the content is the same" if same else "the content differs")
 
 
+@app.command()
+def pin(
+    scene: Annotated[str, typer.Argument(metavar="SCENE")],
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    debug: Debug = False,
+) -> None:
+    """Keep what a scene's last run used, whatever runs later: `gc` leaves it until it is unpinned."""
+    results = [result for result, scenes in users(workspace.resolve()).items() if scene in scenes]
+    if not results:
+        known = sorted({name for scenes in users(workspace.resolve()).values() for name in scenes})
+        raise SettingsError(f"{scene}: {workspace} has no results of such a scene; scenes: {', '.join(known) or 'none'}")
+    pinned = Pins(Store(workspace.resolve() / "store")).add(scene, sorted(results))
+    _say(f"{scene}: {len(pinned)} results are pinned")
+
+
+@app.command()
+def unpin(
+    scene: Annotated[str, typer.Argument(metavar="SCENE")],
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    debug: Debug = False,
+) -> None:
+    """Let go of what `pin` keeps."""
+    pins = Pins(Store(workspace.resolve() / "store"))
+    if scene not in pins.names():
+        raise SettingsError(f"{scene}: there is no such pin; pins: {', '.join(pins.names()) or 'none'}")
+    pins.remove(scene)
+    _say(f"{scene}: no longer pinned")
+
+
 def _causes(workspace: Path, one: Stored, two: Stored) -> list[str]:
     before, after = one.made("parts", {}), two.made("parts", {})
     lines = differences(before, after)
@@ -125,7 +156,7 @@ def _causes(workspace: Path, one: Stored, two: Stored) -> list[str]:
     for what, shown in (("seconds", duration), ("peak_rss_mb", lambda megabytes: f"{megabytes:.0f} MB")):
         values = [stored.made(what, 0.0) for stored in (one, two)]
         lines.append(f"{'took' if what == 'seconds' else 'memory'}: {shown(values[0])} -> {shown(values[1])}")
-    lines.append(f"size: {_megabytes(one.size)} -> {_megabytes(two.size)}")
+    lines.append(f"size: {megabytes(one.size)} -> {megabytes(two.size)}")
     return lines
 
 
@@ -144,10 +175,6 @@ def _facts(stored: Stored) -> dict[str, Any]:
     facts: dict[str, Any] = {"stage": stored.stage, "key": stored.key, "scenes": list(stored.scenes), "bytes": stored.size}
     facts["digest"] = stored.manifest["digest"]
     return facts | {field: stored.made(field) for field in ("made", "seconds", "peak_rss_mb", "device")}
-
-
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.2f} GB"
 
 
 def _say(message: str) -> None:
