@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
+from .adopt import adopt
 from .artifact import Artifact
 from .errors import DamagedError, PipelineError, SettingsError, StageError
 from .job import Job
@@ -115,10 +116,12 @@ class Runner:
     def _one(self, stage: Stage, inputs: Mapping[str, Artifact | None], forced: bool) -> Outcome:
         digests = {name: artifact.digest if artifact else None for name, artifact in inputs.items()}
         row = assess(self.job, stage, digests, forced)
-        if row.state == "run":
+        if row.state == "run" or row.source is not None:
             assert row.key is not None
             with self.job.store.lock(stage.name, row.key, lambda: self._report(f"{stage.name}: another process is making it, waiting")):
                 row = assess(self.job, stage, digests, forced)  # the other process may have made it meanwhile
+                while row.source is not None:
+                    row = self._take_over(stage, row) or assess(self.job, stage, digests, forced)
                 if row.state == "run":
                     self._check(inputs)
                     if row.damage and row.key is not None:
@@ -135,6 +138,22 @@ class Runner:
         self.job.store.touch(stage.name, row.key)
         made = row.artifact.provenance
         return Outcome(stage.name, "cached", row.reason, made["seconds"], made["peak_rss_mb"], row.artifact)
+
+    def _take_over(self, stage: Stage, row: Row) -> Row | None:
+        """The row with its result in our store; None where that of the other store is damaged. Hold the key's lock."""
+        assert row.key is not None and row.artifact is not None
+        if row.damage:
+            self._quarantine(stage.name, row.key, row.damage)
+        try:
+            artifact = adopt(self.job.store, row.artifact, stage.name, row.key)
+        except DamagedError as error:
+            self.job.refused.add(row.artifact.path)
+            self._report(f"{stage.name}: not taken from {row.source}: {error.problem}")
+            return None
+        self.job.store.drop_checkpoints(stage.name, row.key)
+        self._report(f"{stage.name}: taken from {row.source}")
+        self._whole[id(artifact)] = artifact
+        return replace(row, artifact=artifact, source=None, damage="")
 
     def _check(self, inputs: Mapping[str, Artifact | None]) -> None:
         """Reads every byte of a stage's inputs, once a run: far quicker than a stage, and none computes on damage."""

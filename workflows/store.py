@@ -17,6 +17,7 @@ from .amounts import megabytes
 from .options import Debug, Workspace
 from .session import DEFAULT_WORKSPACE
 from .stored import Stored, every, find, users
+from .writable import writing_to
 
 SHORT = 12  # digits of a key or digest that are shown in tables
 WIDTH = 180  # of tables in a file or a pipe
@@ -120,7 +121,8 @@ def pin(
     if not results:
         known = sorted({name for scenes in users(workspace.resolve()).values() for name in scenes})
         raise SettingsError(f"{scene}: {workspace} has no results of such a scene; scenes: {', '.join(known) or 'none'}")
-    pinned = Pins(Store(workspace.resolve() / "store")).add(scene, sorted(results))
+    with writing_to(workspace.resolve()):
+        pinned = Pins(Store(workspace.resolve() / "store")).add(scene, sorted(results))
     _say(f"{scene}: {len(pinned)} results are pinned")
 
 
@@ -134,7 +136,8 @@ def unpin(
     pins = Pins(Store(workspace.resolve() / "store"))
     if scene not in pins.names():
         raise SettingsError(f"{scene}: there is no such pin; pins: {', '.join(pins.names()) or 'none'}")
-    pins.remove(scene)
+    with writing_to(workspace.resolve()):
+        pins.remove(scene)
     _say(f"{scene}: no longer pinned")
 
 

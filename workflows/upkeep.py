@@ -12,6 +12,7 @@ from .amounts import bytes_of, megabytes, seconds_of
 from .options import Debug, Workspace
 from .session import DEFAULT_WORKSPACE
 from .stored import users
+from .writable import writing_to
 
 
 def gc(
@@ -41,7 +42,8 @@ def gc(
         items, total = unused(store, live, most, age)
         left = total - sum(item.size for item in items)
     else:
-        found = collect(store, live, most, age)
+        with writing_to(workspace):
+            found = collect(store, live, most, age)
         items, left = found.removed, found.left
         for item in found.busy:
             _say(f"left {item.name}: a process uses it")

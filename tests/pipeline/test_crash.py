@@ -8,11 +8,12 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import toy_stages
-from e4dgs.pipeline import Artifact, Runner, StageError, make_plan
+from e4dgs.pipeline import Artifact, Runner, StageError, Store, make_plan
 
 SCRIPT = [sys.executable, str(Path(toy_stages.__file__))]
 
@@ -94,6 +95,28 @@ def test_failing_while_damage_is_set_aside_leaves_the_damaged_or_a_whole_result(
         if not failure.failed:
             break
     assert n > 10, "the loop must have failed at many places before it got through"
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), Crash()], ids=["error", "crash"])
+def test_failing_while_a_result_is_taken_over_leaves_all_or_nothing(bench, tmp_path, error):
+    Runner(bench.job()).run(["numbers"])
+    theirs = Store(tmp_path / "theirs")
+    os.rename(bench.store.root, theirs.root)
+    bench.runs()
+    for n in range(1, 200):
+        shutil.rmtree(bench.store.root, ignore_errors=True)
+        with pytest.MonkeyPatch.context() as patch:
+            failure = FailNth(patch, n, error)
+            if isinstance(error, Crash):
+                patch.setattr(shutil, "rmtree", lambda *args, **kwargs: None)
+            with contextlib.suppress(StageError, OSError, Crash):
+                Runner(replace(bench.job(), also=[theirs])).run(["numbers"])
+        assert not any(problem for _, _, problem in bench.store.verify())
+        assert Runner(replace(bench.job(), also=[theirs])).run(["numbers"])[0].artifact.read("values").tolist() == [1, 2, 3]
+        assert bench.runs() == [] and theirs.problem(*theirs.entries()[0]) == ""
+        if not failure.failed:
+            break
+    assert n > 5, "the loop must have failed at many places before it got through"
 
 
 def start(bench, steps: int, seconds: float) -> subprocess.Popen:
