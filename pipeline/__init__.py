@@ -1,10 +1,12 @@
 """Stages, keys, store, plan and runner of a workflow; knows nothing of 3D. See DESIGN.md."""
 
 from .artifact import Artifact
-from .errors import ArtifactError, CaptureError, PipelineError, SettingsError, StageError
+from .collect import Collected, collect, unused
+from .errors import ArtifactError, CaptureError, DamagedError, PipelineError, SettingsError, StageError
 from .graph import Graph
 from .job import Job
 from .keys import capture_digest
+from .pins import Pins
 from .plan import Row, make_plan
 from .progress import Progress, duration
 from .records import Records
@@ -22,10 +24,13 @@ __all__ = [
     "ArtifactWriter",
     "Capture",
     "CaptureError",
+    "Collected",
     "Context",
+    "DamagedError",
     "Graph",
     "Job",
     "Outcome",
+    "Pins",
     "PipelineError",
     "Progress",
     "Records",
@@ -39,9 +44,11 @@ __all__ = [
     "build_settings",
     "capture_digest",
     "check_targets",
+    "collect",
     "describe",
     "duration",
     "explain",
     "make_plan",
     "split_assignment",
+    "unused",
 ]

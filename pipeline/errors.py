@@ -1,5 +1,7 @@
 """The errors that reach a user; each message names the file, frame or field and says what to do next."""
 
+from pathlib import Path
+
 
 class PipelineError(Exception):
     """Base of every error that is shown as one message, without a traceback."""
@@ -24,4 +26,12 @@ class SettingsError(PipelineError):
 
 
 class ArtifactError(PipelineError):
-    """An artifact is missing, cut short or damaged: exit code 1."""
+    """An artifact is missing, cannot be read, or is damaged: exit code 1."""
+
+
+class DamagedError(ArtifactError):
+    """An artifact is not as it was written. ``problem`` names the file and says what is wrong; the message adds what to do."""
+
+    def __init__(self, path: Path, file: str, what: str, advice: str = "run the stage again") -> None:
+        super().__init__(f"{path / file}: {what}; {advice}")
+        self.file, self.what, self.problem = file, what, f"{path / file}: {what}"

@@ -10,6 +10,7 @@ from typing import Any
 
 from blake3 import blake3
 
+_FEW, _SMALL = 16, 1 << 20  # files, and bytes of each, that are digested before threads have begun
 _THREADS = min(8, (os.cpu_count() or 1) * 2)
 
 
@@ -26,7 +27,7 @@ def digest_bytes(data: bytes) -> str:
 def digest_file(path: Path) -> str:
     """BLAKE3 of a file's content, 64 hex digits. Raises OSError."""
     hasher = blake3(max_threads=blake3.AUTO)
-    if os.path.getsize(path) > 1 << 20:
+    if os.path.getsize(path) > _SMALL:
         hasher.update_mmap(path)
     else:
         with open(path, "rb") as file:
@@ -35,8 +36,10 @@ def digest_file(path: Path) -> str:
 
 
 def digest_files(root: Path, files: Iterable[str | Path]) -> dict[str, str]:
-    """Relative name (``/`` as separator) -> digest, in sorted order; several files at a time."""
+    """Relative name (``/`` as separator) -> digest, in sorted order; several files at a time where that is worth threads."""
     names = sorted(Path(file).as_posix() for file in files)
+    if len(names) <= _FEW and all(os.path.getsize(root / name) <= _SMALL for name in names):
+        return {name: digest_file(root / name) for name in names}
     with ThreadPoolExecutor(_THREADS) as pool:
         return dict(zip(names, pool.map(lambda name: digest_file(root / name), names)))
 

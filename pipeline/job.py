@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from .graph import Graph
@@ -17,7 +18,10 @@ from .store import Store
 
 @dataclass
 class Job:
-    """``settings`` holds an instance for every stage of the graph; ``device`` is "cpu" or "cuda"."""
+    """``settings`` holds an instance for every stage of the graph; ``device`` is "cpu" or "cuda".
+
+    also: stores that are only read, whose results are taken over into ``store`` instead of computed.
+    """
 
     graph: Graph
     capture: Capture
@@ -25,6 +29,8 @@ class Job:
     store: Store
     records: Records
     device: str = "cpu"
+    also: Sequence[Store] = ()
+    refused: set[Path] = field(default_factory=set)  # results in those that turned out to be damaged
 
     @cached_property
     def capture_digest(self) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from .artifact import Artifact
-from .errors import ArtifactError
+from .errors import ArtifactError, DamagedError
 from .job import Job
 from .keys import key_of
 from .records import differences
@@ -27,6 +29,8 @@ class Row:
     parts: Mapping[str, Any] | None = None
     artifact: Artifact | None = None  # of a cached row
     task: str = ""
+    damage: str = ""  # which file of the result that lies there is damaged, and how
+    source: Path | None = None  # another store, from which a cached row's result has still to be taken over
 
     def as_json(self) -> dict[str, Any]:
         shown = {"stage": self.stage, "state": self.state, "reason": self.reason, "task": self.task}
@@ -64,12 +68,25 @@ def assess(job: Job, stage: Stage, inputs: Mapping[str, str | None], forced: boo
             artifact = job.store.open(stage.name, key)
             if not forced:
                 return Row(stage.name, "cached", _cached_reason(job, stage, key), None, key, parts, artifact, applies.reason)
-        except ArtifactError as error:
-            damage = str(error)
+        except DamagedError as error:
+            damage = error.problem
+    if not forced and (found := _elsewhere(job, stage.name, key)) is not None:
+        source, artifact = found
+        reason = f"is taken from {source}"
+        return Row(stage.name, "cached", reason, None, key, parts, artifact, applies.reason, damage, source)
     reason = "forced" if forced else f"damaged: {damage}" if damage else _run_reason(job, stage, parts, key)
     if not forced and _has_entries(job, stage, key):
         reason += "; continues from a checkpoint"
-    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason)
+    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason, damage=damage)
+
+
+def _elsewhere(job: Job, stage: str, key: str) -> tuple[Path, Artifact] | None:
+    """The first of the other stores that has a result, and the result."""
+    for store in job.also:
+        if store.has(stage, key) and store.path(stage, key) not in job.refused:
+            with suppress(ArtifactError):  # what is wrong in a store that we only read is its owner's to mend
+                return store.root, store.open(stage, key)
+    return None
 
 
 def _digest(row: Row) -> str | None:

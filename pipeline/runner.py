@@ -6,12 +6,13 @@ import json
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
+from .adopt import adopt
 from .artifact import Artifact
-from .errors import PipelineError, SettingsError, StageError
+from .errors import DamagedError, PipelineError, SettingsError, StageError
 from .job import Job
 from .memory import PeakMemory
 from .plan import Row, assess
@@ -37,6 +38,14 @@ class Outcome:
         return {"state": self.state, "reason": self.reason, "seconds": self.seconds, "peak_rss_mb": self.peak_rss_mb}
 
 
+class _Damaged(Exception):
+    """A result that the run counts on is not as it was written."""
+
+    def __init__(self, stage: str, key: str, error: DamagedError) -> None:
+        super().__init__(stage)
+        self.stage, self.key, self.error = stage, key, error
+
+
 class Runner:
     """``report(message)`` receives lines for the user; ``libraries`` are distributions whose versions enter the provenance."""
 
@@ -50,6 +59,7 @@ class Runner:
     ) -> None:
         self.job, self._report, self._console = job, report, console
         self._code_version, self._libraries = code_version, libraries
+        self._whole: dict[int, Artifact] = {}  # by identity: those of which this run has read, or written, every byte
 
     def run(
         self,
@@ -59,37 +69,108 @@ class Runner:
     ) -> list[Outcome]:
         """Outcomes of the targets (default: all stages) and what they need. ``finished`` is called after each stage.
 
+        A result that turns out to be damaged goes to the store's quarantine and is made again: sizes, descriptions and attrs of everything
+        are checked, and every byte of what a stage that runs will read.
         Raises StageError, CaptureError or SettingsError; a stage that fails or is interrupted leaves its checkpoints and nothing else.
         """
-        names = list(self.job.graph.stages) if targets is None else list(targets)
+        stages = self.job.graph.needed_for(list(self.job.graph.stages) if targets is None else list(targets))
+        ran: dict[str, Outcome] = {}
+        seen: set[tuple[str, str]] = set()
+        while True:
+            try:
+                return self._all(stages, force, finished, ran)
+            except _Damaged as found:
+                if (found.stage, found.key) in seen:
+                    raise found.error from None  # a disk that spoils what was just written is not for us to mend
+                seen.add((found.stage, found.key))
+                self._set_aside(found)
+
+    def _all(
+        self, stages: Sequence[Stage], force: Collection[str], finished: Callable[[Outcome], None], ran: dict[str, Outcome]
+    ) -> list[Outcome]:
+        """One pass over the stages. ``ran``: those that an earlier pass of this run has made, which is known of them in this one."""
         outcomes: dict[str, Outcome] = {}
-        for stage in self.job.graph.needed_for(names):
+        for stage in stages:
             inputs = {name: outcomes[name].artifact for name in stage.inputs}
-            outcome = self._one(stage, inputs, stage.name in force)
+            before = ran.get(stage.name)
+            outcome = self._one(stage, inputs, stage.name in force and before is None)
+            if before is not None and outcome.state == "cached":
+                outcome = replace(before, artifact=outcome.artifact)
+            else:
+                finished(outcome)
+            if outcome.state == "ran":
+                ran[stage.name] = outcome
             outcomes[stage.name] = outcome
-            finished(outcome)
         return list(outcomes.values())
+
+    def _set_aside(self, found: _Damaged) -> None:
+        with self.job.store.lock(found.stage, found.key):
+            if not self.job.store.has(found.stage, found.key) or not self.job.store.problem(found.stage, found.key):
+                return  # another run was faster, and has made it again
+            self._quarantine(found.stage, found.key, found.error.problem)
+
+    def _quarantine(self, stage: str, key: str, problem: str) -> None:
+        place = self.job.store.quarantine(stage, key)
+        self._report(f"{stage}: damaged: {problem}; moved to {place}, and made again")
 
     def _one(self, stage: Stage, inputs: Mapping[str, Artifact | None], forced: bool) -> Outcome:
         digests = {name: artifact.digest if artifact else None for name, artifact in inputs.items()}
         row = assess(self.job, stage, digests, forced)
-        if row.state == "run":
+        if row.state == "run" or row.source is not None:
             assert row.key is not None
             with self.job.store.lock(stage.name, row.key, lambda: self._report(f"{stage.name}: another process is making it, waiting")):
                 row = assess(self.job, stage, digests, forced)  # the other process may have made it meanwhile
+                while row.source is not None:
+                    row = self._take_over(stage, row) or assess(self.job, stage, digests, forced)
                 if row.state == "run":
+                    self._check(inputs)
+                    if row.damage and row.key is not None:
+                        self._quarantine(stage.name, row.key, row.damage)
                     return self._build(stage, inputs, row, forced)
         if row.state == "skip":
             return Outcome(stage.name, "skipped", row.reason)
         assert row.artifact is not None and row.key is not None and row.parts is not None
         self.job.records.write(stage.name, row.key, row.parts, row.artifact.digest)
+        try:
+            row.artifact.verify(arrays=False)
+        except DamagedError as error:
+            raise _Damaged(stage.name, row.key, error) from None
+        self.job.store.touch(stage.name, row.key)
         made = row.artifact.provenance
         return Outcome(stage.name, "cached", row.reason, made["seconds"], made["peak_rss_mb"], row.artifact)
+
+    def _take_over(self, stage: Stage, row: Row) -> Row | None:
+        """The row with its result in our store; None where that of the other store is damaged. Hold the key's lock."""
+        assert row.key is not None and row.artifact is not None
+        if row.damage:
+            self._quarantine(stage.name, row.key, row.damage)
+        try:
+            artifact = adopt(self.job.store, row.artifact, stage.name, row.key)
+        except DamagedError as error:
+            self.job.refused.add(row.artifact.path)
+            self._report(f"{stage.name}: not taken from {row.source}: {error.problem}")
+            return None
+        self.job.store.drop_checkpoints(stage.name, row.key)
+        self._report(f"{stage.name}: taken from {row.source}")
+        self._whole[id(artifact)] = artifact
+        return replace(row, artifact=artifact, source=None, damage="")
+
+    def _check(self, inputs: Mapping[str, Artifact | None]) -> None:
+        """Reads every byte of a stage's inputs, once a run: far quicker than a stage, and none computes on damage."""
+        for name, artifact in inputs.items():
+            if artifact is None or id(artifact) in self._whole:
+                continue
+            try:
+                artifact.verify()
+            except DamagedError as error:
+                raise _Damaged(name, artifact.path.name, error) from None
+            self._whole[id(artifact)] = artifact
 
     def _build(self, stage: Stage, inputs: Mapping[str, Artifact | None], row: Row, forced: bool) -> Outcome:
         job, key, parts = self.job, row.key, row.parts
         assert key is not None and parts is not None
-        self._report(f"{stage.name}: {row.reason}")
+        if not row.damage:  # has been said
+            self._report(f"{stage.name}: {row.reason}")
         if forced:
             job.store.drop_checkpoints(stage.name, key)
         checkpoints = job.store.checkpoints(stage.name, key)
@@ -121,6 +202,7 @@ class Runner:
                 bar.close()
             if checkpoints.is_dir() and not any(checkpoints.iterdir()):
                 checkpoints.rmdir()
+        self._whole[id(artifact)] = artifact
         job.records.write(stage.name, key, parts, artifact.digest)
         return Outcome(stage.name, "ran", row.reason, seconds, peak.mb, artifact)
 
@@ -151,6 +233,7 @@ class Runner:
             "settings": settings,
             "seeds": {name: value for name, value in settings.items() if name == "seed" or name.endswith("_seed")},
             "device": self.job.device,
+            "made": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "code_version": self._code_version,
             "libraries": {"python": sys.version.split()[0], **_versions(self._libraries)},
             "seconds": seconds,

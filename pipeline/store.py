@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 import uuid
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
-from .artifact import MANIFEST, Artifact
-from .errors import ArtifactError
+from .artifact import MANIFEST, Artifact, parse_manifest
+from .errors import DamagedError
 from .files import sync_file
+from .hold import alone
 from .writer import ArtifactWriter
 
-_INTERNAL = ("locks", "tmp", "checkpoints")
+_INTERNAL = ("locks", "tmp", "checkpoints", "quarantine", "pins", "trash")
 
 
 class Store:
-    """``<stage>/<key>/`` artifacts, ``tmp/`` for what is being written, ``checkpoints/<stage>-<key>/``, ``locks/``.
+    """``<stage>/<key>/`` artifacts, ``tmp/`` for what is being written, ``checkpoints/<stage>-<key>/``, ``locks/``, ``pins/``, and
+    ``quarantine/`` and ``trash/`` for what is damaged and what is being removed.
 
     Whoever holds the lock of a key is the only one who builds it, so whatever lies in ``tmp`` for that key was left by a dead run.
     """
@@ -41,8 +44,47 @@ class Store:
         return self.path(stage, key).is_dir()
 
     def open(self, stage: str, key: str) -> Artifact:
-        """The artifact under a key. Raises ArtifactError when there is none or it is damaged."""
+        """The artifact under a key, which nobody removes as long as the object lives. Raises ArtifactError when there is none or it is
+        damaged (DamagedError)."""
         return Artifact(self.path(stage, key))
+
+    def manifest(self, stage: str, key: str) -> dict[str, Any] | None:
+        """The manifest of an artifact, which is not held and whose files are not looked at; None where there is none that is valid."""
+        path = self.path(stage, key)
+        try:
+            return parse_manifest(path, (path / MANIFEST).read_bytes())
+        except (OSError, DamagedError):
+            return None
+
+    def problem(self, stage: str, key: str) -> str:
+        """What is wrong with an artifact, after reading all of it; "" where all is well. Raises ArtifactError where it cannot be read."""
+        try:
+            self.open(stage, key).verify()
+        except DamagedError as error:
+            return error.problem
+        return ""
+
+    def quarantine(self, stage: str, key: str) -> Path:
+        """Moves what lies under a key to ``quarantine/<stage>-<key>-<UTC time>`` in one rename; returns the new place. Hold the key's lock.
+
+        Nothing is deleted: a person may still want to look at it.
+        """
+        folder = self.root / "quarantine"
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / f"{stage}-{key}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{uuid.uuid4().hex[:4]}"
+        os.rename(self.path(stage, key), target)
+        sync_file(folder)
+        return target
+
+    def quarantine_damaged(self, stage: str, key: str) -> Path | None:
+        """`quarantine`, where the artifact is damaged and no process builds it; None where it stays."""
+        with self.lock_if_free(stage, key) as free:
+            return self.quarantine(stage, key) if free and self.has(stage, key) and self.problem(stage, key) else None
+
+    def touch(self, stage: str, key: str) -> None:
+        """Notes that a result was used now: its manifest's time of change, by which the oldest are chosen when something has to go."""
+        with suppress(OSError):  # not ours, or not to be written: it only looks older than it is
+            os.utime(self.path(stage, key) / MANIFEST)
 
     @contextmanager
     def lock(self, stage: str, key: str, waiting: Any = None) -> Iterator[None]:
@@ -59,6 +101,20 @@ class Store:
             lock.acquire()
         try:
             yield
+        finally:
+            lock.release()
+
+    @contextmanager
+    def lock_if_free(self, stage: str, key: str) -> Iterator[bool]:
+        """`lock`, but False at once, and without the right, where another process holds it."""
+        lock = self._lock(stage, key)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            yield False
+            return
+        try:
+            yield True
         finally:
             lock.release()
 
@@ -114,16 +170,10 @@ class Store:
         removed = []
         for folder in sorted((self.root / "tmp").glob("*-*-*")):
             stage, key, _ = folder.name.rsplit("-", 2)
-            lock = self._lock(stage, key)
-            try:
-                lock.acquire(timeout=0)
-            except Timeout:
-                continue
-            try:
-                shutil.rmtree(folder, ignore_errors=True)
-                removed.append(folder.name)
-            finally:
-                lock.release()
+            with self.lock_if_free(stage, key) as free:
+                if free:
+                    shutil.rmtree(folder, ignore_errors=True)
+                    removed.append(folder.name)
         return removed
 
     def entries(self) -> list[tuple[str, str]]:
@@ -134,26 +184,27 @@ class Store:
         return [(folder.name, entry.name) for folder in stages for entry in sorted(folder.iterdir()) if entry.is_dir()]
 
     def remove(self, stage: str, key: str) -> bool:
-        """Removes an artifact (its manifest first, so that a crash leaves nothing valid). False when a process builds or keeps it."""
-        lock = self._lock(stage, key)
+        """Removes an artifact at once (a crash leaves all of it or nothing). False when a process builds or uses it."""
+        place = self.take(stage, key, "tmp")
+        if place is not None:
+            shutil.rmtree(place, ignore_errors=True)
+        return place is not None
+
+    def take(self, stage: str, key: str, folder: str) -> Path | None:
+        """Moves an artifact that no process builds or uses to another folder of the store, in one rename; None where it stays."""
+        place = self.root / folder / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
+        place.parent.mkdir(parents=True, exist_ok=True)
         try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            return False
-        try:
-            (self.path(stage, key) / MANIFEST).unlink(missing_ok=True)
-            shutil.rmtree(self.path(stage, key), ignore_errors=True)
-        finally:
-            lock.release()
-        return True
+            with self.lock_if_free(stage, key) as unlocked, alone(self.path(stage, key) / MANIFEST) as unused:
+                if not (unlocked and unused):
+                    return None
+                os.rename(self.path(stage, key), place)
+        except FileNotFoundError:
+            return place  # nothing lies there: it is gone, as was asked for
+        except OSError:
+            return None  # it cannot be locked, or belongs to somebody else
+        return place
 
     def verify(self) -> list[tuple[str, str, str]]:
-        """Digests everything again: (stage, key, problem) with an empty problem where all is well."""
-        results = []
-        for stage, key in self.entries():
-            try:
-                self.open(stage, key).verify()
-                results.append((stage, key, ""))
-            except ArtifactError as error:
-                results.append((stage, key, str(error)))
-        return results
+        """Digests everything again: (stage, key, problem) with an empty problem where all is well. Nothing is changed."""
+        return [(stage, key, self.problem(stage, key)) for stage, key in self.entries()]

@@ -80,7 +80,7 @@ class ArtifactWriter:
             written = sum(1 for file in sizes(self.path / name) if file != "zarr.json")
             if written != expected:
                 raise StageError(f"array {name!r}: {expected - written} of its {expected} chunks were never written")
-        write_json(self.path / INFO, self.info)
+        (self.path / INFO).write_bytes((json.dumps(self.info, indent=2, ensure_ascii=False) + "\n").encode())  # synced with all the rest
         found = sizes(self.path)
         digests = digest_files(self.path, found)
         files = {name: [found[name], digest] for name, digest in digests.items()}

@@ -17,12 +17,15 @@ from . import show
 from .batch.command import batch, status
 from .bench.cli import app as bench
 from .export import app as export
-from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, StoreAlso, Workspace
 from .render import render
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
+from .store import app as store_commands
+from .upkeep import gc
 from .view.beside import viewer_beside
 from .view.command import view
+from .writable import writing_to
 
 app = typer.Typer(
     add_completion=False,
@@ -32,10 +35,12 @@ app = typer.Typer(
 )
 app.add_typer(bench, name="bench")
 app.add_typer(export, name="export")
+app.add_typer(store_commands, name="store")
 app.command()(batch)
 app.command()(status)
 app.command()(view)
 app.command()(render)
+app.command()(gc)
 console = Console()
 
 
@@ -50,19 +55,20 @@ def run(
     name: Name = None,
     static: Static = False,
     format: Format = None,
+    store_also: StoreAlso = None,
     force: Annotated[bool, typer.Option("--force", help="Run the stage (with 'all': every stage) although it is cached.")] = False,
     watch: Annotated[bool, typer.Option("--view", help="Open the viewer as soon as there is something to see.")] = False,
     debug: Debug = False,
 ) -> None:
     """Run stages; what is in the store is reused."""
-    options = Options(capture, workspace, preset, set or (), device, name, static, format)
+    options = Options(capture, workspace, preset, set or (), device, name, static, format, store_also or ())
     session = open_session(options)
     targets = check_targets(session.job.graph.stages, target)
     forced = tuple(targets or session.job.graph.stages) if force else ()
     rows = make_plan(session.job, targets, forced)
     show.show_capture(console, session)
     show.show_plan(console, rows)
-    with viewer_beside(options) if watch else nullcontext():
+    with viewer_beside(options) if watch else nullcontext(), writing_to(workspace.resolve()):
         if (found := execute(session, rows, console, _say, targets, forced)) is not None:
             show.show_metrics(console, *found)
         if watch:
@@ -83,13 +89,14 @@ def plan(
     name: Name = None,
     static: Static = False,
     format: Format = None,
+    store_also: StoreAlso = None,
     as_json: Annotated[bool, typer.Option("--json", help="The plan as JSON.")] = False,
     debug: Debug = False,
 ) -> None:
     """Show what a run would do, stage by stage, and why. Nothing runs and nothing is written."""
     from .publish import plan_json
 
-    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format, store_also or ()))
     rows = make_plan(session.job)
     if as_json:
         print(json.dumps(plan_json(session, rows), indent=2, ensure_ascii=False))
@@ -134,31 +141,17 @@ def doctor(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> No
 
 @app.command()
 def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
-    """Digest every result in the store again; exit code 1 when one is damaged."""
-    results = Store(workspace.resolve() / "store").verify()
-    damaged = [problem for _, _, problem in results if problem]
-    for problem in damaged:
-        _say(problem)
+    """Digest every result in the store again; a damaged one is moved aside, to be made again by the next run. Exit code 1 for any."""
+    store = Store(workspace.resolve() / "store")
+    results = store.verify()
+    damaged = [result for result in results if result[2]]
+    for stage, key, problem in damaged:
+        with writing_to(workspace.resolve()):
+            place = store.quarantine_damaged(stage, key)
+        _say(f"{stage}: damaged: {problem}; " + (f"moved to {place}; the next run makes it again" if place else "a process builds it now"))
     _say(f"{len(results) - len(damaged)} of {len(results)} results in {workspace} are as they were written")
     if damaged:
         raise typer.Exit(1)
-
-
-@app.command()
-def gc(
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be removed, remove nothing.")] = False,
-    debug: Debug = False,
-) -> None:
-    """Remove results that no scene's last run used, and what dead runs left half-written."""
-    from .upkeep import collect, garbage
-
-    entries, swept = (garbage(workspace.resolve()), []) if dry_run else collect(workspace.resolve())
-    for stage, key, size in entries:
-        _say(f"{'would remove' if dry_run else 'removed'} {stage}/{key} ({size / 1e6:.1f} MB)")
-    for left in swept:
-        _say(f"removed half-written {left}")
-    _say(f"{len(entries)} results, {sum(size for _, _, size in entries) / 1e6:.1f} MB")
 
 
 def main(arguments: list[str] | None = None) -> Any:

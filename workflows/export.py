@@ -16,6 +16,7 @@ from .export_usd import usd
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
 from .results import results
 from .session import DEFAULT_WORKSPACE, Options, open_session
+from .writable import writing_to
 
 if TYPE_CHECKING:
     from ..stages.splat_export import Kind
@@ -53,7 +54,8 @@ def flow(
     assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
     folder = out
     if folder is None:
-        session.scene.claim()
+        with writing_to(session.options.workspace.resolve()):
+            session.scene.claim()
         folder = session.scene.folder / "export" / "flow"
 
     from ..stages.flow_export import common_largest, export_flow

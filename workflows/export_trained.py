@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from ..pipeline import SettingsError, StageError
 from .results import results, trained_stage
 from .session import Options, Session, open_session
+from .writable import writing_to
 
 if TYPE_CHECKING:
     from ..scene.model import Model
@@ -40,7 +41,8 @@ class Trained:
         """``out``, or the scene's own folder for exports of this ``kind``."""
         if out is not None:
             return out
-        self.session.scene.claim()
+        with writing_to(self.session.options.workspace.resolve()):
+            self.session.scene.claim()
         return self.session.scene.folder / "export" / kind
 
 

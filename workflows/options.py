@@ -15,4 +15,8 @@ Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
 Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
 Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
 Format = Annotated[str | None, typer.Option("--format", help="How to read the capture, where files fit two formats.")]
+StoreAlso = Annotated[
+    list[Path] | None,
+    typer.Option("--store-also", metavar="DIR", help="Another workspace, only read: its results are taken over; may be repeated."),
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]

@@ -42,6 +42,8 @@ def words_of(options: Options) -> list[str]:
     ):
         words += [flag, str(value)] if value != default else []
     words += ["--static"] if options.static else []
+    for path in options.store_also:
+        words += ["--store-also", str(path)]
     for assignment in options.assignments:
         words += ["--set", assignment]
     return words

@@ -30,6 +30,7 @@ class Options:
     name: str | None = None
     static: bool = False
     format: str | None = None
+    store_also: Sequence[Path] = ()  # other workspaces, or their stores
 
 
 @dataclass
@@ -53,8 +54,21 @@ def open_session(options: Options) -> Session:
     capture = recognise_for(unpacked(options.capture.expanduser(), options.workspace.resolve()), frames)
     path = Path(os.path.abspath(options.capture.expanduser())).resolve()
     scene = find_scene(options.workspace.resolve(), path, capture.name, options.name)
-    job = Job(graph, capture, settings, Store(options.workspace.resolve() / "store"), scene.records, device)
+    store = Store(options.workspace.resolve() / "store")
+    also = [Store(path) for path in other_stores(options.store_also) if path != store.root]
+    job = Job(graph, capture, settings, store, scene.records, device, also)
     return Session(options, job, scene)
+
+
+def other_stores(paths: Sequence[Path]) -> list[Path]:
+    """The stores of --store-also. Raises SettingsError where there is none."""
+    found = []
+    for path in paths:
+        place = path.expanduser().resolve()
+        if not place.is_dir():
+            raise SettingsError(f"--store-also {path}: there is no such folder; name a workspace, or the store in it")
+        found.append(place / "store" if (place / "store").is_dir() else place)
+    return found
 
 
 def assignments_of(options: Options) -> list[tuple[str, Any]]:

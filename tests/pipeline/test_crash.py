@@ -8,11 +8,12 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import toy_stages
-from e4dgs.pipeline import Artifact, Runner, StageError, make_plan
+from e4dgs.pipeline import Artifact, Runner, StageError, Store, make_plan
 
 SCRIPT = [sys.executable, str(Path(toy_stages.__file__))]
 
@@ -49,9 +50,9 @@ def test_failing_at_any_write_leaves_all_or_nothing(bench, error, forced):
     stages = ["numbers"]
     whole = Runner(bench.job()).run(stages)[0].artifact
     digest, key = whole.digest, whole.path.name
+    del whole  # who holds an artifact keeps it from being removed
     for n in range(1, 200):
-        if not forced:
-            bench.store.remove("numbers", key)
+        assert forced or bench.store.remove("numbers", key)
         with pytest.MonkeyPatch.context() as patch:
             failure = FailNth(patch, n, error)
             if isinstance(error, Crash):
@@ -65,6 +66,7 @@ def test_failing_at_any_write_leaves_all_or_nothing(bench, error, forced):
             artifact = Artifact(bench.store.path("numbers", key))
             artifact.verify()
             assert artifact.digest == digest
+            del artifact
         assert make_plan(bench.job(), stages)[0].state == ("cached" if found else "run")
         assert Runner(bench.job()).run(stages)[0].artifact.digest == digest
         if not failure.failed:
@@ -72,6 +74,49 @@ def test_failing_at_any_write_leaves_all_or_nothing(bench, error, forced):
     assert n > 10, "the loop must have failed at many places before it got through"
     bench.store.sweep()
     assert list((bench.store.root / "tmp").iterdir()) == []
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), Crash()], ids=["error", "crash"])
+def test_failing_while_damage_is_set_aside_leaves_the_damaged_or_a_whole_result(bench, error):
+    path = Runner(bench.job()).run(["clipped"])[0].artifact.path
+    chunk = path / "values" / "c" / "0"
+    for n in range(1, 200):
+        data = bytearray(chunk.read_bytes())
+        data[5] ^= 1
+        chunk.write_bytes(data)
+        with pytest.MonkeyPatch.context() as patch:
+            failure = FailNth(patch, n, error)
+            if isinstance(error, Crash):
+                patch.setattr(shutil, "rmtree", lambda *args, **kwargs: None)
+            with contextlib.suppress(StageError, OSError, Crash):
+                Runner(bench.job(clipped__limit=100 + n)).run(["clipped"])
+        assert Runner(bench.job(clipped__limit=100 + n)).run(["clipped"])[1].artifact.read("values").tolist() == [1, 2, 3]
+        assert not any(problem for _, _, problem in bench.store.verify())
+        if not failure.failed:
+            break
+    assert n > 10, "the loop must have failed at many places before it got through"
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), Crash()], ids=["error", "crash"])
+def test_failing_while_a_result_is_taken_over_leaves_all_or_nothing(bench, tmp_path, error):
+    Runner(bench.job()).run(["numbers"])
+    theirs = Store(tmp_path / "theirs")
+    os.rename(bench.store.root, theirs.root)
+    bench.runs()
+    for n in range(1, 200):
+        shutil.rmtree(bench.store.root, ignore_errors=True)
+        with pytest.MonkeyPatch.context() as patch:
+            failure = FailNth(patch, n, error)
+            if isinstance(error, Crash):
+                patch.setattr(shutil, "rmtree", lambda *args, **kwargs: None)
+            with contextlib.suppress(StageError, OSError, Crash):
+                Runner(replace(bench.job(), also=[theirs])).run(["numbers"])
+        assert not any(problem for _, _, problem in bench.store.verify())
+        assert Runner(replace(bench.job(), also=[theirs])).run(["numbers"])[0].artifact.read("values").tolist() == [1, 2, 3]
+        assert bench.runs() == [] and theirs.problem(*theirs.entries()[0]) == ""
+        if not failure.failed:
+            break
+    assert n > 5, "the loop must have failed at many places before it got through"
 
 
 def start(bench, steps: int, seconds: float) -> subprocess.Popen:

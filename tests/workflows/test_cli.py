@@ -144,8 +144,21 @@ def test_verify_finds_damage_and_the_next_run_repairs_it(cli, capture):
     path.write_bytes(path.read_bytes().replace(b"1234", b"4321"))
     result = cli("verify")
     assert result.code == 1 and "info.json" in result.out and "2 of 3 results" in result.out
-    cli("run", "fine", capture, "--force")
-    assert cli("verify").code == 0
+    assert not path.parent.exists() and path.parent.name in result.out.split("moved to ")[1], "it is in quarantine"
+    assert cli("verify").out.startswith("2 of 2 results")
+    assert "fine: done" in cli("run", "all", capture).out
+    assert cli("verify").out.startswith("3 of 3 results")
+
+
+def test_a_run_names_what_is_damaged_and_makes_it_again(cli, capture):
+    cli("run", "all", capture)
+    path = next(Path("e4dgs-workspace/store/fine").glob("*/zarr.json"))
+    path.write_bytes(path.read_bytes().replace(b'"steps": 10', b'"steps": 11'))
+    result = cli("run", "all", capture)
+    assert result.code == 0 and result.out.count("damaged: ") == 1
+    line = next(line for line in result.out.splitlines() if "damaged: " in line)
+    assert line.startswith("fine: damaged: ") and f"fine/{path.parent.name}/zarr.json" in line
+    assert json.loads((SCENE / "metrics.json").read_text())["splits"]["test"]["psnr"] == 30.0
 
 
 def test_gc_removes_what_no_scene_used_last(cli, capture):
@@ -157,6 +170,45 @@ def test_gc_removes_what_no_scene_used_last(cli, capture):
     assert result.code == 0 and "2 results" in result.out
     assert "done in" not in cli("run", "all", capture, "--set", "fine.iterations=5").out
     assert cli("gc").out.startswith("0 results")
+
+
+def test_gc_has_limits_and_says_what_is_left(cli, capture):
+    cli("run", "all", capture)
+    cli("run", "all", capture, "--set", "fine.iterations=5")
+    assert cli("gc", "--older-than", "1d").out.startswith("0 results")
+    assert cli("gc", "--keep-bytes", "1G").out.startswith("0 results")
+    result = cli("gc", "--keep-bytes", "0", "--dry-run")
+    assert "2 results" in result.out and "remove a folder under scenes/" in result.out
+    assert cli("gc", "--keep-bytes", "0").out.count("removed ") == 2
+    assert "done in" not in cli("run", "all", capture, "--set", "fine.iterations=5").out
+    for words in (("--keep-bytes", "lots"), ("--older-than", "30"), ("--older-than", "-1d")):
+        result = cli("gc", *words)
+        assert result.code == 2 and words[0] in result.err
+
+
+def test_a_pinned_scene_keeps_what_it_used_whatever_is_run_later(cli, capture):
+    cli("run", "all", capture)
+    assert cli("store", "pin", "my-scene").out == "my-scene: 3 results are pinned\n"
+    cli("run", "all", capture, "--set", "fine.iterations=5")
+    assert cli("gc").out.startswith("0 results")
+    assert [line.split()[-1] for line in cli("store", "list", "fine").out.splitlines() if "my-scene" in line].count("my-scene") == 2
+    assert "done in" not in cli("run", "all", capture).out
+    cli("run", "all", capture, "--set", "fine.iterations=5")
+    assert cli("store", "unpin", "my-scene").code == 0
+    assert cli("gc").out.count("removed ") == 2
+    for words in (("unpin", "my-scene"), ("pin", "nobody"), ("unpin", "../up")):
+        result = cli("store", *words)
+        assert result.code == 2 and words[1] in result.err
+
+
+def test_gc_spares_what_a_viewer_has_open(cli, capture):
+    from e4dgs.pipeline import Artifact
+
+    cli("run", "all", capture)
+    held = Artifact(next(Path("e4dgs-workspace/store/fine").iterdir()))
+    cli("run", "all", capture, "--set", "fine.iterations=5")
+    out = cli("gc").out
+    assert f"left fine/{held.path.name}: a process uses it" in out and "1 results" in out and held.path.is_dir()
 
 
 def test_doctor_reports_what_fails_without_failing_itself(cli, monkeypatch):

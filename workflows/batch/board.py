@@ -34,9 +34,28 @@ def how_far(log: Path) -> str:
     return f"{found[-1][0]} %, {found[-1][1]} left" if found else ""
 
 
-def table(ledger: Ledger) -> Table:
-    """Scene, state, stage, how far, time spent; running and failed scenes first."""
-    found = [(entry.name, ledger.progress(entry.name)) for entry in ledger.entries()]
+class States:
+    """The states of a batch's scenes, looked at again and again: the list is read once, and a scene that is done not any more."""
+
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
+        self._names = [entry.name for entry in ledger.entries()]
+        self._done: dict[str, Progress] = {}
+
+    def now(self) -> list[tuple[str, Progress]]:
+        """Of all scenes, in the order of the batch."""
+        found = []
+        for name in self._names:
+            progress = self._done.get(name) or self._ledger.progress(name)
+            if progress.state == "done":
+                self._done[name] = progress
+            found.append((name, progress))
+        return found
+
+
+def table(ledger: Ledger, states: States | None = None) -> Table:
+    """Scene, state, stage, how far, time spent; running and failed scenes first. ``states``: of who shows it again and again."""
+    found = (states or States(ledger)).now()
     found.sort(key=lambda item: ORDER.index(item[1].state))
     counts = [f"{n} {state}" for state in ORDER if (n := sum(p.state == state for _, p in found))]
     shown = Table(title=f"{ledger.name}: {', '.join(counts)}", title_justify="left", box=None, pad_edge=False)
@@ -53,19 +72,18 @@ def table(ledger: Ledger) -> Table:
 
 def watch(ledger: Ledger, console: Console, ended: Callable[[], bool]) -> None:
     """Show the batch until ``ended``."""
+    states = States(ledger)
     if console.is_terminal:
-        with Live(table(ledger), console=console, refresh_per_second=2) as live:
+        with Live(table(ledger, states), console=console, refresh_per_second=2) as live:
             while not ended():
                 time.sleep(EVERY)
-                live.update(table(ledger))
-            live.update(table(ledger))
+                live.update(table(ledger, states))
+            live.update(table(ledger, states))
         return
     said: dict[str, tuple[str, str]] = {}
-    names = [entry.name for entry in ledger.entries()]
     while True:
         last = ended()
-        for name in names:
-            progress = ledger.progress(name)
+        for name, progress in states.now():
             now = progress.state, progress.stage
             if said.get(name) != now and progress.state != "waiting":
                 said[name] = now

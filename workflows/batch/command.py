@@ -10,8 +10,9 @@ import typer
 from rich.console import Console
 
 from ...pipeline import SettingsError
-from ..options import Debug, Device, Format, Preset, Set, Static, Workspace
-from ..session import DEFAULT_WORKSPACE
+from ..options import Debug, Device, Format, Preset, Set, Static, StoreAlso, Workspace
+from ..session import DEFAULT_WORKSPACE, other_stores
+from ..writable import writing_to
 from .board import table, watch
 from .ledger import Ledger, Progress, batches
 from .listing import Entry, entries_of
@@ -34,6 +35,7 @@ def batch(
     device: Device = "auto",
     static: Static = False,
     format: Format = None,
+    store_also: StoreAlso = None,
     debug: Debug = False,
 ) -> None:
     """Run many captures; goes on where it was left. Exit code 1 if a scene failed."""
@@ -42,13 +44,15 @@ def batch(
     if not _NAME.fullmatch(name):
         raise SettingsError(f"--name {name}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
     settings = tuple(_split(text) for text in set or ())
-    entries = entries_of(captures, Entry("", "", settings, preset, static, format, device))
+    also = tuple(str(path) for path in other_stores(store_also or ()))
+    entries = entries_of(captures, Entry("", "", settings, preset, static, format, device, store_also=also))
     cluster = None
     if executor != "local":
         from .cluster import read_cluster
 
         cluster = read_cluster(Path(executor))
-    ledger = Ledger.create(workspace.resolve(), name, entries)
+    with writing_to(workspace.resolve()):
+        ledger = Ledger.create(workspace.resolve(), name, entries)
     for entry in entries:
         if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
             ledger.write(entry.name, Progress())

@@ -31,17 +31,20 @@ class Entry:
     format: str | None = None
     device: str = "auto"
     group: str = ""
+    store_also: tuple[str, ...] = ()
 
     def options(self, workspace: Path) -> Options:
         assignments = [f"{key}={value}" for key, value in self.settings]
-        return Options(Path(self.capture), workspace, self.preset, assignments, self.device, self.name, self.static, self.format)
+        also = [Path(path) for path in self.store_also]
+        return Options(Path(self.capture), workspace, self.preset, assignments, self.device, self.name, self.static, self.format, also)
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Entry:
-        return cls(**{**data, "settings": tuple((key, value) for key, value in data["settings"])})
+        settings = tuple((key, value) for key, value in data["settings"])
+        return cls(**{**data, "settings": settings, "store_also": tuple(data.get("store_also", ()))})
 
 
 @dataclass

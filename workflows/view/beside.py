@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 from ..results import words_of
 from ..session import Options
@@ -14,7 +15,7 @@ from ..session import Options
 @contextmanager
 def viewer_beside(options: Options) -> Iterator[None]:
     """Opens `e4dgs view` of the capture as soon as it has a checkpoint; once the block is done, waits until Ctrl-C or its end."""
-    command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(options), "--wait"]
+    command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(replace(options, store_also=())), "--wait"]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     try:
         yield
