@@ -44,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 10  # 10: before one moving camera, what moves stands on the floor and has a thickness
+    version = 11  # 11: noise on the times of control nodes
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
