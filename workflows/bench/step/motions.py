@@ -71,7 +71,7 @@ def _steps(model: Model, views: Views) -> Callable[[], None]:
     """`PERIOD` steps of all that a step is, without density control and checkpoints between steps."""
     phase, settings = Phase("deformation", STEPS), TrainingSettings.model_validate({})
     assert model.field is not None
-    recipe = RECIPES[model.field.config["kind"]]
+    recipe = RECIPES[str(model.field.config["kind"])]
     trainer = Trainer(model, views, [phase], settings, budget=len(model.gaussians), grow=False, recipe=recipe)
     trainer.iteration = BEGUN
 
