@@ -28,6 +28,7 @@ from .writers import (
     write_nerfstudio,
     write_panoptic,
     write_video,
+    write_videos,
 )
 
 __all__ = [
@@ -58,4 +59,5 @@ __all__ = [
     "write_nerfstudio",
     "write_panoptic",
     "write_video",
+    "write_videos",
 ]
