@@ -22,6 +22,7 @@ class FrameSet:
     camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 where none); K [F,3,3] float64 px and
     cam_from_world [F,4,4] float64 (OpenCV), None without poses; distortion [F,4]; registered [F] bool; points [P,3] float64 and
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
+    fixed_cameras: several cameras that do not move, as the files or structure from motion say.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
     Pictures may be read from several threads at once; nothing is cached here.
     """
@@ -43,6 +44,7 @@ class FrameSet:
         self.next = frames.read("next")
         self._images = frames.array("images") if "images" in frames else None
         source = poses if poses is not None else frames
+        self.fixed_cameras = any(bool(one.attrs.get("fixed_cameras")) for one in (frames, poses) if one is not None)
         posed = "cam_from_world" in source
         self.K = source.read("K") if posed else None
         self.cam_from_world = source.read("cam_from_world") if posed else None
