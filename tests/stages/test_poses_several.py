@@ -98,6 +98,21 @@ def test_still_cameras_and_a_moving_one_come_into_one_world(videos_capture, trut
     assert not FrameSet(ran.context.inputs["frames"], folder, ran.artifact).fixed_cameras
 
 
+def test_cameras_of_two_kinds_get_a_lens_each(videos_capture, truth, tmp_path):
+    folder = tmp_path / "two_kinds"
+    shutil.copytree(videos_capture.root, folder)
+    options = Options(backdrop="room", rig="arc", cameras=CAMERAS, times=TIMES, width=240, height=180, samples=2, fov_degrees=44.0)
+    longer = make(options)
+    for camera, name in ((2, "c.mp4"), (3, "d.mp4")):
+        own = [v for v in longer.views if v.camera_index == camera]
+        write_mp4(folder / name, (flatten(render(longer.scene, v.camera, v.time, options.samples)) for v in own), options.fps)
+    ran = run_poses(folder, tmp_path / "work")
+    assert any("each camera has a lens of its own" in line for line in ran.lines)
+    wide, long = videos_capture.views[0].camera.K[0, 0], longer.views[0].camera.K[0, 0]
+    np.testing.assert_allclose(ran.artifact.read("K")[::TIMES, 0, 0], [wide, wide, long, long, wide], rtol=0.02)
+    assert rig_error(ran.artifact.read("cam_from_world")[::TIMES], truth[::TIMES]) < 1.0
+
+
 @pytest.fixture(scope="module")
 def textured() -> np.ndarray:
     scene = make(Options(backdrop="room", rig="arc", cameras=1, times=1, width=320, height=240, samples=1, motion=0.0))
