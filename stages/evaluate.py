@@ -83,7 +83,7 @@ class Evaluate(Stage):
             ctx.log(note)
         lpips, lpips_facts = load_lpips(ctx.settings, frames)
         book = PictureBook(ctx.settings.picture_size)
-        judge = Judge(model, frames, lpips, fixed=bool(ctx.facts.get("fixed_cameras")))
+        judge = Judge(model, frames, lpips, fixed=frames.fixed_cameras)
         splits: dict[str, Any] = {}
         sample = {} if "train" in views else {"train": spread([int(i) for i in frames.train], SAMPLE)}
         with ctx.progress(sum(map(len, [*views.values(), *sample.values()])), "views") as bar:

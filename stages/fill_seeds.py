@@ -66,7 +66,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     from ..scene.seeds.sweep import plane_sweep, points_of
     from .clean_plates import clean_plates
 
-    fixed = bool(ctx.facts.get("fixed_cameras"))
+    fixed = frames.fixed_cameras
     plates = clean_plates(views, lambda i: unsteady_mask(ctx, frames, i), fixed)
     with ctx.progress(len(plates.frames), "depth") as bar:
         maps = plane_sweep(views, plates.frames.tolist(), plates.pictures, points, bar.advance)

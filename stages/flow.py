@@ -121,7 +121,7 @@ def nothing_moves(ctx: Context, frames: FrameSet) -> bool:
             lambda k: frames.composited(int(chosen[k])),
             frames.camera[chosen],
             frames.time[chosen],
-            bool(ctx.facts.get("fixed_cameras")),
+            frames.fixed_cameras,
             None if K is None else K[chosen],
             None if poses is None else poses[chosen],
         )

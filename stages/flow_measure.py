@@ -94,7 +94,7 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
                 movers[i] = 0
     masks: dict[int, np.ndarray] = {}
     still_pairs, moved = 0, 0.0
-    fixed = bool(ctx.facts.get("fixed_cameras"))
+    fixed = frames.fixed_cameras
     with ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {ctx.out.attrs['method']}") as bar, _pool(method) as pool:
         for camera, mine in cameras.items():
             moving = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None

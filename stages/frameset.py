@@ -25,6 +25,7 @@ class FrameSet:
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
     files, upright: the stored pictures, and whether these are turned as their EXIF data ask for; crop [F,4] px or None where all are shown
     whole.
+    fixed_cameras: several cameras that do not move, as the files or structure from motion say.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
     Pictures may be read from several threads at once; nothing is cached here.
     """
@@ -49,6 +50,7 @@ class FrameSet:
         self.crop = frames.read("crop") if "crop" in frames else None
         self._images = frames.array("images") if "images" in frames else None
         source = poses if poses is not None else frames
+        self.fixed_cameras = any(bool(one.attrs.get("fixed_cameras")) for one in (frames, poses) if one is not None)
         posed = "cam_from_world" in source
         self.K = source.read("K") if posed else None
         self.cam_from_world = source.read("cam_from_world") if posed else None

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from .frameset import FrameSet
     from .sfm.coverage import Coverage
+    from .sfm.several import Several
 
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
 
@@ -51,14 +52,24 @@ class Poses(Stage):
     def applies(self, facts: Mapping[str, Any], settings: PosesSettings) -> Applies:
         if facts["poses"]:
             return Applies.no("the files hold poses")
+        if facts["cameras"] > 1 and not facts["static"]:
+            return Applies.yes(
+                f"structure from motion on {facts['cameras']} cameras at shared times; those that stand still get one pose each"
+            )
         again = "" if settings.movers == "off" or facts["static"] else "; a second pass where what moves could pull the cameras"
         return Applies.yes(f"structure from motion on {facts['frames']} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
         """Measured, one core: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image (half where a camera turns),
         0.2 s to adjust it, 0.15 s to look for what moves, 8 s for the start and a look at how the camera turns. Without a second pass,
-        which takes as long again as registering and a third of the pairs' time."""
+        which takes as long again as registering and a third of the pairs' time. Several cameras: if they stand still, as most do."""
+        from .sfm.looks import look_times
+
         frames = facts["frames"]
+        if facts["cameras"] > 1 and not facts["static"]:
+            cameras, times = facts["cameras"], look_times(facts["cameras"], facts["times"])
+            features, pairs = cameras * times * (0.1 + 1.3 * facts["width"] * facts["height"] / 1e6), times * cameras * (cameras - 1) / 2
+            return 10 + features + 0.2 * pairs + 2.0 * cameras
         pairs = len(image_pairs(choose(settings.matcher, frames, facts["static"]), frames, settings.overlap))
         looked = 0.15 if settings.movers == "auto" and not facts["static"] else 0.0
         return 8 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
@@ -79,39 +90,46 @@ class Poses(Stage):
         frames = FrameSet(artifact, ctx.capture.root)
         matcher = choose(settings.matcher, len(frames), bool(ctx.facts["static"]))
         hint = frames.attrs.get("K_hint")
+        several = _several(ctx, frames) if len(np.unique(frames.camera)) > 1 and not ctx.facts["static"] else None
         request = {
             "task": "reconstruct",
             "root": str(ctx.checkpoints / "images"),
-            "names": write_images(ctx, frames),
+            "names": [] if several else write_images(ctx, frames),
             "cameras": lens_groups(frames),
             "K_hint": None if hint is None else np.asarray(hint, np.float64).reshape(3, 3).tolist(),
-            "masks": None if frames.keep_files is None else str(write_masks(ctx, frames)),
+            "keep": None if frames.keep_files is None else str(write_masks(ctx, frames)),
             "width": frames.width,
             "height": frames.height,
             "camera_model": settings.camera_model,
             "max_features": settings.max_features,
-            "pairs": image_pairs(matcher, len(frames), settings.overlap),
+            "pairs": [] if several else image_pairs(matcher, len(frames), settings.overlap),
             "mapper": settings.mapper,
             "init_angles": INIT_ANGLES,
             "static": bool(ctx.facts["static"]),
             "seed": settings.seed,
+            **(several.request if several else {}),
         }
         bars, folder = Bars(ctx), ctx.checkpoints / "colmap"
         share, told = None, "poses.movers=off"
         try:
             arrays, facts = finished(request, folder) or run_worker(request, folder, bars)
-            if settings.movers == "auto":
+            if several and several.looks.still:
+                told = "cameras that stand still are matched at equal times alone, where what moves is as good as what does not"
+            elif settings.movers == "auto":
                 passes = second_pass(frames, request, folder, (arrays, facts), bool(ctx.facts["static"]), bars)
                 arrays, facts, share, told = passes.arrays, passes.facts, passes.movers_share, passes.told
                 if passes.trouble:
                     ctx.log(passes.trouble)
         except WorkerError as error:
-            # not gone on with next time: the database may be what it failed on
-            (folder / "database.db").unlink(missing_ok=True)
+            # not gone on with next time: a database may be what it failed on
+            for database in folder.glob("*.db"):
+                database.unlink(missing_ok=True)
             raise StageError(str(error)) from error
         finally:
             bars.close()
 
+        if several:
+            arrays, facts = several.of_frames(frames, arrays, facts)
         residuals = arrays["residuals"]
         if arrays["registered"].sum() < min(3, len(frames)) or not len(residuals):
             raise StageError(nothing_registered(len(frames), facts["features"], facts["pairs"], matcher))
@@ -119,6 +137,8 @@ class Poses(Stage):
         angle = float(np.median(arrays["angles"]))
         # where the camera only turns, a note says so
         judged = 90.0 if facts["turning"] else angle
+        if several:
+            ctx.out.attrs["fixed_cameras"] = several.looks.all_still
         coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged)
         ctx.log(f"{coverage.summary()}, reprojection error {mean_error:.2f} px in the mean, {median_error:.2f} px in the median")
         for sentence in facts["notes"]:
@@ -147,6 +167,32 @@ def lens_groups(frames: FrameSet) -> list[int]:
     lenses = [(int(c), *crop) for c, crop in zip(frames.camera, frames.crop.tolist(), strict=True)]
     number = {lens: n for n, lens in enumerate(dict.fromkeys(lenses))}
     return [number[lens] for lens in lenses]
+
+
+def _several(ctx: Context, frames: FrameSet) -> Several:
+    """What to ask for where several cameras took the capture. Writes the pictures that are looked at."""
+    from PIL import Image
+
+    from .pictures import composite
+    from .sfm.several import several_cameras
+
+    folder = ctx.checkpoints / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def write(i: int) -> str:
+        target = folder / f"{i:06d}.png"
+        if not target.exists():
+            partial = folder / "partial.png"
+            Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1)
+            partial.replace(target)
+        return target.name
+
+    with ctx.progress(ctx.facts["cameras"], "which cameras stand still") as bar:
+        found = several_cameras(
+            frames, ctx.checkpoints / "colmap", ctx.settings.matcher, ctx.settings.overlap, write, lambda: bar.advance(1)
+        )
+    ctx.log(found.told)
+    return found
 
 
 def write_images(ctx: Context, frames: FrameSet) -> list[str]:

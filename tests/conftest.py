@@ -24,6 +24,7 @@ from factory import (
     write_nerfstudio,
     write_panoptic,
     write_video,
+    write_videos,
 )
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
@@ -122,3 +123,10 @@ def video_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
     """An H.264 file of 12 frames of one moving camera, 96x80; `.root` is the file."""
     options = Options(backdrop="room", rig="path", times=12, width=96, height=80, samples=3, fov_degrees=60.0)
     return write_video(make(options), tmp_path_factory.mktemp("video") / "clip.mp4")
+
+
+@pytest.fixture(scope="session")
+def videos_capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """Five videos of one event without poses, `a.mp4` to `e.mp4`: fixed cameras x 6 times, 240x180."""
+    options = Options(backdrop="room", rig="arc", cameras=5, times=6, width=240, height=180, samples=2, fov_degrees=60.0)
+    return write_videos(make(options), tmp_path_factory.mktemp("videos"))

@@ -32,6 +32,7 @@ class Options:
     max_frames: int | None = None
     every: int | None = None
     fps: float | None = None
+    sync: str = "auto"
 
 
 @dataclass

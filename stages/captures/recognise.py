@@ -6,7 +6,7 @@ from pathlib import Path
 from types import ModuleType
 
 from ...pipeline import CaptureError
-from . import checks, colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video
+from . import checks, colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
 from .capture import Capture, Options, assemble
 
 # Formats with poses first: a bare folder of images or a lone video is what remains when no file says more.
@@ -18,9 +18,9 @@ _POSED: dict[str, ModuleType] = {
     "nerfies": nerfies,
     "colmap": colmap,
 }
-_BARE: dict[str, ModuleType] = {"images": images, "video": video}
+_BARE: dict[str, ModuleType] = {"images": images, "video": video, "videos": videos}
 FORMATS = (*_POSED, *_BARE)
-_STEPPED = ("n3v", "images", "video")
+_STEPPED = ("n3v", "images", "video", "videos")
 
 
 def recognise(
@@ -34,19 +34,23 @@ def recognise(
     max_frames: int | None = None,
     every: int | None = None,
     fps: float | None = None,
+    sync: str = "auto",
 ) -> Capture:
     """Read a capture's names, JSON and image headers; decode no pixels (of a video, the first frame alone).
 
     `format` forces a reader; `static` collapses all times to 0; every `holdout`-th frame is test where files carry no split
     (0 none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px bounds the longer
     side of what later stages see; `max_frames`, `every` thin video, images and synchronised videos; `fps` gives numbered images
-    their seconds. Raises `CaptureError` when the capture is unreadable, inconsistent, or fits two formats.
+    their seconds; `sync` ("auto" | "sound" | "frames") says what aligns the clocks of several videos. Raises `CaptureError` when the
+    capture is unreadable, inconsistent, or fits two formats.
     """
-    options = Options(format, static, holdout, background, max_size, max_frames, every, fps)
+    options = Options(format, static, holdout, background, max_size, max_frames, every, fps, sync)
     root = _existing(Path(path))
     kind = _choose(root, format)
     if (max_frames or every) and kind not in _STEPPED:
         raise CaptureError(f"{root}: frames.every and frames.max_frames thin {', '.join(_STEPPED)}, not {kind}; leave them unset")
+    if sync != "auto" and kind != "videos":
+        raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
     reading = (_POSED | _BARE)[kind].read(root, options)
     return assemble(root if root.is_dir() else root.parent, _name(root), kind, reading, options)
 
@@ -96,11 +100,9 @@ def _advice(root: Path) -> str:
     """The likeliest reason why a folder was not recognised."""
     names = checks.list_folder(root)
     folders = [name for name in names if (root / name).is_dir()]
-    videos = [name for name in names if name.lower().endswith(checks.VIDEO_SUFFIXES)]
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
-    if len(videos) > 1:
-        return f"{len(videos)} videos: pass one of them, or name synchronised cameras cam00.mp4, cam01.mp4, ... beside poses_bounds.npy"
     if folders:
         return f"It has the folders {', '.join(folders[:6])}: pass the one that holds images, or add transforms.json"
-    return "Expected a video, images, transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
+    known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
+    return f"Expected a video or several of one event, images, {known}"

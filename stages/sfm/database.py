@@ -77,10 +77,16 @@ def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], se
         report("matches", start + len(chunk), len(pairs))
 
 
-def verify(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, report: Report) -> None:
-    """The two-view geometry of every pair (indices into `names`) that has matches; pairs that have one already are left alone."""
+def verify(
+    path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, report: Report, error: float = 4.0, plane: float = 0.8
+) -> None:
+    """The two-view geometry of every pair (indices into `names`) that has matches; pairs that have one already are left alone.
+
+    error: px, at most, of an inlier. plane: share of the inliers that a homography must explain to be taken for the geometry; only the
+    matches that it explains are then kept.
+    """
     options = pycolmap.TwoViewGeometryOptions()
-    options.ransac.random_seed = seed
+    options.ransac.random_seed, options.ransac.max_error, options.max_H_inlier_ratio = seed, error, plane
     listing = path.with_suffix(".pairs.txt")
     report("verify", 0, len(pairs))
     for start in range(0, len(pairs), MATCH_CHUNK):

@@ -22,13 +22,13 @@ def map_images(path: Path, request: dict[str, Any], report: Report) -> tuple[lis
     Where nothing registers, or the lens that comes out is absurd (`lens_trouble`), the images are mapped once more with the lens that was
     begun with: a camera that hardly moves, or moves along its axis alone, does not tell its focal length.
     """
-    models = _map(path, request, report, False)
+    models = map_once(path, request, report, False)
     if request["mapper"] == "global":
         return models, False, []
     trouble = lens_of(models[0]) if models else "no camera"
     if trouble is None:
         return models, False, []
-    again = _map(path, request, report, True)
+    again = map_once(path, request, report, True)
     if not again or (models and again[0].num_reg_images() < HALF * models[0].num_reg_images()):
         words = f"the adjustment found {trouble}; with the lens held fixed fewer images register, so it stays: poses are doubtful"
         return models, False, [words] if models else []
@@ -41,7 +41,8 @@ def map_images(path: Path, request: dict[str, Any], report: Report) -> tuple[lis
     return again, True, [words]
 
 
-def _map(path: Path, request: dict[str, Any], report: Report, fixed_lens: bool) -> list[pycolmap.Reconstruction]:
+def map_once(path: Path, request: dict[str, Any], report: Report, fixed_lens: bool) -> list[pycolmap.Reconstruction]:
+    """The mapper's models, the one with most images first, from a first pair at the widest angle that gives half of the images."""
     root, out = Path(request["root"]), Path(request["folder"]) / "models"
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()

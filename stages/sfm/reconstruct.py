@@ -10,6 +10,7 @@ import pycolmap
 
 from . import database as db
 from .mapping import ENOUGH, map_images
+from .masked_points import without_movers
 from .reclaim import reclaim
 from .refine import refine_or_keep
 from .result import result_arrays, used_features
@@ -40,9 +41,9 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
 
     groups = list(request["cameras"])
     distinct = sorted(set(groups))
-    cameras = [_camera(root / names[groups.index(g)], request) for g in distinct]
+    cameras = [first_camera(root / names[groups.index(g)], request) for g in distinct]
     ids = dict(zip(distinct, db.write_cameras(path, cameras), strict=True))
-    db.extract(path, root, names, [ids[g] for g in groups], int(request["max_features"]), report, request.get("masks"))
+    db.extract(path, root, names, [ids[g] for g in groups], int(request["max_features"]), report, request.get("keep"))
     db.match(path, names, [(a, b) for a, b in request["pairs"]], seed, True, report)
     return map_database(path, request, report)
 
@@ -81,6 +82,7 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
     report("refining", 1, 1)
     facts["notes"] = notes + tell(names, observations, [lost, more], undone, merged, again)
     facts["parts"] = parts([largest, *others])
+    without_movers(largest, request)
     return {**result_arrays(largest, names), **used}, facts
 
 
@@ -95,7 +97,7 @@ def parts(models: list[pycolmap.Reconstruction]) -> list[int]:
     return sizes[:1] + sorted((size for size in sizes[1:] if size), reverse=True)
 
 
-def _camera(image: Path, request: dict[str, Any]) -> pycolmap.Camera:
+def first_camera(image: Path, request: dict[str, Any]) -> pycolmap.Camera:
     """The camera before refinement: K of the capture, else the focal length in EXIF, else a guess."""
     guess = pycolmap.infer_camera_from_image(image)
     hint = request.get("K_hint")

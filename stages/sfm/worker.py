@@ -32,6 +32,8 @@ def main(request_file: str) -> None:
         from .reconstruct import reconstruct as task
     elif request["task"] == "reconstruct_masked":
         from .masked import reconstruct_masked as task
+    elif request["task"] == "reconstruct_rig":
+        from .rig import reconstruct_rig as task
     elif request["task"] == "triangulate":
         from .known_poses import triangulate_known as task
     else:

@@ -30,6 +30,7 @@ from .writers import (
     write_nerfstudio,
     write_panoptic,
     write_video,
+    write_videos,
 )
 
 __all__ = [
@@ -62,4 +63,5 @@ __all__ = [
     "write_nerfstudio",
     "write_panoptic",
     "write_video",
+    "write_videos",
 ]

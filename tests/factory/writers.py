@@ -158,6 +158,18 @@ def write_video(synthetic: Synthetic, file: Path, crf: int = 12) -> Capture:
     return Capture(file, synthetic, synthetic.views, (file.name,) * len(synthetic.views))
 
 
+def write_videos(synthetic: Synthetic, root: Path, crf: int = 12) -> Capture:
+    """Each camera's video under the name of a letter, `a.mp4`, `b.mp4`, ..., and nothing else."""
+    views, files = [], []
+    for index in sorted({view.camera_index for view in synthetic.views}):
+        own = [view for view in synthetic.views if view.camera_index == index]
+        name = f"{chr(ord('a') + index)}.mp4"
+        write_mp4(root / name, (flatten(_truth(synthetic, view)) for view in own), synthetic.options.fps, crf)
+        views += own
+        files += [name] * len(own)
+    return Capture(root, synthetic, tuple(views), tuple(files))
+
+
 def write_colmap(synthetic: Synthetic, root: Path, points: int = 200) -> Capture:
     """A COLMAP text model in sparse/0 with true poses and points on the visible surfaces, images in images/; a camera for each lens."""
     files = _write_frames(synthetic, root / "images", "")
@@ -194,8 +206,10 @@ def surface_points(synthetic: Synthetic, count: int) -> tuple[NDArray[np.float64
     return np.concatenate(world), np.concatenate(colours)
 
 
-def write_mp4(file: Path, frames: Iterable[Pixels], fps: float, crf: int = 12) -> None:
-    """Encode RGB frames [H,W,3] with H.264; one thread, so that the file has the same bytes on every machine with the same codec."""
+def write_mp4(file: Path, frames: Iterable[Pixels], fps: float, crf: int = 12, sound: NDArray[np.float32] | None = None) -> None:
+    """Encode RGB frames [H,W,3] with H.264; one thread, so that the file has the same bytes on every machine with the same codec.
+
+    sound [N]: 16000 samples a second in [-1, 1], from the first frame on, as AAC."""
     import av
 
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -203,6 +217,7 @@ def write_mp4(file: Path, frames: Iterable[Pixels], fps: float, crf: int = 12) -
         stream = container.add_stream("libx264", rate=round(fps))
         stream.pix_fmt = "yuv420p"
         stream.options = {"crf": str(crf), "threads": "1", "preset": "fast"}
+        audio = None if sound is None else container.add_stream("aac", rate=16000, layout="mono")
         for i, pixels in enumerate(frames):
             if i == 0:
                 stream.height, stream.width = pixels.shape[:2]
@@ -210,6 +225,11 @@ def write_mp4(file: Path, frames: Iterable[Pixels], fps: float, crf: int = 12) -
                     raise ValueError(f"4:2:0 video needs even sizes, not {stream.width}x{stream.height}")
             container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")))
         container.mux(stream.encode())
+        if audio is not None and sound is not None:
+            heard = av.AudioFrame.from_ndarray(np.ascontiguousarray(sound[None], np.float32), format="fltp", layout="mono")
+            heard.sample_rate, heard.pts = 16000, 0
+            container.mux(audio.encode(heard))
+            container.mux(audio.encode())
 
 
 def flatten(truth: Truth, background: float = 1.0) -> Pixels:

@@ -79,7 +79,9 @@ def scene(folder: Path, split: list[int], model: Model, offset: float = 0.0, fix
     }
     for name, value in values.items():
         out.write(name, value)
-    out.attrs.update(width=SIZE[0], height=SIZE[1], background="black", alpha=False, names=[f"frame {i}" for i in range(count)])
+    out.attrs.update(
+        width=SIZE[0], height=SIZE[1], background="black", alpha=False, names=[f"frame {i}" for i in range(count)], fixed_cameras=fixed
+    )
     out.finish({})
     return Artifact(folder / "frames")
 
@@ -94,10 +96,8 @@ def trained(folder: Path, model: Model) -> Artifact:
     return Artifact(folder)
 
 
-def evaluate(
-    folder: Path, frames: Artifact, coarse=None, fine=None, flow=None, fixed: bool = False, **settings
-) -> tuple[Artifact, list[str]]:
-    capture = SimpleNamespace(root=folder, facts={"fixed_cameras": fixed})
+def evaluate(folder: Path, frames: Artifact, coarse=None, fine=None, flow=None, **settings) -> tuple[Artifact, list[str]]:
+    capture = SimpleNamespace(root=folder, facts={})
     inputs = {"frames": frames, "poses": None, "flow": flow, "coarse": coarse, "fine": fine}
     ran = run_stage(Evaluate(), capture, folder, EvaluateSettings(**settings), inputs)
     return ran.artifact, ran.lines
@@ -244,7 +244,7 @@ def test_frames_without_a_pose_are_counted_and_left_out(tmp_path):
 def test_fixed_cameras_are_also_measured_after_an_affine_fit(tmp_path):
     model = small_model()
     frames = scene(tmp_path, [0, 2, 2, 2, 0], model, offset=0.08, fixed=True)
-    artifact, _ = evaluate(tmp_path, frames, fine=trained(tmp_path / "fine", model), fixed=True)
+    artifact, _ = evaluate(tmp_path, frames, fine=trained(tmp_path / "fine", model))
     test = artifact.attrs["metrics"]["splits"]["test"]
     assert test["psnr_affine"] > test["psnr"] + 10 and test["ssim_affine"] >= test["ssim"]
     assert artifact.attrs["strip"]["times"] == [0.25, 0.5, 0.75]

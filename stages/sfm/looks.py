@@ -1,0 +1,82 @@
+"""Which pictures of several cameras structure from motion looks at, and which it matches with which.
+
+A camera that stands still is one image of COLMAP's, with one pose, however many of its pictures are looked at: their features are put
+into it side by side. Pictures of two cameras are matched at equal times alone, so what moves joins cameras like everything else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..sequences import camera_sequences
+from .pairs import choose, image_pairs
+
+MOST, FEWEST = 6, 2  # times at which cameras that stand still are looked at
+PAIRS = 240  # pairs of cameras and times, above which fewer times are looked at
+
+
+@dataclass(frozen=True)
+class Looks:
+    """frames [L]: those that are looked at. image [L]: COLMAP's image that each belongs to. pairs: of looks (numbers into `frames`), which
+    are matched. image_of_frame [F]: the image that holds each frame's pose. still: cameras that stand still."""
+
+    frames: list[int]
+    image: list[int]
+    pairs: list[tuple[int, int]]
+    image_of_frame: np.ndarray
+    still: frozenset[int]
+
+    @property
+    def all_still(self) -> bool:
+        return len(set(self.image)) == len(self.still)
+
+    def image_pairs(self) -> list[tuple[int, int]]:
+        return sorted({(self.image[a], self.image[b]) for a, b in self.pairs})
+
+
+def look_times(cameras: int, times: int) -> int:
+    """How many of the times cameras that stand still are looked at."""
+    pairs = max(1, cameras * (cameras - 1) // 2)
+    return min(times, max(FEWEST, min(MOST, PAIRS // pairs)))
+
+
+def choose_looks(camera: np.ndarray, time: np.ndarray, still: Mapping[int, bool], matcher: str, overlap: int) -> Looks:
+    """camera, time [F] as in the `frames` artifact; still: of each camera; matcher, overlap: settings of `poses`, for the frames of a
+    camera that moves."""
+    sequences = camera_sequences(camera, time)
+    shared = sorted(set.intersection(*({float(time[i]) for i in mine} for mine in sequences.values())))
+    count = look_times(len(sequences), len(shared))
+    seen = {shared[k] for k in np.linspace(0, len(shared) - 1, count).round().astype(int)} if shared else set()
+    frames: list[int] = []
+    image: list[int] = []
+    pairs: set[tuple[int, int]] = set()
+    image_of_frame = np.zeros(len(camera), np.int64)
+    at: dict[float, list[int]] = {}  # looks of each time, by camera
+    images = 0
+    for number, mine in sequences.items():
+        chosen = [i for i in mine if float(time[i]) in seen] or [mine[0]] if still[number] else mine
+        first = len(frames)
+        for k, i in enumerate(chosen):
+            at.setdefault(float(time[i]), []).append(len(frames))
+            frames.append(i)
+            image.append(images if still[number] else images + k)
+        if still[number]:
+            image_of_frame[mine] = images
+            images += 1
+        else:
+            image_of_frame[mine] = np.arange(images, images + len(mine))
+            images += len(mine)
+            own = image_pairs(choose(matcher, len(mine), False), len(mine), overlap)
+            pairs |= {(first + a, first + b) for a, b in own}
+    for together in at.values():
+        pairs |= {(a, b) for n, a in enumerate(together) for b in together[n + 1 :]}
+    return Looks(frames, image, sorted(pairs), image_of_frame, frozenset(c for c, stands in still.items() if stands))
+
+
+def expand(arrays: Mapping[str, np.ndarray], image_of_frame: Sequence[int] | np.ndarray) -> dict[str, np.ndarray]:
+    """Arrays of images [n, ...] -> of frames [F, ...]; frames of one image have bit-equal poses."""
+    of_images = ("registered", "K", "cam_from_world", "distortion", "size")
+    return {name: array[np.asarray(image_of_frame)] if name in of_images else array for name, array in arrays.items()}
