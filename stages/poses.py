@@ -52,7 +52,7 @@ class Poses(Stage):
     def applies(self, facts: Mapping[str, Any], settings: PosesSettings) -> Applies:
         if facts["poses"]:
             return Applies.no("the files hold poses")
-        if facts["cameras"] > 1 and not facts["static"]:
+        if facts.get("cameras", 1) > 1 and not facts["static"]:
             return Applies.yes(
                 f"structure from motion on {facts['cameras']} cameras at shared times; those that stand still get one pose each"
             )
@@ -66,7 +66,7 @@ class Poses(Stage):
         from .sfm.looks import look_times
 
         frames = facts["frames"]
-        if facts["cameras"] > 1 and not facts["static"]:
+        if facts.get("cameras", 1) > 1 and not facts["static"]:
             cameras, times = facts["cameras"], look_times(facts["cameras"], facts["times"])
             features, pairs = cameras * times * (0.1 + 1.3 * facts["width"] * facts["height"] / 1e6), times * cameras * (cameras - 1) / 2
             return 10 + features + 0.2 * pairs + 2.0 * cameras
