@@ -46,7 +46,7 @@ class TrainingSettings(Settings):
         None, ge=0, le=1, description="last round of growth, as a fraction of the steps; 0.75 for planes, 0.8 for nodes"
     )
     min_opacity: float = Field(0.01, ge=0, lt=1, description="primitives below are pruned")
-    min_weight: float = Field(0.25, ge=0, description="px a view; primitives that blend into less, on average, are removed at the end")
+    min_weight: float = Field(0.25, ge=0, description="px a view; primitives that blend into less, on average, are removed late")
     hidden: float = Field(0.3, ge=0, lt=1, description="Gaussians of which no training view sees this share are removed; 0: none are")
     affine: bool = Field(True, description="one colour affine a camera, for captures of several cameras, or a photo of a static scene")
     patience: int = Field(1000, ge=100, description="stop when the loss has not improved over this many steps")

@@ -44,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 11  # 11: noise on the times of control nodes
+    version = 12  # 12: noise on the times of control nodes, which train on after the last removal
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True

@@ -20,6 +20,7 @@ def render(
     out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
     path: Annotated[str, typer.Option("--path", metavar="NAME|FILE.json", help="turntable, spiral, capture, or a file.")] = "spiral",
     frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures; 120 by default.")] = None,
+    size: Annotated[int | None, typer.Option("--size", min=16, max=16_384, help="Longer side in px; the capture's without it.")] = None,
     time: Annotated[float | None, typer.Option("--time", min=0, max=1, help="Freeze this moment, 0 to 1; else time goes by once.")] = None,
     fps: Annotated[float, typer.Option("--fps", min=1, max=240, help="Pictures a second of a video.")] = 30.0,
     depth: Annotated[bool, typer.Option("--depth", help="Write depth as EXR beside each PNG.")] = False,
@@ -57,12 +58,16 @@ def render(
         raise CaptureError(f"{capture}: no training frame has a pose, so there is no place to look from")
     model = read_model(artifact).to(session.job.device)
     views = resolve(path, capture_frames, model, frames)
+    width, height = capture_frames.width, capture_frames.height
+    if size is not None:
+        width, height = (max(1, round(side * size / max(capture_frames.width, capture_frames.height))) for side in (width, height))
+    scale = np.diag([width / capture_frames.width, height / capture_frames.height, 1.0])  # pixel centres lie at +0.5: no offset
     console = Console()
     writer = Movie(out, fps) if video else Pictures(out, depth)
     with Progress(len(views.time), "render", console) as bar, writer as target:
         for K, pose, t in zip(views.K, views.cam_from_world, views.time):
-            camera = Camera(torch.tensor(K).float(), torch.tensor(pose).float(), capture_frames.width, capture_frames.height, model.near)
+            camera = Camera(torch.tensor(scale @ K).float(), torch.tensor(pose).float(), width, height, model.near)
             frame = model.render(camera, float(t) if time is None else time)
             target.add((frame.color.clamp(0, 1) * 255).round().byte().cpu().numpy(), frame.depth.cpu().numpy().astype(np.float32))
             bar.advance(1)
-    console.print(f"{len(views.time)} pictures of {capture_frames.width}x{capture_frames.height}: {out}", highlight=False, soft_wrap=True)
+    console.print(f"{len(views.time)} pictures of {width}x{height}: {out}", highlight=False, soft_wrap=True)

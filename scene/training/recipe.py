@@ -15,7 +15,7 @@ class Recipe:
     turn are searched. opacity, still, spread: default weights of the terms of `TrainingSettings`. grow_until: default of its
     `densify_until`. steady: growth adds an equal number in every round, not as many as the images bear. rounds: of density control at
     most, if they went on to the last step. time_noise: of the time of each view, in gaps between times, at first; it falls to zero by
-    `time_noise_until`.
+    `time_noise_until`. prune_at: when what the training views hardly blend is removed; the steps after it make up for it.
     """
 
     freeze_at: float = 0.45
@@ -34,6 +34,7 @@ class Recipe:
     largest_convex: float = math.inf
     time_noise: float = 0.0
     time_noise_until: float = 0.5
+    prune_at: float = 1.0
 
 
 PLANES = Recipe()
@@ -50,6 +51,7 @@ NODES = Recipe(
     steady=True,
     largest_convex=0.03,
     time_noise=1.0,
+    prune_at=0.85,
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )
 FREE = Recipe(still=0.0, freeze_at=2.0, opens=False)

@@ -153,7 +153,8 @@ class Trainer:
                     self._event(self.log.stopped)
                     break
             done += phase.iterations
-        self._final_prune()
+        if self.iteration < self._prune_step() or self._prune_step() >= self.total:
+            self._prune_hardly_seen()
         self.log.iterations = self.iteration
         self.log.nonfinite_steps = self.guard.count
         return self.log
@@ -253,6 +254,8 @@ class Trainer:
             self._event(f"step {self.iteration}: {count} of {len(self.model.gaussians)} Gaussians do not move and left the field")
         if self.grow and self.settings.hidden and self.iteration in {round(share * self.total) for share in self.recipe.hidden_at}:
             self._remove_hidden(phase)
+        if self.iteration == self._prune_step() < self.total:
+            self._prune_hardly_seen()
         if self.iteration % self.densify_every == 0 and self.iteration >= 200 and progress <= self.grow_until:
             self._control(phase)
 
@@ -335,14 +338,17 @@ class Trainer:
         self._event(f"step {self.iteration}: {len(gaussians) - len(keep)} of {len(gaussians)} Gaussians are hidden behind others and go")
         self._replace(gaussians.select(keep), keep)
 
-    def _final_prune(self) -> None:
-        """What the training views hardly blend is removed at the end."""
+    def _prune_step(self) -> int:
+        return round(self.recipe.prune_at * self.total)
+
+    def _prune_hardly_seen(self) -> None:
+        """What the training views hardly blend is removed."""
         move = self.phases[-1].move if self.phases else False
         measured = measure_responsibility(self.model, self.views, self.curriculum.probe(self.total, FINAL_VIEWS), move, 0.5)
         before = len(self.model.gaussians), len(self.model.convexes)
         self._prune((measured.weight_gaussians, measured.weight_convexes))
         self._event(
-            f"removed at the end, hardly blended by any training view: {before[0] - len(self.model.gaussians)} Gaussians, "
+            f"removed, hardly blended by any training view: {before[0] - len(self.model.gaussians)} Gaussians, "
             f"{before[1] - len(self.model.convexes)} convexes"
         )
 

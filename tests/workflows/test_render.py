@@ -118,3 +118,14 @@ def test_a_folder_that_holds_something_is_left_alone(finished, capsys, tmp_path)
     assert render(finished, "--frames", 1, "--out", tmp_path) == 1
     assert "already holds something" in " ".join(capsys.readouterr().err.split())
     assert [f.name for f in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_larger_picture_shows_the_same_view(finished, tmp_path):
+    capture, _ = finished
+    width, height = capture.views[0].camera.width, capture.views[0].camera.height
+    for size in (width, 2 * width):
+        assert render(finished, "--path", "capture", "--frames", 1, "--size", size, "--out", tmp_path / str(size)) == 0
+    small, large = (np.asarray(Image.open(tmp_path / str(size) / "0000.png")).astype(float) / 255 for size in (width, 2 * width))
+    assert large.shape == (2 * height, 2 * width, 3)
+    shrunk = large.reshape(height, 2, width, 2, 3).mean((1, 3))
+    assert np.abs(shrunk - small).mean() < 0.01 < np.abs(small - small.mean((0, 1))).mean()
