@@ -50,7 +50,7 @@ NODES = Recipe(
     spread=0.3,
     steady=True,
     largest_convex=0.03,
-    time_noise=1.0,
+    time_noise=0.75,
     prune_at=0.85,
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )
