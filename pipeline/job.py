@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from .graph import Graph
-from .keys import capture_digest, key_parts
+from .keys import capture_files, digest_of_files, key_parts
 from .records import Records
 from .settings import Settings
 from .stage import Capture, Stage
@@ -30,12 +30,17 @@ class Job:
     records: Records
     device: str = "cpu"
     also: Sequence[Store] = ()
-    refused: set[Path] = field(default_factory=set)  # results in those that turned out to be damaged
+    refused: set[Path] = field(default_factory=set)  # results in any store that turned out to be damaged, and are not asked for again
+
+    @cached_property
+    def capture_files(self) -> dict[str, str]:
+        """Content digests of the capture's files, computed once and only when a stage asks for them. Raises CaptureError."""
+        return capture_files(self.capture)
 
     @cached_property
     def capture_digest(self) -> str:
-        """Content digest of the capture, computed once and only when a stage asks for it. Raises CaptureError."""
-        return capture_digest(self.capture)
+        """Content digest of the capture. Raises CaptureError."""
+        return digest_of_files(self.capture_files)
 
     def parts(self, stage: Stage, inputs: Mapping[str, str | None]) -> dict[str, Any]:
         """Key parts of a stage, given the content digests of its inputs (None: skipped)."""

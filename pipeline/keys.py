@@ -13,14 +13,23 @@ from .settings import Settings
 from .stage import Capture, Stage
 
 
-def capture_digest(capture: Capture) -> str:
-    """BLAKE3 over the relative names and contents of all files of a capture. Raises CaptureError for a file that cannot be read."""
+def capture_files(capture: Capture) -> dict[str, str]:
+    """Relative name -> BLAKE3 of the content of each file of a capture. Raises CaptureError for one that cannot be read."""
     try:
-        digests = digest_files(Path(capture.root), capture.files)
+        return digest_files(Path(capture.root), capture.files)
     except OSError as error:
         raise CaptureError(
             f"{error.filename or capture.root}: cannot be read ({error.strerror or error}); check the capture's files"
         ) from error
+
+
+def capture_digest(capture: Capture) -> str:
+    """BLAKE3 over the relative names and contents of all files of a capture. Raises CaptureError for a file that cannot be read."""
+    return digest_of_files(capture_files(capture))
+
+
+def digest_of_files(digests: Mapping[str, str]) -> str:
+    """One digest of what `capture_files` found."""
     return digest_bytes(canonical_json(digests))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from .artifact import Artifact
+from .earlier import Earlier, find_earlier, made_before
 from .errors import ArtifactError, DamagedError
 from .job import Job
 from .keys import key_of
@@ -31,6 +32,7 @@ class Row:
     task: str = ""
     damage: str = ""  # which file of the result that lies there is damaged, and how
     source: Path | None = None  # another store, from which a cached row's result has still to be taken over
+    earlier: Earlier | None = None  # of a row that runs: the result from which items are taken over
 
     def as_json(self) -> dict[str, Any]:
         shown = {"stage": self.stage, "state": self.state, "reason": self.reason, "task": self.task}
@@ -47,21 +49,20 @@ def make_plan(job: Job, targets: Iterable[str] | None = None, force: Collection[
     for stage in job.graph.needed_for(names):
         waiting = [rows[name] for name in stage.inputs if rows[name].state == "run"]
         if waiting and job.graph[stage.name].applies(job.capture.facts, job.settings[stage.name]).needed:
-            rows[stage.name] = _unknown(job, stage, waiting)
+            rows[stage.name] = _unknown(job, stage, waiting, stage.name in force)
         else:
-            rows[stage.name] = assess(job, stage, {name: _digest(rows[name]) for name in stage.inputs}, stage.name in force)
+            rows[stage.name] = assess(job, stage, {name: rows[name].artifact for name in stage.inputs}, stage.name in force)
     return list(rows.values())
 
 
-def assess(job: Job, stage: Stage, inputs: Mapping[str, str | None], forced: bool = False) -> Row:
-    """The row of a stage whose inputs are known (content digests, None: skipped)."""
+def assess(job: Job, stage: Stage, inputs: Mapping[str, Artifact | None], forced: bool = False) -> Row:
+    """The row of a stage whose inputs are known (None: skipped)."""
     settings = job.settings[stage.name]
     applies = stage.applies(job.capture.facts, settings)
     if not applies.needed:
         return Row(stage.name, "skip", applies.reason)
-    parts = job.parts(stage, inputs)
+    parts = job.parts(stage, {name: artifact.digest if artifact else None for name, artifact in inputs.items()})
     key = key_of(parts)
-    estimate = stage.estimate(job.capture.facts, settings)
     damage = ""
     if job.store.has(stage.name, key):
         try:
@@ -77,7 +78,12 @@ def assess(job: Job, stage: Stage, inputs: Mapping[str, str | None], forced: boo
     reason = "forced" if forced else f"damaged: {damage}" if damage else _run_reason(job, stage, parts, key)
     if not forced and _has_entries(job, stage, key):
         reason += "; continues from a checkpoint"
-    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason, damage=damage)
+    facts, earlier = job.capture.facts, None if forced else find_earlier(job, stage, parts, key, inputs)
+    if earlier is not None:
+        reason += f"; {earlier.new} of {earlier.total} {stage.items} are new"
+        facts = {**facts, "new_items": earlier.new}
+    estimate = stage.estimate(facts, settings)
+    return Row(stage.name, "run", reason, estimate, key, parts, task=applies.reason, damage=damage, earlier=earlier)
 
 
 def _elsewhere(job: Job, stage: str, key: str) -> tuple[Path, Artifact] | None:
@@ -87,10 +93,6 @@ def _elsewhere(job: Job, stage: str, key: str) -> tuple[Path, Artifact] | None:
             with suppress(ArtifactError):  # what is wrong in a store that we only read is its owner's to mend
                 return store.root, store.open(stage, key)
     return None
-
-
-def _digest(row: Row) -> str | None:
-    return row.artifact.digest if row.artifact is not None else None
 
 
 def _cached_reason(job: Job, stage: Stage, key: str) -> str:
@@ -107,7 +109,7 @@ def _run_reason(job: Job, stage: Stage, parts: Mapping[str, Any], key: str) -> s
     return "; ".join(differences(record["parts"], parts))
 
 
-def _unknown(job: Job, stage: Stage, waiting: list[Row]) -> Row:
+def _unknown(job: Job, stage: Stage, waiting: list[Row], forced: bool) -> Row:
     """A stage behind one that runs: its key is known once that one is done, and an equal result would stop the rerun there."""
     reason = f"after {', '.join(row.stage for row in waiting)}"
     record = job.records.read(stage.name)
@@ -117,6 +119,8 @@ def _unknown(job: Job, stage: Stage, waiting: list[Row]) -> Row:
         known = {**job.parts(stage, dict.fromkeys(stage.inputs)), "inputs": record["parts"].get("inputs")}
         own = differences(record["parts"], known)
         reason = "; ".join([*own, reason])
+        if not forced and (count := made_before(job, stage, known)):
+            reason += f"; of {count} {stage.items} made before, those that are the same are taken over"
     settings = job.settings[stage.name]
     task = stage.applies(job.capture.facts, settings).reason
     return Row(stage.name, "run", reason, stage.estimate(job.capture.facts, settings), task=task)

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from .adopt import adopt
 from .artifact import Artifact
-from .errors import DamagedError, PipelineError, SettingsError, StageError
+from .earlier import item_digests
+from .errors import ArtifactError, DamagedError, PipelineError, SettingsError, StageError
 from .job import Job
 from .memory import PeakMemory
 from .plan import Row, assess
 from .progress import Progress
+from .room import said_when_full
 from .stage import Context, Stage
 
 if TYPE_CHECKING:
@@ -71,8 +73,13 @@ class Runner:
 
         A result that turns out to be damaged goes to the store's quarantine and is made again: sizes, descriptions and attrs of everything
         are checked, and every byte of what a stage that runs will read.
-        Raises StageError, CaptureError or SettingsError; a stage that fails or is interrupted leaves its checkpoints and nothing else.
+        Raises StageError (NoRoomError where a disk is full), CaptureError or SettingsError; a stage that fails or is interrupted leaves its
+        checkpoints and nothing else.
         """
+        with said_when_full(self.job.store.root):
+            return self._until_whole(targets, force, finished)
+
+    def _until_whole(self, targets: Iterable[str] | None, force: Collection[str], finished: Callable[[Outcome], None]) -> list[Outcome]:
         stages = self.job.graph.needed_for(list(self.job.graph.stages) if targets is None else list(targets))
         ran: dict[str, Outcome] = {}
         seen: set[tuple[str, str]] = set()
@@ -114,16 +121,16 @@ class Runner:
         self._report(f"{stage}: damaged: {problem}; moved to {place}, and made again")
 
     def _one(self, stage: Stage, inputs: Mapping[str, Artifact | None], forced: bool) -> Outcome:
-        digests = {name: artifact.digest if artifact else None for name, artifact in inputs.items()}
-        row = assess(self.job, stage, digests, forced)
+        row = assess(self.job, stage, inputs, forced)
         if row.state == "run" or row.source is not None:
             assert row.key is not None
             with self.job.store.lock(stage.name, row.key, lambda: self._report(f"{stage.name}: another process is making it, waiting")):
-                row = assess(self.job, stage, digests, forced)  # the other process may have made it meanwhile
+                row = assess(self.job, stage, inputs, forced)  # the other process may have made it meanwhile
                 while row.source is not None:
-                    row = self._take_over(stage, row) or assess(self.job, stage, digests, forced)
+                    row = self._take_over(stage, row) or assess(self.job, stage, inputs, forced)
                 if row.state == "run":
                     self._check(inputs)
+                    row = self._sound(stage, row, inputs)
                     if row.damage and row.key is not None:
                         self._quarantine(stage.name, row.key, row.damage)
                     return self._build(stage, inputs, row, forced)
@@ -144,8 +151,10 @@ class Runner:
         assert row.key is not None and row.artifact is not None
         if row.damage:
             self._quarantine(stage.name, row.key, row.damage)
+        size = sum(entry[0] for entry in row.artifact.manifest["files"].values())
         try:
-            artifact = adopt(self.job.store, row.artifact, stage.name, row.key)
+            with said_when_full(self.job.store.root, f"{stage.name}, taken from {row.source}", needed=size):
+                artifact = adopt(self.job.store, row.artifact, stage.name, row.key)
         except DamagedError as error:
             self.job.refused.add(row.artifact.path)
             self._report(f"{stage.name}: not taken from {row.source}: {error.problem}")
@@ -165,6 +174,23 @@ class Runner:
             except DamagedError as error:
                 raise _Damaged(name, artifact.path.name, error) from None
             self._whole[id(artifact)] = artifact
+
+    def _sound(self, stage: Stage, row: Row, inputs: Mapping[str, Artifact | None]) -> Row:
+        """The row, every byte of what items are taken over from read; what is damaged is left alone, and the next best looked for."""
+        while row.earlier is not None and id(row.earlier.artifact) not in self._whole:
+            artifact, place = row.earlier.artifact, None
+            try:
+                artifact.verify()
+            except ArtifactError as error:
+                self.job.refused.add(artifact.path)
+                if isinstance(error, DamagedError) and artifact.path == self.job.store.path(stage.name, artifact.path.name):
+                    place = self.job.store.quarantine_damaged(stage.name, artifact.path.name)
+                moved = f"; moved to {place}" if place is not None else ""
+                self._report(f"{stage.name}: nothing is taken over from an earlier result: {error}{moved}")
+                row = assess(self.job, stage, inputs)
+            else:
+                self._whole[id(artifact)] = artifact
+        return row
 
     def _build(self, stage: Stage, inputs: Mapping[str, Artifact | None], row: Row, forced: bool) -> Outcome:
         job, key, parts = self.job, row.key, row.parts
@@ -190,13 +216,26 @@ class Runner:
         try:
             with job.store.writing(stage.name, key) as writer:
                 context = Context(
-                    job.capture, job.capture.facts, job.settings[stage.name], inputs, writer, checkpoints, job.device, say, progress
+                    job.capture,
+                    job.capture.facts,
+                    job.settings[stage.name],
+                    inputs,
+                    writer,
+                    checkpoints,
+                    job.device,
+                    say,
+                    progress,
+                    row.earlier,
                 )
-                with PeakMemory() as peak:
-                    self._call(stage, context)
-                seconds = round(time.perf_counter() - start, 3)
-                provenance = self._provenance(stage, key, parts, seconds, peak.mb, log)
-                artifact = self._publish(stage, key, writer, provenance)
+                with said_when_full(job.store.root, stage.name, writer.path):
+                    with PeakMemory() as peak:
+                        self._call(stage, context)
+                    seconds = round(time.perf_counter() - start, 3)
+                    provenance = self._provenance(stage, key, parts, seconds, peak.mb, log)
+                    if stage.items:
+                        earlier = row.earlier.artifact.path.name if row.earlier is not None else None
+                        provenance |= {"items": item_digests(job, stage, inputs) if context.lends else [], "earlier": earlier}
+                    artifact = self._publish(stage, key, writer, provenance)
         finally:
             for bar in bars:
                 bar.close()

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
+from .resources import Resources
 from .settings import Settings
 
 if TYPE_CHECKING:
     from .artifact import Artifact
+    from .earlier import Earlier
     from .progress import Progress
     from .writer import ArtifactWriter
 
@@ -44,6 +46,18 @@ class Applies:
         return cls(False, reason)
 
 
+@dataclass(frozen=True)
+class Given:
+    """What a result is made from. ``digests``: relative name of each file of the capture -> digest of its content; empty for a stage that
+    does not read the capture."""
+
+    capture: Capture
+    facts: Mapping[str, Any]
+    settings: Any  # the stage's own Settings instance
+    inputs: Mapping[str, Artifact | None]
+    digests: Mapping[str, str]
+
+
 class Stage:
     """One step of a workflow: reads artifacts, writes one artifact. Subclasses set the class attributes and write ``run``.
 
@@ -56,14 +70,25 @@ class Stage:
     settings: ClassVar[type[Settings]] = Settings
     reads_capture: ClassVar[bool] = False  # the capture's content digest enters the key
     device_class: ClassVar[bool] = False  # results differ between cpu and cuda, the key says which
+    items: ClassVar[str] = ""  # what a result consists of ("pairs"), where items of an earlier one may be taken over
 
     def applies(self, facts: Mapping[str, Any], settings: Any) -> Applies:
         """Whether there is anything to do; must be quick and import nothing heavy."""
         return Applies.yes()
 
     def estimate(self, facts: Mapping[str, Any], settings: Any) -> float | None:
-        """Expected wall time in seconds, or None where nobody has measured it."""
+        """Expected wall time in seconds, or None where nobody has measured it. ``facts["new_items"]`` is there where the others
+        are taken over from an earlier result."""
         return None
+
+    def item_parts(self, given: Given) -> Sequence[Any]:
+        """For each item, in their order, all that decides it beside version, settings and device class, as JSON. Quick, like `applies`: a
+        plan asks for it as soon as the inputs are known."""
+        return ()
+
+    def resources(self, facts: Mapping[str, Any], settings: Any, device: str) -> Resources:
+        """What it takes while it runs on ``device``; must be quick and import nothing heavy."""
+        return Resources(gpu=self.device_class and device == "cuda")
 
     def run(self, ctx: Context) -> None:
         """Writes the artifact into ``ctx.out``. Raises StageError or CaptureError with a message for the user."""
@@ -83,3 +108,5 @@ class Context:
     device: str  # "cpu" | "cuda"
     log: Callable[[str], None]  # one line for the user and the report
     progress: Callable[[int, str], Progress]  # progress(total, label)
+    earlier: Earlier | None = None  # a result that has some of the items already; all of its bytes were read and found sound
+    lends: bool = True  # a stage sets it to False where its result has no items after all

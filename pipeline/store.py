@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import os
 import shutil
 import time
@@ -11,12 +12,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from .artifact import MANIFEST, Artifact, parse_manifest
 from .errors import DamagedError
 from .files import sync_file
 from .hold import alone
+from .lock import locked
 from .writer import ArtifactWriter
 
 _INTERNAL = ("locks", "tmp", "checkpoints", "quarantine", "pins", "trash")
@@ -90,38 +90,19 @@ class Store:
     def lock(self, stage: str, key: str, waiting: Any = None) -> Iterator[None]:
         """The exclusive right to build a key, across processes; the system frees it when its holder dies.
 
-        ``waiting()`` is called once when another process holds it.
+        ``waiting()`` is called once when another process holds it. Raises StageError where the file system has no locks.
         """
-        lock = self._lock(stage, key)
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            if waiting is not None:
-                waiting()
-            lock.acquire()
-        try:
+        with locked(self._lock(stage, key), waiting=waiting):
             yield
-        finally:
-            lock.release()
 
     @contextmanager
     def lock_if_free(self, stage: str, key: str) -> Iterator[bool]:
         """`lock`, but False at once, and without the right, where another process holds it."""
-        lock = self._lock(stage, key)
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            yield False
-            return
-        try:
-            yield True
-        finally:
-            lock.release()
+        with locked(self._lock(stage, key), wait=False) as free:
+            yield free
 
-    def _lock(self, stage: str, key: str) -> FileLock:
-        folder = self.root / "locks"
-        folder.mkdir(parents=True, exist_ok=True)
-        return FileLock(folder / f"{stage}-{key}.lock")
+    def _lock(self, stage: str, key: str) -> Path:
+        return self.root / "locks" / f"{stage}-{key}.lock"
 
     @contextmanager
     def writing(self, stage: str, key: str) -> Iterator[ArtifactWriter]:
@@ -131,8 +112,10 @@ class Store:
         folder.mkdir(parents=True)
         try:
             yield ArtifactWriter(folder)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+        except BaseException:
+            _discard(folder)
+            raise
+        shutil.rmtree(folder, ignore_errors=True)
 
     def publish(self, writer: ArtifactWriter, stage: str, key: str, provenance: Mapping[str, Any]) -> Artifact:
         """Finishes the writer and moves its folder into place in one rename; then drops the key's checkpoints.
@@ -183,6 +166,15 @@ class Store:
         stages = sorted(folder for folder in self.root.iterdir() if folder.is_dir() and folder.name not in _INTERNAL)
         return [(folder.name, entry.name) for folder in stages for entry in sorted(folder.iterdir()) if entry.is_dir()]
 
+    def latest(self, stage: str, count: int) -> list[str]:
+        """Keys of up to ``count`` results of a stage, those used last first."""
+        used = []
+        with suppress(FileNotFoundError), os.scandir(self.root / stage) as entries:
+            for entry in entries:
+                with suppress(OSError):  # it is being removed, or was never finished
+                    used.append((os.stat(Path(entry.path) / MANIFEST).st_mtime_ns, entry.name))
+        return [key for _, key in heapq.nlargest(count, used)]
+
     def remove(self, stage: str, key: str) -> bool:
         """Removes an artifact at once (a crash leaves all of it or nothing). False when a process builds or uses it."""
         place = self.take(stage, key, "tmp")
@@ -208,3 +200,12 @@ class Store:
     def verify(self) -> list[tuple[str, str, str]]:
         """Digests everything again: (stage, key, problem) with an empty problem where all is well. Nothing is changed."""
         return [(stage, key, self.problem(stage, key)) for stage, key in self.entries()]
+
+
+def _discard(folder: Path) -> None:
+    """Removes a folder into which zarr's threads may still write: after the first error nobody waits for the others."""
+    for _ in range(10):
+        shutil.rmtree(folder, ignore_errors=True)
+        time.sleep(0.02)
+        if not folder.exists():
+            return

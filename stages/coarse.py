@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from ..pipeline import Applies, Context, Stage
+from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import Strategy, TrainingSettings
 from .seeds import is_rig
 
@@ -44,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 12  # 12: noise on the times of control nodes, which train on after the last removal
+    version = 14  # 14: no stop soon after primitives came or went
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True
@@ -67,6 +67,11 @@ class Coarse(Stage):
         if use_nodes(facts, settings):
             return node_training_seconds(facts, steps)
         return training_seconds(facts, steps, static, area=1 - 0.75 * settings.full_from)
+
+    def resources(self, facts: Mapping[str, Any], settings: CoarseSettings, device: str) -> Resources:
+        from .estimates import training_resources
+
+        return training_resources(facts, device)
 
     def run(self, ctx: Context) -> None:
         import numpy as np

@@ -1,9 +1,11 @@
-"""Rough times for the plan, from what is known before anything runs."""
+"""Rough times for the plan, and memory for batches, from what is known before anything runs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
+
+from ..pipeline import Resources
 
 # One training step on two cores, fitted to the captures of benchmarks/results; the motion costs the same at any image size.
 SECONDS_PER_MEGAPIXEL_STEP = 0.35
@@ -11,6 +13,24 @@ SECONDS_PER_STEP = 0.03
 SECONDS_PER_STATIC_STEP = 0.01
 SECONDS_PER_NODE_STEP = 0.014
 SECONDS_PER_MEGAPIXEL_NODE_STEP = 0.1  # of which a window around the object is looked at
+
+# GB of 1e9 bytes; what the captures of benchmarks/results took at their peak, none of which is above by more than a fifth.
+GB_OF_TORCH = 0.7
+GB_PER_MEGAPIXEL = 0.008  # of all frames, whose pictures are kept
+MOST_GB_OF_PICTURES = 5.0  # `scene.views.CACHE_BYTES`, and what is made of them
+GB_PER_MEGAPIXEL_OF_A_VIEW = 1.0  # of the picture in work, with its gradients
+
+
+def training_resources(facts: Mapping[str, Any], device: str) -> Resources:
+    """What a stage takes that renders with gradients, or measures what was rendered."""
+    view = facts.get("width", 0) * facts.get("height", 0) / 1e6
+    pictures = min(MOST_GB_OF_PICTURES, GB_PER_MEGAPIXEL * view * facts.get("frames", 0))
+    return Resources(memory_gb=GB_OF_TORCH + pictures + GB_PER_MEGAPIXEL_OF_A_VIEW * view, gpu=device == "cuda")
+
+
+def picture_resources(facts: Mapping[str, Any], gb_per_megapixel: float, gb: float = 0.3, gpu: bool = False) -> Resources:
+    """What a stage takes that works on a few pictures at a time."""
+    return Resources(memory_gb=gb + gb_per_megapixel * facts.get("width", 0) * facts.get("height", 0) / 1e6, gpu=gpu)
 
 
 def training_seconds(facts: Mapping[str, Any], iterations: int, static: bool, area: float = 1.0) -> float:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from ..pipeline import Applies, Context, Settings, Stage, StageError
+from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,7 +46,7 @@ class Evaluate(Stage):
     """
 
     name = "evaluate"
-    version = 6  # 6: two movies, worst views first
+    version = 7  # 7: flicker
     inputs = ("frames", "poses", "flow", "coarse", "fine")
     settings = EvaluateSettings
     reads_capture = True
@@ -65,7 +65,13 @@ class Evaluate(Stage):
         views = SAMPLE + sum(int(counts.get(split, 0)) for split in settings.splits)
         return 3.0 + 1.2 * views * facts["width"] * facts["height"] / 1e6
 
+    def resources(self, facts: Mapping[str, Any], settings: EvaluateSettings, device: str) -> Resources:
+        from .estimates import training_resources
+
+        return training_resources(facts, device)
+
     def run(self, ctx: Context) -> None:
+        from .evaluation_flicker import measure_flicker
         from .evaluation_movies import write_movies
         from .evaluation_pictures import PictureBook
         from .flow_pictures import add_flow
@@ -107,6 +113,7 @@ class Evaluate(Stage):
             "protocol": protocol(frames, sample | views, ctx.settings, lpips_facts, notes),
             "splits": splits,
             "primitives": {"gaussians": len(model.gaussians), "convexes": len(model.convexes)},
+            "flicker": measure_flicker(judge, frames),
         }
         ctx.out.info["metrics"] = {"render_fps": judge.frames_per_second(next(reversed(views.values())))}
 
@@ -194,6 +201,7 @@ def protocol(
         "colours": "of the mean training camera; psnr_affine after one affine a channel and view",
         "moving": "of fixed cameras: pixels within 2 px of one that is more than 0.1 from the camera's median over time",
         "metrics": "float64 on clamped float renders; SSIM 11x11 Gaussian, sigma 1.5, zero padding; edges: Canny 50/100, within 2 px",
+        "flicker": "fixed cameras, neighbouring times; excess change of the render, in levels of 8 bits; flow: tOF in px",
         "notes": list(notes),
     }
     if measured and settings.lpips_weights is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
-from ..pipeline import Applies, Context, Stage
+from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import TrainingSettings
 
 
@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 11  # 11: with nodes, steps follow the last removal
+    version = 12  # 12: no stop soon after primitives came or went
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True
@@ -36,6 +36,11 @@ class Fine(Stage):
         from .estimates import training_seconds
 
         return training_seconds(facts, settings.iterations, static=bool(facts.get("static")))
+
+    def resources(self, facts: Mapping[str, Any], settings: FineSettings, device: str) -> Resources:
+        from .estimates import training_resources
+
+        return training_resources(facts, device)
 
     def run(self, ctx: Context) -> None:
         import torch

@@ -6,13 +6,13 @@ does not grow with the capture. Arrays and attrs: docs/artifacts.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from ..pipeline import Applies, Context, Settings, Stage
+from ..pipeline import Applies, Context, Given, Resources, Settings, Stage
 
 if TYPE_CHECKING:
     from .frameset import FrameSet
@@ -42,7 +42,8 @@ class Flow(Stage):
     """Flow forward and backward with its consistency, edge weights, and masks of what moves."""
 
     name = "flow"
-    version = 3
+    version = 4  # 4: all else follows from the flow as it is stored, and that is measured between the lens's pictures
+    items = "pairs"
     inputs = ("frames", "poses")
     settings = FlowSettings
     reads_capture = True
@@ -77,13 +78,31 @@ class Flow(Stage):
             encoding, step = (0.9, 0.22) if small else (3.3, 0.5)
             each = encoding + 2 * step * min(settings.iterations, 14 if settings.tolerance else 100)
         pairs = min(int(facts["pairs"]), settings.max_pairs)
+        measured = min(pairs, int(facts.get("new_items", pairs)))
         movers = (0.012 if facts.get("fixed_cameras") else 0.02) if settings.movers else 0.0
         return (
             (2.0 if settings.detect_static else 0.5)
-            + (each * small_width * small_height + 0.15 * width * height) * pairs / 1e6
+            + (each * small_width * small_height + 0.15 * width * height) * measured / 1e6
             + movers * facts["frames"]
             + 0.16 * facts["frames"] * width * height / 1e6
         )
+
+    def item_parts(self, given: Given) -> Sequence[Any]:
+        """The two pictures of each pair, as the lens made them: flow does not depend on poses. The size at which it is measured follows
+        from the whole capture, and `TakenFlow` looks at it."""
+        from .frameset import FrameSet
+
+        frames = FrameSet(given.inputs["frames"], given.capture.root, given.inputs.get("poses"))  # type: ignore[arg-type]
+        wanted = choose_pairs(frames, given.settings.max_pairs)
+        return [[frames.picture_parts(i, given.digests) for i in (first, int(frames.next[first]))] for first in wanted]
+
+    def resources(self, facts: Mapping[str, Any], settings: FlowSettings, device: str) -> Resources:
+        from .estimates import GB_OF_TORCH, picture_resources
+        from .flow_method import choice
+
+        if choice(settings.method, settings.weights)[0] != "raft":
+            return picture_resources(facts, 0.3)
+        return picture_resources(facts, 4.0, GB_OF_TORCH, gpu=device == "cuda")
 
     def run(self, ctx: Context) -> None:
         import numpy as np
@@ -95,6 +114,7 @@ class Flow(Stage):
         frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs.get("poses"))  # type: ignore[arg-type]
         if ctx.settings.detect_static and nothing_moves(ctx, frames):
             ctx.out.write("pair", np.zeros((0, 2), np.int32), doc="frame and the same camera's next frame")
+            ctx.lends = False
             return
         wanted = choose_pairs(frames, ctx.settings.max_pairs)
         cameras = camera_sequences(frames.camera, frames.time, frames.train)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from ..pipeline import thread_count
 from ..pipeline.files import write_atomically
 from .flo import write_flo
 from .flow_colours import colour_wheel, flow_colours, typical_largest
@@ -48,7 +48,7 @@ def export_flow(fields: FlowFields, frames: FrameSet, out: Path, largest: float,
         return len(SUFFIXES)
 
     written = 1
-    pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1))
+    pool = ThreadPoolExecutor(thread_count(8))
     try:
         for count in pool.map(write, range(len(fields.pairs))):
             written += count

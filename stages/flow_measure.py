@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
@@ -11,40 +10,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..pipeline import Context
+from ..pipeline import Context, thread_count
 from .edge_masks import Seen, seen_by, stable_edges
-from .flow_method import FlowMethod, Prepared, open_method
-from .flow_scout import glance, no_motion, working_size
+from .flow_method import FlowMethod
+from .flow_pairs import PairFlows, Shown, Source
 from .frameset import FrameSet
 from .motion_mask import MotionMask, sample
 from .movers import Movers
-from .optical_flow import FlowPair, consistency, flow_pair
+from .optical_flow import consistency
 
-STEPS = 32  # stored flow is a multiple of 1/32 px: a tenth of DIS's error, and the array compresses to a third
-LIMIT = 65504.0  # px, the largest float16
 MOVERS = "255 = shows something that moves in the world; 0 outside training frames"
 
 
 class Looked(NamedTuple):
-    """A frame as its pairs need it: edge weights uint8 [H, W], a glance for telling whether anything moved, and what the method wants."""
+    """A frame as its pairs need it: edge weights uint8 [H, W], and what its flow needs."""
 
     edges: np.ndarray
-    glance: np.ndarray | None
-    prepared: Prepared | None
+    shown: Shown | None
 
 
 class Matched(NamedTuple):
-    """The first frame's edges as the second sees them, the second's as the first sees them, and whether nothing moved between them."""
+    """The first frame's edges as the second sees them, the second's as the first sees them, and where their flow comes from."""
 
     first: Seen
     second: Seen
-    still: bool
+    flow: Source
 
 
 def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int]) -> dict[int, np.ndarray]:
     """Fills `forward`, `backward`, `confidence` for the pairs that begin at ``wanted``, `edges` and, where asked for, `movers`; attrs
-    `method`, `still_pairs`, `working_size` and `movers_share`.
+    `method`, `still_pairs`, `working_size` and `movers_share`; info `pairs`, how many were measured and how many taken over.
 
+    All follows from the flow as it is stored, rounded, so that flow that is taken over gives the same as flow that is measured.
     cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras by their number.
     """
     from ..scene.edges import edge_weights
@@ -61,30 +58,32 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
     movers = None
     if ctx.settings.movers and wanted:
         movers = ctx.out.create("movers", (len(frames), height, width), "uint8", (1, height, width), doc=MOVERS)
-    method = _method(ctx, frames, wanted)
+    flows = PairFlows(ctx, frames, wanted)
 
-    def look(moving: MotionMask | None, gathered: Movers | None, k: int, picture: np.ndarray, paired: bool) -> Looked:
+    def look(
+        moving: MotionMask | None, gathered: Movers | None, k: int, i: int, both: tuple[np.ndarray, np.ndarray], paired: bool
+    ) -> Looked:
+        seen, picture = both
         if moving is not None:
             moving.add(picture)
         if gathered is not None:
             gathered.add_picture(k, picture)
-        return Looked(edge_weights(picture), *((glance(picture), method.prepare(picture)) if method and paired else (None, None)))
+        return Looked(edge_weights(picture), flows.shown(i, seen) if paired else None)
 
     def match(p: int, gathered: Movers | None, k: int, first: Future[Looked], second: Future[Looked]) -> Matched:
         a, b = first.result(), second.result()
-        assert method and a.prepared and b.prepared and a.glance is not None and b.glance is not None
-        still = no_motion(a.glance, b.glance)
-        pair = _rest(height, width) if still else flow_pair(method, a.prepared, b.prepared)
+        assert a.shown is not None and b.shown is not None
+        pair, source = flows.between(p, a.shown, b.shown)
         if gathered is not None:
             gathered.add_pair(k, pair)
-        forward[p], backward[p], confidence[p] = _stored(pair.forward), _stored(pair.backward), pair.confidence
+        forward[p], backward[p], confidence[p] = pair.forward, pair.backward, pair.confidence
         back = consistency(pair.backward, pair.forward)
-        return Matched(seen_by(b.edges, pair.forward, pair.confidence), seen_by(a.edges, pair.backward, back), still)
+        return Matched(seen_by(b.edges, pair.forward, pair.confidence), seen_by(a.edges, pair.backward, back), source)
 
-    def finish(i: int, own: Future[Looked], before: Future[Matched] | None, after: Future[Matched] | None) -> bool:
+    def finish(i: int, own: Future[Looked], before: Future[Matched] | None, after: Future[Matched] | None) -> str:
         seen = ([before.result().second] if before else []) + ([after.result().first] if after else [])
         edges[i] = stable_edges(own.result().edges, seen)
-        return after is not None and after.result().still
+        return after.result().flow if after is not None else ""
 
     trained = {i for mine in cameras.values() for i in mine}
     for i in range(len(frames)):
@@ -93,33 +92,37 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
             if movers is not None:
                 movers[i] = 0
     masks: dict[int, np.ndarray] = {}
-    still_pairs, moved = 0, 0.0
+    came, moved, threads = Counter[str](), 0.0, thread_count(8)
     fixed = frames.fixed_cameras
-    with ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {ctx.out.attrs['method']}") as bar, _pool(method) as pool:
+    with (
+        ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {ctx.out.attrs['method']}") as bar,
+        _pool(flows.method) as pool,
+    ):
         for camera, mine in cameras.items():
             moving = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None
             gathered = Movers.of_camera(frames, mine, fixed) if movers is not None else None
-            busy = deque[Future[bool]]()
+            busy = deque[Future[str]]()
             waiting = deque[tuple[int, Future[Looked], Future[Matched] | None, Future[Matched] | None]]()
             own: Future[Looked] | None = None
             before: Future[Matched] | None = None  # the pair that ends at the frame before
             for k, i in enumerate(mine):
                 # What a job waits for was handed to the pool before it, so that it never waits for one behind it.
                 last, joined = own, k > 0 and mine[k - 1] in number and int(frames.next[mine[k - 1]]) == i
-                own = pool.submit(look, moving, gathered, k, frames.composited(i), joined or i in number)
+                own = pool.submit(look, moving, gathered, k, i, frames.both(i), joined or i in number)
                 if last is not None:
                     after = pool.submit(match, number[mine[k - 1]], gathered, k - 1, last, own) if joined else None
                     waiting.append((mine[k - 1], last, before, after))
                     before = after
-                if len(waiting) > _threads():  # a frame's last pair is begun before its end is asked for: no thread idles until it is there
+                # A frame's last pair is begun before its end is asked for: no thread idles until it is there.
+                if len(waiting) > threads:
                     busy.append(pool.submit(finish, *waiting.popleft()))
-                if len(busy) > 2 * _threads():  # bounds the pictures in memory
-                    still_pairs += busy.popleft().result()
+                if len(busy) > 2 * threads:  # bounds the pictures in memory
+                    came[busy.popleft().result()] += 1
                 bar.advance(1, frames.names[i])
             if own is not None:
                 waiting.append((mine[-1], own, before, None))
             busy.extend(pool.submit(finish, *job) for job in waiting)
-            still_pairs += sum(future.result() for future in busy)
+            came.update(future.result() for future in busy)
             if moving is not None:
                 masks[camera] = moving.mask(ctx.settings.grow)
             if movers is not None and gathered is not None:
@@ -132,32 +135,13 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
     if movers is not None:
         ctx.out.attrs["movers_share"] = round(moved / max(len(trained), 1), 6)
         ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
-    ctx.out.attrs["still_pairs"] = still_pairs
-    if still_pairs:
-        ctx.log(f"nothing moves between the frames of {still_pairs} of {count} pairs: their flow is zero and was not measured")
+    ctx.out.attrs["still_pairs"] = came["still"]
+    ctx.out.info["pairs"] = {"measured": came["measured"], "taken_over": came["taken"]}
+    if came["still"]:
+        ctx.log(f"nothing moves between the frames of {came['still']} of {count} pairs: their flow is zero and was not measured")
+    if came["taken"]:
+        ctx.log(f"flow of {came['taken']} of {count} pairs is taken over from an earlier result, of {came['measured']} it was measured")
     return masks
-
-
-def _method(ctx: Context, frames: FrameSet, wanted: Sequence[int]) -> FlowMethod | None:
-    """The method at the size that the capture's motion needs; None without pairs."""
-    if not wanted:
-        ctx.out.attrs["method"] = "none"
-        return None
-    size, motion = working_size(frames, wanted, ctx.settings.max_size)
-    if size < min(max(frames.width, frames.height), ctx.settings.max_size or 1 << 30):
-        ctx.log(f"motion of {motion:.1f} px at most: flow is measured at {size} px, the longest side")
-    method = open_method(ctx.settings, ctx.device, size)
-    ctx.out.attrs["method"], ctx.out.attrs["working_size"] = method.name, size
-    return method
-
-
-def _rest(height: int, width: int) -> FlowPair:
-    zero = np.zeros((height, width, 2), np.float32)
-    return FlowPair(zero, zero, np.full((height, width), 255, np.uint8))
-
-
-def _threads() -> int:
-    return min(8, os.cpu_count() or 1)
 
 
 @contextmanager
@@ -168,11 +152,7 @@ def _pool(method: FlowMethod | None) -> Iterator[ThreadPoolExecutor]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with method.side_by_side() if method else nullcontext() as begin, ThreadPoolExecutor(_threads(), initializer=begin) as pool:
+        with method.side_by_side() if method else nullcontext() as begin, ThreadPoolExecutor(thread_count(8), initializer=begin) as pool:
             yield pool
     finally:
         cv2.setNumThreads(threads)
-
-
-def _stored(flow: np.ndarray) -> np.ndarray:
-    return (np.rint(np.clip(flow, -LIMIT, LIMIT) * STEPS) / STEPS).astype(np.float16)

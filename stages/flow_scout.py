@@ -49,7 +49,7 @@ def working_size(frames: FrameSet, wanted: Sequence[int], max_size: int | None) 
     if longest <= ENOUGH:
         return longest, float("nan")
     chosen = [wanted[round(k)] for k in np.linspace(0, len(wanted) - 1, min(SAMPLES, len(wanted)))]
-    motion = max(motion_between(frames.composited(i), frames.composited(int(frames.next[i]))) for i in chosen)
+    motion = max(motion_between(frames.both(i)[0], frames.both(int(frames.next[i]))[0]) for i in chosen)
     return (max(ENOUGH, longest // 2) if motion < LITTLE else longest), motion
 
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from ..pipeline import Applies, CaptureError, Context, Settings, Stage
+from ..pipeline import Applies, CaptureError, Context, Resources, Settings, Stage
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from .captures import Capture
 
 _DECODE_THREADS = 4
+_LARGE = 40_000_000  # px of pictures that are decoded one at a time: such a one takes half a gigabyte, the largest 2 GB
 
 
 class FramesSettings(Settings):
@@ -44,11 +47,11 @@ class FramesSettings(Settings):
     )
 
 
-def recognise_for(path: str | Path, settings: FramesSettings) -> Capture:
-    """`captures.recognise` with these settings. Raises `CaptureError`."""
+def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None = None) -> Capture:
+    """`captures.recognise` with these settings; heard: a folder in which what was heard of long videos is kept. Raises `CaptureError`."""
     from .captures import recognise
 
-    return recognise(path, **settings.model_dump())
+    return recognise(path, **settings.model_dump(), heard=heard)
 
 
 class Frames(Stage):
@@ -66,6 +69,11 @@ class Frames(Stage):
         """Decoding once, two cores: about 60 megapixels a second from image files, 15 from video into the store (measured)."""
         megapixels = facts["frames"] * facts["width"] * facts["height"] / 1e6
         return 0.5 + megapixels / (60 if facts["images_in_files"] else 15)
+
+    def resources(self, facts: Mapping[str, Any], settings: FramesSettings, device: str) -> Resources:
+        from .estimates import picture_resources
+
+        return picture_resources(facts, 0.3)
 
     def run(self, ctx: Context) -> None:
         from .captures import Capture
@@ -158,15 +166,20 @@ def _extract(capture: Capture, ctx: Context) -> None:
 
 def _check(capture: Capture, ctx: Context) -> None:
     """Decode every picture and mask once, so that a file that is cut short is found now and not hours later in training."""
+    from .captures.checks import image_header
     from .pictures import read_keep, read_mask, read_picture
 
     jobs: list[tuple[str, Callable[..., Any]]] = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
     jobs += [(name, read_mask) for name in dict.fromkeys(m for m in capture.masks or () if m)]
     jobs += [(name, read_keep) for name in dict.fromkeys(m for m in capture.keeps or () if m)]
 
+    one_at_a_time = Lock()
+
     def decode(job: tuple[str, Any]) -> str:
         name, read = job
-        read(capture.root, name)
+        width, height, _ = image_header(capture.root, name)
+        with one_at_a_time if width * height > _LARGE else nullcontext():
+            read(capture.root, name)
         return name
 
     with ctx.progress(len(jobs), "check pictures") as progress, ThreadPoolExecutor(_DECODE_THREADS) as pool:

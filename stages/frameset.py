@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from ..pipeline import Artifact
 from . import lenses, pictures
 
 WHOLLY = 254  # of 255: of a mask that was scaled or bent, a pixel that lies inside
-_MAPS_KEPT = 4  # undistortion maps take 8 bytes a pixel; one camera needs one
+_MAPS_KEPT = 4  # they take 8 bytes a pixel; one camera needs two, there and back
 
 
 class FrameSet:
@@ -33,6 +35,7 @@ class FrameSet:
     def __init__(self, frames: Artifact, root: Path, poses: Artifact | None = None) -> None:
         self.root = Path(root)
         self.attrs = frames.attrs
+        self._files = frames.manifest["files"]
         self.width = int(frames.attrs["width"])
         self.height = int(frames.attrs["height"])
         self.background: str | None = frames.attrs["background"]
@@ -66,7 +69,7 @@ class FrameSet:
             self.registered = finite & source.read("registered") if "registered" in source else finite
         usable = self.registered if posed else np.ones(len(self), bool)
         self.train, self.val, self.test = (np.flatnonzero(usable & (self.split == s)) for s in range(3))
-        self._maps: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._maps: dict[bytes, tuple[np.ndarray, ...]] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
@@ -75,7 +78,7 @@ class FrameSet:
     def image(self, i: int) -> np.ndarray:
         """Frame i: uint8 [H,W,3], or [H,W,4] with straight alpha for captures with alpha; undistorted to the pinhole K."""
         picture = self.original(i)
-        maps = self._undistortion(i)
+        maps = self.undistortion(i)
         return picture if maps is None else pictures.undistort(picture, maps)
 
     def original(self, i: int) -> np.ndarray:
@@ -93,6 +96,21 @@ class FrameSet:
         """Frame i as uint8 [H,W,3] on the capture's background."""
         return pictures.composite(self.image(i), self.background)
 
+    def both(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Frame i on the capture's background as the lens made it, and as `composited` gives it; the same array without distortion."""
+        stored, maps = self.original(i), self.undistortion(i)
+        seen = pictures.composite(stored, self.background)
+        return seen, seen if maps is None else pictures.composite(pictures.undistort(stored, maps), self.background)
+
+    def picture_parts(self, i: int, digests: Mapping[str, str]) -> list[Any]:
+        """All that decides frame i as the lens made it, as JSON, without reading it. digests: of the capture's files by name (BLAKE3)."""
+        if self._images is not None:
+            return [self._files[f"images/c/{i}/0/0/0"][1], self.width, self.height]  # one chunk a frame
+        assert self.files is not None
+        part = None if self.crop is None else self.crop[i].tolist()
+        shown = [self.width, self.height, part, self.upright, self.alpha, self.background]
+        return [digests[Path(self.files[i]).as_posix()], *shown]
+
     def mask(self, i: int) -> np.ndarray | None:
         """Foreground of frame i, uint8 [H,W] (255 foreground), undistorted like the image; None where the capture has none."""
         name = self.mask_files[i] if self.mask_files is not None else None
@@ -107,19 +125,32 @@ class FrameSet:
     def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
         """A stored mask of frame i at the size of its image, cropped and undistorted as that is."""
         mask = pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i])
-        maps = self._undistortion(i)
+        maps = self.undistortion(i)
         return mask if maps is None else pictures.undistort(mask, maps)
 
-    def _undistortion(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Maps for `pictures.undistort`; None for frames without distortion or without a pose."""
-        if self.K is None or self._lens_K is None or not self.registered[i] or not (self._distortion[i].any() or self._fisheye[i]):
+    def bent(self, i: int) -> bool:
+        """Whether the lens bends frame i, so that the pinhole picture differs from the lens's; never so without a pose."""
+        return self._lens_K is not None and bool(self.registered[i] and (self._distortion[i].any() or self._fisheye[i]))
+
+    def straight_places(self, i: int) -> np.ndarray | None:
+        """Where each pixel of frame i as the lens made it lies in the pinhole picture: float32 [H,W,2] px from 0; None where not `bent`."""
+        places = self._of_lens(i, b"back", lambda *lens: (lenses.straight_places(*lens),))
+        return None if places is None else places[0]
+
+    def undistortion(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Maps for `pictures.undistort`: where each pixel of the pinhole picture lies in the lens's; None where not `bent`."""
+        return self._of_lens(i, b"there", lenses.undistort_maps)  # type: ignore[return-value]
+
+    def _of_lens(self, i: int, what: bytes, make: Callable[..., tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...] | None:
+        """What ``make`` gives for the lens of frame i, which other frames share; None where not `bent`."""
+        if self.K is None or self._lens_K is None or not self.bent(i):
             return None
         lens_K, terms, fisheye = self._lens_K[i], self._distortion[i], bool(self._fisheye[i])
-        key = self.K[i].tobytes() + lens_K.tobytes() + terms.tobytes() + bytes([fisheye])
+        key = what + self.K[i].tobytes() + lens_K.tobytes() + terms.tobytes() + bytes([fisheye])
         with self._lock:
             maps = self._maps.get(key)
         if maps is None:
-            maps = lenses.undistort_maps(self.K[i], terms, self.width, self.height, lens_K, fisheye)
+            maps = make(self.K[i], terms, self.width, self.height, lens_K, fisheye)
             with self._lock:
                 if len(self._maps) >= _MAPS_KEPT:
                     self._maps.pop(next(iter(self._maps)))

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
-from ..pipeline import Applies, Context, Settings, Stage
+from ..pipeline import Applies, Context, Resources, Settings, Stage
 
 
 class HullSettings(Settings):
@@ -35,6 +35,11 @@ class Hulls(Stage):
 
     def estimate(self, facts: Mapping[str, Any], settings: HullSettings) -> float | None:
         return 2.0 + 0.3 * settings.views * facts.get("width", 0) * facts.get("height", 0) / 1e6
+
+    def resources(self, facts: Mapping[str, Any], settings: HullSettings, device: str) -> Resources:
+        from .estimates import training_resources
+
+        return training_resources(facts, device)
 
     def run(self, ctx: Context) -> None:
         import numpy as np

@@ -22,6 +22,29 @@ def undistort_maps(
     return _maps(np.asarray(K, np.float64) - half, np.asarray(K if lens_K is None else lens_K) - half, distortion, fisheye, width, height)
 
 
+def straight_places(
+    K: np.ndarray, distortion: np.ndarray, width: int, height: int, lens_K: np.ndarray, fisheye: bool = False
+) -> np.ndarray:
+    """The way back: where each pixel of the distorted image lies in the pinhole image K, float32 [height, width, 2] px, counted from 0.
+
+    At most a picture's size outside of the pinhole image: beyond, and where the lens's terms fold it over, the place says nothing more.
+    Arguments as of `undistort_maps`.
+    """
+    import cv2
+
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    seen, shown, terms = np.asarray(lens_K, np.float64) - half, np.asarray(K, np.float64) - half, np.asarray(distortion, np.float64)
+    pixels = np.stack(np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)), axis=-1).reshape(-1, 1, 2)
+    until = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-8)
+    if fisheye:
+        places = cv2.fisheye.undistortPoints(pixels, seen, terms[:4], None, np.eye(3), shown, until)
+    else:
+        places = cv2.undistortPoints(pixels, seen, terms, None, np.eye(3), shown, until)
+    size = np.array([width, height], np.float64)
+    places = np.clip(np.nan_to_num(places, nan=-np.inf), -size, 2 * size)
+    return places.reshape(height, width, 2).astype(np.float32)
+
+
 def pinholes(
     lens_K: np.ndarray, distortion: np.ndarray, fisheye: np.ndarray | None, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -25,8 +25,17 @@ class FlowPair:
 
 def flow_pair(method: FlowMethod, first: Prepared, second: Prepared) -> FlowPair:
     """Flow both ways, `sharpened` at outlines, and the confidence in the forward one: `consistency`, 0 where `occluded`."""
+    return trusted(*both_ways(method, first, second))
+
+
+def both_ways(method: FlowMethod, first: Prepared, second: Prepared) -> tuple[np.ndarray, np.ndarray]:
+    """Flow forward and backward, [H, W, 2] float32 px each, `sharpened` at outlines."""
     forward = sharpened(method.flow(first, second), first.picture, second.picture)
-    backward = sharpened(method.flow(second, first), second.picture, first.picture)
+    return forward, sharpened(method.flow(second, first), second.picture, first.picture)
+
+
+def trusted(forward: np.ndarray, backward: np.ndarray) -> FlowPair:
+    """Both flows, [H, W, 2] float32 px, with the confidence in the forward one."""
     confidence = consistency(forward, backward)
     confidence[occluded(forward, backward)] = 0
     return FlowPair(forward, backward, confidence)

@@ -8,22 +8,23 @@ from pathlib import Path
 import numpy as np
 
 from ..pipeline import CaptureError
+from .image_files import BadImageError, open_image
 
 
 def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
     """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it). upright: turned as its EXIF data ask
     for."""
-    from PIL import Image, ImageOps
+    from PIL import ImageOps
 
     try:
-        with Image.open(root / name) as stored:
+        with open_image(root / name) as stored:
             image = ImageOps.exif_transpose(stored) if upright else stored
             alpha = "A" in image.getbands() or "transparency" in image.info
             if image.mode.startswith("I;16"):  # grey of 16 bits, which Pillow would clip to 8
                 grey = np.rint(np.asarray(image, np.float32) / 257).astype(np.uint8)
                 return np.repeat(grey[..., None], 3, axis=2)
             return np.asarray(image.convert("RGBA" if alpha else "RGB"))
-    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+    except BadImageError as error:
         raise CaptureError(
             f"{name}: cannot be decoded, perhaps cut short ({error}); copy it again or remove it from the capture"
         ) from error
@@ -31,12 +32,10 @@ def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
 
 def read_mask(root: Path, name: str) -> np.ndarray:
     """uint8 [H,W] of a mask file; 255 is foreground (also for 1-bit files)."""
-    from PIL import Image
-
     try:
-        with Image.open(root / name) as image:
+        with open_image(root / name) as image:
             return np.asarray(image.convert("L"))
-    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+    except BadImageError as error:
         raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from ..pipeline import Applies, Context, Settings, Stage, StageError
+from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
+from .image_files import BadImageError, open_image
 from .sfm.pairs import OVERLAP, choose, image_pairs
 
 if TYPE_CHECKING:
@@ -73,6 +74,11 @@ class Poses(Stage):
         pairs = len(image_pairs(choose(settings.matcher, frames, facts["static"]), frames, settings.overlap))
         looked = 0.15 if settings.movers == "auto" and not facts["static"] else 0.0
         return 8 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
+
+    def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
+        from .estimates import picture_resources
+
+        return picture_resources(facts, 2.0)
 
     def run(self, ctx: Context) -> None:
         import numpy as np
@@ -246,9 +252,9 @@ def _focal_length(file: Path) -> Image.Exif:
     details, tag = 0x8769, 0xA405
     result = Image.Exif()
     try:
-        with Image.open(file) as image:
+        with open_image(file) as image:
             value = image.getexif().get_ifd(details).get(tag)
-    except (OSError, ValueError, SyntaxError, KeyError):  # EXIF data are often broken, and can be done without
+    except BadImageError:  # EXIF data are often broken, and can be done without
         value = None
     if isinstance(value, int) and 1 <= value <= 10_000:
         result[details] = {tag: value}

@@ -24,7 +24,7 @@ FLOW_KINDS = (
     ("moving", "what moves"),
 )
 SPLITS = ("test", "val", "train")
-MEASURED_AS = ("metrics", "colours", "moving")  # of the protocol: sentences, for small print
+MEASURED_AS = ("metrics", "colours", "moving", "flicker")  # of the protocol: sentences, for small print
 VIEWS_OPEN = 6  # the others are folded away
 DATA, MOVIE = "data:image/png;base64,", "data:video/mp4;base64,"
 MOVIES = (("over_time", "held-out views in order of time: ground truth, render"), ("turntable", "a turn about the scene"))
@@ -130,6 +130,10 @@ def facts(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = []
     if is_number(metrics.get("train_seconds")):
         found.append(("trained in", duration(float(metrics["train_seconds"]))))
+    flicker = metrics.get("flicker") or {}
+    for name, title, unit in (("static", "flicker where nothing moves", "levels"), ("edges", "flicker at edges", "levels")):
+        if is_number(flicker.get(name)):
+            found.append((title, f"{flicker[name]:.2f} {unit}"))
     if is_number(metrics.get("render_fps")):
         found.append(("renders at", f"{metrics['render_fps']:.3g} frames/s"))
     found += [(kind, number(primitives[kind])) for kind in ("gaussians", "convexes") if kind in primitives]

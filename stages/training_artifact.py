@@ -54,8 +54,12 @@ def required(coarse: Artifact | None) -> Artifact:
 
 
 def read_model(artifact: Artifact) -> Model:
-    """The model of a `coarse` or `fine` artifact."""
+    """The model of a `coarse` or `fine` artifact. Raises StageError where a version wrote it that knew less of a model."""
     from ..scene.model import Model
 
     arrays = {name: artifact.read(name) for name in artifact.names() if not name.startswith(("depth_", "seeds_"))}
-    return Model.from_arrays(arrays, artifact.attrs["model"])
+    try:
+        return Model.from_arrays(arrays, artifact.attrs["model"])
+    except KeyError as error:
+        stage = artifact.provenance.get("stage", "the stage")
+        raise StageError(f"{artifact.path}: another version of e4dgs wrote this model, without {error}; run {stage} again") from error

@@ -7,13 +7,16 @@ import shutil
 import stat
 import tempfile
 import zipfile
+from collections import Counter
 from pathlib import Path, PurePosixPath
 
 from ..pipeline import CaptureError
+from ..pipeline.errors import is_odd
 from ..pipeline.files import digest_bytes
 
 MOST_FILES = 200_000
 MOST_TIMES_LARGER = 200  # than the archive; pictures and videos hardly shrink, so more is a bomb
+MOST_FOLDERS = 64  # one in another
 SLACK = 100_000_000  # bytes that any archive may unpack to
 
 
@@ -56,16 +59,29 @@ def _unpack(file: Path, folder: Path) -> None:
                 raise CaptureError(f"{file}: {len(members)} files of {total / 1e9:.1f} GB are more than a capture; unpack it yourself")
             for member in members:
                 _refuse(file, member)
+            twice = [name for name, count in Counter(member.filename for member in members).items() if count > 1]
+            if twice:
+                raise CaptureError(f"{file}: {twice[0]!r} is in it twice; pack it again with one file of that name")
+            for member in members:
                 archive.extract(member, folder)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
-        raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again without a password") from error
+    except CaptureError:
+        raise
     except OSError as error:
+        if error.errno is None:  # what bz2 says of damaged data
+            raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again") from error
         raise CaptureError(f"{file}: {error.filename or folder} cannot be written ({error.strerror or error})") from error
+    except Exception as error:  # zipfile lets zlib.error, LZMAError, struct.error, ... of damaged archives through
+        raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again without a password") from error
 
 
 def _refuse(file: Path, member: zipfile.ZipInfo) -> None:
     name = PurePosixPath(member.filename.replace("\\", "/"))
     if name.is_absolute() or ".." in name.parts or ":" in member.filename:
         raise CaptureError(f"{file}: {member.filename!r} leads out of the archive's folder; pack it again with relative paths")
-    if stat.S_ISLNK(member.external_attr >> 16):
+    if any(map(is_odd, member.filename)) or len(name.parts) > MOST_FOLDERS:
+        raise CaptureError(f"{file}: {member.filename!r} is no name of a file; pack it again with plain names, fewer folders deep")
+    kind = stat.S_IFMT(member.external_attr >> 16)
+    if kind == stat.S_IFLNK:
         raise CaptureError(f"{file}: {member.filename!r} is a link; pack the file that it leads to")
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        raise CaptureError(f"{file}: {member.filename!r} is neither a file nor a folder; leave it out")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +9,14 @@ import numpy as np
 
 from ..pipeline import CaptureError, SettingsError
 from ..stages.camera_path import NAMES, CameraPath, named_path
+from ..stages.captures import checks
 
 if TYPE_CHECKING:
     from ..scene.model import Model
     from ..stages.frameset import FrameSet
 
 MOST_FRAMES = 100_000
+_LARGEST = 1e7  # px
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z back
 
 
@@ -26,10 +27,12 @@ def path_of_file(file: Path, frames: FrameSet) -> CameraPath:
     Without a lens the capture's first is taken, without times they go by once. Raises CaptureError that names file, frame and field.
     """
     try:
-        data = json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
-        raise CaptureError(f"--path {file}: this is no camera path in JSON ({error}); or give one of {', '.join(NAMES)}") from error
-    rows = data.get("frames") if isinstance(data, dict) else None
+        data = checks.read_json(file.parent, file.name)
+    except CaptureError as error:
+        raise CaptureError(
+            f'--path {file}: this is no camera path in JSON ({error}); expected {{"frames": [...]}}, or one of {", ".join(NAMES)}'
+        ) from error
+    rows = data.get("frames")
     if not isinstance(rows, list) or not 0 < len(rows) <= MOST_FRAMES:
         raise CaptureError(f'--path {file}: "frames" must be a list of 1 to {MOST_FRAMES} views')
     assert frames.K is not None
@@ -39,12 +42,12 @@ def path_of_file(file: Path, frames: FrameSet) -> CameraPath:
         if not isinstance(row, dict):
             raise CaptureError(f"{where}: expected an object with cam_from_world or transform_matrix")
         if "cam_from_world" in row:
-            poses.append(_matrix(row["cam_from_world"], 4, f"{where}: cam_from_world"))
+            poses.append(_pose(row["cam_from_world"], f"{where}: cam_from_world"))
         elif "transform_matrix" in row:
-            poses.append(np.linalg.inv(_matrix(row["transform_matrix"], 4, f"{where}: transform_matrix") @ OPENGL))
+            poses.append(checks.inverse(_pose(row["transform_matrix"], f"{where}: transform_matrix") @ OPENGL))
         else:
             raise CaptureError(f"{where}: it has neither cam_from_world nor transform_matrix; add one")
-        lenses.append(_matrix(row["K"], 3, f"{where}: K") if "K" in row else frames.K[frames.train[0]])
+        lenses.append(_lens(row["K"], f"{where}: K") if "K" in row else frames.K[frames.train[0]])
         time = row.get("time", i / max(len(rows) - 1, 1))
         if isinstance(time, bool) or not isinstance(time, int | float) or not 0 <= time <= 1:
             raise CaptureError(f"{where}: time: expected a number from 0 to 1, got {time!r:.40}")
@@ -52,16 +55,15 @@ def path_of_file(file: Path, frames: FrameSet) -> CameraPath:
     return CameraPath(np.stack(poses), np.stack(lenses), np.array(times))
 
 
-def _matrix(value: Any, size: int, where: str) -> np.ndarray:
-    try:
-        matrix = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
-        raise CaptureError(f"{where}: expected {size}x{size} finite numbers")
-    if abs(np.linalg.det(matrix[:3, :3])) < 1e-12:
-        raise CaptureError(f"{where}: the matrix cannot be inverted")
-    return matrix
+def _pose(value: Any, where: str) -> np.ndarray:
+    return checks.rigid(checks.matrix(value, where, ((4, 4), (3, 4))), where)
+
+
+def _lens(value: Any, where: str) -> np.ndarray:
+    K = checks.matrix(value, where, ((3, 3),))
+    for name, entry in (("fx", K[0, 0]), ("fy", K[1, 1]), ("cx", K[0, 2]), ("cy", K[1, 2])):
+        checks.number(float(entry), f"{where}: {name}", -_LARGEST, _LARGEST)
+    return checks.intrinsics(K[0, 0], K[1, 1], K[0, 2], K[1, 2], where, skew=K[0, 1])
 
 
 def resolve(path: str, frames: FrameSet, model: Model, count: int | None) -> CameraPath:

@@ -14,34 +14,56 @@ from rich.console import Console
 
 from ..pipeline import PipelineError, Store, check_targets, explain, make_plan
 from . import show
+from .ablation import ablation
 from .batch.command import batch, status
 from .bench.cli import app as bench
 from .export import app as export
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, StoreAlso, Workspace
 from .render import render
+from .report import report
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
-from .store import app as store_commands
+from .store import diff, list_, pin, show_result, unpin
 from .upkeep import gc
 from .view.beside import viewer_beside
 from .view.command import view
 from .writable import writing_to
 
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Captures of moving scenes become 4D models that render any view at any time.",
 )
 app.add_typer(bench, name="bench")
 app.add_typer(export, name="export")
-app.add_typer(store_commands, name="store")
 app.command()(batch)
 app.command()(status)
 app.command()(view)
 app.command()(render)
+app.command()(report)
+app.command()(ablation)
+app.command("list")(list_)
+app.command("show")(show_result)
+app.command()(diff)
 app.command()(gc)
+app.command()(pin)
+app.command()(unpin)
 console = Console()
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from .. import __version__
+
+        print(f"e4dgs {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options_of_all(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")] = False,
+) -> None:
+    pass
 
 
 @app.command()
@@ -93,7 +115,7 @@ def plan(
     as_json: Annotated[bool, typer.Option("--json", help="The plan as JSON.")] = False,
     debug: Debug = False,
 ) -> None:
-    """Show what a run would do, stage by stage, and why. Nothing runs and nothing is written."""
+    """Show what a run would do, stage by stage, and why. Nothing runs, and no result is written."""
     from .publish import plan_json
 
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format, store_also or ()))

@@ -43,7 +43,8 @@ class Session:
 
 
 def open_session(options: Options) -> Session:
-    """Recognises the capture; writes nothing, but for what an archive is unpacked to. Raises SettingsError or CaptureError."""
+    """Recognises the capture; writes nothing, but for what an archive is unpacked to, and what was heard of long videos. Raises
+    SettingsError or CaptureError."""
     from ..stages.frames import FramesSettings, recognise_for
 
     graph = reconstruction()
@@ -51,10 +52,11 @@ def open_session(options: Options) -> Session:
     device = resolve_device(options.device)
     frames = settings["frames"]
     assert isinstance(frames, FramesSettings)
-    capture = recognise_for(unpacked(options.capture.expanduser(), options.workspace.resolve()), frames)
+    workspace = options.workspace.resolve()
+    capture = recognise_for(unpacked(options.capture.expanduser(), workspace), frames, workspace / "heard")
     path = Path(os.path.abspath(options.capture.expanduser())).resolve()
-    scene = find_scene(options.workspace.resolve(), path, capture.name, options.name)
-    store = Store(options.workspace.resolve() / "store")
+    scene = find_scene(workspace, path, capture.name, options.name)
+    store = Store(workspace / "store")
     also = [Store(path) for path in other_stores(options.store_also) if path != store.root]
     job = Job(graph, capture, settings, store, scene.records, device, also)
     return Session(options, job, scene)

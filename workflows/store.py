@@ -1,4 +1,4 @@
-"""`e4dgs store ...`: what lies in a workspace's store, how each result was made, and in what two of them differ."""
+"""`e4dgs list`, `show`, `diff`, `pin`, `unpin`: what lies in a workspace's store, how it was made, and in what two results differ."""
 
 from __future__ import annotations
 
@@ -22,19 +22,16 @@ from .writable import writing_to
 SHORT = 12  # digits of a key or digest that are shown in tables
 WIDTH = 180  # of tables in a file or a pipe
 
-app = typer.Typer(no_args_is_help=True, help="What lies in the store, and how it was made.")
-
 Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
 
 
-@app.command("list")
 def list_(
     stage: Annotated[str | None, typer.Argument(metavar="[STAGE]", help="Only results of this stage.")] = None,
     workspace: Workspace = DEFAULT_WORKSPACE,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Every result: stage, key, size, when it was made, time and memory it took, the scenes whose last run used it, and its pins."""
+    """List every result in the store: stage, key, size, date, time and memory it took, the scenes whose last run used it, and pins."""
     found = [stored for stored in every(workspace.resolve()) if stage in (None, stored.stage)]
     if as_json:
         print(json.dumps([_facts(stored) for stored in found], indent=2, ensure_ascii=False))
@@ -54,14 +51,13 @@ def list_(
     _say(f"{len(found)} results, {megabytes(sum(stored.size for stored in found))}")
 
 
-@app.command()
-def show(
+def show_result(
     words: Annotated[list[str], typer.Argument(metavar="KEY|SCENE STAGE", help="A key, its first digits, or a scene and a stage.")],
     workspace: Workspace = DEFAULT_WORKSPACE,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """How a result was made: stage, settings, inputs, versions; time, memory and size; its arrays, and what the stage said."""
+    """Show how a result was made: stage, settings, inputs, versions; time, memory and size; its arrays, and what the stage said."""
     stored = find(workspace.resolve(), *words)
     if as_json:
         print(json.dumps(_facts(stored) | {"provenance": stored.manifest["provenance"]}, indent=2, ensure_ascii=False))
@@ -82,6 +78,8 @@ def show(
         rows.append(("damaged", str(error)))
     if "capture" in parts:
         rows.append(("capture", f"content {str(parts['capture'])[:SHORT]}"))
+    if stored.made("earlier"):
+        rows.append(("earlier", f"some of it is taken over from {stored.stage}/{stored.made('earlier')[:SHORT]}"))
     sources = _sources(workspace.resolve(), parts.get("inputs", {}))
     rows += [(f"input {name}", source) for name, source in sources.items()]
     rows += [(f"{stored.stage}.{name}", json.dumps(value, ensure_ascii=False)) for name, value in parts.get("settings", {}).items()]
@@ -92,7 +90,6 @@ def show(
         _say(f"  said: {line}")
 
 
-@app.command()
 def diff(
     a: Annotated[str, typer.Argument(metavar="A", help="KEY, STAGE/KEY or SCENE/STAGE.")],
     b: Annotated[str, typer.Argument(metavar="B")],
@@ -110,7 +107,6 @@ def diff(
     _say("the content is the same" if same else "the content differs")
 
 
-@app.command()
 def pin(
     scene: Annotated[str, typer.Argument(metavar="SCENE")],
     workspace: Workspace = DEFAULT_WORKSPACE,
@@ -126,7 +122,6 @@ def pin(
     _say(f"{scene}: {len(pinned)} results are pinned")
 
 
-@app.command()
 def unpin(
     scene: Annotated[str, typer.Argument(metavar="SCENE")],
     workspace: Workspace = DEFAULT_WORKSPACE,
@@ -148,7 +143,7 @@ def _causes(workspace: Path, one: Stored, two: Stored) -> list[str]:
     for k, line in enumerate(lines):
         name = line.removeprefix("input ").removesuffix(" has another content")
         if f"input {name} has another content" == line and "/" in old[name] and "/" in new[name]:
-            lines[k] = f"{line}: e4dgs store diff {old[name]} {new[name]}"
+            lines[k] = f"{line}: e4dgs diff {old[name]} {new[name]}"
     for field in ("device", "code_version"):
         if field not in before and one.made(field) != two.made(field):
             lines.append(f"{field.replace('_', ' ')}: {one.made(field)} -> {two.made(field)}")

@@ -1,4 +1,4 @@
-"""A workspace that can only be read: fine for looking, and one clear message for whatever must write."""
+"""A workspace that can only be read, or is full: fine for looking, and one clear message for whatever must write."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..pipeline import StageError
+from ..pipeline.room import said_when_full
 
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
 @contextmanager
 def writing_to(workspace: Path) -> Iterator[None]:
-    """Raises StageError where the block fails because the workspace, or something in it, cannot be written."""
+    """Raises StageError where the block fails because the workspace, or something in it, cannot be written or has no room."""
     try:
-        yield
+        with said_when_full(workspace):
+            yield
     except OSError as error:
         place = Path(str(error.filename or workspace))
         if error.errno not in _FORBIDDEN or not place.is_relative_to(workspace):

@@ -58,14 +58,6 @@ class Curriculum:
             eligible &= self.distance > window - self.front
         return int(rng.choice(self.train[eligible]))
 
-    def near(self, step: int, time: float, noise: float) -> float:
-        """``time`` of step ``step``, off by a normal deviate of ``noise`` gaps between two times, in [0, 1] (annealed smooth training of
-        deformable Gaussians, Yang et al. 2024)."""
-        if noise <= 0 or len(self.times) < 2:
-            return time
-        gap = float(np.median(np.diff(self.times)))
-        return float(np.clip(time + noise * gap * np.random.default_rng((self.seed, 3, step)).normal(), 0.0, 1.0))
-
     def probe(self, step: int, count: int) -> list[int]:
         """Up to ``count`` different frames among those that training has reached."""
         eligible = self.train[self.distance <= self.window(step)]

@@ -14,8 +14,8 @@ class Recipe:
     what moves, below which nothing leaves. spread_at: when the motion is spread anew over what is there. bodies_at: when parts that
     turn are searched. opacity, still, spread: default weights of the terms of `TrainingSettings`. grow_until: default of its
     `densify_until`. steady: growth adds an equal number in every round, not as many as the images bear. rounds: of density control at
-    most, if they went on to the last step. time_noise: of the time of each view, in gaps between times, at first; it falls to zero by
-    `time_noise_until`. prune_at: when what the training views hardly blend is removed; the steps after it make up for it.
+    most, if they went on to the last step. prune_at: when what the training views hardly blend is removed; the steps after it make up
+    for it.
     """
 
     freeze_at: float = 0.45
@@ -32,8 +32,6 @@ class Recipe:
     opens: bool = True
     hidden_at: tuple[float, ...] = ()
     largest_convex: float = math.inf
-    time_noise: float = 0.0
-    time_noise_until: float = 0.5
     prune_at: float = 1.0
 
 
@@ -50,7 +48,6 @@ NODES = Recipe(
     spread=0.3,
     steady=True,
     largest_convex=0.03,
-    time_noise=0.75,
     prune_at=0.85,
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )

@@ -109,6 +109,7 @@ class Trainer:
         self._searched = 0  # times that parts that turn were looked for
         self._joined: int | None = None  # step at which the last body joined
         self._settles = False  # bodies alone learn
+        self._changed = 0  # step at which primitives or the motion last came or went
         self._ema = 0.0  # smoothed image loss, of all steps but those in `_losses`
         self._losses: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
 
@@ -162,7 +163,7 @@ class Trainer:
     def _step(self, phase: Phase, step: int) -> None:
         views, model, s = self.views, self.model, self.settings
         i = self.curriculum.frame(self.iteration)
-        t = self.curriculum.near(self.iteration, float(views.time[i]), self._time_noise()) if phase.move else float(views.time[i])
+        t = float(views.time[i])
         window = None if self.iteration % WHOLE_EVERY == 0 else views.window(i, phase.scale)
         camera = views.rasterizer_camera(i, phase.scale, window)
         highest = model.sh_degree if s.sh_degree is None else s.sh_degree
@@ -215,12 +216,6 @@ class Trainer:
         self._losses[self.iteration] = image_loss
         if self.iteration % 20 == 0:
             self.log.loss.append([self.iteration, self._smoothed_loss()])
-
-    def _time_noise(self) -> float:
-        """In gaps between times. A motion that must serve neighbouring times as well cannot fit each one by itself."""
-        if not self.grow or not self.recipe.time_noise:
-            return 0.0
-        return self.recipe.time_noise * max(0.0, 1 - self.iteration / max(self.recipe.time_noise_until * self.total, 1))
 
     def _smoothed_loss(self) -> float:
         """Of the images, over the steps so far."""
@@ -292,6 +287,7 @@ class Trainer:
 
     def _renew(self, motion: Any) -> None:
         """Go on with another motion, some of whose parameters are those of the one before."""
+        self._changed = self.iteration
         self.model.field = motion
         self.model.relink()
         known = self.optimiser.parameters()
@@ -348,11 +344,12 @@ class Trainer:
         before = len(self.model.gaussians), len(self.model.convexes)
         self._prune((measured.weight_gaussians, measured.weight_convexes))
         self._event(
-            f"removed, hardly blended by any training view: {before[0] - len(self.model.gaussians)} Gaussians, "
+            f"step {self.iteration}: removed, hardly blended by any training view: {before[0] - len(self.model.gaussians)} Gaussians, "
             f"{before[1] - len(self.model.convexes)} convexes"
         )
 
     def _replace(self, new: Any, source: Tensor) -> None:
+        self._changed = self.iteration
         if isinstance(new, GaussianSet):
             self.model.gaussians = new
         else:
@@ -362,13 +359,14 @@ class Trainer:
             self.optimiser.replace(f"{new.KIND}.{name}", parameter, source)
 
     def _converged(self) -> bool:
-        """The smoothed loss of the last `patience` steps is no better than that of the `patience` steps before."""
+        """The smoothed loss of the last `patience` steps is no better than that of the `patience` steps before, and nothing came or went
+        meanwhile: each removal costs some loss, which the steps after it make up for."""
         rows = self.settings.patience // 20
         progress = self.iteration / max(self.total, 1)
         if self.iteration % 100 or progress < max(0.5, self.grow_until) or len(self.log.loss) < 2 * rows:
             return False
         first = self.iteration - 2 * self.settings.patience
-        if not self.curriculum.complete(first) or first < alike_since(self.phases, self.iteration):
+        if not self.curriculum.complete(first) or first < max(self._changed, alike_since(self.phases, self.iteration)):
             return False
         values = [value for _, value in self.log.loss]
         before, now = float(np.mean(values[-2 * rows : -rows])), float(np.mean(values[-rows:]))
@@ -397,6 +395,7 @@ class Trainer:
             "ema": self._smoothed_loss(),
             "froze": self._froze_still,
             "motion": [self._spread, self._searched, self._joined],
+            "changed": self._changed,
             "model": self.model.config,
             "nonfinite": self.guard.count,
             "log": vars(self.log),
@@ -413,6 +412,7 @@ class Trainer:
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
         self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]
         self._spread, self._searched, self._joined = state["motion"]
+        self._changed = state["changed"]
         self.guard.count = state["nonfinite"]
         self.log = TrainingLog(**state["log"])
         self._event(f"continued from the checkpoint at step {self.iteration} of {self.total}")

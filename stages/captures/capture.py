@@ -22,7 +22,8 @@ LEAST_SPAN = 0.5  # of [0, 1]; a few frames cut from a longer video say 0 to 0.0
 
 @dataclass(frozen=True)
 class Options:
-    """How a capture is to be read; the same fields as the settings of the `frames` stage."""
+    """How a capture is to be read; the same fields as the settings of the `frames` stage, and `heard`, a folder in which what was heard of
+    long videos is kept."""
 
     format: str | None = None
     static: bool = False
@@ -33,6 +34,7 @@ class Options:
     every: int | None = None
     fps: float | None = None
     sync: str = "auto"
+    heard: Path | None = None
 
 
 @dataclass
@@ -180,7 +182,10 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         for mask in filter(None, (shot.mask, shot.keep)):
             if (size := checks.image_header(root, mask)[:2]) != shot.size:
                 raise CaptureError(f"{mask}: the mask is {size[0]}x{size[1]}, its image {shot.size[0]}x{shot.size[1]}; make them one size")
+    checks.refuse_odd_names(s.name for s in shots)
     files = {*reading.sources, *(images or ()), *(m for m in (*(masks or ()), *(keeps or ())) if m), *(v.file for v in reading.videos)}
+    checks.refuse_odd_names(sorted(files))
+    checks.refuse_huge_files(root, sorted(files - {v.file for v in reading.videos}))
     return Capture(
         root=root,
         name=name,

@@ -5,6 +5,7 @@ Each function raises `CaptureError` with a message that names the file, the fram
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import os
@@ -17,10 +18,14 @@ from typing import Any
 import numpy as np
 
 from ...pipeline import CaptureError
+from ...pipeline.errors import is_odd
+from ..image_files import BadImageError, open_image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".mpg", ".mpeg", ".ts", ".gif")
-_JSON_LIMIT = 512 * 2**20
+_JSON_LIMIT = 64 * 2**20  # 1 kB a frame is usual; millions of empty lists take seconds and gigabytes
+_MOST_BYTES = 64 * 2**30  # COLMAP's file of ten thousand photos with all of their features has half of it
+_FARTHEST = 1e12  # world units from the origin
 _RIGID_TOLERANCE = 1e-3
 
 
@@ -28,6 +33,25 @@ def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
     """Sort key under which `2.png` stands before `10.png`."""
     parts = re.findall(r"\d+|\D+", name)
     return tuple((0, int(p), "") if p.isdecimal() and p.isascii() and len(p) < 4000 else (1, 0, p) for p in parts)
+
+
+def refuse_odd_names(names: Iterable[str]) -> None:
+    """Refuses names that are no plain text: line breaks, control characters, bytes that are not UTF-8. They could neither be shown on one
+    line nor be written into a result."""
+    for name in names:
+        if any(map(is_odd, name)):
+            raise CaptureError(f"{name!r}: a name with control characters or bytes that are not UTF-8; rename the file")
+
+
+def refuse_huge_files(root: Path, names: Iterable[str]) -> None:
+    """Refuses what no camera, model or cloud file is: every command reads all of a capture, to know whether it has changed."""
+    for name in names:
+        try:
+            size = (root / name).stat().st_size
+        except OSError as error:
+            raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
+        if size > _MOST_BYTES:
+            raise CaptureError(f"{name}: {size / 1e9:.0f} GB, which no capture has; copy the file again or remove it")
 
 
 def list_folder(folder: Path) -> list[str]:
@@ -40,13 +64,14 @@ def list_folder(folder: Path) -> list[str]:
 
 
 def read_json(root: Path, name: str) -> dict[str, Any]:
-    """The JSON object in `root/name`; refuses other top-level types, broken text and files over 512 MiB."""
+    """The JSON object in `root/name`; refuses other top-level types, broken text, names that stand twice in an object, and files over
+    64 MiB."""
     path = root / name
     resolve_inside(root, name, name)
     try:
         if path.stat().st_size > _JSON_LIMIT:
-            raise CaptureError(f"{name}: larger than 512 MiB, which is no camera file; check the capture")
-        data = json.loads(path.read_bytes().decode("utf-8-sig"))
+            raise CaptureError(f"{name}: larger than 64 MiB, which is no camera file; check the capture")
+        data = _parsed(path.read_bytes().decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise CaptureError(f"{name}: not UTF-8 (byte {error.start}); save the file as UTF-8") from error
     except (ValueError, RecursionError) as error:
@@ -56,6 +81,25 @@ def read_json(root: Path, name: str) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise CaptureError(f"{name}: expected a JSON object at the top, found {_kind(data)}; see the format's documentation")
     return data
+
+
+def _parsed(text: str) -> Any:
+    """The JSON in `text`. Raises ValueError, also for a name that stands twice in an object: the last would win without a word."""
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            names = [key for key, _ in pairs]
+            raise ValueError(f"the name {next(key for key in names if names.count(key) > 1)[:100]!r} stands twice in one object")
+        return found
+
+    collecting = gc.isenabled()
+    gc.disable()  # else it looks through all that was parsed again and again: 20 times as long for millions of small lists
+    try:
+        return json.loads(text, object_pairs_hook=unique)
+    finally:
+        if collecting:
+            gc.enable()
 
 
 def number(value: Any, where: str, low: float = -1e12, high: float = 1e12) -> float:
@@ -109,10 +153,12 @@ def rigid(pose: np.ndarray, where: str) -> np.ndarray:
     result[:3, :4] = pose[:3, :4]
     if not np.isfinite(result).all():
         raise CaptureError(f"{where}: holds NaN or Inf; remove the frame or estimate its pose again")
+    if np.abs(result[:3, 3]).max() > _FARTHEST:
+        raise CaptureError(f"{where}: the camera stands more than {_FARTHEST:g} world units away; correct the file")
     if pose.shape[0] == 4 and np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
         raise CaptureError(f"{where}: the last row is {pose[3].tolist()}, not [0, 0, 0, 1]; this is no camera pose (transposed, perhaps)")
     rotation = result[:3, :3]
-    error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    error = np.abs(rotation.T @ rotation - np.eye(3)).max() if np.abs(rotation).max() < 1e3 else np.inf
     if error > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         reason = "mirrors" if error <= _RIGID_TOLERANCE else f"is {error:.2g} away from a rotation"
         raise CaptureError(f"{where}: the 3x3 part {reason}, so the pose is not rigid; remove scale, shear and mirroring from the export")
@@ -186,16 +232,14 @@ PIXELS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I;16", "I;
 
 def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int, bool]:
     """(width, height, has alpha) from the header of one image; nothing is decoded. upright: after the turn that its EXIF data ask for."""
-    from PIL import Image
-
     try:
-        with Image.open(root / name) as image:
+        with open_image(root / name) as image:
             width, height = image.size
             if upright and image.getexif().get(ORIENTATION) in LYING:
                 width, height = height, width
             mode = image.mode
             alpha = "A" in image.getbands() or "transparency" in image.info
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except BadImageError as error:
         raise CaptureError(f"{name}: not a readable image ({error}); copy it again or remove it from the capture") from error
     if mode not in PIXELS:
         raise CaptureError(f"{name}: pixels of kind {mode!r} are not supported; convert the images to RGB or RGBA of 8 or 16 bits")
@@ -204,14 +248,12 @@ def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int
 
 def turned(root: Path, names: Iterable[str]) -> bool:
     """Whether the EXIF data of any image ask for a turn, as those of a phone that was held upright do."""
-    from PIL import Image
-
     for name in names:
         try:
-            with Image.open(root / name) as image:
+            with open_image(root / name) as image:
                 if image.getexif().get(ORIENTATION, 1) in range(2, 9):
                     return True
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        except BadImageError:
             continue  # `image_header` says what is wrong with it
     return False
 

@@ -5,6 +5,8 @@ Pixel centres lie at +0.5 in COLMAP's intrinsics, as in ours; poses are `cam_fro
 
 from __future__ import annotations
 
+import itertools
+import mmap
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +16,7 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from . import checks
+from .arrays import MOST_POINTS
 from .capture import Options, Reading, Shot
 from .keep_masks import add_masks
 from .lens import LARGEST_TERM, Lens, distortion_of
@@ -28,6 +31,11 @@ _MODELS = (
 _BROWN = {"SIMPLE_PINHOLE": (True, 0), "PINHOLE": (False, 0), "SIMPLE_RADIAL": (True, 1), "RADIAL": (True, 2), "OPENCV": (False, 4)}
 _FISHEYE = {"SIMPLE_FISHEYE": (True, 0), "FISHEYE": (False, 0), "SIMPLE_RADIAL_FISHEYE": (True, 1), "RADIAL_FISHEYE": (True, 2)}
 _LAYOUT = {**_BROWN, "FULL_OPENCV": (False, 8), **_FISHEYE, "OPENCV_FISHEYE": (False, 4)}
+
+
+_MOST_IMAGES = 1_000_000
+_LONGEST_LINE = 2**26  # characters; that of an image's features has some ten thousand of them
+_LONGEST_NAME = 4096
 
 
 @dataclass(frozen=True)
@@ -55,14 +63,15 @@ def read(root: Path, options: Options) -> Reading:
     try:
         cameras = dict(parse[0](root / files["cameras"]))
         images = sorted(parse[1](root / files["images"]), key=lambda image: checks.natural_key(image.name))
-        table = np.array(list(parse[2](root / files["points3D"])) if has_points else [], dtype=np.float64).reshape(-1, 6)
+        table = _table(parse[2](root / files["points3D"])) if has_points else np.zeros((0, 6))
     except (OSError, ValueError, IndexError, struct.error, OverflowError) as error:
         raise CaptureError(f"{folder}: the COLMAP model cannot be read, perhaps cut short ({error}); export it again") from error
     if not images:
         raise CaptureError(f"{files['images']}: no registered image; run structure from motion again")
-    if not np.isfinite(table).all():
-        row = int(np.flatnonzero(~np.isfinite(table).all(1))[0])
-        raise CaptureError(f"{files['points3D']}: point {row}: holds NaN or Inf; remove it")
+    good = (np.abs(table) < 1e12).all(1)
+    if not good.all():
+        row = int(good.argmin())
+        raise CaptureError(f"{files['points3D']}: point {row}: {table[row, :3].tolist()} is no place; remove it")
     paths = [checks.find_image(root, f"images/{image.name}", f"{files['images']}: image {image.name!r}: name") for image in images]
     sizes, alpha = checks.image_headers(root, paths)
     shots = []
@@ -85,6 +94,14 @@ def read(root: Path, options: Options) -> Reading:
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
         notes=(*masked, *([f"{present - len(shots)} images without a pose in {folder} are left out"] if present > len(shots) else [])),
     )
+
+
+def _table(points: Iterator[list[float]]) -> np.ndarray:
+    """[P, 6] float64. Raises ValueError for more than `MOST_POINTS`."""
+    values = np.fromiter((row for row in itertools.islice(points, MOST_POINTS + 1)), dtype=np.dtype((np.float64, 6)))
+    if len(values) > MOST_POINTS:
+        raise ValueError(f"more than {MOST_POINTS} points")
+    return values
 
 
 def _model(root: Path) -> tuple[str, str] | None:
@@ -136,8 +153,13 @@ def _pose(values: np.ndarray, where: str) -> np.ndarray:
     return checks.rigid(matrix, where)
 
 
-def _lines(path: Path) -> list[str]:
-    return [line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
+def _lines(path: Path) -> Iterator[str]:
+    with path.open(encoding="utf-8") as file:
+        while line := file.readline(_LONGEST_LINE):
+            if len(line) == _LONGEST_LINE:
+                raise ValueError(f"{path.name}: a line of more than {_LONGEST_LINE} characters")
+            if not line.startswith("#"):
+                yield line
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, list[float]]]]:
@@ -148,10 +170,13 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, li
 
 
 def _text_images(path: Path) -> Iterator[_Image]:
-    lines = _lines(path)
-    while lines and not lines[-1].strip():
-        lines.pop()
-    for line in lines[::2]:  # every second line lists the image's keypoints and may be empty
+    empty = False
+    for line in itertools.islice(_lines(path), 0, None, 2):  # every second line lists the image's keypoints and may be empty
+        if not line.strip():  # at the end of the file
+            empty = True
+            continue
+        if empty:
+            raise ValueError(f"{path.name}: an empty line where an image should be")
         parts = line.split(maxsplit=9)
         yield _Image(parts[9].strip(), int(parts[8]), np.array(parts[1:8], dtype=np.float64))
 
@@ -159,15 +184,26 @@ def _text_images(path: Path) -> Iterator[_Image]:
 def _text_points(path: Path) -> Iterator[list[float]]:
     for line in _lines(path):
         if line.strip():
-            yield [float(v) for v in line.split()[1:7]]
+            yield [float(v) for v in line.split(maxsplit=7)[1:7]]
 
 
 class _Bytes:
-    """Reads little-endian records; running past the end raises `struct.error`."""
+    """Reads little-endian records; running past the end raises `struct.error`. The file is mapped: that of the images also holds every
+    feature, and may be larger than the memory."""
 
     def __init__(self, path: Path) -> None:
-        self.data = path.read_bytes()
+        with path.open("rb") as file:
+            self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # ValueError for an empty file
         self.at = 0
+
+    def count(self, what: str, most: int, least: int) -> int:
+        """How many records follow, each of at least ``least`` bytes."""
+        count = int(self.take("Q")[0])
+        if count > most:
+            raise ValueError(f"{count} {what}, which are more than a capture has")
+        if count * least > len(self.data) - self.at:
+            raise ValueError(f"{count} {what} in {len(self.data)} bytes")
+        return count
 
     def take(self, layout: str) -> tuple:
         values = struct.unpack_from("<" + layout, self.data, self.at)
@@ -180,7 +216,9 @@ class _Bytes:
             raise struct.error(f"ends after {len(self.data)} bytes")
 
     def name(self) -> str:
-        end = self.data.index(b"\0", self.at)
+        end = self.data.find(b"\0", self.at, self.at + _LONGEST_NAME)
+        if end < 0:
+            raise ValueError(f"a name without an end at byte {self.at}")
         text = self.data[self.at : end].decode("utf-8")
         self.at = end + 1
         return text
@@ -188,7 +226,7 @@ class _Bytes:
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, list[float]]]]:
     source = _Bytes(path)
-    for _ in range(source.take("Q")[0]):
+    for _ in range(source.count("cameras", _MOST_IMAGES, 48)):
         number, kind, width, height = source.take("iiQQ")
         model = _MODELS[kind] if 0 <= kind < len(_MODELS) else f"number {kind}"
         if model not in _LAYOUT:  # nor is it known how long its record is
@@ -199,7 +237,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, 
 
 def _binary_images(path: Path) -> Iterator[_Image]:
     source = _Bytes(path)
-    for _ in range(source.take("Q")[0]):
+    for _ in range(source.count("images", _MOST_IMAGES, 73)):
         _, *pose, camera = source.take("i7di")
         name = source.name()
         source.skip(24 * source.take("Q")[0])
@@ -208,7 +246,7 @@ def _binary_images(path: Path) -> Iterator[_Image]:
 
 def _binary_points(path: Path) -> Iterator[list[float]]:
     source = _Bytes(path)
-    for _ in range(source.take("Q")[0]):
+    for _ in range(source.count("points", MOST_POINTS, 51)):
         _, *values = source.take("Q3d3Bd")
         source.skip(8 * source.take("Q")[0])
         yield [float(v) for v in values[:6]]

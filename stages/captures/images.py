@@ -12,6 +12,7 @@ from .capture import Options, Reading, Shot
 from .keep_masks import add_masks
 
 _HINT = "K.txt"
+_HINT_LIMIT = 4096  # characters; nine numbers need a tenth of that
 
 
 def detect(root: Path) -> str | None:
@@ -75,7 +76,8 @@ def _hint(root: Path, name: str, width: int, height: int) -> np.ndarray | None:
         return None
     checks.resolve_inside(root, name, name)
     try:
-        values = [float(v) for v in path.read_text("utf-8").split()]
+        with path.open(encoding="utf-8") as file:
+            values = [float(v) for v in file.read(_HINT_LIMIT).split()]
     except (OSError, ValueError) as error:
         raise CaptureError(f"{name}: expected nine numbers, a 3x3 camera matrix ({error}); correct or remove the file") from error
     if len(values) != 9:

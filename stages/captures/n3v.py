@@ -13,9 +13,11 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from . import checks, video
+from .arrays import load_array
 from .capture import TEST, TRAIN, Options, Reading, Shot, Video
 
 _POSES = "poses_bounds.npy"
+_MOST_CAMERAS = 100_000
 _NAME = re.compile(r"cam\d+")
 
 
@@ -96,26 +98,18 @@ def _same_counts(counts: dict[str, int]) -> None:
 
 def _poses(root: Path, cameras: list[str]) -> np.ndarray:
     """[N,17] float64, one row a camera."""
-    checks.resolve_inside(root, _POSES, _POSES)
-    try:
-        table = np.load(root / _POSES, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise CaptureError(f"{_POSES}: not a readable numpy array ({error}); copy it again") from error
-    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 17 or table.dtype.kind not in "fiu":
-        raise CaptureError(
-            f"{_POSES}: expected numbers [N,17], found {getattr(table, 'shape', type(table).__name__)}; this is no LLFF file"
-        )
+    table = load_array(root, _POSES, (17,), most=_MOST_CAMERAS)
     if len(table) != len(cameras):
         raise CaptureError(
             f"{_POSES}: {len(table)} rows for {len(cameras)} cameras ({cameras[0]} .. {cameras[-1]}); add or remove cameras to match"
         )
-    return table.astype(np.float64)
+    return table
 
 
 def _camera(row: np.ndarray, where: str, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """(K, cam_from_world) of one row; the focal length is scaled from the file's h, w to the pictures'."""
-    if not np.isfinite(row).all():
-        raise CaptureError(f"{where}: holds NaN or Inf; estimate the poses again")
+    if not (np.abs(row) < 1e12).all():
+        raise CaptureError(f"{where}: holds NaN, Inf or numbers that nothing measures; estimate the poses again")
     width, height = size
     matrix = row[:15].reshape(3, 5)
     down, right, back = matrix[:, 0], matrix[:, 1], matrix[:, 2]
@@ -150,6 +144,7 @@ def _frames_of(root: Path, camera: str) -> list[str]:
         if not (root / folder).is_dir():
             continue
         names = [n for n in checks.list_folder(root / folder) if n.lower().endswith(checks.IMAGE_SUFFIXES)]
+        names = [n for n in names if (root / folder / n).is_file()]
         if names:
             for name in names:
                 checks.resolve_inside(root, f"{folder}/{name}", f"{folder}/{name}")

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from . import checks
+from .arrays import load_array
 from .capture import TRAIN, VAL, Options, Reading, Shot
 from .lens import LARGEST_TERM, Lens, distortion_of
 
@@ -172,16 +173,7 @@ def _cloud(root: Path, center: np.ndarray, scale: float) -> np.ndarray | None:
     """[P,3] of points.npy, world units; None without the file or without points."""
     if not (root / _POINTS).is_file():
         return None
-    checks.resolve_inside(root, _POINTS, _POINTS)
-    try:
-        data = np.load(root / _POINTS, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError) as error:
-        raise CaptureError(f"{_POINTS}: not a readable numpy array ({error}); copy it again or remove it") from error
-    if not isinstance(data, np.ndarray) or data.ndim != 2 or data.shape[1] != 3 or data.dtype.kind not in "fiu":
-        raise CaptureError(
-            f"{_POINTS}: expected numbers [P,3], found {getattr(data, 'shape', type(data).__name__)}; correct the file or remove it"
-        )
-    points = data.astype(np.float64)
+    points = load_array(root, _POINTS, (3,))
     bad = np.flatnonzero(~(np.abs(points) <= _FAR).all(1))
     if len(bad):
         raise CaptureError(f"{_POINTS}: point {bad[0]}: {points[bad[0]].tolist()} is no place; remove it, or the file")

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from . import checks
+from .arrays import load_array
 from .capture import TEST, TRAIN, Options, Reading, Shot
 
 _FILES = ((TRAIN, "train_meta.json"), (TEST, "test_meta.json"))
@@ -109,12 +110,10 @@ def _points(root: Path) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Points of `init_pt_cld.npz`: `data` [P, 6 or 7] = xyz, rgb in [0,1], foreground."""
     if not (root / _POINTS).is_file():
         return None, None
-    checks.resolve_inside(root, _POINTS, _POINTS)
-    try:
-        with np.load(root / _POINTS, allow_pickle=False) as archive:
-            data = np.asarray(archive["data"], dtype=np.float64)
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise CaptureError(f"{_POINTS}: no readable array 'data' ({error}); copy it again or remove it") from error
-    if data.ndim != 2 or data.shape[1] < 6 or not len(data) or not np.isfinite(data[:, :6]).all():
-        raise CaptureError(f"{_POINTS}: data: expected finite [P, 6 or 7], found {data.shape}; correct the file or remove it")
+    data = load_array(root, _POINTS, (6, 7), "data")
+    bad = np.flatnonzero(~(np.abs(data[:, :6]) < 1e12).all(1))
+    if len(bad):
+        raise CaptureError(f"{_POINTS}: data: point {bad[0]}: {data[bad[0], :6].tolist()} is no place and colour; remove it, or the file")
+    if not len(data):
+        return None, None
     return data[:, :3].copy(), np.clip(np.rint(data[:, 3:6] * 255), 0, 255).astype(np.uint8)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from ...pipeline import CaptureError
 from . import checks
+from .arrays import MOST_POINTS
 
 _TYPES = {
     "char": "i1",
@@ -29,7 +31,7 @@ _TYPES = {
 }
 _ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_LIMIT = 64 * 2**10
-_FILE_LIMIT = 4 * 2**30
+_BLOCK = 2**24  # bytes of an ascii file that are split into words at a time
 _GREY = 128  # of points without a colour
 
 
@@ -40,14 +42,15 @@ def read_points(root: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     """
     path = checks.resolve_inside(root, name, name)
     try:
-        if path.stat().st_size > _FILE_LIMIT:
-            raise CaptureError(f"{name}: larger than 4 GiB, which are too many points to begin with; thin them out")
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            order, count, fields, begin = _header(file.read(_HEADER_LIMIT), name)
+            if count > MOST_POINTS:
+                raise CaptureError(f"{name}: {count} vertices are promised, too many points to begin with; thin them out")
+            file.seek(begin)
+            rest = path.stat().st_size - begin
+            table = _ascii(file, rest, count, fields) if order == "ascii" else _binary(file, rest, count, fields, _ORDER[order])
     except OSError as error:
         raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
-    order, count, fields, begin = _header(data, name)
-    try:
-        table = _ascii(data[begin:], count, fields) if order == "ascii" else _binary(data, begin, count, fields, _ORDER[order])
     except (ValueError, TypeError) as error:
         raise CaptureError(f"{name}: {count} vertices are promised and not there, perhaps cut short ({error}); copy it again") from error
     points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
@@ -94,15 +97,27 @@ def _header(data: bytes, name: str) -> tuple[str, int, list[tuple[str, str]], in
     return order, int(words[elements[0]][2]), fields, newline + 1
 
 
-def _binary(data: bytes, begin: int, count: int, fields: list[tuple[str, str]], order: str) -> dict[str, np.ndarray]:
+def _binary(file: IO[bytes], rest: int, count: int, fields: list[tuple[str, str]], order: str) -> dict[str, np.ndarray]:
+    """What follows in `file`, of which `rest` bytes are left."""
     kind = np.dtype([(field, order + code) for field, code in fields])
-    table = np.frombuffer(data, kind, count, begin)  # ValueError where the file ends before
+    if count * kind.itemsize > rest:
+        raise ValueError(f"{rest} bytes")
+    table = np.frombuffer(file.read(count * kind.itemsize), kind, count)
     return {field: table[field] for field, _ in fields}
 
 
-def _ascii(body: bytes, count: int, fields: list[tuple[str, str]]) -> dict[str, np.ndarray]:
-    if count > len(body):  # a number takes a byte at least
-        raise ValueError(f"{len(body)} bytes")
-    words = body.split(None, count * len(fields))[: count * len(fields)]
-    table = np.array(words, dtype=np.float64).reshape(count, len(fields))
+def _ascii(file: IO[bytes], rest: int, count: int, fields: list[tuple[str, str]]) -> dict[str, np.ndarray]:
+    wanted = count * len(fields)
+    if 2 * wanted - 1 > rest:  # a digit and a space each
+        raise ValueError(f"{rest} bytes")
+    parts, got, tail = [np.zeros(0)], 0, b""
+    while got < wanted:
+        block = file.read(_BLOCK)
+        words = (tail + block).split()
+        tail = words.pop() if block and words and not block[-1:].isspace() else b""
+        if (not block and not words) or len(tail) > _HEADER_LIMIT:
+            raise ValueError(f"{got} numbers")
+        parts.append(np.array(words[: wanted - got], dtype=np.float64))
+        got += len(parts[-1])
+    table = np.concatenate(parts).reshape(count, len(fields))
     return {field: table[:, i] for i, (field, _) in enumerate(fields)}

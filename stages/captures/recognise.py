@@ -35,16 +35,18 @@ def recognise(
     every: int | None = None,
     fps: float | None = None,
     sync: str = "auto",
+    heard: Path | None = None,
 ) -> Capture:
     """Read a capture's names, JSON and image headers; decode no pixels (of a video, the first frame alone).
 
     `format` forces a reader; `static` collapses all times to 0; every `holdout`-th frame is test where files carry no split
     (0 none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px bounds the longer
     side of what later stages see; `max_frames`, `every` thin video, images and synchronised videos; `fps` gives numbered images
-    their seconds; `sync` ("auto" | "sound" | "frames") says what aligns the clocks of several videos. Raises `CaptureError` when the
+    their seconds; `sync` ("auto" | "sound" | "frames") says what aligns the clocks of several videos, and `heard`
+    is a folder in which what was heard of long ones is kept. Raises `CaptureError` when the
     capture is unreadable, inconsistent, or fits two formats.
     """
-    options = Options(format, static, holdout, background, max_size, max_frames, every, fps, sync)
+    options = Options(format, static, holdout, background, max_size, max_frames, every, fps, sync, heard)
     root = _existing(Path(path))
     kind = _choose(root, format)
     if (max_frames or every) and kind not in _STEPPED:
@@ -66,6 +68,7 @@ def _existing(path: Path) -> Path:
         root = path.expanduser().resolve(strict=True)
     except (OSError, RuntimeError, ValueError) as error:
         raise CaptureError(f"{path}: no such file or folder; check the path of the capture") from error
+    checks.refuse_odd_names([str(root)])
     if not root.is_dir() and not root.is_file():
         raise CaptureError(f"{path}: neither a file nor a folder; pass a video or the capture's folder")
     if root.is_file() and root.suffix.lower() in (".json", ".npy", *checks.IMAGE_SUFFIXES):

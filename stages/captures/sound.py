@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .video_files import open_video
+
 RATE = 8000  # samples a second that are listened to
 HOP, WINDOW = 32, 128  # samples: 4 ms from one value of the envelope to the next, each of 16 ms
 LONGEST = 1200.0  # s that are listened to
@@ -70,7 +72,7 @@ def _samples(root: Path, name: str) -> tuple[np.ndarray, float] | None:
     pieces: list[np.ndarray] = []
     start = None
     try:
-        with av.open(str(root / name)) as container:
+        with open_video(root, name) as container:
             if not container.streams.audio:
                 return None
             stream, picture = container.streams.audio[0], container.streams.video[0]

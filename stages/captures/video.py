@@ -1,4 +1,4 @@
-"""A video file: one camera over time. Any container and codec that PyAV reads."""
+"""A video file: one camera over time. Any codec that PyAV reads, in any container of `video_files.py`."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks
 from .capture import Options, Reading, Shot, Video
+from .video_files import MOST_FRAMES, open_video
 
 DEFAULT_MAX_FRAMES = 200
+_LARGE = 10 * 2**30  # bytes
+_LEAST_USED = 0.01  # of a large file
 
 
 @dataclass(frozen=True)
@@ -68,18 +71,22 @@ def probe(root: Path, name: str) -> Header:
     import av
 
     try:
-        with av.open(str(root / name)) as container:
+        with open_video(root, name) as container:
             stream = _stream(container, name)
             promised = stream.frames
             base = float(stream.time_base or 0)
             stamps: list[int | None] = []
+            size, used = (root / name).stat().st_size, 0
             for packet in container.demux(stream):
                 if packet.size and not packet.is_discard:
                     if packet.is_corrupt:
                         raise CaptureError(f"{name}: frame {len(stamps)}: the file is damaged or cut short here; copy it again")
                     stamps.append(packet.pts)
+                    used += packet.size
+                    if len(stamps) > MOST_FRAMES:
+                        raise CaptureError(f"{name}: more than {MOST_FRAMES} frames; cut the video to the part that you mean")
             rate = float(stream.average_rate) if stream.average_rate else None
-        with av.open(str(root / name)) as container:
+        with open_video(root, name) as container:
             frame = next(container.decode(_stream(container, name)), None)
             if frame is None:
                 raise CaptureError(f"{name}: frame 0: nothing can be decoded; copy or record the video again")
@@ -88,6 +95,10 @@ def probe(root: Path, name: str) -> Header:
         raise CaptureError(f"{name}: not a readable video, perhaps cut short ({error}); copy it again or convert it to MP4") from error
     if promised and len(stamps) < promised:
         raise CaptureError(f"{name}: frame {len(stamps)}: the file promises {promised} frames and ends here, cut short; copy it again")
+    if size > _LARGE and used < _LEAST_USED * size:  # every command reads all of it, to know whether it has changed
+        raise CaptureError(
+            f"{name}: {used} bytes of pictures in a file of {size / 1e9:.0f} GB, damaged; copy it again or convert it to MP4"
+        )
     if not stamps:
         raise CaptureError(f"{name}: holds no frames; copy or record the video again")
     known = sorted(p for p in stamps if p is not None)
@@ -111,7 +122,7 @@ def decode(root: Path, video: Video, width: int, height: int, crop: np.ndarray |
     target = next(wanted, None)
     index = 0
     try:
-        with av.open(str(root / video.file)) as container:
+        with open_video(root, video.file) as container:
             stream = _stream(container, video.file)
             stream.thread_type = "AUTO"
             for frame in container.decode(stream):

@@ -14,6 +14,7 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks, sound, video
 from .capture import TEST, TRAIN, Options, Reading, Shot, Video
+from .heard import onsets_of
 
 _POSES = "poses_bounds.npy"  # videos beside it are n3v's, whatever their names
 
@@ -31,7 +32,7 @@ def read(root: Path, options: Options) -> Reading:
     for name in names:
         checks.resolve_inside(root, name, name)
         headers[name] = video.probe(root, name)
-    shifts, how = clocks(root, names, options.sync)
+    shifts, how = clocks(root, names, options.sync, options.heard)
     local = [np.asarray(headers[name].seconds) for name in names]
     times, taken = _shared(names, local, shifts, options)
     late = max(float(np.abs(s[list(t)] + shift - times).max()) for s, t, shift in zip(local, taken, shifts, strict=True))
@@ -57,17 +58,17 @@ def read(root: Path, options: Options) -> Reading:
     )
 
 
-def clocks(root: Path, names: Sequence[str], sync: str) -> tuple[list[float], str]:
+def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | None = None) -> tuple[list[float], str]:
     """Seconds to add to each video's own times to have them on one clock, and how they were found.
 
-    sync: "sound" raises CaptureError where the sound does not tell, "auto" then goes by frames, "frames" does not listen.
+    sync: "sound" raises CaptureError where the sound does not tell, "auto" then goes by frames, "frames" does not listen. heard_before: a
+    folder in which long sounds are kept (`heard.py`).
     """
     zero = [0.0] * len(names)
     if sync == "frames":
         return zero, "aligned by their first frames"
     heard = []
-    for name in names:
-        envelope = sound.onsets(root, name)
+    for name, envelope in zip(names, onsets_of(root, names, heard_before), strict=True):
         if envelope is None:
             if sync == "sound":
                 raise CaptureError(f"{name}: no sound that can be read, so frames.sync=sound cannot align it; use frames.sync=frames")

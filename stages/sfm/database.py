@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pycolmap
 
+from ...pipeline import thread_count
+
 Report = Callable[[str, int, int], None]  # phase, done, total
 
 EXTRACT_CHUNK = 8  # images a call: a killed run loses at most these
@@ -33,7 +35,7 @@ def extract(
     with pycolmap.Database.open(path) as database:
         have = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
     options = pycolmap.FeatureExtractionOptions()
-    options.sift.max_num_features = max_features
+    options.sift.max_num_features, options.num_threads = max_features, thread_count()
     done = len(have)
     report("features", done, len(names))
     for camera in sorted(set(camera_ids)):
@@ -63,7 +65,7 @@ def _register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence
 def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, verify: bool, report: Report) -> None:
     """Match the pairs (indices into `names`). `verify` estimates the two-view geometry of each, which needs no poses."""
     matching = pycolmap.FeatureMatchingOptions()
-    matching.skip_geometric_verification = not verify
+    matching.skip_geometric_verification, matching.num_threads = not verify, thread_count()
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     listing = path.with_suffix(".pairs.txt")

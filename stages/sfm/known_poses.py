@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from ...pipeline import thread_count
 from . import database as db
 from .epipolar import fundamental, guided_matches
 
@@ -66,7 +66,7 @@ def _match(
             F = fundamental(K[a], K[b], poses[a], poses[b])
             return F, guided_matches(*features[a], *features[b], F, error)
 
-        with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+        with ThreadPoolExecutor(thread_count(8)) as pool:
             for done, ((a, b), (F, matches)) in enumerate(zip(pairs, pool.map(match, pairs)), 1):
                 geometry = pycolmap.TwoViewGeometry()
                 geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED

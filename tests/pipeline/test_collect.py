@@ -270,6 +270,21 @@ class CollectMachine(RuleBasedStateMachine):
             self.locks[key].enter_context(self.store.lock("s", key))
 
     @rule(key=KEYS)
+    def a_builder_dies(self, key):
+        """What it has written stays in ``tmp``, and its checkpoint; the system has freed its lock."""
+        (self.store.root / "tmp" / f"s-{key}-dead").mkdir(parents=True, exist_ok=True)
+        self.store.checkpoints("s", key).mkdir(parents=True, exist_ok=True)
+
+    @rule(key=KEYS)
+    def damage_and_set_aside(self, key):
+        """Whoever finds damage moves it to the quarantine, though others have the result open."""
+        if self.store.has("s", key) and key not in self.locks:
+            chunk = self.store.path("s", key) / "x/c/0/0"
+            chunk.write_bytes(chunk.read_bytes()[:-1])
+            assert self.store.quarantine_damaged("s", key) is not None
+            self.there.pop(key, None)
+
+    @rule(key=KEYS)
     def forget_a_scene(self, key):
         self.live.discard(key)
 
@@ -301,6 +316,8 @@ class CollectMachine(RuleBasedStateMachine):
             found = collect(self.store, live, keep, older)
             gone = {item.key for item in found.removed if item.key}
             assert not gone & (kept | self.live)
+            dead = {path.name for path in (self.store.root / "tmp").glob("s-*-dead")}
+            assert dead <= {f"s-{key}-dead" for key in self.locks}, "only beside what is being built"
         else:
             with dying_at(dies), contextlib.suppress(Crash):
                 collect(self.store, live, keep, older)

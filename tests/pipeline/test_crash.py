@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,34 +13,14 @@ from pathlib import Path
 import pytest
 import toy_stages
 from e4dgs.pipeline import Artifact, Runner, StageError, Store, make_plan
+from failing import Crash, FailNth
 
 SCRIPT = [sys.executable, str(Path(toy_stages.__file__))]
 
 
-class Crash(BaseException):
-    """The process ends here: nothing that it would have cleaned up is cleaned up."""
-
-
-class FailNth:
-    """Makes the Nth call of os.fsync, os.rename or os.replace fail, as SQLite's tests do."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, n: int, error: BaseException) -> None:
-        self.left, self.failed, self.error, self._lock = n, False, error, threading.Lock()
-        for name in ("fsync", "rename", "replace"):
-            monkeypatch.setattr(os, name, self._wrap(getattr(os, name)))
-
-    def _wrap(self, original):
-        def call(*args, **kwargs):
-            with self._lock:
-                self.left -= 1
-                dead = self.left < 0 and isinstance(self.error, Crash)  # a dead process does nothing any more
-                fail = self.left == 0 or dead
-            if fail:
-                self.failed = True
-                raise self.error
-            return original(*args, **kwargs)
-
-        return call
+@pytest.fixture
+def bench(quick_folder) -> toy_stages.Bench:
+    return toy_stages.Bench.create(quick_folder)
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), Crash()], ids=["error", "crash"])
@@ -53,12 +32,8 @@ def test_failing_at_any_write_leaves_all_or_nothing(bench, error, forced):
     del whole  # who holds an artifact keeps it from being removed
     for n in range(1, 200):
         assert forced or bench.store.remove("numbers", key)
-        with pytest.MonkeyPatch.context() as patch:
-            failure = FailNth(patch, n, error)
-            if isinstance(error, Crash):
-                patch.setattr(shutil, "rmtree", lambda *args, **kwargs: None)
-            with contextlib.suppress(StageError, OSError, Crash):
-                Runner(bench.job()).run(stages, force=stages if forced else ())
+        with FailNth(n, error, bench.root).patched() as failure, contextlib.suppress(StageError, OSError, Crash):
+            Runner(bench.job()).run(stages, force=stages if forced else ())
         found = bench.store.has("numbers", key)
         if forced and not isinstance(error, Crash):
             assert found, "an error while a result is replaced leaves the old one or the new one"
@@ -84,12 +59,8 @@ def test_failing_while_damage_is_set_aside_leaves_the_damaged_or_a_whole_result(
         data = bytearray(chunk.read_bytes())
         data[5] ^= 1
         chunk.write_bytes(data)
-        with pytest.MonkeyPatch.context() as patch:
-            failure = FailNth(patch, n, error)
-            if isinstance(error, Crash):
-                patch.setattr(shutil, "rmtree", lambda *args, **kwargs: None)
-            with contextlib.suppress(StageError, OSError, Crash):
-                Runner(bench.job(clipped__limit=100 + n)).run(["clipped"])
+        with FailNth(n, error, bench.root).patched() as failure, contextlib.suppress(StageError, OSError, Crash):
+            Runner(bench.job(clipped__limit=100 + n)).run(["clipped"])
         assert Runner(bench.job(clipped__limit=100 + n)).run(["clipped"])[1].artifact.read("values").tolist() == [1, 2, 3]
         assert not any(problem for _, _, problem in bench.store.verify())
         if not failure.failed:
@@ -98,19 +69,15 @@ def test_failing_while_damage_is_set_aside_leaves_the_damaged_or_a_whole_result(
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), Crash()], ids=["error", "crash"])
-def test_failing_while_a_result_is_taken_over_leaves_all_or_nothing(bench, tmp_path, error):
+def test_failing_while_a_result_is_taken_over_leaves_all_or_nothing(bench, error):
     Runner(bench.job()).run(["numbers"])
-    theirs = Store(tmp_path / "theirs")
+    theirs = Store(bench.root / "theirs")
     os.rename(bench.store.root, theirs.root)
     bench.runs()
     for n in range(1, 200):
         shutil.rmtree(bench.store.root, ignore_errors=True)
-        with pytest.MonkeyPatch.context() as patch:
-            failure = FailNth(patch, n, error)
-            if isinstance(error, Crash):
-                patch.setattr(shutil, "rmtree", lambda *args, **kwargs: None)
-            with contextlib.suppress(StageError, OSError, Crash):
-                Runner(replace(bench.job(), also=[theirs])).run(["numbers"])
+        with FailNth(n, error, bench.root).patched() as failure, contextlib.suppress(StageError, OSError, Crash):
+            Runner(replace(bench.job(), also=[theirs])).run(["numbers"])
         assert not any(problem for _, _, problem in bench.store.verify())
         assert Runner(replace(bench.job(), also=[theirs])).run(["numbers"])[0].artifact.read("values").tolist() == [1, 2, 3]
         assert bench.runs() == [] and theirs.problem(*theirs.entries()[0]) == ""

@@ -1,6 +1,7 @@
 """Whatever happens to a file of a result: it is named, set aside and made again, and the run ends well."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -9,7 +10,8 @@ from pathlib import Path
 
 import pytest
 import toy_stages
-from e4dgs.pipeline import Artifact, ArtifactError, Runner
+from e4dgs.pipeline import Artifact, ArtifactError, DamagedError, Runner
+from e4dgs.pipeline.files import sizes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -161,3 +163,17 @@ def test_what_cannot_be_opened_now_is_no_damage(bench):
     done = subprocess.run(words, capture_output=True, text=True)
     assert "(Too many open files)" in done.stdout, done.stderr
     assert set(bench.run().values()) == {"cached"} and not quarantined(bench)
+
+
+def test_a_result_that_another_run_moves_away_while_it_is_opened_counts_as_damaged(bench, monkeypatch):
+    bench.run()
+    (key,) = [key for stage, key in bench.store.entries() if stage == "clipped"]
+    path = bench.store.path("clipped", key)
+
+    def moved_away(root: Path) -> dict[str, int]:
+        os.rename(root, root.with_name("moved"))
+        return sizes(root)
+
+    monkeypatch.setattr("e4dgs.pipeline.artifact.sizes", moved_away)
+    with pytest.raises(DamagedError, match="cannot be read"):
+        Artifact(path)

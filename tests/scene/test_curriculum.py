@@ -56,17 +56,3 @@ def test_one_time_alone_tells_whether_cameras_see_it_from_several_sides(cameras,
     """A wide first window of a single camera holds as many frames, and yet no two of one time."""
     times = np.tile(np.linspace(0, 1, 9), cameras)
     assert Curriculum(np.arange(len(times)), times, 0, 10, 100, start).several is several
-
-
-def test_times_are_off_by_as_many_gaps_as_asked_for():
-    time = np.linspace(0.2, 0.8, 31)
-    curriculum = Curriculum(np.arange(31), time, seed=0, first=0, last=0)
-    off = np.array([curriculum.near(step, 0.5, 2.0) - 0.5 for step in range(2000)])
-    assert off.std() == pytest.approx(2 * 0.02, rel=0.05) and abs(off.mean()) < 0.005
-    assert curriculum.near(7, 0.5, 2.0) == curriculum.near(7, 0.5, 2.0) != curriculum.near(8, 0.5, 2.0)
-    assert curriculum.near(7, 0.5, 0.0) == 0.5
-    assert all(0 <= curriculum.near(step, 1.0, 50.0) <= 1 for step in range(20))
-
-
-def test_one_time_has_no_neighbours():
-    assert Curriculum(np.arange(3), np.zeros(3), seed=0, first=0, last=0).near(1, 0.0, 1.0) == 0.0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.metrics.edge_psnr import edge_psnr
+from e4dgs.scene.metrics.flicker import STEADY, Flicker, steady_pixels
 from e4dgs.scene.metrics.lpips import Lpips, expected_shapes
 from e4dgs.scene.metrics.psnr import CAP, affine_fit, psnr
 from e4dgs.scene.metrics.ssim import ssim, ssim_map
@@ -202,3 +203,46 @@ def test_lpips_needs_images_of_32_pixels():
     with pytest.raises(ValueError, match="at least 32 px"):
         Lpips(random_state("alex"), "alex")(picture(31, 40), picture(31, 40))
     assert Lpips(random_state("alex"), "alex")(picture(32, 32), picture(32, 32, 1)) > 0
+
+
+def flicker_of(renders, truths):
+    flicker = Flicker()
+    flicker.begin(steady_pixels(truths))
+    for render, truth in zip(renders, truths):
+        flicker.add(render, truth)
+    return flicker
+
+
+def test_flicker_is_what_the_render_changes_beyond_the_truth():
+    truths = [picture()] * 4
+    shaking = [truth + 0.01 * (k % 2) for k, truth in enumerate(truths)]
+    found = flicker_of(shaking, truths)
+    assert found.pairs == 3
+    assert found.means()["static"] == pytest.approx(2.55, rel=1e-4) and found.means()["edges"] == pytest.approx(2.55, rel=1e-4)
+    same = flicker_of(shaking, shaking).means()
+    assert same["static"] == 0 and same["edges"] == 0 and same["flow"] == 0
+    offset = flicker_of([truth + 0.1 for truth in truths], truths).means()  # wrong, and steady
+    assert offset["static"] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("deviation", "steady"), [(0.9 * STEADY, True), (1.1 * STEADY, False)])
+def test_flicker_counts_as_static_what_hardly_deviates_over_time(deviation, steady):
+    truths = [np.full((8, 9, 3), 0.5 + sign * deviation) for sign in (-1, 1, -1, 1)]
+    assert steady_pixels(truths).all() == steady_pixels(truths).any() == steady
+    static = flicker_of([np.zeros((8, 9, 3))] * 4, truths).means()["static"]
+    assert (static == 0) if steady else (static is None)
+    with pytest.raises(ValueError, match="no picture"):
+        steady_pixels([])
+
+
+def test_flicker_begins_anew_with_each_camera_and_measures_flow():
+    truth = np.zeros((64, 64, 3))
+    truth[20:40, 20:40] = picture(20, 20)
+    moved = np.roll(truth, 2, axis=1)
+    flicker = Flicker()
+    for _ in range(2):
+        flicker.begin(steady_pixels([truth, moved]))
+        flicker.add(truth, truth)
+        flicker.add(truth, moved)  # the render stands still where the truth moves
+    assert flicker.pairs == 2 and flicker.means()["flow"] > 0.1
+    assert Flicker().means() == {"static": None, "edges": None, "flow": None}

@@ -164,6 +164,19 @@ def test_a_training_that_no_longer_improves_stops(views):
     assert log.stopped.startswith("converged") and log.iterations < 5000
 
 
+@pytest.mark.parametrize(("removed_at", "stops"), [(800, True), (801, False), (999, False)])
+def test_a_removal_is_made_up_for_before_training_may_stop(views, removed_at, stops):
+    """At step 1000, with a patience of 100, the loss of steps 800 to 1000 tells."""
+    settings = SETTINGS.model_copy(update={"patience": 100, "densify_until": 0.0})
+    trainer = Trainer(fresh(views, static=True), views, [Phase("rest", 1200, move=False)], settings, budget=90, recipe=NODES)
+    trainer.log.loss = [[step, 0.1] for step in range(0, 1001, 20)]
+    trainer.iteration = removed_at
+    keep = torch.arange(len(trainer.model.gaussians) - 5)
+    trainer._replace(trainer.model.gaussians.select(keep), keep)
+    trainer.iteration = 1000
+    assert trainer._converged() is stops
+
+
 def wandering_views(frames=26):
     """One camera a time, each on another side of the scene."""
     source = make_views(cameras=3, times=frames)
@@ -230,16 +243,11 @@ def test_small_images_hold_few_gaussians(views):
     assert max(n for _, n, _ in log.primitives) <= max(60, round(GAUSSIANS_PER_PIXEL * (SIZE // 4) ** 2))
 
 
-def test_times_are_noisy_at_first_and_exact_later(views):
+@pytest.mark.parametrize(("prune_at", "step"), [(NODES.prune_at, 34), (1.0, 40)])
+def test_what_is_hardly_seen_goes_once_and_steps_follow(views, prune_at, step):
     model = fresh(views, static=True)
     model.gaussians.dynamic[:] = True
     model.field = make_nodes(model.gaussians.means.detach().numpy(), SETTINGS)
-    _, _, trainer = train(views, model, phases=node_phases(40, 1.0), recipe=NODES)
-    half = round(NODES.time_noise_until * trainer.total)
-    looks = []
-    for step in (0, half // 2, half, trainer.total - 1):
-        trainer.iteration = step
-        looks.append(trainer._time_noise())
-    assert looks == pytest.approx([NODES.time_noise, NODES.time_noise / 2, 0, 0])
-    trainer.iteration, trainer.grow = 0, False
-    assert trainer._time_noise() == 0  # refining what has been found
+    _, log, _ = train(views, model, phases=node_phases(40, 1.0), recipe=dataclasses.replace(NODES, prune_at=prune_at))
+    removals = [event for event in log.events if "hardly blended" in event]
+    assert len(removals) == 1 and removals[0].startswith(f"step {step}: ")

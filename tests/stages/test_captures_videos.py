@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.captures import recognise, sound
+from e4dgs.stages.captures import heard, recognise, sound
 from e4dgs.stages.captures.capture import TEST
 from e4dgs.stages.captures.video import decode
 from e4dgs.stages.captures.videos import clocks
@@ -163,3 +163,29 @@ def test_poses_or_images_beside_videos_mean_another_layout(videos_capture, tmp_p
 def test_sync_is_for_several_videos(video_capture):
     with pytest.raises(CaptureError, match=r"frames\.sync aligns several videos without poses, not video"):
         recognise(video_capture.root, sync="sound")
+
+
+def test_long_sounds_are_heard_once(tmp_path, monkeypatch):
+    """What was heard is kept for the next command, and heard again where the file has changed or what was kept is damaged."""
+    (tmp_path / "videos").mkdir()
+    sounds = event(3.0)
+    for n, begin in enumerate((0.5, 0.0)):
+        grey_video(tmp_path / "videos" / f"{n}.mp4", 50, 25, recorded(sounds, begin, 2.0, 0.5, n))
+    times = []
+    monkeypatch.setattr(heard.sound, "onsets", lambda *file, listen=heard.sound.onsets: times.append(file[1]) or listen(*file))
+
+    def shifts():
+        times.clear()
+        return clocks(tmp_path / "videos", ["0.mp4", "1.mp4"], "sound", tmp_path / "heard")[0]
+
+    first = shifts()
+    assert shifts() == first and len(times) == 2 and not (tmp_path / "heard").exists(), "short ones are not worth a file"
+    monkeypatch.setattr(heard, "KEPT_FROM", 1.0)
+    assert shifts() == first and len(times) == 2
+    assert shifts() == first and not times
+    kept = sorted((tmp_path / "heard").iterdir())
+    assert len(kept) == 2
+    kept[0].write_bytes(kept[0].read_bytes()[:300])
+    assert shifts() == first and len(times) == 1
+    (tmp_path / "videos" / "1.mp4").touch()
+    assert shifts() == first and times == ["1.mp4"]

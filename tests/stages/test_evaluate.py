@@ -18,6 +18,7 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, choose_views, means, spread, worst_and_others
+from e4dgs.stages.evaluation_flicker import measure_flicker
 from e4dgs.stages.evaluation_movies import read_movies
 from e4dgs.stages.evaluation_pictures import depth_picture, error_picture, read_pictures
 from e4dgs.stages.judge import LEAST_TIMES, Judge
@@ -115,7 +116,7 @@ def result(tmp_path_factory):
 def test_metrics_of_a_known_error(result):
     artifact, _ = result
     metrics = artifact.attrs["metrics"]
-    assert set(metrics) == {"protocol", "splits", "primitives"}
+    assert set(metrics) == {"protocol", "splits", "primitives", "flicker"} and metrics["flicker"] is None
     assert metrics["primitives"] == {"gaussians": 40, "convexes": 2}
     test = metrics["splits"]["test"]
     assert test["psnr"] == pytest.approx(20.0, abs=0.2)  # 8-bit rounding and a few saturated pixels
@@ -365,3 +366,30 @@ def test_error_and_depth_pictures():
     picture = depth_picture(depth, alpha)
     assert (picture[0] == 0).all() and (picture[3, 0] != picture[3, 7]).any()
     assert not depth_picture(depth, np.zeros((8, 8))).any()
+
+
+@pytest.mark.parametrize(("test_camera", "looked_at"), [(False, 2), (True, 1)])
+def test_flicker_is_measured_at_fixed_cameras_at_held_out_ones_where_there_are_any(test_camera, looked_at):
+    """Two cameras, four times: the render is brighter by 5 levels at every second time, the truth is not."""
+    camera, time = np.repeat([0, 1], 4), np.tile(np.linspace(0, 1, 4), 2)
+    K, poses = cameras(8)
+    split = np.where(camera == 1, 2, 0) if test_camera else np.zeros(8, int)
+    values = {"camera": camera, "time": time, "split": split, "registered": np.ones(8, bool), "names": [str(i) for i in range(8)]}
+    frames = SimpleNamespace(
+        K=K, cam_from_world=poses, width=48, height=40, composited=lambda i: np.full((40, 48, 3), 51, np.uint8), **values
+    )
+    shown: list[int] = []
+
+    def render(camera, at):
+        shown.append(round(3 * at))
+        color = torch.full((40, 48, 3), 0.2 + 5 / 255 * (shown[-1] % 2))
+        return Frame(color, *[torch.zeros(40, 48)] * 2, torch.zeros(40, 48, 0), *[torch.ones(1) > 0] * 2)
+
+    model = SimpleNamespace(render=render, near=0.01, field=object())
+    found = measure_flicker(Judge(model, frames, None, True), frames)  # type: ignore[arg-type]
+    assert found is not None and found["cameras"] == looked_at and found["pairs"] == 3 * looked_at
+    assert found["static"] == pytest.approx(5.0, rel=1e-4) and found["edges"] is None
+    assert shown == [0, 1, 2, 3] * looked_at
+    assert measure_flicker(Judge(model, frames, None, False), frames) is None  # type: ignore[arg-type]
+    frames.registered[1::2] = False  # two times of each camera are too few
+    assert measure_flicker(Judge(model, frames, None, True), frames) is None  # type: ignore[arg-type]

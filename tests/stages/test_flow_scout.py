@@ -44,7 +44,7 @@ def test_the_limit_is_five_grey_levels():
 
 def frames(width: int, step: float, count: int = 4) -> SimpleNamespace:
     images = [shifted(texture(width * 3 // 4, width), step * k) for k in range(count)]
-    return SimpleNamespace(width=width, height=width * 3 // 4, composited=lambda i: images[i], next=np.arange(1, count + 1))
+    return SimpleNamespace(width=width, height=width * 3 // 4, both=lambda i: (images[i], images[i]), next=np.arange(1, count + 1))
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,19 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.stages.mover_chain import Chain
-from e4dgs.stages.mover_depths import ANYWHERE, BEFORE, FEWEST, depth_below, object_depths
+from e4dgs.stages.mover_depths import (
+    ANYWHERE,
+    BEFORE,
+    BESIDE,
+    FEWEST,
+    STANDS,
+    THICKEST,
+    _depth,
+    _Told,
+    depth_at,
+    depth_below,
+    object_depths,
+)
 from e4dgs.stages.mover_objects import LEAST_AREA, Objects, follow_objects
 from moving_square import FRAMES, HEIGHT, WALL, WIDTH, flow_of, pose, views, wall
 
@@ -111,3 +123,24 @@ def test_nothing_stands_on_a_wall():
     assert not found.level and found.depth == pytest.approx(WALL, rel=0.01)
     (depths,) = object_depths(one_part(1, [0.0]), views(), [0], wall())
     assert depths[1] == pytest.approx(ANYWHERE * WALL, rel=1e-5)
+
+
+@pytest.mark.parametrize(("level", "expected"), [(round(4 * STANDS), 3.0), (round(4 * STANDS) - 1, ANYWHERE * 8.0)])
+def test_what_stands_has_a_floor_below_it_in_most_frames(level, expected):
+    told = _Told([(k, np.log(3.0)) for k in range(level)], [(0, np.log(8.0))], 4 - level)
+    assert _depth(told, 0, 0.0) == pytest.approx(expected)
+
+
+def test_frames_beside_count_by_themselves_where_they_tell_less():
+    told = _Told([(k, np.log(4.0)) for k in range(9)] + [(30 + BESIDE, np.log(3.9))], [], 0)
+    assert _depth(told, 30, 0.0) == pytest.approx(3.9) and _depth(told, 29, 0.0) == pytest.approx(4.0, rel=1e-3)
+
+
+def test_a_surface_comes_nearer_within_the_outline_but_not_without_end():
+    K = views().K[0].copy()
+    middle = np.array([[80.0, 40.0]], np.float32)
+    depths = np.array([0.0, 5.0])
+    assert depth_at(one_part(1, [0.0]), depths, K, 0, middle, 1.0)[0] == pytest.approx(5 * (1 - 20 / K[0, 0]), rel=0.01)
+    K[0, 0] = 30.0  # so wide a lens that the part would be as thick as it is far away
+    assert depth_at(one_part(1, [0.0]), depths, K, 0, middle, 1.0)[0] == pytest.approx(5 * THICKEST)
+    assert depth_at(one_part(1, [0.0]), np.zeros(2), K, 0, np.array([[5.0, 5.0]], np.float32), 7.0)[0] == pytest.approx(7.0)

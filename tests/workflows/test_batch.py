@@ -13,9 +13,10 @@ import pyarrow.parquet
 import pytest
 from e4dgs.pipeline import SettingsError
 from e4dgs.workflows.batch.board import States, how_far
-from e4dgs.workflows.batch.cluster import read_cluster
+from e4dgs.workflows.batch.cluster import Cluster, read_cluster
 from e4dgs.workflows.batch.ledger import Ledger, Progress
 from e4dgs.workflows.batch.listing import Entry, entries_of
+from e4dgs.workflows.batch.slurm import emit
 from e4dgs.workflows.batch.summary import COLUMNS, spread, worst_first
 from e4dgs.workflows.cli import main
 
@@ -261,6 +262,22 @@ def test_job_scripts_for_slurm_are_shell_and_do_the_work(dnerf_capture, tmp_path
     for part in ("before", "train", "after"):
         subprocess.run(["bash", str(folder / f"{part}.sbatch")], check=True, env=dict(os.environ, SLURM_ARRAY_TASK_ID="0"))
     assert Ledger(work, "batch").progress(dnerf_capture.root.name).state == "done"
+
+
+def test_arrays_of_slurm_have_at_most_a_thousand_tasks(tmp_path):
+    ledger = Ledger.create(tmp_path, "many", [Entry(f"scene{k}", "/capture") for k in range(2003)])
+    ledger.write("scene7", Progress("done"))
+    folder = emit(ledger, Cluster())
+    assert "scene7\n" not in (folder / "scenes.txt").read_text()
+    fake = tmp_path / "bin" / "sbatch"
+    fake.parent.mkdir()
+    fake.write_text(f'#!/bin/sh\necho "$@" >> {tmp_path}/said\necho 17\n')
+    fake.chmod(0o755)
+    subprocess.run([str(folder / "submit.sh")], check=True, env=dict(os.environ, PATH=f"{fake.parent}:{os.environ['PATH']}"))
+    said = (tmp_path / "said").read_text().splitlines()
+    arrays = [[word.partition("=")[2] for word in line.split() if word.startswith(("--array", "--export"))] for line in said[::3]]
+    assert arrays[:3] == [[f"0-{last}", f"ALL,E4DGS_FIRST={first}"] for first, last in ((0, 999), (1000, 999), (2000, 1))]
+    assert said[-1] == "--dependency=afterany:17:17:17 results.sbatch"
 
 
 # -- what is shown

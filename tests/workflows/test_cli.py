@@ -189,16 +189,16 @@ def test_gc_has_limits_and_says_what_is_left(cli, capture):
 
 def test_a_pinned_scene_keeps_what_it_used_whatever_is_run_later(cli, capture):
     cli("run", "all", capture)
-    assert cli("store", "pin", "my-scene").out == "my-scene: 3 results are pinned\n"
+    assert cli("pin", "my-scene").out == "my-scene: 3 results are pinned\n"
     cli("run", "all", capture, "--set", "fine.iterations=5")
     assert cli("gc").out.startswith("0 results")
-    assert [line.split()[-1] for line in cli("store", "list", "fine").out.splitlines() if "my-scene" in line].count("my-scene") == 2
+    assert [line.split()[-1] for line in cli("list", "fine").out.splitlines() if "my-scene" in line].count("my-scene") == 2
     assert "done in" not in cli("run", "all", capture).out
     cli("run", "all", capture, "--set", "fine.iterations=5")
-    assert cli("store", "unpin", "my-scene").code == 0
+    assert cli("unpin", "my-scene").code == 0
     assert cli("gc").out.count("removed ") == 2
     for words in (("unpin", "my-scene"), ("pin", "nobody"), ("unpin", "../up")):
-        result = cli("store", *words)
+        result = cli(*words)
         assert result.code == 2 and words[1] in result.err
 
 
@@ -230,3 +230,21 @@ def test_doctor_says_what_the_cuda_kernels_need(cli, monkeypatch):
     result = cli("doctor")
     assert "CUDA: --device auto takes the CPU: a small render on the GPU went wrong: it is green" in result.out
     assert "ok   CUDA driver: supports CUDA 13.0" in result.out
+
+
+def test_report_is_drawn_again_from_the_store_alone(cli, capture):
+    result = cli("report", capture)
+    assert result.code == 1 and "e4dgs run evaluate" in result.err
+    cli("run", "all", capture)
+    page = Path("e4dgs-workspace/scenes/my-scene/report.html")
+    page.write_text("spoiled")
+    result = cli("report", capture)
+    assert result.code == 0 and result.out.splitlines()[-1].endswith(str(page))
+    assert page.read_text().startswith("<html>my-scene") and "cached" in page.read_text()
+
+
+def test_version_and_completion_are_offered(cli, monkeypatch):
+    import e4dgs
+
+    assert cli("--version").out == f"e4dgs {e4dgs.__version__}\n"
+    assert "--install-completion" in cli("--help").out

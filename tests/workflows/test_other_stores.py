@@ -64,9 +64,9 @@ def test_a_workspace_that_is_read_only_can_be_read(read_only, dnerf_capture, tmp
         ("why", "coarse", capture, *QUICK),
         ("verify",),
         ("gc", "--dry-run"),
-        ("store", "list"),
-        ("store", "show", scene, "coarse"),
-        ("store", "diff", f"{scene}/coarse", f"{scene}/coarse"),
+        ("list",),
+        ("show", scene, "coarse"),
+        ("diff", f"{scene}/coarse", f"{scene}/coarse"),
         ("render", capture, "--path", "turntable", "--frames", 1, "--out", pictures, *QUICK),
     ):
         done = run(read_only, *words)
@@ -100,7 +100,7 @@ def test_what_has_to_write_there_says_so_in_one_message(read_only, dnerf_capture
         "run": ("run", "coarse", capture, *QUICK, "--set", "coarse.seed=3"),
         "force": ("run", "frames", capture, "--force", *QUICK),
         "gc": ("gc",),
-        "pin": ("store", "pin", capture.name),
+        "pin": ("pin", capture.name),
         "batch": ("batch", capture, *QUICK),
         "export": ("export", "ply", capture, "--times", 1, *QUICK, "--name", "other"),
     }[command]

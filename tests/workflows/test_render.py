@@ -79,7 +79,7 @@ def test_a_frozen_moment_is_that_moment_in_every_picture(finished, tmp_path):
         ('{"frames": [3]}', ("frame 0", "object")),
         ('{"frames": [{}]}', ("frame 0", "neither cam_from_world nor transform_matrix")),
         ('{"frames": [{"cam_from_world": [[1]]}]}', ("frame 0: cam_from_world", "4x4")),
-        ('{"frames": [{"transform_matrix": [[0,0,0,0],[0,0,0,0],[0,0,0,0],[0,0,0,1]]}]}', ("transform_matrix", "inverted")),
+        ('{"frames": [{"transform_matrix": [[0,0,0,0],[0,0,0,0],[0,0,0,0],[0,0,0,1]]}]}', ("transform_matrix", "not rigid")),
         ('{"frames": [{"cam_from_world": EYE, "time": 1.5}]}', ("frame 0: time", "1.5")),
         ('{"frames": [{"cam_from_world": EYE, "K": "wide"}]}', ("frame 0: K", "3x3")),
     ],

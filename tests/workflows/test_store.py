@@ -1,4 +1,4 @@
-"""`e4dgs store`: what is there, how it was made, and in what two results differ."""
+"""`e4dgs list`, `show`, `diff`: what is there, how it was made, and in what two results differ."""
 
 import json
 import shutil
@@ -14,11 +14,11 @@ def keys(stage: str) -> list[str]:
 def test_list_has_every_result_with_its_scenes(cli, capture):
     cli("run", "all", capture)
     cli("run", "all", capture, "--set", "fine.iterations=5", "--name", "short")
-    out = cli("store", "list").out
+    out = cli("list").out
     assert out.splitlines()[-1].startswith("5 results, ")
     (frames,) = [line for line in out.splitlines() if line.startswith("frames")]
     assert keys("frames")[0][:12] in frames and "my-scene, short" in frames
-    rows = json.loads(cli("store", "list", "fine", "--json").out)
+    rows = json.loads(cli("list", "fine", "--json").out)
     assert sorted(row["key"] for row in rows) == keys("fine") and sorted(row["scenes"][0] for row in rows) == ["my-scene", "short"]
     for row in rows:
         files = [path for path in (STORE / "fine" / row["key"]).rglob("*") if path.is_file() and path.name != "manifest.json"]
@@ -29,13 +29,13 @@ def test_a_result_is_found_by_key_by_its_first_digits_and_by_scene_and_stage(cli
     cli("run", "all", capture)
     (key,) = keys("fine")
     for words in ((key,), (key[:6],), (f"fine/{key[:4]}",), ("my-scene", "fine"), ("my-scene/fine",)):
-        assert cli("store", "show", *words).out.startswith(f"fine/{key}\n")
+        assert cli("show", *words).out.startswith(f"fine/{key}\n")
     for words, said in (
         (("abc",), "names no result"),
         (("my-scene", "flow"), "it has evaluate, fine, frames"),
         (("nobody", "fine"), "names no result"),
     ):
-        result = cli("store", "show", *words)
+        result = cli("show", *words)
         assert result.code == 2 and said in result.err
 
 
@@ -43,21 +43,21 @@ def test_several_results_that_begin_alike_are_named(cli, capture):
     cli("run", "all", capture)
     (key,) = keys("fine")
     shutil.copytree(STORE / "fine" / key, STORE / "fine" / (key[:8] + "0" * 24))
-    result = cli("store", "show", key[:8])
+    result = cli("show", key[:8])
     assert result.code == 2 and "several results begin so" in result.err and key in result.err
 
 
 def test_show_tells_how_a_result_was_made(cli, capture):
     cli("run", "all", capture, "--set", "fine.iterations=7")
-    out = cli("store", "show", "my-scene", "fine").out
+    out = cli("show", "my-scene", "fine").out
     assert "fine.iterations: 7" in out and f"input frames: frames/{keys('frames')[0]}" in out
     assert "scenes: my-scene" in out and "said: all steps done" in out and "MB of memory, on cpu" in out and "numpy" in out
-    assert json.loads(cli("store", "show", "my-scene", "fine", "--json").out)["provenance"]["settings"]["iterations"] == 7
+    assert json.loads(cli("show", "my-scene", "fine", "--json").out)["provenance"]["settings"]["iterations"] == 7
     shutil.rmtree(STORE / "frames")
-    out = cli("store", "show", "my-scene", "fine").out
+    out = cli("show", "my-scene", "fine").out
     assert "no longer in the store" in out and "damaged" not in out
     (STORE / "fine" / keys("fine")[0] / "info.json").unlink()
-    assert "damaged: " in cli("store", "show", "my-scene", "fine").out
+    assert "damaged: " in cli("show", "my-scene", "fine").out
 
 
 def test_show_lists_the_arrays(dnerf_capture, tmp_path, capsys):
@@ -66,21 +66,21 @@ def test_show_lists_the_arrays(dnerf_capture, tmp_path, capsys):
     words = ["--workspace", str(tmp_path)]
     assert main(["run", "frames", str(dnerf_capture.root), *words]) == 0
     capsys.readouterr()
-    assert main(["store", "show", dnerf_capture.root.name, "frames", *words]) == 0
+    assert main(["show", dnerf_capture.root.name, "frames", *words]) == 0
     assert "array seconds: 18 float64 s\n" in capsys.readouterr().out
 
 
 def test_diff_names_settings_inputs_and_whether_the_content_differs(cli, capture):
     cli("run", "all", capture)
     cli("run", "all", capture, "--set", "fine.iterations=5", "--name", "short")
-    result = cli("store", "diff", "my-scene/fine", "short/fine")
+    result = cli("diff", "my-scene/fine", "short/fine")
     assert result.code == 0 and "  settings.iterations: 10 -> 5\n" in result.out and result.out.endswith("the content differs\n")
-    out = cli("store", "diff", "my-scene/evaluate", "short/evaluate").out
+    out = cli("diff", "my-scene/evaluate", "short/evaluate").out
     line = next(line for line in out.splitlines() if "input fine" in line)
-    assert f"input fine has another content: e4dgs store diff fine/{json.loads(record('my-scene'))['key']} fine/" in line
+    assert f"input fine has another content: e4dgs diff fine/{json.loads(record('my-scene'))['key']} fine/" in line
     assert cli(*line.split("e4dgs ")[1].split()).code == 0, "the command that it names works"
-    assert cli("store", "diff", "my-scene/frames", "short/frames").out.endswith("the content is the same\n")
-    result = cli("store", "diff", "my-scene/fine", "short/frames")
+    assert cli("diff", "my-scene/frames", "short/frames").out.endswith("the content is the same\n")
+    result = cli("diff", "my-scene/fine", "short/frames")
     assert result.code == 2 and "give two of one stage" in result.err
 
 

@@ -84,6 +84,24 @@ def test_a_photo_lies_where_the_render_of_its_camera_lies(scene):
     assert psnr(shifted[covered], render[covered]) < psnr(shown[covered], render[covered]) - 3, "the comparison tells a shift"
 
 
+@pytest.mark.parametrize(("fixed", "full"), [(0.005, 0.02), (0.01, 0.3), (0.03, 0.8), (0.0, 3.0)])
+def test_the_size_while_moving_gives_fifteen_pictures_a_second(fixed, full):
+    """Whatever a picture of full size takes, in seconds, of which ``fixed`` do not depend on its size."""
+    from e4dgs.workflows.view.server import FIRST_SCALE, SMALLEST, next_scale
+
+    def settled(scale: float, pictures: int) -> float:
+        for _ in range(pictures):
+            scale = next_scale(scale, fixed + full * scale * scale)
+        return scale
+
+    scale = settled(FIRST_SCALE, 12)
+    took = fixed + full * scale * scale
+    assert scale == SMALLEST or (1 / took >= 15 and (scale == 1 or 1 / took <= 30)), (scale, took)
+    slow = next_scale(scale, 2.0)
+    assert slow >= 0.7 * scale - 1e-9 or slow == SMALLEST
+    assert settled(slow, 6) == pytest.approx(scale, rel=0.1)
+
+
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
     return float(-10 * np.log10(np.square((a.astype(float) - b) / 255).mean()))
 

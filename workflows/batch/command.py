@@ -26,6 +26,7 @@ def batch(
     name: Annotated[str, typer.Option("--name", help="Of the batch; the same name goes on with it.")] = "batch",
     executor: Annotated[str, typer.Option("--executor", metavar="local|FILE.yaml", help="This machine, or a cluster's file.")] = "local",
     jobs: Annotated[int | None, typer.Option("--jobs", min=1, max=1024, help="local: scenes at a time.")] = None,
+    memory: Annotated[float | None, typer.Option("--memory", min=0.001, help="local: GB of all stages together; 90 % by default.")] = None,
     retries: Annotated[int, typer.Option("--retries", min=0, max=100, help="local: further tries of a scene that failed.")] = 1,
     stage_timeout: Annotated[float | None, typer.Option("--stage-timeout", min=0.1, help="Seconds after which a stage is ended.")] = None,
     emit: Annotated[Literal["slurm"] | None, typer.Option("--emit", help="Write job scripts and run nothing.")] = None,
@@ -58,15 +59,19 @@ def batch(
             ledger.write(entry.name, Progress())
     console = Console()
     if emit is not None:
+        from .cluster import Cluster
+        from .slurm import USUAL, USUAL_GPU
         from .slurm import emit as write_scripts
 
-        console.print(f"submit with: {write_scripts(ledger, device != 'cpu')}/submit.sh", highlight=False, soft_wrap=True)
+        cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
+        console.print(f"submit with: {write_scripts(ledger, cluster)}/submit.sh", highlight=False, soft_wrap=True)
         return
     runner: Any
     if cluster is None:
         from .local import Local, usual_jobs
+        from .share import usual_memory_gb
 
-        runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), retries, stage_timeout)
+        runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), memory or usual_memory_gb(), retries, stage_timeout)
     else:
         from .cluster import Parsl
 

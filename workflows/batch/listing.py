@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import itertools
+import math
 import os
 import re
 from collections import Counter
@@ -14,8 +15,10 @@ from typing import Any
 
 from ...pipeline import SettingsError
 from ..session import Options
+from .yaml_files import read_yaml
 
 MOST_SCENES = 100_000
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 @dataclass(frozen=True)
@@ -67,9 +70,10 @@ def entries_of(words: Sequence[str], common: Entry) -> list[Entry]:
             _read_list(Path(word), common, listed)
         else:
             listed.entries += [_entry(path, common) for path in _paths(word)]
+    count = len(listed.entries) * math.prod(len(values) for values in listed.sweep.values())
+    if count > MOST_SCENES:
+        raise SettingsError(f"{count} scenes: a batch has at most {MOST_SCENES}")
     entries = _swept(_named(listed.entries), listed.sweep)
-    if len(entries) > MOST_SCENES:
-        raise SettingsError(f"{len(entries)} scenes: a batch has at most {MOST_SCENES}")
     twice = [name for name, count in Counter(entry.name for entry in entries).items() if count > 1]
     if twice:
         raise SettingsError(f"two scenes of this batch are called {twice[0]}; give them names of their own in a YAML list")
@@ -77,6 +81,8 @@ def entries_of(words: Sequence[str], common: Entry) -> list[Entry]:
 
 
 def _paths(word: str) -> list[str]:
+    if "\0" in word:
+        raise SettingsError(f"{word!r}: no name of a file")
     found = sorted(glob.glob(os.path.expanduser(word))) if any(c in word for c in "*?[") else [os.path.expanduser(word)]
     if not found:
         raise SettingsError(f"{word}: no file or folder has such a name")
@@ -88,11 +94,9 @@ def _entry(path: str, common: Entry) -> Entry:
 
 
 def _read_list(file: Path, common: Entry, listed: _Listed) -> None:
-    import yaml
-
     try:
-        data = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        data = read_yaml(file)
+    except (OSError, ValueError) as error:
         raise SettingsError(f"{file}: this is no list of scenes in YAML ({error})") from error
     if isinstance(data, list):
         data = {"scenes": data}
@@ -108,6 +112,8 @@ def _read_list(file: Path, common: Entry, listed: _Listed) -> None:
         _known(row, {"capture", "name", "settings", "preset", "static", "format"}, where)
         word = os.path.expanduser(row["capture"])
         paths = _paths(word if os.path.isabs(word) else str(file.parent / word))
+        if "name" in row and not _NAME.fullmatch(str(row["name"])):
+            raise SettingsError(f"{where}: name: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
         if "name" in row and len(paths) > 1:
             raise SettingsError(f"{where}: {len(paths)} captures cannot share the name {row['name']}")
         listed.entries += [replace(_with(common, row, where), name=str(row.get("name", "")), capture=path) for path in paths]

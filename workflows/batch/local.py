@@ -1,23 +1,20 @@
-"""Scenes of a batch on this machine, several at a time; one at a time trains where there is a GPU."""
+"""Scenes of a batch on this machine, several at a time; they share its cores, its memory and its GPU."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 
-from ..devices import resolve_device
+from ...pipeline import Resources
 from .ledger import Ledger
 from .listing import Entry
+from .share import Lease, Share, cores
 from .work import PARTS, StageFailed, run_part
 
 MOST_JOBS = 2  # by default, where there are not four cores for each
-
-
-def cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def usual_jobs() -> int:
@@ -28,37 +25,52 @@ def usual_jobs() -> int:
 class Local:
     """Runs scenes until all are done or have failed.
 
-    jobs: scenes at a time, which share the cores. retries: further tries of a scene whose stage failed. timeout: seconds for each stage.
+    jobs: scenes at a time. memory_gb: of all stages together. retries: further tries of a scene whose stage failed. timeout: seconds for
+    each stage.
     """
 
-    def __init__(self, ledger: Ledger, jobs: int, retries: int, timeout: float | None) -> None:
-        self.ledger, self.retries, self.timeout = ledger, retries, timeout
-        self.threads = max(1, cores() // jobs)
-        self._gpu = threading.Semaphore(1)
+    def __init__(self, ledger: Ledger, jobs: int, memory_gb: float, retries: int, timeout: float | None) -> None:
+        self.ledger, self.retries, self.timeout, self.jobs = ledger, retries, timeout, jobs
         self._pool = ThreadPoolExecutor(jobs, thread_name_prefix="scene")
         self._stopped = threading.Event()
+        self._share = Share(cores(), memory_gb, self._stopped.is_set)
+        self._left = 0  # scenes that are not done yet
 
     def start(self, entries: Sequence[Entry]) -> list[Future[bool]]:
-        return [self._pool.submit(self._scene, entry) for entry in entries]
+        self._left = len(entries)
+        futures = [self._pool.submit(self._scene, entry) for entry in entries]
+        for future in futures:
+            future.add_done_callback(self._ended)
+        return futures
 
     def stop(self) -> None:
         """Stages that run are ended; their checkpoints stay."""
         self._stopped.set()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
+    def _ended(self, _: Future[bool]) -> None:
+        self._left -= 1
+
     def _scene(self, entry: Entry) -> bool:
+        alone = False
         for attempt in range(self.retries + 1):
             try:
-                return all(self._part(entry, part) for part in PARTS)
-            except StageFailed:
+                return all(self._part(entry, part, alone) for part in PARTS)
+            except StageFailed as error:
                 if attempt == self.retries or self._stopped.is_set():
                     return False
+                alone = error.memory
         return False
 
-    def _part(self, entry: Entry, part: str) -> bool:
+    def _part(self, entry: Entry, part: str, alone: bool) -> bool:
+        @contextlib.contextmanager
+        def take(wanted: Resources) -> Iterator[Lease]:
+            if alone:  # it failed for want of memory, so it gets all there is
+                wanted = replace(wanted, memory_gb=max(wanted.memory_gb, self._share.memory_gb))
+            with self._share.take(wanted, min(self.jobs, self._left)) as lease:
+                yield lease
+
         if self._stopped.is_set():
             return False
-        alone = part == "train" and resolve_device(entry.device) == "cuda"
-        with self._gpu if alone else contextlib.nullcontext():
-            where = str(self.ledger.workspace), self.ledger.name, entry.name
-            return run_part(*where, part, self.timeout, self.threads, self._stopped.is_set)
+        where = str(self.ledger.workspace), self.ledger.name, entry.name
+        return run_part(*where, part, self.timeout, stopped=self._stopped.is_set, take=take)

@@ -1,4 +1,7 @@
-"""What a batch has come to: one row a scene, as CSV, Parquet and a page with the worst scenes first."""
+"""What a batch has come to: one row a scene, as CSV, Parquet and a page with the worst scenes first.
+
+``python -m e4dgs.workflows.batch.summary WORKSPACE BATCH`` writes them, as the last job of `slurm.py` does.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import io
 import math
 import os
 import statistics
+import sys
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -96,3 +100,7 @@ def write_summary(ledger: Ledger) -> Path:
         ),
     )
     return page
+
+
+if __name__ == "__main__":
+    print(write_summary(Ledger(Path(sys.argv[1]), sys.argv[2])))

@@ -1,35 +1,38 @@
-"""What a worker does: the stages of a scene, each in a process of its own, so that a crash or a hang costs that stage and nothing else.
-
-``python -m e4dgs.workflows.batch.work WORKSPACE BATCH SCENE PART`` is what a job script of a cluster calls.
-"""
+"""What a worker does: the stages of a scene, each in a process of its own, so that a crash or a hang costs that stage and nothing else."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import signal
-import subprocess
 import sys
-import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
-from ...pipeline import Job, PipelineError, make_plan
+from ...pipeline import Job, PipelineError, Resources, make_plan
 from ..reconstruction import EVALUATION, TRAINING
 from ..results import words_of
 from ..session import open_session
 from .ledger import Ledger, Progress
 from .listing import Entry
+from .process import Ended, run_process
+from .share import Lease
 
-PARTS = ("before", "train", "after")  # the middle one wants the GPU
-LAST_LINES = 3  # of a stage's log, for the message of its failure
-LOOK = 0.2  # s between two looks at the clock
-GRACE = 10.0  # s between the request to end and the end
+PARTS = ("before", "train", "after")  # where there is a GPU, the last two want it
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+
+Take = Callable[[Resources], AbstractContextManager[Lease]]
 
 
 class StageFailed(Exception):
-    """A stage of a scene failed. The message says which, and why."""
+    """A stage of a scene failed. The message says which, and why. memory: for want of memory."""
+
+    def __init__(self, message: str, memory: bool = False) -> None:
+        super().__init__(message, memory)  # all arguments, so that it comes whole from another process
+        self.message, self.memory = message, memory
+
+    def __str__(self) -> str:
+        return self.message
 
 
 def run_part(
@@ -40,12 +43,13 @@ def run_part(
     timeout: float | None = None,
     threads: int | None = None,
     stopped: Callable[[], bool] = lambda: False,
+    take: Take | None = None,
 ) -> bool:
     """Run what ``part`` of `PARTS` of a scene still needs.
 
-    timeout: seconds for each stage. threads: for each stage. stopped: asked now and then; True ends the stage. Returns False where it was
-    stopped, or the capture is refused, which another try would not change. Raises StageFailed where a stage fails; the scene's state says
-    the same.
+    timeout: seconds for each stage. threads: for each stage. stopped: asked now and then; True ends the stage. take: what stages on this
+    machine share; it waits until a stage can run. Returns False where it was stopped, or the capture is refused, which another try would
+    not change. Raises StageFailed where a stage fails; the scene's state says the same.
     """
     ledger = Ledger(Path(workspace), batch)
     entry = next(entry for entry in ledger.entries() if entry.name == scene)
@@ -60,21 +64,26 @@ def run_part(
         ledger.write(scene, Progress("failed", "", str(error), progress.seconds, progress.attempts + (part == "before")))
         return False
     progress.attempts += part == "before"
-    for stage in stages:
-        progress.state, progress.stage, progress.message = "running", EVALUATION if stage == "all" else stage, ""
-        ledger.write(scene, progress)
-        code, seconds = _run(ledger, entry, stage, timeout, threads, stopped)
-        progress.seconds = round(progress.seconds + seconds, 1)
-        if stopped():
+    for target in stages:
+        stage = EVALUATION if target == "all" else target
+        wanted = job.graph[stage].resources(job.capture.facts, job.settings[stage], job.device)
+        with take(wanted) if take is not None else contextlib.nullcontext(Lease(wanted, threads)) as lease:
+            if stopped():
+                return False
+            progress.state, progress.stage, progress.message = "running", stage, ""
+            ledger.write(scene, progress)
+            ended = _run(ledger, entry, target, timeout, lease, stopped)
+        progress.seconds = round(progress.seconds + ended.seconds, 1)
+        if stopped() and ended.code != 0:
             progress.state = "waiting"
             ledger.write(scene, progress)
             return False
-        if code != 0:
-            progress.state, progress.message = "failed", _why(ledger, scene, code, timeout)
+        if ended.code != 0:
+            progress.state, progress.message = "failed", ended.problem
             ledger.write(scene, progress)
-            if code == 2:
+            if ended.code == 2:
                 return False
-            raise StageFailed(f"{scene}: {progress.stage}: {progress.message}")
+            raise StageFailed(f"{scene}: {progress.stage}: {progress.message}", ended.memory)
     progress.state, progress.stage = ("done", "") if part == PARTS[-1] else ("waiting", "")
     ledger.write(scene, progress)
     return True
@@ -92,71 +101,23 @@ def is_current(ledger: Ledger, entry: Entry) -> bool:
 def _stages(job: Job, part: str) -> list[str]:
     """Targets of `e4dgs run`, one after the other: stages of ``part`` that are not in the store. The last part ends with "all", which
     measures and draws the report."""
-    rows = make_plan(job)
-    of_part = {row.stage: "train" if row.stage in TRAINING else "after" if row.stage == EVALUATION else "before" for row in rows}
-    chosen = [row.stage for row in rows if row.state == "run" and of_part[row.stage] == part]
-    return ["all"] if part == PARTS[-1] else chosen
+    if part == PARTS[-1]:
+        return ["all"]
+    return [row.stage for row in make_plan(job) if row.state == "run" and row.stage != EVALUATION and _part_of(job, row.stage) == part]
 
 
-def _run(
-    ledger: Ledger, entry: Entry, target: str, timeout: float | None, threads: int | None, stopped: Callable[[], bool]
-) -> tuple[int | None, float]:
-    """Exit code, None where it was ended after ``timeout`` seconds or because it was ``stopped``, and the seconds that it took."""
+def _part_of(job: Job, stage: str) -> str:
+    """Results that are kept apart by device belong to the machine that trains: another one would look for them under another key."""
+    return "train" if stage in TRAINING or job.graph[stage].device_class else "before"
+
+
+def _run(ledger: Ledger, entry: Entry, target: str, timeout: float | None, lease: Lease, stopped: Callable[[], bool]) -> Ended:
     command = [sys.executable, "-m", "e4dgs.workflows.cli", "run", target, *words_of(entry.options(ledger.workspace))]
     environment: dict[str, str] = dict(os.environ, PYTHONUNBUFFERED="1")
-    if threads is not None:
-        environment |= {name: str(threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+    if lease.threads is not None:
+        environment |= dict.fromkeys(THREADS, str(lease.threads))
     log = ledger.log(entry.name)
     log.parent.mkdir(parents=True, exist_ok=True)
-    started = time.monotonic()
-    with open(log, "ab") as output:
-        output.write(f"== {target}\n".encode())
-        output.flush()
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
-        )
-        code: int | None = None
-        try:
-            while code is None and not stopped() and (timeout is None or time.monotonic() - started < timeout):
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    code = process.wait(LOOK)
-        finally:
-            _end(process)
-    return code, time.monotonic() - started
-
-
-def _end(process: subprocess.Popen[Any]) -> None:
-    """The process and what it has started."""
-    if process.poll() is None:
-        os.killpg(process.pid, signal.SIGTERM)
-        try:
-            process.wait(GRACE)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-
-
-def _why(ledger: Ledger, scene: str, code: int | None, timeout: float | None) -> str:
-    if code is None:
-        return f"ended after {timeout:.0f} s (--stage-timeout); what it has done so far is kept"
-    if code < 0:
-        number = -code
-        hint = "; out of memory, perhaps: fewer scenes at a time (--jobs) or smaller pictures" if number == signal.SIGKILL else ""
-        return f"ended by {signal.Signals(number).name}{hint}; see {ledger.log(scene)}"
-    lines = ledger.log(scene).read_text(errors="replace").strip().splitlines()
-    errors = [line for line in lines if line.startswith("error: ")]
-    return errors[-1].removeprefix("error: ") if errors else " | ".join(lines[-LAST_LINES:])
-
-
-def main() -> int:
-    """Exit code 0 where the part is done, 1 where it failed."""
-    workspace, batch, scene, part = sys.argv[1:5]
-    try:
-        return 0 if run_part(workspace, batch, scene, part) else 1
-    except StageFailed as error:
-        print(error, file=sys.stderr)
-        return 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    with open(log, "a") as output:
+        output.write(f"== {target}\n")
+    return run_process(command, environment, log, timeout, lease.too_large, stopped)

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import Progress, SettingsError
-from ..options import Debug, Device, Format, Set, Static, Workspace
+from ..options import Captures, Debug, Device, Format, Set, Static, Workspace
 from ..session import DEFAULT_WORKSPACE, Options
 from . import output
 from .pipeline import LADDER
@@ -110,7 +110,7 @@ def step(
 
 @app.command()
 def pipeline(
-    captures: Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="Videos, folders of images, folders with poses.")],
+    captures: Captures,
     points: Annotated[str, typer.Option("--points", help="By commas: presets, or settings joined by +.")] = LADDER,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each point, with seeds 0, 1, ...")] = 1,
     workspace: Workspace = DEFAULT_WORKSPACE,

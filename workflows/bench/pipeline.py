@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +23,12 @@ from ..session import Options, open_session
 LADDER = "coarse.effort=0.05,fast,coarse.effort=0.4,default"
 HELD_OUT = ("test", "val")
 METRICS = ("psnr", "psnr_affine", "ssim", "lpips", "edge_psnr", "psnr_foreground", "psnr_moving", "psnr_static")
+FLICKER = ("static", "edges")
 
 
 @dataclass
 class Run:
-    """One run. seconds: wall time of all its stages. metrics: of each split, the means of metrics.json."""
+    """One run. seconds: wall time of all its stages. metrics: of each split, the means of metrics.json. flicker: as there."""
 
     capture: str
     point: str
@@ -38,6 +39,7 @@ class Run:
     convexes: int
     resolution: str
     metrics: dict[str, dict[str, float | None]]
+    flicker: dict[str, float | None] = field(default_factory=dict)
 
     def held_out(self) -> dict[str, float | None]:
         """Of the first split that says something about new views, training views where none does."""
@@ -81,6 +83,7 @@ def measure(options: Options, point: tuple[str, str, tuple[str, ...]], seed: int
         convexes=primitives.get("convexes", 0),
         resolution=metrics["protocol"].get("resolution", ""),
         metrics={split: {m: values.get(m) for m in METRICS} for split, values in metrics["splits"].items() if values},
+        flicker={name: (metrics.get("flicker") or {}).get(name) for name in FLICKER},
     )
 
 
@@ -99,7 +102,10 @@ def summaries(runs: Sequence[Run]) -> list[dict[str, Any]]:
         psnr = [value for h in held if (value := h.get("psnr")) is not None]
         row["spread"] = max(psnr) - min(psnr) if psnr else None
         row["train_psnr"] = _mean(run.metrics.get("train", {}).get("psnr") for run in members)
+        for name in FLICKER:
+            row[f"flicker_{name}"] = _mean(run.flicker.get(name) for run in members)
         row["gaussians"] = round(statistics.mean(run.gaussians for run in members))
+        row["convexes"] = round(statistics.mean(run.convexes for run in members))
         rows.append(row)
     return rows
 
@@ -114,7 +120,8 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
     """What the command prints."""
     columns = (
         *(("PSNR", "psnr", 2), ("spread", "spread", 2), ("after colour fit", "psnr_affine", 2), ("SSIM", "ssim", 4)),
-        *(("LPIPS", "lpips", 4), ("edge PSNR", "edge_psnr", 2), ("train PSNR", "train_psnr", 2), ("Gaussians", "gaussians", 0)),
+        *(("LPIPS", "lpips", 4), ("edge PSNR", "edge_psnr", 2), ("train PSNR", "train_psnr", 2), ("flicker at edges", "flicker_edges", 2)),
+        ("Gaussians", "gaussians", 0),
     )
     shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title in ("capture", "point", "seconds", *(title for title, _, _ in columns)):

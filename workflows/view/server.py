@@ -23,8 +23,14 @@ from .source import Found
 
 SETTLED = 0.25  # s without a change after which the picture is drawn at full size
 PER_SECOND = 20.0  # pictures while something moves; their size follows
-SMALLEST = 0.15  # of the full size
+SMALLEST, FIRST_SCALE = 0.15, 0.5  # of the full size
 QUALITY = (80, 95)  # of JPEG, while something moves and at rest
+
+
+def next_scale(scale: float, seconds: float) -> float:
+    """The share of the full size, along each side, of the next picture while something moves, where one of ``scale`` took so long. The time
+    goes with the number of pixels, in part; steps are small, so that one slow picture is no jump."""
+    return float(np.clip(scale * np.clip((1 / PER_SECOND / seconds) ** 0.5, 0.7, 1.2), SMALLEST, 1.0))
 
 
 class View(NamedTuple):
@@ -85,7 +91,7 @@ class _Browser:
         seconds = float(np.ptp(frames.seconds)) if len(frames.seconds) else 0.0
         self.panel = Panel(client.gui, [frames.names[i] for i in viewer.rows], seconds, self._go)
         self.frame: int | None = None  # of the capture, where the camera was sent
-        self.scale = 0.5  # of the full size, while something moves
+        self.scale = FIRST_SCALE  # of the full size, while something moves
 
     def _go(self, row: int) -> None:
         frames = self.viewer.frames
@@ -140,8 +146,7 @@ class _Browser:
         self.client.scene.set_background_image(shown, format="jpeg", jpeg_quality=QUALITY[not moving])
         took = time.monotonic() - started
         if moving:
-            # The time goes with the number of pixels, in part.
-            self.scale = float(np.clip(self.scale * np.clip((1 / PER_SECOND / took) ** 0.5, 0.7, 1.2), SMALLEST, 1.0))
+            self.scale = next_scale(scale, took)
         self._tell(found.model, found.title, camera, took)
 
     def _tell(self, model: Model, title: str, camera: Camera, took: float) -> None:

@@ -1,0 +1,110 @@
+"""Draws the figures of docs/maths.md with the product's own code: `python docs/figures.py`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import torch
+from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
+from e4dgs.scene.fibonacci import fibonacci_sphere
+from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.interface import Rest
+from e4dgs.scene.primitives import Life
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from scipy.spatial import ConvexHull
+
+FOLDER = Path(__file__).parent / "figures"
+SIZE = 240  # px
+WHITE = torch.ones(3)
+
+
+def camera() -> Camera:
+    K = torch.tensor([[300.0, 0, SIZE / 2], [0, 300.0, SIZE / 2], [0, 0, 1]])
+    pose = torch.eye(4)
+    pose[2, 3] = 4.0
+    return Camera(K, pose, SIZE, SIZE)
+
+
+def one(value: float) -> torch.Tensor:
+    return torch.tensor([value])
+
+
+def convex(points: np.ndarray, tau: float, kappa: float) -> torch.Tensor:
+    """Alpha [H, W] of one opaque convex."""
+    corners = torch.tensor(points[None], dtype=torch.float32)
+    hull = Convexes(corners, one(tau), one(kappa), one(0.99), colors=torch.zeros(1, 3))
+    return rasterize(camera(), convexes=hull, background=WHITE).alpha
+
+
+def convexes() -> None:
+    """One hull of six points: kappa makes its border soft or sharp, tau rounds its corners; a Gaussian for comparison."""
+    points = 1.1 * fibonacci_sphere(6)
+    quats = torch.tensor([[1.0, 0, 0, 0]])
+    ball = Gaussians(torch.zeros(1, 3), quats, torch.full((1, 3), 0.5), one(0.99), colors=torch.zeros(1, 3))
+    shown = [("a Gaussian", rasterize(camera(), gaussians=ball, background=WHITE).alpha)]
+    for tau, kappa in ((20.0, 4.0), (20.0, 20.0), (20.0, 200.0), (4.0, 200.0)):
+        shown.append((f"τ = {tau:g}, κ = {kappa:g}", convex(points, tau, kappa)))
+    figure, axes = plt.subplots(1, len(shown), figsize=(2.2 * len(shown), 2.6))
+    for axis, (title, alpha) in zip(axes, shown):
+        axis.imshow(alpha, cmap="gray_r", vmin=0, vmax=1)
+        axis.set_title(title, fontsize=10)
+        axis.axis("off")
+    save(figure, "convexes")
+
+
+def spheres() -> None:
+    """The hulls with which convexes of four, six and eight points begin, and how many points would lie."""
+    figure = plt.figure(figsize=(9, 2.6))
+    for k, count in enumerate((4, 6, 8, 200), 1):
+        axis = figure.add_subplot(1, 4, k, projection="3d")
+        points = fibonacci_sphere(count)
+        axis.scatter(*points.T, s=40 if count < 10 else 6, color="#204080", depthshade=False)
+        if count < 10:
+            faces = points[ConvexHull(points).simplices]
+            axis.add_collection3d(Poly3DCollection(faces, facecolor="#6090d0", edgecolor="#204080", alpha=0.35))
+        axis.set_title(f"K = {count}" if count < 10 else f"{count} points", fontsize=10)
+        axis.set_box_aspect((1, 1, 1))
+        axis.axis("off")
+    save(figure, "spheres")
+
+
+def lives() -> None:
+    """Opacity and place of three primitives with lives of their own."""
+    times = 60
+    motion = FreeMotion(times)
+    life = Life(
+        torch.tensor([10.0, 30.0, 45.0]),
+        torch.log(torch.tensor([6.0, 10.0, 5.0])),
+        torch.tensor([[0.02, 0, 0], [-0.01, 0, 0], [0.03, 0, 0]]),
+        torch.zeros(3, 3),
+    )
+    rest = Rest(torch.zeros(3, 3), torch.tensor([[1.0, 0, 0, 0]]).repeat(3, 1), torch.zeros(3, 2), None, life, None)
+    moments = np.linspace(0, 1, 200)
+    moved = [motion.carry(rest, float(t)) for t in moments]
+    figure, (upper, lower) = plt.subplots(2, 1, figsize=(7, 3.6), sharex=True)
+    frames = moments * (times - 1)
+    for i in range(3):
+        presence = np.array([float(m.presence[i]) for m in moved])
+        there = np.where(presence > 0.02, [float(m.points[i, 0]) for m in moved], np.nan)
+        upper.plot(frames, presence)
+        lower.plot(frames, there)
+    upper.set_ylabel("share of opacity"), lower.set_ylabel("x, world units"), lower.set_xlabel("frame")
+    save(figure, "lives")
+
+
+def save(figure: plt.Figure, name: str) -> None:
+    FOLDER.mkdir(exist_ok=True)
+    figure.tight_layout()
+    figure.savefig(FOLDER / f"{name}.png", dpi=110, metadata={"Software": None})
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    convexes()
+    spheres()
+    lives()

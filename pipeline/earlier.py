@@ -1,0 +1,103 @@
+"""Earlier results of a stage from which parts are taken over: items, such as pairs of frames, that are what they were."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from .artifact import Artifact
+from .errors import ArtifactError
+from .files import canonical_json, digest_bytes
+from .job import Job
+from .stage import Given, Stage
+
+if TYPE_CHECKING:
+    from .store import Store
+
+RECENT = 8  # results of other captures that are looked at, those used last; more would make plans slow in a store of thousands
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """A result of the same version and settings, held as long as this lives. ``rows``: number of an item in the result that is to be made
+    -> its number in this one; ``total``: items of the result that is to be made."""
+
+    artifact: Artifact
+    rows: Mapping[int, int]
+    total: int
+
+    @property
+    def new(self) -> int:
+        """Items that have to be made."""
+        return self.total - len(self.rows)
+
+
+def item_digests(job: Job, stage: Stage, inputs: Mapping[str, Artifact | None]) -> list[str]:
+    """A digest for each of `Stage.item_parts`, the inputs being known; [] for a stage whose result is made as a whole alone."""
+    if not stage.items:
+        return []
+    digests = job.capture_files if stage.reads_capture else {}
+    given = Given(job.capture, job.capture.facts, job.settings[stage.name], inputs, digests)
+    return [digest_bytes(canonical_json(parts))[:32] for parts in stage.item_parts(given)]
+
+
+def find_earlier(job: Job, stage: Stage, parts: Mapping[str, Any], key: str, inputs: Mapping[str, Artifact | None]) -> Earlier | None:
+    """The result that has most items of the one that is to be made under ``key``, among the scene's last and those used last; None where
+    there is none. Its bytes have not been looked at."""
+    if not stage.items:
+        return None
+    wanted: list[str] | None = None
+    best: dict[int, int] = {}
+    where: tuple[Store, str] | None = None
+    for store, other in _candidates(job, stage, key):
+        made = store.manifest(stage.name, other)
+        items = _items(made, parts) if made is not None else []
+        if not items:
+            continue
+        if wanted is None:
+            try:
+                wanted = item_digests(job, stage, inputs)
+            except ArtifactError:  # an input is damaged; the run finds it, and asks again
+                return None
+        row_of = {digest: row for row, digest in enumerate(items)}
+        rows = {number: row_of[digest] for number, digest in enumerate(wanted) if digest in row_of}
+        if len(rows) > len(best):
+            best, where = rows, (store, other)
+        if len(best) == len(wanted):
+            break
+    if where is None or wanted is None:
+        return None
+    try:
+        return Earlier(where[0].open(stage.name, where[1]), best, len(wanted))
+    except ArtifactError:  # it went away just now, or a file of it did
+        job.refused.add(where[0].path(stage.name, where[1]))
+        return find_earlier(job, stage, parts, key, inputs)
+
+
+def made_before(job: Job, stage: Stage, parts: Mapping[str, Any]) -> int:
+    """How many items the scene's last result has that could be taken over, as far as version and settings tell."""
+    record = job.records.read(stage.name) if stage.items else None
+    made = job.store.manifest(stage.name, record["key"]) if record is not None else None
+    return len(_items(made, parts)) if made is not None else 0
+
+
+def _candidates(job: Job, stage: Stage, key: str) -> Iterator[tuple[Store, str]]:
+    record = job.records.read(stage.name)
+    last = [record["key"]] if record is not None else []
+    for store in (job.store, *job.also):
+        for other in dict.fromkeys([*last, *store.latest(stage.name, RECENT)]):
+            if other != key and store.path(stage.name, other) not in job.refused:
+                yield store, other
+
+
+def _items(manifest: Mapping[str, Any], parts: Mapping[str, Any]) -> list[str]:
+    """The items of a result, [] where it was made by another version, with other settings, or on another class of devices."""
+    provenance = manifest["provenance"]
+    alike = _own(provenance.get("parts", {})) == _own(parts)
+    return provenance.get("items", []) if alike else []
+
+
+def _own(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Key parts without what the items' digests stand for."""
+    return {name: value for name, value in parts.items() if name not in ("inputs", "capture")}

@@ -1,0 +1,11 @@
+"""How many threads a stage may use."""
+
+import os
+
+
+def thread_count(most: int | None = None) -> int:
+    """OMP_NUM_THREADS where it is set, as a batch does for each stage, else the cores that this process may use; ``most`` at most."""
+    said = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
+    affinity = getattr(os, "sched_getaffinity", None)
+    count = int(said) if said.isdigit() and int(said) else len(affinity(0)) if affinity else os.cpu_count() or 1
+    return count if most is None else min(most, count)

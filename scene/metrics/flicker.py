@@ -1,0 +1,79 @@
+"""Flicker: how much more a render changes from one time to the next than the scene does, before a camera that stands still."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+
+from ..edges import edge_mask_canny, near_edges
+from .edge_psnr import PIXELS
+from .images import as_pair
+
+STEADY = 0.01  # standard deviation over time, of [0, 1], below which the truth stands still
+LEVELS = 255.0  # changes are given in levels of 8-bit pictures
+FARNEBACK = {"pyr_scale": 0.5, "levels": 3, "winsize": 15, "iterations": 3, "poly_n": 5, "poly_sigma": 1.2, "flags": 0}
+
+
+def steady_pixels(truths: Iterable[np.ndarray]) -> np.ndarray:
+    """Where pictures of one camera, float [H, W, 3] in [0, 1], deviate over time by less than `STEADY` in every channel: bool [H, W].
+
+    Raises ValueError without a picture.
+    """
+    count, mean, squares = 0, np.zeros(()), np.zeros(())
+    for truth in truths:  # Welford's sums: a difference of large squares would lose what is asked for
+        count += 1
+        gap = np.asarray(truth, np.float64) - mean
+        mean = mean + gap / count
+        squares = squares + gap * (truth - mean)
+    if not count:
+        raise ValueError("truths: there is no picture")
+    return np.asarray((np.sqrt(squares / count) < STEADY).all(-1))
+
+
+class Flicker:
+    """Sums over pairs of neighbouring times of one or more cameras that stand still.
+
+    The excess of a pixel is max(0, |R(t+1) - R(t)| - |Y(t+1) - Y(t)|), R the render, Y the truth, | | the mean over channels, in levels
+    of 8 bits. `static`: its mean where the truth is steady; `edges`: within 2 px of an edge of the truth; `flow`: mean distance in px of
+    optical flow measured in the renders from that in the truth (tOF, Chu et al. 2020, with Farneback's flow).
+    """
+
+    def __init__(self) -> None:
+        self.pairs = 0
+        self._sums: dict[str, list[float]] = {"static": [], "edges": [], "flow": []}
+        self._before: tuple[np.ndarray, np.ndarray] | None = None
+        self._steady: np.ndarray | None = None
+
+    def begin(self, steady: np.ndarray) -> None:
+        """The pictures of another camera follow. steady: bool [H, W]."""
+        self._steady, self._before = steady, None
+
+    def add(self, render: np.ndarray, truth: np.ndarray) -> None:
+        """The next time of the camera: both float [H, W, 3] in [0, 1]. Raises ValueError where shapes differ."""
+        assert self._steady is not None, "begin() comes first"
+        render, truth = as_pair(render, truth)
+        before, self._before = self._before, (render, truth)
+        if before is None:
+            return
+        self.pairs += 1
+        excess = LEVELS * np.maximum(0.0, np.abs(render - before[0]).mean(-1) - np.abs(truth - before[1]).mean(-1))
+        edges = edge_mask_canny(_bytes(truth))
+        for name, mask in (("static", self._steady), ("edges", near_edges(edges, PIXELS))):
+            if mask.any():
+                self._sums[name].append(float(excess[mask].mean()))
+        self._sums["flow"].append(float(np.linalg.norm(_flow(before[0], render) - _flow(before[1], truth), axis=-1).mean()))
+
+    def means(self) -> dict[str, float | None]:
+        """`static`, `edges` and `flow`, each the mean over pairs; None where no pair has such pixels."""
+        return {name: float(np.mean(values)) if values else None for name, values in self._sums.items()}
+
+
+def _bytes(image: np.ndarray) -> np.ndarray:
+    return np.rint(np.clip(image, 0.0, 1.0) * LEVELS).astype(np.uint8)
+
+
+def _flow(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    greys = [cv2.cvtColor(_bytes(image), cv2.COLOR_RGB2GRAY) for image in (first, second)]
+    return cv2.calcOpticalFlowFarneback(greys[0], greys[1], None, **FARNEBACK)  # type: ignore[call-overload]

@@ -1,0 +1,60 @@
+"""Arrays of `.npy` and `.npz` files that nobody has vouched for: what the header promises is held against the file first."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from ...pipeline import CaptureError
+from . import checks
+
+MOST_POINTS = 10_000_000  # rows that a cloud may have
+
+
+def load_array(root: Path, name: str, columns: tuple[int, ...], member: str | None = None, most: int = MOST_POINTS) -> np.ndarray:
+    """[N, one of `columns`] float64 of `root/name`, or of the array `member` of an .npz file; N may be 0.
+
+    Raises CaptureError for what is no such array, is cut short, holds pickled objects, or has more than `most` rows.
+    """
+    path = checks.resolve_inside(root, name, name)
+    where = name if member is None else f"{name}: {member}"
+    try:
+        if member is None:
+            with path.open("rb") as file:
+                table = _read(file, path.stat().st_size, where, columns, most)
+        else:
+            with zipfile.ZipFile(path) as archive, archive.open(f"{member}.npy") as part:
+                table = _read(part, archive.getinfo(f"{member}.npy").file_size, where, columns, most)
+    except CaptureError:
+        raise
+    except Exception as error:  # of zip files and numpy's headers, whatever is wrong with them
+        raise CaptureError(f"{where}: not a readable numpy array ({error or type(error).__name__}); copy it again or remove it") from error
+    return table.astype(np.float64, copy=False)
+
+
+def _read(file: IO[bytes], size: int, where: str, columns: tuple[int, ...], most: int) -> np.ndarray:
+    """The array in `file` of `size` bytes."""
+    begin = file.tell()
+    version = np.lib.format.read_magic(file)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"version {version} of the format")
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = header(file)
+    if dtype.hasobject:
+        raise ValueError("it holds pickled objects")
+    if len(shape) != 2 or shape[1] not in columns or dtype.kind not in "fiu":
+        expected = " or ".join(map(str, columns))
+        raise CaptureError(f"{where}: expected numbers [N,{expected}], found {dtype} {list(shape)}; correct the file or remove it")
+    promised = math.prod(shape) * dtype.itemsize
+    if not 0 <= shape[0] <= most:
+        raise CaptureError(f"{where}: {shape[0]} rows are more than a capture has; thin them out or remove the file")
+    if promised > size:
+        raise CaptureError(
+            f"{where}: {list(shape)} are promised, which its {size} bytes cannot hold; cut short, copy it again or remove it"
+        )
+    file.seek(begin)
+    return np.asarray(np.lib.format.read_array(file, allow_pickle=False))

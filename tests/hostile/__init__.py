@@ -1,0 +1,1 @@
+"""Captures that nobody should give e4dgs, and the referee that watches what it does with them."""

@@ -1,0 +1,147 @@
+"""Batches on a real Slurm cluster of two nodes, whose jobs and nodes are lost in every way: all scenes finish, and nothing that was
+committed is computed twice."""
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from e4dgs.workflows.batch.ledger import Ledger
+from PIL import Image
+from slurm_cluster import Slurm, missing, wait
+
+SCENES = [f"scene{k}" for k in range(6)]
+PATIENCE = 400.0  # s; on an idle machine none of what is waited for takes a tenth of it
+STEPS = dict.fromkeys(SCENES, 30) | {"scene0": 330}  # of 0.1 s; Slurm looks at time limits every 30 s
+
+pytestmark = [
+    pytest.mark.skipif(bool(missing()), reason=f"needs {missing()}: apt-get install slurmctld slurmd slurm-client"),
+    pytest.mark.timeout(1500),  # for machines that are busy with something else
+]
+
+
+@pytest.fixture(scope="module")
+def slurm(tmp_path_factory):
+    cluster = Slurm(tmp_path_factory.mktemp("slurm"))
+    yield cluster
+    cluster.close()
+
+
+class Batch:
+    """Six captures, a workspace and a cluster's file with one GPU's licence a training job."""
+
+    def __init__(self, folder: Path, slurm: Slurm, steps: dict[str, int]) -> None:
+        self.folder, self.slurm, self.steps = folder, slurm, steps
+        for k, name in enumerate(SCENES):
+            (folder / name).mkdir()
+            for i in range(3):
+                Image.new("RGB", (32, 24), (40 * i, 30 * k, 0)).save(folder / name / f"{i}.png")
+        rows = [f"{{capture: {name}, settings: {{coarse.iterations: {steps}}}}}" for name, steps in self.steps.items()]
+        (folder / "scenes.yaml").write_text("\n".join(f"- {row}" for row in rows))
+        self.ledger = Ledger(folder / "work", "batch")
+        self.file = folder / "slurm.yaml"
+        pool = "provider: slurm, cores: 1, memory_gb: 0.5, nodes: 2, partition: main"
+        self.file.write_text(
+            f"lost_after: 12\ncpu: {{{pool}, workers: 3}}\ngpu: {{{pool}, workers: 1, options: '#SBATCH --licenses=gpu:1 --requeue'}}\n"
+        )
+
+    def start(self, *words: str, log: str = "head.txt") -> subprocess.Popen:
+        toys = Path(__file__).parent / "toy_site"
+        path = os.pathsep.join([str(toys), *filter(None, [os.environ.get("PYTHONPATH")])])
+        self.environment = dict(self.slurm.environment, PYTHONPATH=path)
+        command = [sys.executable, "-m", "e4dgs.workflows.cli", "batch", str(self.folder / "scenes.yaml"), *words]
+        command += ["--workspace", str(self.folder / "work"), "--executor", str(self.file)]
+        with open(self.folder / log, "ab") as output:
+            return subprocess.Popen(command, env=self.environment, stdout=output, stderr=output)
+
+    def events(self, scene: str, what: str) -> int:
+        """How often a stage has told it."""
+        file = self.folder / "events" / f"{scene}.txt"
+        return file.read_text().count(what) if file.is_file() else 0
+
+    def trains(self, scene: str) -> None:
+        """Waits until a scene is in the middle of its training."""
+        wait(lambda: self.events(scene, "coarse step"), PATIENCE, f"{scene} trains")
+
+    def job(self, scene: str) -> dict[str, str]:
+        """The job that trains a scene, of the first array."""
+        return next(job for job in self.slurm.jobs("all") if job["name"] == "e4dgs-train" and job["id"].endswith(f"_{SCENES.index(scene)}"))
+
+    def states(self) -> Counter:
+        return Counter(self.ledger.progress(name).state for name in SCENES)
+
+    def check(self) -> None:
+        assert self.states() == {"done": 6}, [self.ledger.progress(name) for name in SCENES]
+        for name in SCENES:
+            said = self.ledger.log(name).read_text()
+            for stage in ("frames", "coarse", "evaluate"):  # a line that follows publication
+                assert said.count(f"{stage}: done in") <= 1, f"{name}: {stage} was made twice"
+            again = self.events(name, "coarse step") - self.steps[name]
+            assert 0 <= again < self.events(name, "coarse begin"), f"{name}: steps before the checkpoint were done again"
+
+
+def submit(batch: Batch) -> None:
+    assert batch.start("--emit", "slurm").wait(PATIENCE) == 0, (batch.folder / "head.txt").read_text()
+    subprocess.run([str(batch.ledger.folder / "slurm" / "submit.sh")], env=batch.environment, check=True, stdout=subprocess.DEVNULL)
+
+
+def test_job_scripts_survive_what_happens_to_jobs_and_nodes(slurm, tmp_path):
+    batch = Batch(tmp_path, slurm, STEPS)
+    submit(batch)
+    batch.trains("scene0")
+    slurm.say("scontrol", "update", f"jobid={batch.job('scene0')['id']}", "EndTime=now+30")
+    batch.trains("scene1")
+    slurm.say("scontrol", "requeue", batch.job("scene1")["id"])
+    batch.trains("scene2")
+    slurm.say("scancel", batch.job("scene2")["id"])
+    batch.trains("scene3")
+    lost = batch.job("scene3")["node"]
+    slurm.switch_off(lost)
+    wait(lambda: "down" in slurm.say("sinfo", "-h", "-n", lost, "-o", "%T"), PATIENCE, "a node is missed")
+    slurm.start_node(lost)
+    said = batch.ledger.folder / "slurm" / f"e4dgs-train-{batch.job('scene0')['id']}.out"
+    wait(lambda: "in a new job" in said.read_text(), PATIENCE, "a job meets its time limit")
+    slurm.say("scontrol", "update", f"jobid={batch.job('scene0')['id']}", "TimeLimit=60")  # it was two minutes, too few for a busy machine
+    wait(lambda: not slurm.jobs(), PATIENCE, "all jobs end")
+    assert batch.states() == {"done": 5, "waiting": 1}, "what was cancelled stays so"
+    submit(batch)
+    assert (batch.ledger.folder / "slurm" / "scenes.txt").read_text() == "scene2\n"
+    wait(lambda: not slurm.jobs(), PATIENCE, "the rest ends")
+    batch.check()
+    assert (batch.ledger.folder / "results.csv").read_text().count("done") == 6, "written by the last job"
+
+
+def test_parsl_survives_what_happens_to_its_jobs_and_nodes(slurm, tmp_path):
+    pytest.importorskip("parsl")
+    batch = Batch(tmp_path, slurm, dict.fromkeys(SCENES, 30))
+    head = batch.start()
+
+    def training() -> list[dict[str, str]]:
+        return [job for job in slurm.jobs("R") if "gpu" in job["name"]]
+
+    try:
+        wait(lambda: len(training()) == 2 and any(batch.events(name, "coarse step") for name in SCENES), PATIENCE, "two jobs that train")
+        first, second = training()
+        slurm.say("scancel", first["id"])
+        slurm.say("scontrol", "requeue", second["id"])
+        wait(lambda: {job["id"] for job in training()} - {first["id"], second["id"]}, PATIENCE, "a job in the place of the cancelled one")
+        lost = training()[-1]["node"]
+        slurm.kill_slurmd(lost)
+        wait(lambda: "down" in slurm.say("sinfo", "-h", "-n", lost, "-o", "%T"), PATIENCE, "a node is missed")
+        slurm.start_node(lost)
+        assert head.wait(PATIENCE) == 0, (tmp_path / "head.txt").read_text()
+    finally:
+        head.terminate()
+        head.wait(60)
+    batch.check()
+    wait(lambda: not slurm.jobs(), PATIENCE, "no job is left behind")
+
+
+def test_a_pool_that_gets_no_jobs_fails_its_scenes_with_the_message_of_slurm(slurm, tmp_path):
+    pytest.importorskip("parsl")
+    batch = Batch(tmp_path, slurm, dict.fromkeys(SCENES, 1))
+    batch.file.write_text(batch.file.read_text().replace("partition: main", "partition: nowhere"))
+    assert batch.start().wait(PATIENCE) == 1
+    assert batch.states() == {"failed": 6} and "invalid partition" in batch.ledger.progress("scene0").message

@@ -1,0 +1,130 @@
+"""`e4dgs ablation`: the rows of the paper's Table 3 on your own captures, over seeds, as one table."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from ..pipeline import SettingsError
+from ..pipeline.files import write_atomically
+from .bench import output
+from .bench.pipeline import content, measure, summaries, table
+from .options import Captures, Debug, Device, Format, Preset, Set, Static, Workspace
+from .session import DEFAULT_WORKSPACE, Options
+
+WIDTH = 180  # of the table in a file or a pipe
+NO_DATA, NO_INTERVAL = (tuple(f"{stage}.{term}=0" for stage in ("coarse", "fine")) for term in ("data_flow", "interval"))
+NO_CONVEXES = ("hulls.budget=0",)
+ROWS: Mapping[str, tuple[str, ...]] = {
+    "a, base": (*NO_DATA, *NO_INTERVAL, *NO_CONVEXES),
+    "b, convexes": (*NO_DATA, *NO_INTERVAL),
+    "c, edges at time steps": (*NO_INTERVAL, *NO_CONVEXES),
+    "d, edges and interval": NO_CONVEXES,
+    "full": (),
+    "full resolution": ("coarse.full_from=0",),
+    "joint": ("coarse.strategy=joint",),
+    "alternating": ("coarse.strategy=alternating",),
+    "progressive": ("coarse.strategy=progressive",),
+    "two-stage": ("coarse.strategy=two-stage",),
+}
+COLUMNS = {
+    "capture": "capture",
+    "point": "row",
+    "seeds": "seeds",
+    "psnr": "PSNR",
+    "spread": "spread",
+    "ssim": "SSIM",
+    "lpips": "LPIPS",
+    "edge_psnr": "edge PSNR",
+    "flicker_static": "flicker, static",
+    "flicker_edges": "flicker, edges",
+    "seconds": "seconds",
+    "gaussians": "Gaussians",
+    "convexes": "convexes",
+}
+DIGITS = {"ssim": 4, "lpips": 4, "seconds": 0, "gaussians": 0, "convexes": 0, "seeds": 0}
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>Ablation</title>
+<style>:root { color-scheme: light dark } body { font: 15px/1.5 sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em }
+table { border-collapse: collapse } td, th { padding: .3em .8em; text-align: right; border-bottom: 1px solid #8885 }
+td:nth-child(-n+2), th:nth-child(-n+2) { text-align: left }</style></head><body><h1>Ablation</h1>
+<p>Means over seeds; the spread is the highest PSNR minus the lowest. Held-out views: test, else validation. Flicker in levels of 8 bits,
+for captures of fixed cameras. Seconds of all stages; a cached stage counts as the run took that made it. {{ note }}</p>
+<table><tr>{% for title in titles %}<th>{{ title }}</th>{% endfor %}</tr>
+{% for row in rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}</table></body></html>
+"""
+
+
+def ablation(
+    captures: Captures,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where ablation.csv, .html and .json go.")],
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each row; mean and spread are shown.")] = 1,
+    rows: Annotated[str | None, typer.Option("--rows", metavar="NAME,NAME", help="Only rows that begin so, as in a,b,full.")] = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Run the rows of the paper's Table 3 (convexes, edge terms, strategies) on captures. Stages on which rows agree run once."""
+    from .bench.machine import machine
+
+    console = Console()
+    console = console if console.is_terminal else Console(width=WIDTH)
+    chosen = choose(rows)
+    every = [Options(capture, workspace, preset, set or (), device, None, static, format) for capture in captures]
+    jobs = [(options, name, seed) for options in every for name in chosen for seed in range(seeds)]
+    runs = []
+    for number, (options, name, seed) in enumerate(jobs, 1):
+        console.print(f"[{number}/{len(jobs)}] {options.capture.name}: {name}, seed {seed}", highlight=False, markup=False)
+        point = name, preset, ROWS[name]
+        runs.append(measure(options, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False)))
+        output.write(out / "ablation.json", content(runs, machine(), every[0]))  # after each run: hours of others are not lost with one
+        write(out, summaries(runs), f"Preset {preset}. {' '.join(set or ())}")
+    console.print(table(summaries(runs)))
+    console.print(f"table: {out / 'ablation.html'}", markup=False, highlight=False, soft_wrap=True)
+
+
+def choose(names: str | None) -> list[str]:
+    """The rows whose names begin with one of a comma-separated list; all for None. Raises SettingsError where none does."""
+    if names is None:
+        return list(ROWS)
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    for name in wanted:
+        if not any(_begins(row, name) for row in ROWS):
+            raise SettingsError(f"--rows {name}: there is no such row; rows: {'; '.join(ROWS)}")
+    return [row for row in ROWS if any(_begins(row, name) for name in wanted)]
+
+
+def _begins(row: str, name: str) -> bool:
+    return row == name or row.startswith(name + ",")
+
+
+def write(folder: Path, rows: Sequence[Mapping[str, Any]], note: str) -> None:
+    """``ablation.csv`` with every digit, and ``ablation.html``."""
+    from jinja2 import Environment
+
+    folder.mkdir(parents=True, exist_ok=True)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(folder / "ablation.csv", text.getvalue())
+    shown = [[_cell(key, row.get(key)) for key in COLUMNS] for row in rows]
+    page = Environment(autoescape=True).from_string(PAGE).render(titles=COLUMNS.values(), rows=shown, note=note)
+    write_atomically(folder / "ablation.html", page)
+
+
+def _cell(key: str, value: Any) -> str:
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.{DIGITS.get(key, 2)}f}"

@@ -1,0 +1,117 @@
+"""A stage in a process of its own: ended when it takes too long or too much memory, and what is said where it failed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+LAST_LINES = 3  # of a stage's log, for the message of its failure
+LOOK = 0.2  # s between two looks at the clock
+LOOK_AT_MEMORY = 1.0  # s; listing children walks the process table
+GRACE = 10.0  # s between the request to end and the end
+FIRST_TO_GO = "500"  # of 1000: where the system runs out of memory it ends a stage, and not who looks after the stages
+
+
+@dataclass(frozen=True)
+class Ended:
+    """code: exit code, negative for a signal; None where we ended it. problem: why it failed, "" where it did not. memory: whether for
+    want of memory."""
+
+    code: int | None
+    seconds: float
+    problem: str = ""
+    memory: bool = False
+
+
+def run_process(
+    command: Sequence[str],
+    environment: Mapping[str, str],
+    log: Path,
+    timeout: float | None,
+    too_large: Callable[[float], str],
+    stopped: Callable[[], bool],
+) -> Ended:
+    """Run ``command`` until it ends. What it prints is added to ``log``.
+
+    timeout: seconds. too_large: asked once a second with the GB that the process and its children take; a text ends it, with that text as
+    the problem. stopped: asked now and then; True ends it.
+    """
+    started = time.monotonic()
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with open(log, "ab") as output:
+        begin = output.tell()
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
+        )
+        with contextlib.suppress(OSError):  # not Linux, or the process is gone
+            Path(f"/proc/{process.pid}/oom_score_adj").write_text(FIRST_TO_GO)
+        try:
+            code, problem = _wait(process, started, timeout, too_large, stopped)
+        finally:
+            _end(process)
+    seconds = time.monotonic() - started
+    if code is None:
+        return Ended(None, seconds, problem, memory=bool(problem) and not problem.startswith("ended after"))
+    return Ended(code, seconds, _why(log, begin, code) if code else "", memory=code == -signal.SIGKILL)
+
+
+def _wait(
+    process: subprocess.Popen[Any], started: float, timeout: float | None, too_large: Callable[[float], str], stopped: Callable[[], bool]
+) -> tuple[int | None, str]:
+    """Exit code, or None and why it has to be ended."""
+    looked = started
+    while not stopped():
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.wait(LOOK), ""
+        now = time.monotonic()
+        if timeout is not None and now - started > timeout:
+            return None, f"ended after {timeout:.0f} s (--stage-timeout); what it has done so far is kept"
+        if now - looked > LOOK_AT_MEMORY:
+            looked = now
+            if problem := too_large(_memory_gb(process.pid)):
+                return None, problem
+    return None, ""
+
+
+def _memory_gb(pid: int) -> float:
+    """Resident memory of a process and its children."""
+    total = 0
+    with contextlib.suppress(psutil.Error):
+        process = psutil.Process(pid)
+        for one in (process, *process.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):
+                total += one.memory_info().rss
+    return total / 1e9
+
+
+def _end(process: subprocess.Popen[Any]) -> None:
+    """The process and what it has started."""
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGTERM)
+        try:
+            process.wait(GRACE)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def _why(log: Path, begin: int, code: int) -> str:
+    """What a process that failed has said last. begin: where its part of the log begins."""
+    if code < 0:
+        number = -code
+        hint = "; out of memory, perhaps: fewer scenes at a time (--jobs) or smaller pictures" if number == signal.SIGKILL else ""
+        return f"ended by {signal.Signals(number).name}{hint}; see {log}"
+    with open(log, "rb") as file:
+        file.seek(begin)
+        lines = file.read().decode(errors="replace").strip().splitlines()
+    errors = [line for line in lines if line.startswith("error: ")]
+    return errors[-1].removeprefix("error: ") if errors else " | ".join(lines[-LAST_LINES:])
