@@ -10,9 +10,12 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import Resources
-from e4dgs.workflows.batch.ledger import Ledger
+from e4dgs.workflows.batch.ledger import Ledger, Progress
+from e4dgs.workflows.batch.listing import Entry
+from e4dgs.workflows.batch.local import Local
 from e4dgs.workflows.batch.process import run_process
 from e4dgs.workflows.batch.share import Share, usual_memory_gb
+from e4dgs.workflows.batch.work import PARTS
 from PIL import Image
 
 
@@ -150,6 +153,27 @@ def batch(tmp_path):
         return Ledger(tmp_path / "work", "batch"), done.returncode
 
     return run
+
+
+@pytest.mark.parametrize(("fails", "states"), [(1, ["done", "done"]), (2, ["failed", "done"])])
+def test_a_scene_that_meets_an_error_nobody_expects_is_tried_again_and_then_says_so(tmp_path, monkeypatch, fails, states):
+    ledger = Ledger.create(tmp_path, "batch", [Entry("first", "/captures/first"), Entry("second", "/captures/second")])
+    left = {"first": fails}
+
+    def run_part(workspace, batch, scene, part, *more, **named):
+        if left.get(scene, 0):
+            left[scene] -= 1
+            raise OSError(12, "Cannot allocate memory")
+        ledger.write(scene, Progress("done" if part == PARTS[-1] else "waiting"))
+        return True
+
+    monkeypatch.setattr("e4dgs.workflows.batch.local.run_part", run_part)
+    local = Local(ledger, jobs=2, memory_gb=1.0, retries=1, timeout=None)
+    ends = [future.result(20) for future in local.start(ledger.entries())]
+    local.stop()
+    found = [ledger.progress(name) for name in ("first", "second")]
+    assert [progress.state for progress in found] == states and ends == [state == "done" for state in states]
+    assert states[0] == "done" or "Cannot allocate memory" in found[0].message
 
 
 @pytest.mark.parametrize(

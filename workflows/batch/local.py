@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 from ...pipeline import Resources
-from .ledger import Ledger
+from .ledger import Ledger, Progress
 from .listing import Entry
 from .share import Lease, Share, cores
 from .work import PARTS, StageFailed, run_part
@@ -34,7 +34,8 @@ class Local:
         self._pool = ThreadPoolExecutor(jobs, thread_name_prefix="scene")
         self._stopped = threading.Event()
         self._share = Share(cores(), memory_gb, self._stopped.is_set)
-        self._left = 0  # scenes that are not done yet
+        self._left = 0  # scenes that have not ended yet
+        self._lock = threading.Lock()
 
     def start(self, entries: Sequence[Entry]) -> list[Future[bool]]:
         self._left = len(entries)
@@ -49,18 +50,27 @@ class Local:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _ended(self, _: Future[bool]) -> None:
-        self._left -= 1
+        with self._lock:
+            self._left -= 1
 
     def _scene(self, entry: Entry) -> bool:
         alone = False
-        for attempt in range(self.retries + 1):
+        for _ in range(self.retries + 1):
             try:
                 return all(self._part(entry, part, alone) for part in PARTS)
             except StageFailed as error:
-                if attempt == self.retries or self._stopped.is_set():
-                    return False
                 alone = error.memory
+            except Exception as error:  # no process could be started, say, or the scene's own files cannot be read
+                # Nobody asks the future, so a scene that says nothing here would be left without a word.
+                self._failed(entry.name, error)
+            if self._stopped.is_set():
+                break
         return False
+
+    def _failed(self, scene: str, error: Exception) -> None:
+        before = self.ledger.progress(scene)
+        message = f"{type(error).__name__}: {error}"
+        self.ledger.write(scene, Progress("failed", before.stage, message, before.seconds, before.attempts))
 
     def _part(self, entry: Entry, part: str, alone: bool) -> bool:
         @contextlib.contextmanager
