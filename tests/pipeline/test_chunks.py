@@ -41,6 +41,18 @@ def test_every_type_and_shape_reads_as_zarr_reads_it(quick_folder):
         np.testing.assert_array_equal(artifact.array(name)[...], data)
 
 
+@pytest.mark.parametrize("kind", TYPES)
+def test_an_array_without_dimensions_is_read_into_its_own_memory(quick_folder, kind):
+    """Not into a scalar beside it: for bool that would be NumPy's one `np.False_`, which would then be true for everyone."""
+    writer = ArtifactWriter(quick_folder / "a")
+    writer.create("x", (), kind, ())[...] = 1
+    writer.finish({})
+    used = [np.zeros((), kind) for _ in range(100)]  # NumPy hands their memory out again as it is
+    del used
+    found = Artifact(quick_folder / "a").read("x")
+    assert found == 1 and bool(np.True_) and not bool(np.False_)
+
+
 def test_a_layout_that_is_not_ours_is_read_by_zarr(quick_folder):
     """As an artifact of a later version may have it."""
     writer = ArtifactWriter(quick_folder / "a")
