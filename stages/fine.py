@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 12  # 12: no stop soon after primitives came or went
+    version = 13  # 13: tau's gradient without what slots of convexes that hold no edge added on processors without AVX-512
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True

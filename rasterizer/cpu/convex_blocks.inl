@@ -45,7 +45,8 @@ inline void prepare_gentle(ConvexItem& c, int points, uint32_t wanted, float* of
         for (int at = 8 * b; at < 8 * (b + kAtOnce); at += kWidth) {
             const int edge = at % 8;
             const Float line = fma(load(c.a + edge), load(kEdgeCentres.x + at), fma(load(c.b + edge), load(kEdgeCentres.y + at), load(c.c + edge)));
-            const Float over = line - tops(c.top, at);
+            // exp2 goes no lower. What is stored must not either: p over, of a slot without an edge, would be 2^-126 kNoEdge.
+            const Float over = max(line - tops(c.top, at), set1(-126.0f));
             if (offset) store(offset + at, over);
             store(c.level[0] + at, exp2(over));
         }

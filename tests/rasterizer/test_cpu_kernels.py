@@ -5,7 +5,7 @@ import torch
 
 from .compare import assert_gradients_close, assert_images_close, cotangents, decided_by_threshold, gradients
 from .kernels import needs_cpu
-from .scenes import Scene, generator, random_scene, uniform
+from .scenes import Scene, generator, make_camera, random_convexes, random_scene, uniform
 
 pytestmark = needs_cpu
 
@@ -21,6 +21,12 @@ def check(scene: Scene, max_decided: float = 0.05) -> None:
 @pytest.mark.parametrize("points", [3, 6, 8])
 def test_every_instruction_set_agrees_with_the_reference(instruction_set: str, points: int) -> None:
     check(random_scene(11, gaussians=50, convexes=25, points=points, degree=2, extras=3, width=43, height=29))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_slots_without_an_edge_add_nothing(instruction_set: str, seed: int) -> None:
+    """A hull of six points mostly has fewer edges. Few pixels, so that what the other slots would add to tau's gradient is not lost."""
+    check(Scene(make_camera(3, 9, seed), None, random_convexes(seed, 1, 6, None, None), uniform(generator(seed), 0, 1, 3)), max_decided=1.0)
 
 
 def test_an_unknown_instruction_set_is_refused() -> None:

@@ -42,7 +42,6 @@ SlurmdPidFile={folder}/%n.pid
 SlurmdLogFile={folder}/%n.log
 ReturnToService=2
 SlurmdTimeout={lost}
-KillWait=2
 CompleteWait=0
 Licenses=gpu:3
 NodeName=node1 NodeHostname={host} NodeAddr=127.0.0.1 Port={ports[1]} CPUs=4 RealMemory=8000

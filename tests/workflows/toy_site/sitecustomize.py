@@ -20,6 +20,7 @@ sys.meta_path.insert(0, Toys)
 
 # The environment's own, which this file hides.
 sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != HERE]
-del sys.modules["sitecustomize"]
+this = sys.modules.pop("sitecustomize")
 with contextlib.suppress(ImportError):
     import sitecustomize  # noqa: F401
+sys.modules.setdefault("sitecustomize", this)  # the import of this file ends by looking for it
