@@ -72,7 +72,8 @@ def read_chunks(path: Path, name: str, layout: Layout, files: Mapping[str, list[
     def one(place: tuple[int, ...]) -> None:
         file = "/".join([name, "c", *map(str, place)])
         where = tuple(slice(k * chunk, min((k + 1) * chunk, size)) for k, chunk, size in zip(place, layout.chunk, layout.shape))
-        target = out[(*where, ...)]  # a view also of an array of no dimensions, where out[()] would be a scalar apart from it
+        whereabouts: tuple[Any, ...] = (*where, ...)
+        target = out[whereabouts]  # a view also of an array of no dimensions, where out[()] would be a scalar apart from it
         content = _read(path, file, name, files, room)
         try:
             if target.shape == layout.chunk and target.flags.c_contiguous:
