@@ -58,6 +58,14 @@ def test_one_stage_at_a_time_has_the_gpu_and_others_overlap_with_it():
     assert any("gpu1" in found for found in crowd.together)
 
 
+def test_stages_that_want_the_same_are_told_apart():
+    both = share()
+    with both.take(Resources(), 2) as first:
+        with both.take(Resources(), 2):
+            pass  # ends while both leases hold the same figures
+        assert first.too_large(20.0), "the one that still runs is the one that takes too much"
+
+
 def test_memory_that_stages_say_they_take_stays_within_the_cap():
     crowd = Crowd(share(memory_gb=4.0))
     for k in range(6):

@@ -18,7 +18,7 @@ LOOK = 0.5  # s; nobody tells a stage that waits that the batch was stopped
 LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container
 
 
-@dataclass
+@dataclass(eq=False)  # two stages that want the same are still two stages
 class Lease:
     """What a stage may take. threads: None leaves it to the stage. used_gb: what it was seen to take last."""
 
@@ -67,7 +67,7 @@ class Share:
         if lease.wanted.gpu and busy:
             return False
         # Who came before keeps its place, else a large stage would wait until the small ones have all been run.
-        before = self._waiting[: next(k for k, one in enumerate(self._waiting) if one is lease)]
+        before = self._waiting[: self._waiting.index(lease)]
         ahead = [one for one in before if not (one.wanted.gpu and busy)]
         taken = sum(one.wanted.memory_gb for one in (*self._running, *ahead))
         return not (self._running or ahead) or taken + lease.wanted.memory_gb <= self.memory_gb
@@ -85,7 +85,7 @@ class Share:
         )
 
 
-@dataclass
+@dataclass(eq=False)
 class _Shared(Lease):
     share: Share | None = None
 
