@@ -118,8 +118,10 @@ class Artifact:
     def _group(self) -> zarr.Group:
         import zarr
 
+        from .listed import ListedStore
+
         self._checked("zarr.json")
-        return zarr.open_group(self.path, mode="r", zarr_format=3)
+        return zarr.open_group(ListedStore(self.path, self.manifest["files"]), mode="r", zarr_format=3)
 
     def names(self) -> list[str]:
         """Names of the arrays, sorted."""
@@ -133,7 +135,10 @@ class Artifact:
             raise ArtifactError(f"{self.path}: there is no array {name!r}; it has {', '.join(self.names()) or 'none'}")
 
     def array(self, name: str) -> zarr.Array:
-        """The array without reading it; slices are read and checked (crc32c) chunk by chunk. Raises ArtifactError for a wrong name."""
+        """The array without reading it; slices are read and checked (crc32c) chunk by chunk. Raises ArtifactError for a wrong name.
+
+        Reading a slice raises DamagedError where a chunk's file is gone.
+        """
         self._known(name)
         if name not in self._described:
             self._checked(f"{name}/zarr.json")  # a shape or dtype that was changed would otherwise be believed
@@ -154,7 +159,7 @@ class Artifact:
             data: Any = read_chunks(self.path, name, layout, self.manifest["files"]) if layout is not None else self.array(name)[part]
         except (ValueError, RuntimeError, OSError) as error:
             raise ArtifactError(f"{self.path}: array {name!r} is damaged ({error}); {AGAIN}") from error
-        if not is_held_at(self._held, self.path / MANIFEST):  # and zarr reads a chunk that is gone as zeros
+        if not is_held_at(self._held, self.path / MANIFEST):
             raise ArtifactError(f"{self.path}: another process has replaced this artifact while {name!r} was read; run again")
         return data
 

@@ -7,6 +7,7 @@ import pytest
 import zarr
 from e4dgs.pipeline import Artifact, ArtifactError, ArtifactWriter, Store
 from e4dgs.pipeline.chunks import layout_of
+from e4dgs.pipeline.errors import DamagedError
 
 TYPES = ["bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float16", "float32", "float64"]
 SHAPES = {
@@ -127,6 +128,10 @@ def test_a_chunk_that_goes_while_an_artifact_is_open_is_no_zeros(small):
     (small.path / "x/c/1/0").unlink()
     with pytest.raises(ArtifactError, match=r"array 'x' is damaged .*x/c/1/0"):
         small.read("x")
+    for read in (lambda: small.read("x", slice(2, 3)), lambda: small.array("x")[2:3]):  # slices go through zarr
+        with pytest.raises(DamagedError, match=r"x/c/1/0.*has gone while"):
+            read()
+    assert small.read("x", slice(0, 2)).shape[0] == 2, "what is there can still be read"
 
 
 def test_a_chunk_of_another_artifact_is_no_chunk_of_this(small, quick_folder):
