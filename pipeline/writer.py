@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .artifact import FORMAT, INFO, MANIFEST, content_digest, seal
+from .chunks import LEVEL, layout_of, write_chunks
 from .errors import StageError
 from .files import digest_files, sizes, sync_tree, write_json
 
@@ -44,7 +45,12 @@ class ArtifactWriter:
         per_row = max(1, array.nbytes // max(1, rows))
         first = min(max(1, rows), max(1, _CHUNK_BYTES // per_row))
         chunks = (first, *array.shape[1:]) if array.ndim else ()
-        self.create(name, array.shape, array.dtype, chunks, unit, doc)[...] = array
+        created = self.create(name, array.shape, array.dtype, chunks, unit, doc)
+        layout = layout_of(created.metadata.to_dict())
+        if layout is None:  # a version of zarr that describes it in another way
+            created[...] = array
+        else:
+            write_chunks(self.path, name, layout, array)
 
     def create(self, name: str, shape: Sequence[int], dtype: Any, chunks: Sequence[int], unit: str = "", doc: str = "") -> zarr.Array:
         """A new array to fill in parts; every chunk must have been written when the stage ends. Raises StageError for other dtypes."""
@@ -59,7 +65,7 @@ class ArtifactWriter:
             shape=tuple(int(size) for size in shape),
             dtype=dtype,
             chunks=tuple(max(1, int(size)) for size in chunks),
-            compressors=[ZstdCodec(level=1), Crc32cCodec()],
+            compressors=[ZstdCodec(level=LEVEL), Crc32cCodec()],
             fill_value=0,
             attributes={"unit": unit, "doc": doc},
             config={"write_empty_chunks": True},
