@@ -1,4 +1,7 @@
-"""Three stages that sleep, and tell beside the capture what they have done: `events/<scene>.txt`, a line for each begin, step and end."""
+"""Three stages that sleep, and tell beside the capture what they have done: `events/<scene>.txt`, a line for each begin, step and end.
+
+Training stays at half of its steps while `events/<scene>.hold` is there, so that a test meets it at work however busy the machine is.
+"""
 
 import json
 import os
@@ -56,10 +59,13 @@ class Coarse(Stage):
     def run(self, ctx: Any) -> None:
         tell(ctx, "coarse begin", os.environ.get("OMP_NUM_THREADS"))
         settings, state = ctx.settings, ctx.checkpoints / "step.json"
+        hold = ctx.capture.root.parent / "events" / f"{ctx.capture.name}.hold"
         if settings.act and settings.victim in ctx.capture.name:
             self.act(settings.act)
         for step in range(json.loads(state.read_text()) if state.is_file() else 0, settings.iterations):
             time.sleep(settings.seconds)
+            while 2 * step >= settings.iterations and hold.exists():
+                time.sleep(0.05)
             tell(ctx, "coarse step", step)
             part = state.with_suffix(".part")
             part.write_text(json.dumps(step + 1))
