@@ -67,7 +67,7 @@ def write_chunks(path: Path, name: str, layout: Layout, array: np.ndarray) -> No
     from google_crc32c import value as crc32c
     from numcodecs.zstd import Zstd
 
-    codec = Zstd(level=LEVEL) if layout.zstd else None
+    codec = Zstd(level=LEVEL)  # what `ArtifactWriter.create` asks for
 
     def one(place: tuple[int, ...]) -> None:
         block = array[_within(place, layout)]
@@ -76,7 +76,7 @@ def write_chunks(path: Path, name: str, layout: Layout, array: np.ndarray) -> No
             whole[tuple(slice(0, size) for size in block.shape)] = block
             block = whole
         block = np.ascontiguousarray(block, layout.dtype)
-        content = codec.encode(block) if codec is not None else block.tobytes()
+        content = codec.encode(block)
         file = path / _file(name, place)
         file.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -47,7 +47,7 @@ class ArtifactWriter:
         chunks = (first, *array.shape[1:]) if array.ndim else ()
         created = self.create(name, array.shape, array.dtype, chunks, unit, doc)
         layout = layout_of(created.metadata.to_dict())
-        if layout is None:  # a version of zarr that describes it in another way
+        if layout is None:  # big-endian numbers, or a version of zarr that describes arrays in another way
             created[...] = array
         else:
             write_chunks(self.path, name, layout, array)
