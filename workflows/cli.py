@@ -16,6 +16,7 @@ from ..pipeline import PipelineError, Store, check_targets, explain, make_plan
 from . import show
 from .ablation import ablation
 from .batch.command import batch, status
+from .batch.orphan import end_with_starter
 from .bench.cli import app as bench
 from .export import app as export
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, StoreAlso, Workspace
@@ -210,6 +211,7 @@ def _end_cleanly_when_terminated() -> None:
         signal.signal(signal.SIGTERM, stop)
     except ValueError:
         return  # not in the main thread: the caller handles signals
+    end_with_starter()
 
 
 if __name__ == "__main__":

@@ -9,11 +9,11 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import psutil
+from toy_batch import wait
 
 NODES = ("node1", "node2")
 LOST_AFTER = 5  # s without a word from a slurmd
@@ -121,10 +121,3 @@ class Slurm:
     def _daemon(self, name: str, *words: str) -> None:
         with open(self.folder / f"{name}.out", "ab") as log:
             self._daemons[name] = subprocess.Popen(words, env=self.environment, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
-
-
-def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until, f"not within {seconds:.0f} s: {what}"
-        time.sleep(0.2)

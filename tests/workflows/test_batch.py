@@ -12,7 +12,6 @@ from html.parser import HTMLParser
 import pyarrow.parquet
 import pytest
 from e4dgs.pipeline import SettingsError
-from e4dgs.workflows.batch.board import States, how_far
 from e4dgs.workflows.batch.cluster import Cluster, read_cluster
 from e4dgs.workflows.batch.ledger import Ledger, Progress
 from e4dgs.workflows.batch.listing import Entry, entries_of
@@ -280,29 +279,7 @@ def test_arrays_of_slurm_have_at_most_a_thousand_tasks(tmp_path):
     assert said[-1] == "--dependency=afterany:17:17:17 results.sbatch"
 
 
-# -- what is shown
-
-
-def test_how_far_a_stage_is_comes_from_the_last_line_of_its_log(tmp_path):
-    log = tmp_path / "scene.log"
-    assert how_far(log) == ""
-    log.write_text("== frames\nframes: 10/10 (100 %), 0 s left\n== coarse\n")
-    assert how_far(log) == "", "of the stage that runs, not of the one before"
-    log.write_text(log.read_text() + "  coarse: 5/10 (50 %), 2 min 03 s left, loss\n  coarse: 6/10 (60 %), 1 min 50 s left, loss\n")
-    assert how_far(log) == "60 %, 1 min 50 s left"
-
-
-def test_looking_at_a_batch_again_reads_no_scene_that_is_done(tmp_path):
-    ledger = Ledger.create(tmp_path, "many", [Entry(f"scene{k}", "/capture") for k in range(50)])
-    for k in range(49):
-        ledger.write(f"scene{k}", Progress("done"))
-    states = States(ledger)
-    assert [progress.state for _, progress in states.now()] == ["done"] * 49 + ["waiting"]
-    (ledger.folder / "batch.json").unlink()
-    for k in range(49):
-        (ledger.folder / "states" / f"scene{k}.json").unlink()
-    ledger.write("scene49", Progress("running", "coarse"))
-    assert [progress.state for _, progress in states.now()] == ["done"] * 49 + ["running"]
+# -- what is refused
 
 
 @pytest.mark.parametrize("words", [["batch", "x", "--name", "../up"], ["batch", "x", "--set", "nonsense"], ["status"]])

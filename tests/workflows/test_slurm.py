@@ -1,19 +1,14 @@
 """Batches on a real Slurm cluster of two nodes, whose jobs and nodes are lost in every way: all scenes finish, and nothing that was
 committed is computed twice."""
 
-import os
 import subprocess
-import sys
-from collections import Counter
 from pathlib import Path
 
 import pytest
-from e4dgs.workflows.batch.ledger import Ledger
-from PIL import Image
-from slurm_cluster import Slurm, missing, wait
+from slurm_cluster import Slurm, missing
+from toy_batch import PATIENCE, ToyBatch, wait
 
 SCENES = [f"scene{k}" for k in range(6)]
-PATIENCE = 400.0  # s; on an idle machine none of what is waited for takes a tenth of it
 STEPS = 30  # of 0.1 s
 
 pytestmark = [
@@ -29,71 +24,24 @@ def slurm(tmp_path_factory):
     cluster.close()
 
 
-class Batch:
-    """Six captures, a workspace and a cluster's file with one GPU's licence a training job."""
+class Batch(ToyBatch):
+    """Six captures, and a cluster's file with one GPU's licence a training job."""
 
     def __init__(self, folder: Path, slurm: Slurm, steps: int) -> None:
-        self.folder, self.slurm, self.steps = folder, slurm, steps
-        for k, name in enumerate(SCENES):
-            (folder / name).mkdir()
-            for i in range(3):
-                Image.new("RGB", (32, 24), (40 * i, 30 * k, 0)).save(folder / name / f"{i}.png")
-        rows = [f"{{capture: {name}, settings: {{coarse.iterations: {steps}}}}}" for name in SCENES]
-        (folder / "scenes.yaml").write_text("\n".join(f"- {row}" for row in rows))
-        self.ledger = Ledger(folder / "work", "batch")
-        self.file = folder / "slurm.yaml"
+        self.slurm, self.file = slurm, folder / "slurm.yaml"
+        super().__init__(folder, SCENES, steps, ["--executor", str(self.file)], slurm.environment)
         pool = "provider: slurm, cores: 1, memory_gb: 0.5, nodes: 2, partition: main"
         self.file.write_text(
             f"lost_after: 12\ncpu: {{{pool}, workers: 3}}\ngpu: {{{pool}, workers: 1, options: '#SBATCH --licenses=gpu:1 --requeue'}}\n"
         )
 
-    def start(self, *words: str, log: str = "head.txt") -> subprocess.Popen:
-        toys = Path(__file__).parent / "toy_site"
-        path = os.pathsep.join([str(toys), *filter(None, [os.environ.get("PYTHONPATH")])])
-        self.environment = dict(self.slurm.environment, PYTHONPATH=path)
-        command = [sys.executable, "-m", "e4dgs.workflows.cli", "batch", str(self.folder / "scenes.yaml"), *words]
-        command += ["--workspace", str(self.folder / "work"), "--executor", str(self.file)]
-        with open(self.folder / log, "ab") as output:
-            return subprocess.Popen(command, env=self.environment, stdout=output, stderr=output)
-
-    def events(self, scene: str, what: str) -> int:
-        """How often a stage has told it."""
-        file = self.folder / "events" / f"{scene}.txt"
-        return file.read_text().count(what) if file.is_file() else 0
-
-    def hold(self, *scenes: str) -> None:
-        """Their training stays at half of its steps until they are released."""
-        (self.folder / "events").mkdir(exist_ok=True)
-        for scene in scenes:
-            (self.folder / "events" / f"{scene}.hold").touch()
-
-    def release(self, *scenes: str) -> None:
-        for scene in scenes:
-            (self.folder / "events" / f"{scene}.hold").unlink()
-
-    def trains(self, scene: str) -> None:
-        """Waits until a scene is in the middle of its training."""
-        wait(lambda: self.events(scene, "coarse step"), PATIENCE, f"{scene} trains")
-
     def job(self, scene: str) -> dict[str, str]:
         """The job that trains a scene, of the first array."""
         return next(job for job in self.slurm.jobs("all") if job["name"] == "e4dgs-train" and job["id"].endswith(f"_{SCENES.index(scene)}"))
 
-    def states(self) -> Counter:
-        return Counter(self.ledger.progress(name).state for name in SCENES)
-
-    def check(self) -> None:
-        assert self.states() == {"done": 6}, [self.ledger.progress(name) for name in SCENES]
-        for name in SCENES:
-            said = self.ledger.log(name).read_text()
-            for stage in ("frames", "coarse", "evaluate"):  # a line that follows publication
-                assert said.count(f"{stage}: done in") <= 1, f"{name}: {stage} was made twice"
-            again = self.events(name, "coarse step") - self.steps
-            assert 0 <= again < self.events(name, "coarse begin"), f"{name}: steps before the checkpoint were done again"
-
 
 def submit(batch: Batch) -> None:
-    assert batch.start("--emit", "slurm").wait(PATIENCE) == 0, (batch.folder / "head.txt").read_text()
+    assert batch.start("--emit", "slurm").wait(PATIENCE) == 0, batch.said()
     subprocess.run([str(batch.ledger.folder / "slurm" / "submit.sh")], env=batch.environment, check=True, stdout=subprocess.DEVNULL)
 
 
@@ -147,7 +95,7 @@ def test_parsl_survives_what_happens_to_its_jobs_and_nodes(slurm, tmp_path):
         wait(lambda: "down" in slurm.say("sinfo", "-h", "-n", lost, "-o", "%T"), PATIENCE, "a node is missed")
         slurm.start_node(lost)
         batch.release(*SCENES)
-        assert head.wait(PATIENCE) == 0, (tmp_path / "head.txt").read_text()
+        assert head.wait(PATIENCE) == 0, batch.said()
     finally:
         head.terminate()
         head.wait(60)

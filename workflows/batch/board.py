@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -18,7 +18,8 @@ from .ledger import Ledger, Progress
 EVERY = 1.0  # s between two looks
 TAIL = 2000  # bytes of a log that are read for how far a stage is
 MOST_ROWS = 40  # of a table: what is done is counted, not listed
-ORDER = ("running", "failed", "waiting", "done")
+ORDER = ("running", "lost", "failed", "waiting", "done")
+EVERY_LINE = 60.0  # s between two lines of a log about the batch as a whole
 _LEFT = re.compile(r"\((\d+) %\), ([^,\n]*) left")
 
 
@@ -46,23 +47,47 @@ class States:
         """Of all scenes, in the order of the batch."""
         found = []
         for name in self._names:
-            progress = self._done.get(name) or self._ledger.progress(name)
+            progress = self._done.get(name) or self._ledger.shown(name)
             if progress.state == "done":
                 self._done[name] = progress
             found.append((name, progress))
         return found
 
 
-def table(ledger: Ledger, states: States | None = None) -> Table:
-    """Scene, state, stage, how far, time spent; running and failed scenes first. ``states``: of who shows it again and again."""
+class Pace:
+    """How long a batch takes yet, by the scenes that were done since now."""
+
+    def __init__(self, states: States) -> None:
+        self._began, self._before = time.monotonic(), self._ended(states.now())
+
+    def left(self, found: Sequence[tuple[str, Progress]]) -> str:
+        """ "" until a scene has come to its end."""
+        ended = self._ended(found)
+        if ended == self._before or ended == len(found):
+            return ""
+        seconds = (time.monotonic() - self._began) / (ended - self._before) * (len(found) - ended)
+        return f"; about {duration(seconds)} left"
+
+    @staticmethod
+    def _ended(found: Sequence[tuple[str, Progress]]) -> int:
+        return sum(progress.state in ("done", "failed") for _, progress in found)
+
+
+def counts(ledger: Ledger, found: Sequence[tuple[str, Progress]], pace: Pace | None = None) -> str:
+    """The batch in one line."""
+    parts = [f"{n} {state}" for state in ORDER if (n := sum(p.state == state for _, p in found))]
+    return f"{ledger.name}: {', '.join(parts)}" + (pace.left(found) if pace is not None else "")
+
+
+def table(ledger: Ledger, states: States | None = None, pace: Pace | None = None) -> Table:
+    """Scene, state, stage, time spent, how far; running and failed scenes first. ``states``, ``pace``: of who shows it again and again."""
     found = (states or States(ledger)).now()
     found.sort(key=lambda item: ORDER.index(item[1].state))
-    counts = [f"{n} {state}" for state in ORDER if (n := sum(p.state == state for _, p in found))]
-    shown = Table(title=f"{ledger.name}: {', '.join(counts)}", title_justify="left", box=None, pad_edge=False)
-    for title in ("scene", "state", "stage", "time", ""):
+    shown = Table(title=_plain(counts(ledger, found, pace)), title_justify="left", box=None, pad_edge=False)
+    for title in ("scene", "state", "stage", "time", "time left, or message"):
         shown.add_column(title, overflow="fold")
     for name, progress in found[:MOST_ROWS]:
-        colour = {"running": "cyan", "failed": "red", "done": "green"}.get(progress.state, "")
+        colour = {"running": "cyan", "failed": "red", "lost": "red", "done": "green"}.get(progress.state, "")
         detail = how_far(ledger.log(name)) if progress.state == "running" else progress.message
         shown.add_row(name, f"[{colour}]{progress.state}[/]" if colour else progress.state, progress.stage, _time(progress), _plain(detail))
     if len(found) > MOST_ROWS:
@@ -73,17 +98,20 @@ def table(ledger: Ledger, states: States | None = None) -> Table:
 def watch(ledger: Ledger, console: Console, ended: Callable[[], bool]) -> None:
     """Show the batch until ``ended``."""
     states = States(ledger)
+    pace = Pace(states)
     if console.is_terminal:
-        with Live(table(ledger, states), console=console, refresh_per_second=2) as live:
+        with Live(table(ledger, states, pace), console=console, refresh_per_second=2) as live:
             while not ended():
                 time.sleep(EVERY)
-                live.update(table(ledger, states))
-            live.update(table(ledger, states))
+                live.update(table(ledger, states, pace))
+            live.update(table(ledger, states, pace))
         return
     said: dict[str, tuple[str, str]] = {}
+    line = time.monotonic()
     while True:
         last = ended()
-        for name, progress in states.now():
+        found = states.now()
+        for name, progress in found:
             now = progress.state, progress.stage
             if said.get(name) != now and progress.state != "waiting":
                 said[name] = now
@@ -91,6 +119,11 @@ def watch(ledger: Ledger, console: Console, ended: Callable[[], bool]) -> None:
                 console.print(_plain(f"{name}: {progress.state} {progress.stage}".rstrip() + detail), highlight=False, soft_wrap=True)
         if last:
             return
+        if time.monotonic() - line > EVERY_LINE:
+            line = time.monotonic()
+            running = [item for item in found if item[1].state == "running"]
+            far = [f"{name} {progress.stage} {how_far(ledger.log(name))}".rstrip() for name, progress in running]
+            console.print(_plain(" | ".join([counts(ledger, found, pace), *far])), highlight=False, soft_wrap=True)
         time.sleep(EVERY)
 
 

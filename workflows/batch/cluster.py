@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -13,11 +14,13 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...pipeline import SettingsError, StageError
+from . import orphan
 from .ledger import Ledger, Progress
 from .listing import Entry
 from .work import PARTS, StageFailed
 from .yaml_files import read_yaml
 
+INTERCHANGE = "parsl.executors.high_throughput.interchange"  # between this process and the workers
 PROGRAMS = Path(sys.executable).parent  # Parsl's own lie beside the interpreter, whether its environment is activated or not
 LOSSES = 20  # lost workers that count as one try, so that a node that always dies ends after a while
 LOOKS = 4  # at a worker, and at the queue, within `Cluster.lost_after`
@@ -154,7 +157,7 @@ def _executor(name: str, pool: Pool, lost_after: int, give_up: Callable[..., Non
         max_workers_per_node=pool.workers,
         provider=_provider(pool, lost_after),
         cores_per_worker=pool.cores or 1,
-        interchange_launch_cmd=[str(PROGRAMS / "interchange.py")],
+        interchange_launch_cmd=[sys.executable, "-P", "-m", orphan.__name__, str(os.getpid()), INTERCHANGE],  # else it outlives us
         block_error_handler=give_up,
         heartbeat_period=max(1, lost_after // LOOKS),
         heartbeat_threshold=lost_after,

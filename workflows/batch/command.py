@@ -18,6 +18,7 @@ from .ledger import Ledger, Progress, batches
 from .listing import Entry, entries_of
 from .work import is_current
 
+MOST_COMMANDS = 10  # that are printed at the end; the table has all
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -82,8 +83,10 @@ def batch(
     finally:
         runner.stop()
         page = write_summary(ledger)
-    failed = [row["scene"] for row in rows_of(ledger) if row["state"] != "done"]
-    console.print(f"{len(entries) - len(failed)} of {len(entries)} scenes are done: {page}", highlight=False, soft_wrap=True)
+    failed = [row for row in rows_of(ledger) if row["state"] != "done"]
+    for row in failed[:MOST_COMMANDS]:
+        console.print(f"run {row['scene']} again: {row['command']}", markup=False, highlight=False, soft_wrap=True)
+    console.print(f"{len(entries) - len(failed)} of {len(entries)} scenes are done: {page}", markup=False, highlight=False, soft_wrap=True)
     if failed:
         raise typer.Exit(1)
 

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from ...pipeline import ArtifactError
 from ...pipeline.files import read_json, write_json
+from ...pipeline.lock import is_locked, locked
 from .listing import Entry
 
-State = Literal["waiting", "running", "done", "failed"]
+State = Literal["waiting", "running", "done", "failed", "lost"]
+LOST = "who ran it is gone; the same e4dgs batch command goes on with it"
+LOOK = 0.2  # s between two tries to work on a scene
 
 
 @dataclass
 class Progress:
-    """Where a scene stands. stage: the one that runs, or that failed. seconds: of its stages so far, in this batch. attempts: started."""
+    """Where a scene stands. stage: the one that runs, or that failed. seconds: of its stages so far, in this batch. attempts: started.
+
+    "lost" is never written: it is what `Ledger.progress` makes of "running" where nobody is at work.
+    """
 
     state: State = "waiting"
     stage: str = ""
@@ -28,7 +35,7 @@ class Progress:
 
 
 class Ledger:
-    """``<workspace>/batches/<name>/``: ``batch.json`` with the scenes, ``states/<scene>.json``, ``logs/<scene>.log``, results."""
+    """``<workspace>/batches/<name>/``: ``batch.json`` with the scenes, results, ``states``, ``logs`` and ``locks`` of the scenes."""
 
     def __init__(self, workspace: Path, name: str) -> None:
         self.workspace, self.name = workspace, name
@@ -57,8 +64,32 @@ class Ledger:
         return [Entry.from_json(row) for row in content["scenes"]]
 
     def progress(self, scene: str) -> Progress:
+        """As it was written last; see also `shown`."""
         content = read_json(self._state(scene))
         return Progress(**content) if isinstance(content, dict) else Progress()
+
+    def shown(self, scene: str) -> Progress:
+        """As `progress`, for people: "lost" where a stage is said to run and whoever ran it is gone."""
+        found = self.progress(scene)
+        if found.state == "running" and not is_locked(self._lock(scene)):
+            found = self.progress(scene)  # it may have come to its end between the two looks
+            if found.state == "running":
+                return replace(found, state="lost", message=LOST)
+        return found
+
+    @contextmanager
+    def at_work(self, scene: str, stopped: Callable[[], bool]) -> Iterator[bool]:
+        """Only one process at a time works on a scene: True when it is ours, False where ``stopped`` came first.
+
+        Stages of a head or a worker that was killed end a little later than it (`orphan.py`); who comes after them waits here.
+        """
+        while not stopped():
+            with locked(self._lock(scene), wait=False) as ours:
+                if ours:
+                    yield True
+                    return
+            time.sleep(LOOK)
+        yield False
 
     def write(self, scene: str, progress: Progress) -> None:
         progress.changed = time.time()
@@ -71,6 +102,9 @@ class Ledger:
         """metrics.json of a scene, empty where there is none."""
         content = read_json(self.workspace / "scenes" / scene / "metrics.json")
         return content if isinstance(content, dict) else {}
+
+    def _lock(self, scene: str) -> Path:
+        return self.folder / "locks" / scene
 
     def _state(self, scene: str) -> Path:
         return self.folder / "states" / f"{scene}.json"

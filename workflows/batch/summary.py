@@ -17,22 +17,23 @@ from pathlib import Path
 from typing import Any
 
 from ...pipeline.files import write_atomically
+from ..results import run_command
 from .ledger import Ledger
 
 TEMPLATE = Path(__file__).with_name("summary.html.jinja")
 METRICS = ("psnr", "ssim", "lpips", "edge_psnr")
 COLUMNS = (
     *("scene", "state", "stage", "message", *METRICS, "split", "train_seconds", "seconds", "render_fps", "gaussians", "convexes"),
-    *("attempts", "group", "settings", "capture", "report"),
+    *("attempts", "group", "settings", "capture", "report", "command"),
 )
 
 
 def rows_of(ledger: Ledger) -> list[dict[str, Any]]:
     """A row of `COLUMNS` for each scene, in the order of the batch; None where something is not known. The metrics are those of test, of
-    val where there is none, else of training views."""
+    val where there is none, else of training views. command: runs this scene again, by itself."""
     rows = []
     for entry in ledger.entries():
-        progress = ledger.progress(entry.name)
+        progress = ledger.shown(entry.name)
         metrics = ledger.metrics(entry.name) if progress.state == "done" else {}
         splits = metrics.get("splits") or {}
         split = next((name for name in ("test", "val", "train") if name in splits), None)
@@ -44,6 +45,7 @@ def rows_of(ledger: Ledger) -> list[dict[str, Any]]:
         found |= {name: (metrics.get("primitives") or {}).get(name) for name in ("gaussians", "convexes")}
         settings = " ".join(f"{key}={value}" for key, value in entry.settings)
         found |= {"attempts": progress.attempts, "group": entry.group, "settings": settings, "capture": entry.capture}
+        found["command"] = run_command(entry.options(ledger.workspace), "all")
         found["report"] = os.path.relpath(report, ledger.folder) if report.is_file() else None
         rows.append({name: found[name] for name in COLUMNS})
     return rows
@@ -91,7 +93,7 @@ def write_summary(ledger: Ledger) -> Path:
 
     page = ledger.folder / "results.html"
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    counts = {state: sum(row["state"] == state for row in rows) for state in ("done", "failed", "running", "waiting")}
+    counts = {state: sum(row["state"] == state for row in rows) for state in ("done", "failed", "lost", "running", "waiting")}
     counts = {state: count for state, count in counts.items() if count}
     write_atomically(
         page,

@@ -15,6 +15,7 @@ from ..results import words_of
 from ..session import open_session
 from .ledger import Ledger, Progress
 from .listing import Entry
+from .orphan import STARTER
 from .process import Ended, run_process
 from .share import Lease
 
@@ -45,19 +46,32 @@ def run_part(
     stopped: Callable[[], bool] = lambda: False,
     take: Take | None = None,
 ) -> bool:
-    """Run what ``part`` of `PARTS` of a scene still needs.
+    """Run what ``part`` of `PARTS` of a scene still needs. Where another process is at work on the scene, wait until it has ended.
 
     timeout: seconds for each stage. threads: for each stage. stopped: asked now and then; True ends the stage. take: what stages on this
     machine share; it waits until a stage can run. Returns False where it was stopped, or the capture is refused, which another try would
     not change. Raises StageFailed where a stage fails; the scene's state says the same.
     """
     ledger = Ledger(Path(workspace), batch)
+    with ledger.at_work(scene, stopped) as ours:
+        return ours and _run_part(ledger, scene, part, timeout, threads, stopped, take)
+
+
+def _run_part(
+    ledger: Ledger,
+    scene: str,
+    part: str,
+    timeout: float | None,
+    threads: int | None,
+    stopped: Callable[[], bool],
+    take: Take | None,
+) -> bool:
     entry = next(entry for entry in ledger.entries() if entry.name == scene)
     progress = ledger.progress(scene)
     if progress.state == "done":
         return True
     try:
-        session = open_session(entry.options(Path(workspace)))
+        session = open_session(entry.options(ledger.workspace))
         job = session.job
         stages = _stages(job, part)
     except PipelineError as error:
@@ -113,7 +127,7 @@ def _part_of(job: Job, stage: str) -> str:
 
 def _run(ledger: Ledger, entry: Entry, target: str, timeout: float | None, lease: Lease, stopped: Callable[[], bool]) -> Ended:
     command = [sys.executable, "-m", "e4dgs.workflows.cli", "run", target, *words_of(entry.options(ledger.workspace))]
-    environment: dict[str, str] = dict(os.environ, PYTHONUNBUFFERED="1")
+    environment: dict[str, str] = dict(os.environ, PYTHONUNBUFFERED="1") | {STARTER: str(os.getpid())}
     if lease.threads is not None:
         environment |= dict.fromkeys(THREADS, str(lease.threads))
     log = ledger.log(entry.name)
