@@ -17,7 +17,8 @@ State = Literal["waiting", "running", "done", "failed"]
 
 @dataclass
 class Progress:
-    """Where a scene stands. stage: the one that runs, or that failed. seconds: of its stages so far, in this batch. attempts: started."""
+    """Where a scene stands. stage: the one that runs, or that failed. seconds: of its stages so far, in this batch. attempts: tries
+    so far, the first one and one for each stage that failed and was tried again."""
 
     state: State = "waiting"
     stage: str = ""
