@@ -1,10 +1,12 @@
 """Options of `e4dgs batch` reach whoever runs the stages; those that only this machine has are refused elsewhere."""
 
 import os
+import re
 import subprocess
+from pathlib import Path
 
 import pytest
-from e4dgs.workflows.batch.cluster import Cluster
+from e4dgs.workflows.batch.cluster import Cluster, Pool
 from e4dgs.workflows.batch.ledger import Ledger
 from e4dgs.workflows.cli import main
 
@@ -32,7 +34,7 @@ def test_options_of_this_machine_name_what_to_set_in_the_file_of_a_cluster(tmp_p
     assert main(["batch", str(tmp_path), "--workspace", str(tmp_path / "work"), "--executor", str(file), *option]) == 2
     said = capsys.readouterr().err
     assert option[0] in said and field in said and str(file) in said and said.count("\n") == 1
-    assert field in Cluster.model_fields or field in type(Cluster().cpu).model_fields
+    assert field in Cluster.model_fields or field in Pool.model_fields
     assert not (tmp_path / "work").exists()
 
 
@@ -41,3 +43,13 @@ def test_options_of_this_machine_are_not_for_job_scripts(tmp_path, option, capsy
     assert main(["batch", str(tmp_path), "--workspace", str(tmp_path / "work"), "--emit", "slurm", *option]) == 2
     said = capsys.readouterr().err
     assert option[0] in said and "--emit slurm" in said and said.count("\n") == 1
+
+
+def test_the_page_names_every_field_of_a_cluster_file_and_its_default():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "batches.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]*) \| [^|]+ \|$", page, re.MULTILINE)
+    fields = Cluster.model_fields | Pool.model_fields
+    assert [name for name, _ in rows] == list(fields)
+    for name, said in rows:
+        default = fields[name].get_default(call_default_factory=True)
+        assert said == ("one local worker" if default == Pool() else str(default) if default or default == 0 else "none"), name
