@@ -26,11 +26,6 @@ def tell(ctx: Any, *words: object) -> None:
         file.write(" ".join(map(str, (f"{time.time():.3f}", *words))) + "\n")
 
 
-def tries_of(ctx: Any) -> int:
-    """How often training of a capture has begun."""
-    return (ctx.capture.root.parent / "events" / f"{ctx.capture.name}.txt").read_text().count("coarse begin")
-
-
 class Frames(Stage):
     name = "frames"
     settings = FramesSettings
@@ -47,7 +42,7 @@ class CoarseSettings(Settings):
     seconds: float = Field(0.1, ge=0, description="of each step")
     act: str = Field("", description="what goes wrong in the captures named in `victim`")
     victim: str = Field("", description="part of a capture's name")
-    failures: int = Field(0, ge=0, description="tries that fail before one does its work")
+    fails: bool = Field(False, description="after its last step")
     gpu: bool = Field(False, description="says that it wants the GPU")
     memory_gb: float = Field(0.1, ge=0, description="that it says it takes")
 
@@ -66,8 +61,6 @@ class Coarse(Stage):
         tell(ctx, "coarse begin", os.environ.get("OMP_NUM_THREADS"))
         settings, state = ctx.settings, ctx.checkpoints / "step.json"
         hold = ctx.capture.root.parent / "events" / f"{ctx.capture.name}.hold"
-        if tries_of(ctx) <= settings.failures:
-            raise StageError(f"this is try {tries_of(ctx)}, and {settings.failures} shall fail")
         if settings.act and settings.victim in ctx.capture.name:
             self.act(settings.act)
         for step in range(json.loads(state.read_text()) if state.is_file() else 0, settings.iterations):
@@ -78,6 +71,8 @@ class Coarse(Stage):
             part = state.with_suffix(".part")
             part.write_text(json.dumps(step + 1))
             os.replace(part, state)
+        if settings.fails:
+            raise StageError("the toy fails, as it was told to")
         ctx.out.attrs["steps"] = settings.iterations
         tell(ctx, "coarse end")
 
