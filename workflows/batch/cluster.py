@@ -34,7 +34,7 @@ class Pool(BaseModel):
     workers: int = Field(1, ge=1, description="scenes at a time on one node")
     cores: int | None = Field(None, ge=1, description="threads of each worker; not given: 1, local: as many as it finds")
     memory_gb: float | None = Field(None, gt=0, description="of each worker")
-    gpus: int = Field(0, ge=0, description="of one node; ask Slurm for them in options")
+    gpus: int = Field(0, ge=0, description="of one node, or pod; ask Slurm for them in options, too")
     nodes: int = Field(1, ge=1, description="most nodes, or pods, at a time")
     walltime: str = "04:00:00"
     partition: str | None = None
@@ -195,17 +195,6 @@ def _provider(pool: Pool, lost_after: int) -> Any:
             exclusive=False,
             **blocks,
         )
-    from parsl.providers import KubernetesProvider
+    from .pods import pods
 
-    if pool.image is None:
-        raise SettingsError("kubernetes: image: name a container image that holds e4dgs")
-    return KubernetesProvider(
-        image=pool.image,
-        namespace=pool.namespace,
-        worker_init=pool.setup,
-        nodes_per_block=1,
-        max_cpu=float(pool.workers * (pool.cores or 1)),
-        max_mem=f"{round(pool.workers * (pool.memory_gb or 4))}Gi",
-        persistent_volumes=list(pool.volumes),
-        **blocks,
-    )
+    return pods(pool, min(60, max(1, lost_after // LOOKS)))

@@ -19,6 +19,12 @@ from .listing import Entry, entries_of
 from .work import is_current
 
 MOST_COMMANDS = 10  # that are printed at the end; the table has all
+# What takes the place of options for this machine: in the file of a cluster, and in job scripts.
+INSTEAD = {
+    "--jobs": ("set workers and nodes of its pools", "Slurm starts as many as it has room for"),
+    "--memory": ("set memory_gb of its pools", "set memory_gb of the pools in a file for --executor"),
+    "--retries": ("set retries", "a job tries once, and the same command submits again what is not done"),
+}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -28,7 +34,9 @@ def batch(
     executor: Annotated[str, typer.Option("--executor", metavar="local|FILE.yaml", help="This machine, or a cluster's file.")] = "local",
     jobs: Annotated[int | None, typer.Option("--jobs", min=1, max=1024, help="local: scenes at a time.")] = None,
     memory: Annotated[float | None, typer.Option("--memory", min=0.001, help="local: GB of all stages together; 90 % by default.")] = None,
-    retries: Annotated[int, typer.Option("--retries", min=0, max=100, help="local: further tries of a scene that failed.")] = 1,
+    retries: Annotated[
+        int | None, typer.Option("--retries", min=0, max=100, help="local: more tries of a failed scene; 1 by default.")
+    ] = None,
     stage_timeout: Annotated[float | None, typer.Option("--stage-timeout", min=0.1, help="Seconds after which a stage is ended.")] = None,
     emit: Annotated[Literal["slurm"] | None, typer.Option("--emit", help="Write job scripts and run nothing.")] = None,
     workspace: Workspace = DEFAULT_WORKSPACE,
@@ -48,6 +56,7 @@ def batch(
     settings = tuple(_split(text) for text in set or ())
     also = tuple(str(path) for path in other_stores(store_also or ()))
     entries = entries_of(captures, Entry("", "", settings, preset, static, format, device, store_also=also))
+    _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
     cluster = None
     if executor != "local":
         from .cluster import read_cluster
@@ -65,14 +74,15 @@ def batch(
         from .slurm import emit as write_scripts
 
         cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
-        console.print(f"submit with: {write_scripts(ledger, cluster)}/submit.sh", highlight=False, soft_wrap=True)
+        console.print(f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh", highlight=False, soft_wrap=True)
         return
     runner: Any
     if cluster is None:
         from .local import Local, usual_jobs
         from .share import usual_memory_gb
 
-        runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), memory or usual_memory_gb(), retries, stage_timeout)
+        tries = 1 if retries is None else retries
+        runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), memory or usual_memory_gb(), tries, stage_timeout)
     else:
         from .cluster import Parsl
 
@@ -103,6 +113,19 @@ def status(
     ledger = Ledger(workspace.resolve(), name or known[-1])
     ledger.entries()
     Console().print(table(ledger))
+
+
+def _refuse_what_is_local(given: dict[str, Any], executor: str, emit: str | None) -> None:
+    """Options of `local.Local` that nobody would heed."""
+    if executor == "local" and emit is None:
+        return
+    for option, value in given.items():
+        if value is None:
+            continue
+        in_file, in_scripts = INSTEAD[option]
+        if emit is not None:
+            raise SettingsError(f"{option} is for batches that run on this machine, not for --emit {emit}: {in_scripts}")
+        raise SettingsError(f"{option} is for batches on this machine, not for --executor {executor}: {in_file} in that file")
 
 
 def _split(text: str) -> tuple[str, str]:

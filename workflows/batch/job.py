@@ -1,6 +1,7 @@
 """One part of a scene as a job of Slurm.
 
-``python -m e4dgs.workflows.batch.job WORKSPACE BATCH SCENE PART`` is what `slurm.py`'s scripts call.
+``python -m e4dgs.workflows.batch.job WORKSPACE BATCH SCENE PART [SECONDS]`` is what `slurm.py`'s scripts call; a stage that takes longer
+is ended.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ def main() -> int:
     SIGUSR1, which Slurm sends before the time limit, ends the stage and requeues the job, which goes on from the checkpoint; SIGTERM ends
     it.
     """
-    workspace, batch, scene, part = sys.argv[1:5]
+    workspace, batch, scene, part, *seconds = sys.argv[1:]
+    timeout = float(seconds[0]) if seconds else None
     stopped, limit = threading.Event(), threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopped.set())
 
@@ -32,7 +34,7 @@ def main() -> int:
 
     signal.signal(signal.SIGUSR1, near_the_limit)
     try:
-        if run_part(workspace, batch, scene, part, stopped=stopped.is_set):
+        if run_part(workspace, batch, scene, part, timeout, stopped=stopped.is_set):
             return 0
     except StageFailed as error:
         print(error, file=sys.stderr)

@@ -21,9 +21,10 @@ LOOK = 0.2  # s between two tries to work on a scene
 
 @dataclass
 class Progress:
-    """Where a scene stands. stage: the one that runs, or that failed. seconds: of its stages so far, in this batch. attempts: started.
+    """Where a scene stands. stage: the one that runs, or that failed. seconds: of its stages so far, in this batch. attempts: tries so far,
+    the first one and one for each stage that failed and was tried again.
 
-    "lost" is never written: it is what `Ledger.progress` makes of "running" where nobody is at work.
+    "lost" is never written: it is what `Ledger.shown` makes of "running" where nobody is at work.
     """
 
     state: State = "waiting"

@@ -27,7 +27,7 @@ SCRIPT = """#!/bin/bash
 {setup}
 scene=$(sed -n "$((${{E4DGS_FIRST:-0}} + SLURM_ARRAY_TASK_ID + 1))p" {scenes})
 export OMP_NUM_THREADS=${{SLURM_CPUS_PER_TASK:-1}} OPENCV_FOR_THREADS_NUM=${{SLURM_CPUS_PER_TASK:-1}}
-exec {python} -m e4dgs.workflows.batch.job {workspace} {batch} "$scene" {part}
+exec {python} -m e4dgs.workflows.batch.job {workspace} {batch} "$scene" {part}{timeout}
 """
 RESULTS = """#!/bin/bash
 #SBATCH --job-name=e4dgs-results
@@ -52,16 +52,20 @@ sbatch ${{ends:+--dependency=afterany$ends}} results.sbatch
 """
 
 
-def emit(ledger: Ledger, cluster: Cluster) -> Path:
+def emit(ledger: Ledger, cluster: Cluster, timeout: float | None = None) -> Path:
     """Writes ``slurm/`` into the batch's folder: a script for each part, one for the results, `submit.sh`, and the scenes that are not
-    done, one a line. Returns the folder."""
+    done, one a line. timeout: seconds for each stage. Returns the folder."""
     folder = ledger.folder / "slurm"
     folder.mkdir(parents=True, exist_ok=True)
     names = [entry.name for entry in ledger.entries() if ledger.progress(entry.name).state != "done"]
     scenes = folder / "scenes.txt"
     scenes.write_text("".join(f"{name}\n" for name in names))
     quoted = {"logs": folder, "scenes": scenes, "workspace": ledger.workspace, "python": sys.executable}
-    common = {"batch": ledger.name, **{key: shlex.quote(str(path)) for key, path in quoted.items()}}
+    common = {
+        "batch": ledger.name,
+        "timeout": "" if timeout is None else f" {timeout}",
+        **{key: shlex.quote(str(path)) for key, path in quoted.items()},
+    }
     texts = {}
     for part in PARTS:
         pool = cluster.pool(part)

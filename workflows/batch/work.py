@@ -75,9 +75,9 @@ def _run_part(
         job = session.job
         stages = _stages(job, part)
     except PipelineError as error:
-        ledger.write(scene, Progress("failed", "", str(error), progress.seconds, progress.attempts + (part == "before")))
+        ledger.write(scene, Progress("failed", "", str(error), progress.seconds, progress.attempts + _is_a_try(progress)))
         return False
-    progress.attempts += part == "before"
+    progress.attempts += _is_a_try(progress)
     for target in stages:
         stage = EVALUATION if target == "all" else target
         wanted = job.graph[stage].resources(job.capture.facts, job.settings[stage], job.device)
@@ -110,6 +110,11 @@ def is_current(ledger: Ledger, entry: Entry) -> bool:
     except PipelineError:
         return False
     return bool(ledger.metrics(entry.name)) and all(row.state != "run" for row in rows)
+
+
+def _is_a_try(progress: Progress) -> bool:
+    """Whether going on from ``progress`` is a new try. A stage that was stopped, or lost with its worker, goes on with the old one."""
+    return progress.attempts == 0 or progress.state == "failed"
 
 
 def _stages(job: Job, part: str) -> list[str]:

@@ -10,7 +10,7 @@ import sys
 import time
 from typing import Any
 
-from e4dgs.pipeline import Graph, Resources, Settings, Stage
+from e4dgs.pipeline import Graph, Resources, Settings, Stage, StageError
 from e4dgs.stages.frames import FramesSettings
 from pydantic import Field
 
@@ -42,6 +42,7 @@ class CoarseSettings(Settings):
     seconds: float = Field(0.1, ge=0, description="of each step")
     act: str = Field("", description="what goes wrong in the captures named in `victim`")
     victim: str = Field("", description="part of a capture's name")
+    fails: bool = Field(False, description="after its last step")
     gpu: bool = Field(False, description="says that it wants the GPU")
     memory_gb: float = Field(0.1, ge=0, description="that it says it takes")
 
@@ -70,6 +71,8 @@ class Coarse(Stage):
             part = state.with_suffix(".part")
             part.write_text(json.dumps(step + 1))
             os.replace(part, state)
+        if settings.fails:
+            raise StageError("the toy fails, as it was told to")
         ctx.out.attrs["steps"] = settings.iterations
         tell(ctx, "coarse end")
 
