@@ -9,7 +9,8 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from e4dgs.stages.report import headlines, plots, render_report
+from e4dgs.stages.report import headlines, render_report
+from e4dgs.stages.report_curves import over_time, training_curves
 from e4dgs.stages.report_plot import MOST_POINTS, Plot, Series, numbers, svg
 
 EVIL = "<script>alert(1)</script>\"'&"
@@ -257,7 +258,7 @@ def test_infos_may_be_nested():
 
 
 def test_curves_of_fine_follow_those_of_coarse():
-    loss, psnr, primitives = plots({name: info["training"] for name, info in infos().items()})
+    loss, psnr, primitives = training_curves({name: info["training"] for name, info in infos().items()})
     assert [x for x, _ in loss.series[0].points] == [0, 50, 100, 100, 150, 200]
     assert loss.marks == [(100.0, "fine")] and loss.log and not psnr.log
     assert [s.label for s in primitives.series] == ["Gaussians", "convexes"]
