@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,8 +14,8 @@ FEWEST = 3  # times of a camera
 
 
 def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
-    """`static` and `edges` in levels of 8 bits, `flow` in px, how many `cameras` and `pairs` of times they are means of, and `per_pair`, the
-    three of each pair with its `camera` and both `times`; None for captures without a fixed camera that saw several times. Held-out
+    """`static` and `edges` in levels of 8 bits, `flow` in px, how many `cameras` and `pairs` of times they are means of, and in `per_pair`
+    the three of each pair with its `camera` and both `times`; None for captures without a fixed camera that saw several times. Held-out
     cameras are taken where there are any, from the first time on."""
     import numpy as np
 
@@ -37,6 +38,6 @@ def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
         flicker.begin(steady_pixels(frames.composited(i) / 255.0 for i in order))
         for i in order:
             flicker.add(judge.render(i)[0], frames.composited(i) / 255.0)
-        pairs += [{"camera": camera, "times": [float(frames.time[i]) for i in pair]} for pair in zip(order, order[1:])]
+        pairs += [{"camera": camera, "times": [float(frames.time[i]) for i in pair]} for pair in pairwise(order)]
     rows = [{**pair, **row} for pair, row in zip(pairs, flicker.rows, strict=True)]
     return {**flicker.means(), "cameras": len(chosen), "pairs": len(rows), "per_pair": rows}

@@ -26,6 +26,7 @@ FLOW_KINDS = (
 )
 MEASURED_AS = ("metrics", "colours", "moving", "flicker")  # of the protocol: sentences, for small print
 VIEW_COLUMNS = (("truth", "ground truth"), ("render", "render"), ("error", "error × 4"), ("edges", "edges"), ("depth", "depth"))
+KINDS = (("gaussians", "Gaussians"), ("convexes", "convexes"))
 VIEWS_OPEN = 6  # the others are folded away
 DATA, MOVIE = "data:image/png;base64,", "data:video/mp4;base64,"
 MOVIES = (("over_time", "held-out views in order of time: ground truth, render"), ("turntable", "a turn about the scene"))
@@ -139,7 +140,7 @@ def facts(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
             found.append((title, f"{flicker[name]:.2f} {unit}"))
     if is_number(metrics.get("render_fps")):
         found.append(("renders at", f"{metrics['render_fps']:.3g} frames/s"))
-    found += [(kind, number(primitives[kind])) for kind in ("gaussians", "convexes") if kind in primitives]
+    found += [(title, number(primitives[key])) for key, title in KINDS if key in primitives]
     return found
 
 

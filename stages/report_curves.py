@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .report_plot import Plot, Series, numbers
@@ -44,20 +44,21 @@ def training_curves(training: Mapping[str, Mapping[str, Any]]) -> list[Plot]:
 
 
 def over_time(metrics: Mapping[str, Any]) -> list[Plot]:
-    """PSNR of each measured view over its time, for splits with several times, and flicker where it was measured."""
+    """PSNR of the measured views over their time, for splits with several times, and flicker where it was measured. Where several cameras
+    share a time, a curve is their mean."""
     found = []
     for split, values in in_order(metrics.get("splits") or {}).items():
-        points = sorted(numbers([[row.get("time"), row.get("psnr")] for row in values.get("per_view") or []], 1))
-        if len({time for time, _ in points}) > 1:
+        points = _means([(row.get("time"), row.get("psnr")) for row in values.get("per_view") or []])
+        if len(points) > 1:
             found.append(Plot(f"PSNR over time, {split}", "time", "dB", [Series(split, points)]))
-    curves = [Series(label, _flicker(metrics, name), style) for name, label, style in FLICKER]
+    pairs = (metrics.get("flicker") or {}).get("per_pair") or []
+    curves = [Series(label, _means([(sum(pair["times"]) / 2, pair.get(name)) for pair in pairs]), style) for name, label, style in FLICKER]
     return [*found, Plot("Flicker between neighbouring times", "time", "levels", [curve for curve in curves if curve.points])]
 
 
-def _flicker(metrics: Mapping[str, Any], name: str) -> list[tuple[float, float]]:
-    """(middle of a pair of times, mean over cameras), in order of time."""
+def _means(points: Sequence[tuple[Any, Any]]) -> list[tuple[float, float]]:
+    """The mean of what there is at each time, in order of time."""
     at: dict[float, list[float]] = defaultdict(list)
-    for pair in (metrics.get("flicker") or {}).get("per_pair") or []:
-        if is_number(pair.get(name)):
-            at[sum(pair["times"]) / 2].append(float(pair[name]))
+    for time, value in numbers(points, 1):
+        at[time].append(value)
     return [(time, sum(values) / len(values)) for time, values in sorted(at.items())]
