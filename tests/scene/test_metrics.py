@@ -219,6 +219,7 @@ def test_flicker_is_what_the_render_changes_beyond_the_truth():
     found = flicker_of(shaking, truths)
     assert len(found.rows) == 3
     assert found.means()["static"] == pytest.approx(2.55, rel=1e-4) and found.means()["edges"] == pytest.approx(2.55, rel=1e-4)
+    assert [row["static"] for row in found.rows] == pytest.approx([2.55] * 3, rel=1e-4)
     same = flicker_of(shaking, shaking).means()
     assert same["static"] == 0 and same["edges"] == 0 and same["flow"] == 0
     offset = flicker_of([truth + 0.1 for truth in truths], truths).means()  # wrong, and steady

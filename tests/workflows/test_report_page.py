@@ -77,7 +77,7 @@ def test_a_page_fits_and_can_be_read(opened, name, size, scheme):
 
 
 def test_the_slider_and_the_buttons_change_the_picture(opened):
-    page = opened("report")
+    page = opened("report", 640, 700)
     wipe = page.locator("#wipe")
 
     def slide(share: float) -> bytes:

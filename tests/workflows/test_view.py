@@ -1,17 +1,15 @@
-"""`e4dgs view`: the pictures that it shows, the model that it finds, and the page in a real browser."""
+"""`e4dgs view`: the pictures that it shows and the model that it finds."""
 
-import shutil
 import subprocess
 import sys
 import time
-from io import BytesIO
 
 import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.workflows.cli import main
-from PIL import Image
+
 
 def test_all_primitives_in_colour_are_the_model_s_own_render(finished_scene):
     from e4dgs.workflows.view.looks import picture
@@ -42,6 +40,16 @@ def test_depth_flow_edges_and_outlines_differ_from_colour(finished_scene):
         assert image.shape == (camera.height, camera.width, 3) and image.dtype == np.uint8
         assert image.std() > 1, f"{name} is empty"
         assert name == "colour" or np.abs(image.astype(int) - shown["colour"]).mean() > 0.1, name
+
+
+def test_flow_is_that_of_the_primitives_that_are_chosen(finished_scene):
+    """What stands still alone shows no flow at all: white. What moves alone shows the flow that is there."""
+    from e4dgs.workflows.view.looks import picture
+
+    model, camera = finished_scene
+    shown = {name: picture(model, camera, 0.5, "flow", name) for name in ("all", "dynamic", "static")}
+    assert shown["static"].min() == 255
+    assert shown["dynamic"].min() < 200 and not np.array_equal(shown["dynamic"], shown["all"])
 
 
 def test_a_photo_lies_where_the_render_of_its_camera_lies(finished_scene):

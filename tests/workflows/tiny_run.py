@@ -1,5 +1,6 @@
 """Words of a tiny run that the tests of its page and of the viewer share, and how they start a browser."""
 
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,3 +22,8 @@ def started() -> Iterator:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=" ".join(FLAGS).split())
         yield browser
         browser.close()
+
+
+def environment(**more: str) -> dict[str, str]:
+    """Of a process: our own, and ``more``."""
+    return {**os.environ, **more}
