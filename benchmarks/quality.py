@@ -53,9 +53,10 @@ def measure(name: str, scenes: Path, workspace: Path, device: str) -> dict[str, 
 
 
 def trimmed(metrics: dict) -> dict:
-    """Without the per-view rows, which the report keeps."""
+    """Without the rows of each view and of each pair of times, which the report keeps."""
     splits = {name: {k: v for k, v in split.items() if k != "per_view"} for name, split in metrics["splits"].items()}
-    return metrics | {"splits": splits}
+    flicker = {k: v for k, v in (metrics.get("flicker") or {}).items() if k != "per_pair"}
+    return metrics | {"splits": splits, "flicker": flicker or None}
 
 
 def table(results: dict[str, dict]) -> str:

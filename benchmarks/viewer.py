@@ -1,10 +1,15 @@
-"""How many pictures a second the viewer draws: while the camera and the time move, of the size that it chooses, and at full size.
+"""How many pictures a second the viewer draws: while the camera and the time move, of the size that it chooses, and at full size; and how
+long `e4dgs render` takes for a video.
 
-    python benchmarks/viewer.py CAPTURE [--workspace DIR] [--set stage.key=value ...] [--size 400] [--pictures 60] [--out FILE.json]
+    python benchmarks/viewer.py CAPTURE [--workspace DIR] [--name NAME] [--set stage.key=value ...] [--size 400] [--pictures 60]
+                                [--frames 120] [--out FILE.json]
+
+The words that made the run (--workspace, --name, --preset, --set, --device) find its model in the store; nothing is trained.
 
 Draws what `e4dgs view` would draw for a window of --size x --size px, the JPEG for the browser included, on a turntable through the scene:
 of the size that the viewer's own rule gives, once it has settled, then at full size with the camera still and with it in motion. Prints
 medians; processor time stands beside the time that went by, and where the two differ, the machine was busy with something else.
+The video is that of `e4dgs render CAPTURE --path turntable --frames 120 --size 400 --out FILE.mp4`, the whole command from start to end.
 """
 
 from __future__ import annotations
@@ -12,8 +17,12 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import resource
+import shlex
 import statistics
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +34,7 @@ from e4dgs.scene.model import Model
 from e4dgs.stages.camera_path import CameraPath, named_path
 from e4dgs.stages.frameset import FrameSet
 from e4dgs.workflows.bench.machine import machine
+from e4dgs.workflows.results import words_of
 from e4dgs.workflows.session import Options, open_session
 from e4dgs.workflows.view.looks import picture
 from e4dgs.workflows.view.server import FIRST_SCALE, QUALITY, next_scale
@@ -32,20 +42,25 @@ from e4dgs.workflows.view.source import Source
 from PIL import Image
 
 BARS = {"moving": 15.0, "full": 5.0}  # pictures a second, lego at 400x400 on two cores
+RENDER_BAR = 60.0  # s for a video of 120 frames, lego at 400x400 on two cores
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path)
     parser.add_argument("--workspace", type=Path, default=Path("e4dgs-workspace"))
+    parser.add_argument("--name", help="of the scene in the workspace, where the run was given one")
     parser.add_argument("--set", action="append", default=[], dest="assignments")
     parser.add_argument("--preset", default="default")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--size", type=int, default=400)
     parser.add_argument("--pictures", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=120, help="of the video")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
-    session = open_session(Options(arguments.capture, arguments.workspace, arguments.preset, arguments.assignments, arguments.device))
+    given = arguments.preset, arguments.assignments, arguments.device, arguments.name
+    options = Options(arguments.capture, arguments.workspace, *given)
+    session = open_session(options)
     source = Source(session)
     found, artifacts = source.newest(), source.frames()
     if found is None or artifacts is None:
@@ -53,10 +68,15 @@ def main() -> int:
     frames = FrameSet(artifacts[0], session.job.capture.root, artifacts[1])
     path = named_path("turntable", frames, found.model, arguments.pictures)
     result = measured(found.model, frames, path, arguments.size)
+    result["render"] = rendered(options, arguments.frames, arguments.size)
     result |= {"capture": session.scene.name, "model": found.title, "size": arguments.size, "machine": machine()}
     for name, row in result["rows"].items():
         print(f"{name:28} {row['per_second']:6.1f} a second ({row['per_second_cpu']:.1f} by processor time), {row['width']} px wide")
     print(f"bars for lego at 400 px on two cores: {BARS['moving']:g} while moving, {BARS['full']:g} at full size")
+    video = result["render"]
+    print(
+        f"a video of {video['frames']} frames: {video['seconds']:.1f} s ({video['seconds_cpu']:.1f} s of processors); bar {RENDER_BAR:g} s"
+    )
     if arguments.out:
         arguments.out.write_text(json.dumps(result, indent=1) + "\n")
     return 0
@@ -89,6 +109,20 @@ def measured(model: Model, frames: FrameSet, path: CameraPath, size: int) -> dic
     turning = [(*draw(k, 1.0, True), 1.0) for k in range(0, count, 4)]
     rows = {"moving, size adapts": moving, "full size, at rest": still, "full size, moving": turning}
     return {"rows": {name: _row(times, size) for name, times in rows.items()}}
+
+
+def rendered(options: Options, frames: int, size: int) -> dict[str, Any]:
+    """`e4dgs render` in a process of its own: `seconds` that went by, `seconds_cpu` of all processors, `command` by the capture's name, and
+    `passed`, whether it kept within the bar."""
+    asked = ["--path", "turntable", "--frames", str(frames), "--size", str(size), "--out"]
+    words = ["render", *words_of(options), *asked]
+    with tempfile.TemporaryDirectory() as folder:
+        before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        subprocess.run([sys.executable, "-m", "e4dgs.workflows.cli", *words, f"{folder}/video.mp4"], check=True)
+        seconds, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    result = {"frames": frames, "seconds": round(seconds, 2), "seconds_cpu": round(cpu, 2), "bar_seconds": RENDER_BAR}
+    return result | {"passed": seconds <= RENDER_BAR, "command": shlex.join(["e4dgs", "render", options.capture.name, *asked, "video.mp4"])}
 
 
 def _row(times: list[tuple[float, float, float]], size: int) -> dict[str, float]:

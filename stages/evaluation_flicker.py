@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,8 +14,9 @@ FEWEST = 3  # times of a camera
 
 
 def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
-    """`static` and `edges` in levels of 8 bits, `flow` in px, and how many `cameras` and `pairs` of times they are means of; None for
-    captures without a fixed camera that saw several times. Held-out cameras are taken where there are any, from the first time on."""
+    """`static` and `edges` in levels of 8 bits, `flow` in px, how many `cameras` and `pairs` of times they are means of, and in `per_pair`
+    the three of each pair with its `camera` and both `times`; None for captures without a fixed camera that saw several times. Held-out
+    cameras are taken where there are any, from the first time on."""
     import numpy as np
 
     from ..scene.metrics.flicker import Flicker, steady_pixels
@@ -30,10 +32,12 @@ def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
     if not cameras:
         return None
     chosen = [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, CAMERAS).round().astype(int))]
-    flicker = Flicker()
+    flicker, pairs = Flicker(), []
     for camera in chosen:
         order = sorted(seen[camera], key=lambda i: float(frames.time[i]))[:TIMES]
         flicker.begin(steady_pixels(frames.composited(i) / 255.0 for i in order))
         for i in order:
             flicker.add(judge.render(i)[0], frames.composited(i) / 255.0)
-    return {**flicker.means(), "cameras": len(chosen), "pairs": flicker.pairs}
+        pairs += [{"camera": camera, "times": [float(frames.time[i]) for i in pair]} for pair in pairwise(order)]
+    rows = [{**pair, **row} for pair, row in zip(pairs, flicker.rows, strict=True)]
+    return {**flicker.means(), "cameras": len(chosen), "pairs": len(rows), "per_pair": rows}

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..pipeline import Artifact, ArtifactWriter
+from .edges_picture import edges_picture
 from .png import encode_png
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ class PictureBook:
     """Collects pictures and writes them as `png`, `png_offsets`, attrs `png_names`, and attrs `views`, `strip` and `flow` that say what
     they show; `flow` is absent where nothing was measured.
 
-    Names are "<split>/<frame>/truth|render|error|depth", "strip/<k>/render|truth", and those of `flow_pictures.add_flow`.
+    Names are "<split>/<frame>/truth|render|error|edges|depth", "strip/<k>/render|truth", and those of `flow_pictures.add_flow`.
     """
 
     def __init__(self, size: int) -> None:
@@ -37,12 +38,14 @@ class PictureBook:
         self.encoded.append(encode_png(scaled(picture, size)))
 
     def add_view(self, split: str, name: str, time: float, truth: np.ndarray, frame: Frame, row: dict[str, Any]) -> None:
-        """Ground truth uint8 [H, W, 3] beside the render, their difference and the depth."""
+        """Ground truth uint8 [H, W, 3] beside the render, their difference, the edges of both, and the depth."""
         color = frame.color.clamp(0, 1).numpy()
         stem = f"{split}/{row['frame']}"
-        self.add(f"{stem}/truth", truth, self.size)
-        self.add(f"{stem}/render", to_bytes(color), self.size)
+        shown = [scaled(picture, self.size) for picture in (truth, to_bytes(color))]
+        self.add(f"{stem}/truth", shown[0], self.size)
+        self.add(f"{stem}/render", shown[1], self.size)
         self.add(f"{stem}/error", error_picture(color, truth), self.size)
+        self.add(f"{stem}/edges", edges_picture(shown[1], shown[0]), self.size)
         self.add(f"{stem}/depth", depth_picture(frame.depth.numpy(), frame.alpha.numpy()), self.size)
         self.views.append({"stem": stem, "split": split, "name": name, "time": time, "psnr": row["psnr"], "ssim": row["ssim"]})
 

@@ -6,13 +6,14 @@ Imports neither torch nor a plotting library, so that a cached run can draw it.
 from __future__ import annotations
 
 import base64
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..pipeline import Artifact, duration
-from .report_plot import Plot, Series, numbers, svg
+from .edges_picture import KEYS
+from .report_curves import in_order, is_number, over_time, training_curves
+from .report_plot import Plot, svg
 
 TEMPLATE = Path(__file__).with_name("report.html.jinja")
 TRAINED = ("coarse", "fine")
@@ -23,8 +24,9 @@ FLOW_KINDS = (
     ("edges", "edges"),
     ("moving", "what moves"),
 )
-SPLITS = ("test", "val", "train")
 MEASURED_AS = ("metrics", "colours", "moving", "flicker")  # of the protocol: sentences, for small print
+VIEW_COLUMNS = (("truth", "ground truth"), ("render", "render"), ("error", "error × 4"), ("edges", "edges"), ("depth", "depth"))
+KINDS = (("gaussians", "Gaussians"), ("convexes", "convexes"))
 VIEWS_OPEN = 6  # the others are folded away
 DATA, MOVIE = "data:image/png;base64,", "data:video/mp4;base64,"
 MOVIES = (("over_time", "held-out views in order of time: ground truth, render"), ("turntable", "a turn about the scene"))
@@ -61,6 +63,9 @@ def render_report(
     from jinja2 import Environment
     from markupsafe import Markup
 
+    def drawn(plots: Sequence[Plot]) -> list[tuple[Plot, Markup]]:
+        return [(plot, Markup(text)) for plot in plots if (text := svg(plot))]
+
     flat = {name: flatten(info) for name, info in infos.items()}
     training = {name: flat[name].get("training") or {} for name in TRAINED if name in flat}
     pictures = {name: DATA + base64.b64encode(data).decode() for name, data in _pictures(evaluate).items()}
@@ -76,18 +81,21 @@ def render_report(
         facts=facts(metrics),
         views=[v for v in worst_first(attrs.get("views", [])) if f"{v['stem']}/render" in pictures],
         views_open=VIEWS_OPEN,
+        columns=[column for column in VIEW_COLUMNS if any(name.endswith(f"/{column[0]}") for name in pictures)],
+        edge_keys=KEYS,
         command=command,
-        over_time=[(plot.title, Markup(drawn)) for plot in plots_over_time(metrics) if (drawn := svg(plot))],
+        over_time=drawn(over_time(metrics)),
+        no_flicker="flicker" in metrics and metrics["flicker"] is None,
         strip=_strip(attrs.get("strip") or {}, pictures),
         flow=_flow(attrs.get("flow") or {}, pictures),
         pictures=pictures,
         movies=_movies(evaluate),
         seeds=None if seeds is None else DATA + base64.b64encode(seeds).decode(),
-        plots=[(plot.title, plot.series, Markup(drawn)) for plot in plots(training) if (drawn := svg(plot))],
+        plots=drawn(training_curves(training)),
         splits=tables(metrics),
         training={name: {k: v for k, v in log.items() if not isinstance(v, list)} for name, log in training.items() if log},
         plan=plan_rows,
-        slowest=max([float(row["seconds"]) for row in plan_rows if is_number(row.get("seconds"))], default=0.0),
+        total=total_of(plan_rows),
         logs={name: list(info.get("log") or []) for name, info in flat.items() if info.get("log")},
         settings=settings_of(flat, evaluate),
         provenance=_provenance(evaluate),
@@ -98,10 +106,6 @@ def flatten(info: Mapping[str, Any]) -> dict[str, Any]:
     """A stage's attrs and info in one dict, whichever way they came."""
     nested = {key: info[key] for key in ("attrs", "info") if isinstance(info.get(key), Mapping)}
     return {**{k: v for k, v in info.items() if k not in nested}, **nested.get("attrs", {}), **nested.get("info", {})}
-
-
-def is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def number(value: Any, decimals: int = 2) -> str:
@@ -136,7 +140,7 @@ def facts(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
             found.append((title, f"{flicker[name]:.2f} {unit}"))
     if is_number(metrics.get("render_fps")):
         found.append(("renders at", f"{metrics['render_fps']:.3g} frames/s"))
-    found += [(kind, number(primitives[kind])) for kind in ("gaussians", "convexes") if kind in primitives]
+    found += [(title, number(primitives[key])) for key, title in KINDS if key in primitives]
     return found
 
 
@@ -151,46 +155,17 @@ def tables(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     return result
 
 
-def plots(training: Mapping[str, Mapping[str, Any]]) -> list[Plot]:
-    """Loss, PSNR and primitives over the steps of all stages, one after the other."""
-    starts, total = {}, 0.0
-    for name, log in training.items():
-        starts[name] = total
-        steps = [x for key in ("loss", "psnr", "primitives") for x, _ in numbers(log.get(key), 1)]
-        given = log.get("iterations")
-        total += max([float(given) if is_number(given) else 0.0, *steps])  # type: ignore[arg-type]
-    marks = [(start, name) for name, start in starts.items() if start > 0]
-
-    def curve(key: str, column: int) -> list[tuple[float, float]]:
-        return [(x + starts[name], y) for name, log in training.items() for x, y in numbers(log.get(key), column)]
-
-    kinds = [Series("Gaussians", curve("primitives", 1), "a"), Series("convexes", curve("primitives", 2), "b")]
-    return [
-        Plot("Loss", "step", "loss", [Series("loss", curve("loss", 1))], marks, log=True),
-        Plot("PSNR of training views", "step", "dB", [Series("PSNR", curve("psnr", 1))], marks),
-        Plot("Primitives", "step", "count", kinds, marks),
-    ]
-
-
-def plots_over_time(metrics: Mapping[str, Any]) -> list[Plot]:
-    """PSNR of each measured view over its time, for splits with several times."""
-    found = []
-    for split, values in in_order(metrics.get("splits") or {}).items():
-        points = sorted(numbers([[row.get("time"), row.get("psnr")] for row in values.get("per_view") or []], 1))
-        if len({time for time, _ in points}) > 1:
-            found.append(Plot(f"PSNR over time, {split}", "time", "dB", [Series(split, points)]))
-    return found
+def total_of(plan_rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Seconds of all stages together, and of those that this run found in the store: `seconds`, `cached`."""
+    taken = [row for row in plan_rows if row.get("state") != "skipped" and is_number(row.get("seconds"))]
+    cached = [float(row["seconds"]) for row in taken if row.get("state") == "cached"]
+    return {"seconds": sum(float(row["seconds"]) for row in taken), "cached": sum(cached)}
 
 
 def worst_first(views: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Views of test come first, then those of val; the worst of each come first."""
     order = list(in_order(dict.fromkeys(view["split"] for view in views)))
     return sorted(views, key=lambda view: (order.index(view["split"]), view["psnr"]))
-
-
-def in_order(splits: Mapping[str, Any]) -> dict[str, Any]:
-    """``splits`` with test first, then val, then train."""
-    return {name: splits[name] for name in sorted(splits, key=lambda name: SPLITS.index(name) if name in SPLITS else len(SPLITS))}
 
 
 def settings_of(flat: Mapping[str, Mapping[str, Any]], evaluate: Artifact) -> dict[str, Mapping[str, Any]]:

@@ -45,12 +45,19 @@ def _blend(camera: Camera, gaussians: Gaussians, convexes: Convexes, extras: tup
     return frame.extras, frame.alpha.detach()
 
 
-def rendered_flow(model: Model, camera: Camera, t: float, next_camera: Camera, t_next: float) -> tuple[Tensor, Tensor]:
+def rendered_flow(
+    model: Model, camera: Camera, t: float, next_camera: Camera, t_next: float, only: tuple[Tensor, Tensor] | None = None
+) -> tuple[Tensor, Tensor]:
     """Flow [H, W, 2] (u right, v down, px) from ``camera`` at ``t`` to ``next_camera`` at ``t_next``, and alpha [H, W].
 
-    Where primitives cover a pixel in part, the flow is divided by their alpha.
+    Where primitives cover a pixel in part, the flow is divided by their alpha. only: bool [N] and [M], the Gaussians and convexes that are
+    drawn; all without it.
     """
-    return _flow_between(model, camera, model.at(t, camera), next_camera, model.at(t_next, camera))
+    gaussians, convexes = model.at(t, camera)
+    if only is not None:  # what has no opacity is not drawn
+        gaussians = replace(gaussians, opacities=gaussians.opacities * only[0])
+        convexes = replace(convexes, opacities=convexes.opacities * only[1])
+    return _flow_between(model, camera, (gaussians, convexes), next_camera, model.at(t_next, camera))
 
 
 def _flow_between(model: Model, camera: Camera, now: Moved, next_camera: Camera, later: Moved) -> tuple[Tensor, Tensor]:

@@ -33,16 +33,16 @@ def steady_pixels(truths: Iterable[np.ndarray]) -> np.ndarray:
 
 
 class Flicker:
-    """Sums over pairs of neighbouring times of one or more cameras that stand still.
+    """Measures pairs of neighbouring times of one or more cameras that stand still.
 
     The excess of a pixel is max(0, |R(t+1) - R(t)| - |Y(t+1) - Y(t)|), R the render, Y the truth, | | the mean over channels, in levels
     of 8 bits. `static`: its mean where the truth is steady; `edges`: within 2 px of an edge of the truth; `flow`: mean distance in px of
-    optical flow measured in the renders from that in the truth (tOF, Chu et al. 2020, with Farneback's flow).
+    optical flow measured in the renders from that in the truth (tOF, Chu et al. 2020, with Farneback's flow). `rows` has all three for each
+    pair, None where it has no such pixel.
     """
 
     def __init__(self) -> None:
-        self.pairs = 0
-        self._sums: dict[str, list[float]] = {"static": [], "edges": [], "flow": []}
+        self.rows: list[dict[str, float | None]] = []
         self._before: tuple[np.ndarray, np.ndarray] | None = None
         self._steady: np.ndarray | None = None
 
@@ -57,17 +57,17 @@ class Flicker:
         before, self._before = self._before, (render, truth)
         if before is None:
             return
-        self.pairs += 1
         excess = LEVELS * np.maximum(0.0, np.abs(render - before[0]).mean(-1) - np.abs(truth - before[1]).mean(-1))
         edges = edge_mask_canny(_bytes(truth))
-        for name, mask in (("static", self._steady), ("edges", near_edges(edges, PIXELS))):
-            if mask.any():
-                self._sums[name].append(float(excess[mask].mean()))
-        self._sums["flow"].append(float(np.linalg.norm(_flow(before[0], render) - _flow(before[1], truth), axis=-1).mean()))
+        masks = {"static": self._steady, "edges": near_edges(edges, PIXELS)}
+        row = {name: float(excess[mask].mean()) if mask.any() else None for name, mask in masks.items()}
+        row["flow"] = float(np.linalg.norm(_flow(before[0], render) - _flow(before[1], truth), axis=-1).mean())
+        self.rows.append(row)
 
     def means(self) -> dict[str, float | None]:
         """`static`, `edges` and `flow`, each the mean over pairs; None where no pair has such pixels."""
-        return {name: float(np.mean(values)) if values else None for name, values in self._sums.items()}
+        found = {name: [value for row in self.rows if (value := row[name]) is not None] for name in ("static", "edges", "flow")}
+        return {name: float(np.mean(values)) if values else None for name, values in found.items()}
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:

@@ -217,8 +217,9 @@ def test_flicker_is_what_the_render_changes_beyond_the_truth():
     truths = [picture()] * 4
     shaking = [truth + 0.01 * (k % 2) for k, truth in enumerate(truths)]
     found = flicker_of(shaking, truths)
-    assert found.pairs == 3
+    assert len(found.rows) == 3
     assert found.means()["static"] == pytest.approx(2.55, rel=1e-4) and found.means()["edges"] == pytest.approx(2.55, rel=1e-4)
+    assert [row["static"] for row in found.rows] == pytest.approx([2.55] * 3, rel=1e-4)
     same = flicker_of(shaking, shaking).means()
     assert same["static"] == 0 and same["edges"] == 0 and same["flow"] == 0
     offset = flicker_of([truth + 0.1 for truth in truths], truths).means()  # wrong, and steady
@@ -244,5 +245,5 @@ def test_flicker_begins_anew_with_each_camera_and_measures_flow():
         flicker.begin(steady_pixels([truth, moved]))
         flicker.add(truth, truth)
         flicker.add(truth, moved)  # the render stands still where the truth moves
-    assert flicker.pairs == 2 and flicker.means()["flow"] > 0.1
+    assert len(flicker.rows) == 2 and flicker.means()["flow"] > 0.1
     assert Flicker().means() == {"static": None, "edges": None, "flow": None}

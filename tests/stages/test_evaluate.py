@@ -2,6 +2,7 @@
 
 import io
 import json
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -162,7 +163,7 @@ def test_timings_are_not_content(result):
 def test_pictures_are_png_files_of_what_they_are_called(result):
     artifact, _ = result
     pictures = read_pictures(artifact)
-    assert {f"test/1/{kind}" for kind in ("truth", "render", "error", "depth")} <= set(pictures)
+    assert {f"test/1/{kind}" for kind in ("truth", "render", "error", "edges", "depth")} <= set(pictures)
     truth, render = (cv2.imdecode(np.frombuffer(pictures[f"test/1/{k}"], np.uint8), cv2.IMREAD_COLOR) for k in ("truth", "render"))
     assert truth.shape == (40, 48, 3)
     assert np.median(truth.astype(int) - render) == pytest.approx(25.5, abs=1)
@@ -390,6 +391,10 @@ def test_flicker_is_measured_at_fixed_cameras_at_held_out_ones_where_there_are_a
     assert found is not None and found["cameras"] == looked_at and found["pairs"] == 3 * looked_at
     assert found["static"] == pytest.approx(5.0, rel=1e-4) and found["edges"] is None
     assert shown == [0, 1, 2, 3] * looked_at
+    expected = [(one, step) for one in ([1] if test_camera else [0, 1]) for step in pairwise(np.linspace(0, 1, 4))]
+    assert [(row["camera"], tuple(row["times"])) for row in found["per_pair"]] == expected
+    assert np.mean([row["static"] for row in found["per_pair"]]) == found["static"] and found["per_pair"][0]["edges"] is None
+    assert json.loads(json.dumps(found)) == found
     assert measure_flicker(Judge(model, frames, None, False), frames) is None  # type: ignore[arg-type]
     frames.registered[1::2] = False  # two times of each camera are too few
     assert measure_flicker(Judge(model, frames, None, True), frames) is None  # type: ignore[arg-type]

@@ -9,7 +9,8 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from e4dgs.stages.report import headlines, plots, render_report
+from e4dgs.stages.report import headlines, render_report
+from e4dgs.stages.report_curves import training_curves
 from e4dgs.stages.report_plot import MOST_POINTS, Plot, Series, numbers, svg
 
 EVIL = "<script>alert(1)</script>\"'&"
@@ -19,7 +20,7 @@ class Evaluation:
     """Stands for an `evaluate` artifact: two views and a strip, pictures that are any bytes."""
 
     def __init__(self, name: str = "r_000") -> None:
-        names = [f"test/{i}/{kind}" for i in (3, 7) for kind in ("truth", "render", "error", "depth")]
+        names = [f"test/{i}/{kind}" for i in (3, 7) for kind in ("truth", "render", "error", "edges", "depth")]
         names += ["strip/0/render", "strip/0/truth", "strip/1/render", "strip/1/truth"]
         blobs = [f"picture {k}".encode() for k in range(len(names))]
         self.arrays = {"png": np.frombuffer(b"".join(blobs), np.uint8), "png_offsets": np.cumsum([0, *map(len, blobs)])}
@@ -147,6 +148,7 @@ def test_the_page_holds_everything_and_refers_to_nothing_outside(page):
         "held out 8",
         "ground truth",
         "error × 4",
+        "only in the ground truth",
         "the files hold poses",
         "512 MB",
         "converged",
@@ -185,6 +187,8 @@ def test_the_command_and_the_quality_over_time_are_shown_when_known():
     shown = render_report("robot", Evaluation(), infos(), PLAN, values, None, "e4dgs run all 'my capture'")  # type: ignore[arg-type]
     assert "e4dgs run all &#39;my capture&#39;" in shown and "PSNR over time, test" in shown and "PSNR over time, val" not in shown
     without = render_report("robot", Evaluation(), infos(), PLAN, metrics())  # type: ignore[arg-type]
+    assert "Flicker is measured where" not in shown
+    assert "Flicker is measured where" in render_report("robot", Evaluation(), infos(), PLAN, {**values, "flicker": None})  # type: ignore[arg-type]
     assert "The same again" not in without and "PSNR over time" not in without, "one time is no course"
 
 
@@ -257,7 +261,7 @@ def test_infos_may_be_nested():
 
 
 def test_curves_of_fine_follow_those_of_coarse():
-    loss, psnr, primitives = plots({name: info["training"] for name, info in infos().items()})
+    loss, psnr, primitives = training_curves({name: info["training"] for name, info in infos().items()})
     assert [x for x, _ in loss.series[0].points] == [0, 50, 100, 100, 150, 200]
     assert loss.marks == [(100.0, "fine")] and loss.log and not psnr.log
     assert [s.label for s in primitives.series] == ["Gaussians", "convexes"]

@@ -9,6 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import tiny_run
 import toy_reconstruction
 
 
@@ -49,3 +50,34 @@ def capture(tmp_path) -> Path:
     for i in range(5):
         Image.new("RGB", (32, 24), (40 * i, 0, 0)).save(folder / f"{i:03d}.png")
     return folder
+
+
+@pytest.fixture(scope="session")
+def finished_run(dnerf_capture, tmp_path_factory):
+    """A tiny capture and the workspace in which it was reconstructed; others add to the workspace and take nothing away."""
+    from e4dgs.workflows.cli import main
+
+    workspace = tmp_path_factory.mktemp("finished") / "workspace"
+    assert main(["run", "all", str(dnerf_capture.root), "--workspace", str(workspace), *tiny_run.QUICK]) == 0
+    return dnerf_capture, workspace
+
+
+@pytest.fixture(scope="session")
+def finished_scene(finished_run):
+    """The model of the finished run, and the camera of its first view."""
+    import e4dgs
+    import torch
+
+    capture, workspace = finished_run
+    model, truth = e4dgs.load(capture.root, workspace=workspace), capture.views[0].camera
+    pose = torch.tensor(truth.cam_from_world).float()
+    return model, e4dgs.Camera(torch.tensor(truth.K).float(), pose, truth.width, truth.height, model.near)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A real Chromium; of a module, since its event loop would be in the way of other tests."""
+    if tiny_run.CHROMIUM is None:
+        pytest.skip("needs Chromium: apt-get install chromium")
+    with tiny_run.started() as browser:
+        yield browser

@@ -3,10 +3,12 @@
 import csv
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
 import time
+from html import unescape
 from html.parser import HTMLParser
 
 import pyarrow.parquet
@@ -143,6 +145,8 @@ def test_the_page_links_to_the_reports_and_shows_the_worst_first(finished):
     parser.feed(page)
     assert len(parser.found) == 1 and (batch / parser.found[0]).is_file()
     assert page.index(">empty<") < page.index("report.html")
+    command = unescape(page.split("<pre>")[1].split("</pre>")[0])
+    assert sorted(shlex.split(command)) == sorted(["e4dgs", *finished[2]])
     rows = [{"state": s, "psnr": p} for s, p in (("done", 30.0), ("waiting", None), ("done", 20.0), ("failed", None))]
     assert [row["psnr"] for row in worst_first(rows)] == [None, 20.0, 30.0, None]
 

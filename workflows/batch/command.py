@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,7 +12,8 @@ from rich.console import Console
 
 from ...pipeline import SettingsError
 from ..options import Debug, Device, Format, Preset, Set, Static, StoreAlso, Workspace
-from ..session import DEFAULT_WORKSPACE, other_stores
+from ..results import words_of
+from ..session import DEFAULT_WORKSPACE, Options, other_stores
 from ..writable import writing_to
 from .board import table, watch
 from .ledger import Ledger, Progress, batches
@@ -57,13 +59,15 @@ def batch(
     also = tuple(str(path) for path in other_stores(store_also or ()))
     entries = entries_of(captures, Entry("", "", settings, preset, static, format, device, store_also=also))
     _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
+    words = ["e4dgs", "batch", *captures, *words_of_batch(name, executor, jobs, memory, retries, stage_timeout, emit)]
+    words += words_of(Options(Path(), workspace, preset, set or (), device, None, static, format, store_also or ()))[1:]
     cluster = None
     if executor != "local":
         from .cluster import read_cluster
 
         cluster = read_cluster(Path(executor))
     with writing_to(workspace.resolve()):
-        ledger = Ledger.create(workspace.resolve(), name, entries)
+        ledger = Ledger.create(workspace.resolve(), name, entries, shlex.join(words))
     for entry in entries:
         if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
             ledger.write(entry.name, Progress())
@@ -99,6 +103,17 @@ def batch(
     console.print(f"{len(entries) - len(failed)} of {len(entries)} scenes are done: {page}", markup=False, highlight=False, soft_wrap=True)
     if failed:
         raise typer.Exit(1)
+
+
+def words_of_batch(
+    name: str, executor: str, jobs: int | None, memory: float | None, retries: int | None, stage_timeout: float | None, emit: str | None
+) -> list[str]:
+    """The options of a batch alone as words of a command line, without those that are the default."""
+    given = (
+        *(("--name", name, "batch"), ("--executor", executor, "local"), ("--jobs", jobs, None), ("--memory", memory, None)),
+        *(("--retries", retries, None), ("--stage-timeout", stage_timeout, None), ("--emit", emit, None)),
+    )
+    return [word for flag, value, default in given if value != default for word in (flag, str(value))]
 
 
 def status(

@@ -43,10 +43,11 @@ class Ledger:
         self.folder = workspace / "batches" / name
 
     @classmethod
-    def create(cls, workspace: Path, name: str, entries: Sequence[Entry]) -> Ledger:
-        """The batch ``name``, new or gone on with: what is done stays done, scenes that are no longer asked for are forgotten."""
+    def create(cls, workspace: Path, name: str, entries: Sequence[Entry], command: str = "") -> Ledger:
+        """The batch ``name``, new or gone on with: what is done stays done, scenes that are no longer asked for are forgotten. command:
+        the words that a person types to go on with it."""
         ledger = cls(workspace, name)
-        content = {"workspace": str(workspace), "scenes": [entry.as_json() for entry in entries]}
+        content = {"workspace": str(workspace), "command": command, "scenes": [entry.as_json() for entry in entries]}
         before = {entry.name: entry for entry in ledger.entries()} if ledger.exists() else {}
         write_json(ledger.folder / "batch.json", content)
         for entry in entries:
@@ -63,6 +64,11 @@ class Ledger:
         if not isinstance(content, dict):
             raise ArtifactError(f"{self.folder}: there is no such batch; batches here: {', '.join(batches(self.workspace)) or 'none'}")
         return [Entry.from_json(row) for row in content["scenes"]]
+
+    def command(self) -> str:
+        """What goes on with the batch, "" where that was not written down."""
+        content = read_json(self.folder / "batch.json")
+        return str(content.get("command", "")) if isinstance(content, dict) else ""
 
     def progress(self, scene: str) -> Progress:
         """As it was written last; see also `shown`."""

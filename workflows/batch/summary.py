@@ -98,7 +98,7 @@ def write_summary(ledger: Ledger) -> Path:
     write_atomically(
         page,
         environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
-            name=ledger.name, rows=worst_first(rows), counts=counts, spread=spread(rows)
+            name=ledger.name, command=ledger.command(), rows=worst_first(rows), counts=counts, spread=spread(rows)
         ),
     )
     return page

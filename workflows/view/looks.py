@@ -27,12 +27,12 @@ Kind = TypeVar("Kind", Gaussians, Convexes)
 
 
 def picture(model: Model, camera: Camera, time: float, look: str = "colour", primitives: str = "all", outlines: bool = False) -> np.ndarray:
-    """uint8 [H, W, 3] RGB of ``camera`` at ``time`` in [0, 1]. look: of `LOOKS`; flow is that of everything. primitives: of `PRIMITIVES`.
+    """uint8 [H, W, 3] RGB of ``camera`` at ``time`` in [0, 1]. look: of `LOOKS`. primitives: of `PRIMITIVES`.
     outlines: draw the outline of each convex over it."""
     with torch.no_grad():
         if look == "flow":
             start = min(time, 1 - FLOW_STEP)
-            flow, alpha = rendered_flow(model, camera, start, camera, start + FLOW_STEP)
+            flow, alpha = rendered_flow(model, camera, start, camera, start + FLOW_STEP, named(model, primitives))
             shown = flow_colours(torch.where(alpha[..., None] > 0.5, flow, 0.0).cpu().numpy())
         else:
             frame = rasterize(camera, *chosen(model, camera, time, primitives), torch.tensor(model.background))
@@ -51,16 +51,20 @@ def picture(model: Model, camera: Camera, time: float, look: str = "colour", pri
 def chosen(model: Model, camera: Camera, time: float, primitives: str) -> tuple[Gaussians, Convexes]:
     """Those of the model's primitives at ``time`` that ``primitives`` of `PRIMITIVES` names."""
     gaussians, convexes = model.at(time, camera)
-    if primitives == "all":
-        return gaussians, convexes
+    keep = named(model, primitives)
+    return (gaussians, convexes) if keep is None else (_rows(gaussians, keep[0]), _rows(convexes, keep[1]))
+
+
+def named(model: Model, primitives: str) -> tuple[Tensor, Tensor] | None:
+    """Which Gaussians [N] and convexes [M] ``primitives`` names, bool; None for all."""
     g, c = model.gaussians.dynamic, model.convexes.dynamic
-    keep = {
+    return {
+        "all": None,
         "Gaussians": (torch.ones_like(g), torch.zeros_like(c)),
         "convexes": (torch.zeros_like(g), torch.ones_like(c)),
         "dynamic": (g, c),
         "static": (~g, ~c),
     }[primitives]
-    return _rows(gaussians, keep[0]), _rows(convexes, keep[1])
 
 
 def _rows(kind: Kind, keep: Tensor) -> Kind:
