@@ -6,11 +6,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from ...pipeline import ArtifactError
 from ...pipeline.files import read_json, write_json
-from .listing import Entry
+from .listing import Entry, known
 
 State = Literal["waiting", "running", "done", "failed"]
 
@@ -57,8 +57,11 @@ class Ledger:
         return [Entry.from_json(row) for row in content["scenes"]]
 
     def progress(self, scene: str) -> Progress:
+        """Where a scene stands; what a later version has added is left out, and a state that this one does not know counts as waiting."""
         content = read_json(self._state(scene))
-        return Progress(**content) if isinstance(content, dict) else Progress()
+        if not isinstance(content, dict) or content.get("state") not in get_args(State):
+            return Progress()
+        return Progress(**known(Progress, content))
 
     def write(self, scene: str, progress: Progress) -> None:
         progress.changed = time.time()
