@@ -128,6 +128,34 @@ def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def said(result: Mapping[str, Any]) -> list[str]:
+    """What else docs/scale.md says in figures, as it has to say it."""
+    scenes = [sum(seconds.values()) for seconds in result["measured_seconds"].values()]
+    total, rows = sum(scenes), result["rows"]
+    mean = total / len(scenes)
+    share = {s: sum(seconds[s] for seconds in result["measured_seconds"].values()) / total for s in STAGES}
+    rest = f"frames and hulls {share['frames'] + share['hulls']:.1%}".replace("%", " %")
+    shares = (f"{s} {100 * share[s]:.{0 if share[s] > 0.1 else 1}f} %" for s in ("coarse", "fine", "poses", "flow", "evaluate"))
+    usual, listed, many = rows["1000 workers"], rows["1000, listed order"], rows["3000 workers"]
+    gigabits = 8e6 * usual["store_terabytes_moved"] / result["scenes"] / 1000
+    over, over_many = (f"{100 * (row['over_the_least'] - 1):.0f} %" for row in (usual, many))
+    narrow, one_by_one, lost = rows["1000, store of 1 Gbit/s"], rows["1000, requests one by one"], rows["1000, a tenth lost an hour"]
+    serial = 100 * (one_by_one["hours"] / usual["hours"] - 1)
+    return [
+        f"| a scene, all stages, one thread | {min(scenes):,.0f} to {max(scenes):,.0f} s, mean {mean:,.0f} s |",
+        f"| of that | {', '.join(shares)}, {rest} |",
+        f"{result['scenes']:,} scenes are {mean * result['scenes'] / 3600:,.0f} hours of one thread",
+        f"{over} over the least time at 1,000 workers and {over_many} at 3,000",
+        f"Longest first is worth {100 * (1 - usual['hours'] / listed['hours']):.0f} % of the wall time at 1,000",
+        f"All scenes move {usual['store_terabytes_moved']:.1f} TB",
+        f"it takes {narrow['hours'] / usual['hours']:.1f} times as long with 1,000 of them",
+        f"Gbit/s x {mean:,.0f} s / {gigabits:.1f} Gbit, about {round(mean / gigabits, -1):,.0f} for each",
+        f"{usual['store_requests_millions']:.0f} million of them cost {serial:.0f} % of the wall time",
+        f"{lost['done_again_hours']:.0f} of {lost['worker_hours']:,.0f} hours are done again",
+        f"W = {usual['worker_hours']:,.0f} / {result['scenes']:,} = {usual['worker_hours'] / result['scenes']:.2f} of one thread",
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=10_000)
@@ -143,7 +171,7 @@ def main() -> None:
         result["rows"][name] = {"changed": changed} | {key: float(f"{value:.3g}") for key, value in found.items()}
         print(name, result["rows"][name])
     args.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(table(result["rows"]))
+    print(table(result["rows"]), *said(result), sep="\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ artifact, so memory stays bounded. Arrays and attrs: docs/artifacts.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from ..pipeline import Applies, CaptureError, Context, Resources, Settings, Stage
+from ..pipeline import Applies, CaptureError, Context, Given, Resources, Settings, Stage
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,6 +57,7 @@ def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None
 class Frames(Stage):
     name = "frames"
     version = 3  # 3: no pixel of an undistorted picture is without data
+    items = "cameras"
     inputs = ()
     settings = FramesSettings
     reads_capture = True
@@ -67,8 +68,16 @@ class Frames(Stage):
 
     def estimate(self, facts: Mapping[str, Any], settings: FramesSettings) -> float | None:
         """Decoding once, two cores: about 60 megapixels a second from image files, 15 from video into the store (measured)."""
-        megapixels = facts["frames"] * facts["width"] * facts["height"] / 1e6
+        new = facts.get("new_items", facts["cameras"]) / facts["cameras"]
+        megapixels = new * facts["frames"] * facts["width"] * facts["height"] / 1e6
         return 0.5 + megapixels / (60 if facts["images_in_files"] else 15)
+
+    def item_parts(self, given: Given) -> Sequence[Any]:
+        """The videos, each of which is a camera; [] where pictures stay in their files."""
+        from .frames_videos import video_parts
+
+        capture = _recognised(given)
+        return video_parts(capture, given) if capture.images is None else []
 
     def resources(self, facts: Mapping[str, Any], settings: FramesSettings, device: str) -> Resources:
         from .estimates import picture_resources
@@ -76,18 +85,22 @@ class Frames(Stage):
         return picture_resources(facts, 0.3)
 
     def run(self, ctx: Context) -> None:
-        from .captures import Capture
+        from .frames_videos import decode_videos
 
-        capture = ctx.capture
-        if not isinstance(capture, Capture):
-            capture = recognise_for(ctx.capture.root, ctx.settings)
+        capture = _recognised(ctx)
         for note in capture.notes:
             ctx.log(note)
         if capture.images is None:
-            _extract(capture, ctx)
+            decode_videos(capture, ctx)
         else:
             _check(capture, ctx)
         _write(capture, ctx)
+
+
+def _recognised(given: Given | Context) -> Capture:
+    from .captures import Capture
+
+    return given.capture if isinstance(given.capture, Capture) else recognise_for(given.capture.root, given.settings)  # type: ignore[arg-type]
 
 
 def _write(capture: Capture, ctx: Context) -> None:
@@ -147,21 +160,6 @@ def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Cont
             f"at least {kept[bent].min():.0%} of a picture's area, every pixel of it seen by the lens"
         )
     return result
-
-
-def _extract(capture: Capture, ctx: Context) -> None:
-    """Decode every video into `images`, one chunk a frame."""
-    from .captures.video import decode
-
-    frames, height, width = capture.facts["frames"], capture.facts["height"], capture.facts["width"]
-    shape = (frames, height, width, 3)
-    images = ctx.out.create("images", shape, "uint8", (1, height, width, 3), doc="decoded RGB frames")
-    with ctx.progress(frames, "decode") as progress:
-        for video in capture.videos:
-            part = None if capture.crop is None else capture.crop[video.start]
-            for offset, picture in enumerate(decode(capture.root, video, width, height, part)):
-                images[video.start + offset] = picture
-                progress.advance(1, video.file)
 
 
 def _check(capture: Capture, ctx: Context) -> None:

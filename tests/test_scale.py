@@ -40,7 +40,26 @@ def test_what_is_known_and_what_is_lost_counts(scale):
     assert lost["done_again_hours"] > whole["done_again_hours"] and lost["worker_hours"] > whole["worker_hours"]
 
 
-def test_the_page_shows_the_results(scale):
-    result = json.loads((ROOT / "benchmarks" / "results" / "scale.json").read_text())
-    assert scale.table(result["rows"]) in (ROOT / "docs" / "scale.md").read_text()
-    assert result["measured_seconds"].keys() == scale.measured().keys(), "run benchmarks/scale.py again"
+@pytest.fixture
+def result() -> dict:
+    return json.loads((ROOT / "benchmarks" / "results" / "scale.json").read_text())
+
+
+def test_the_result_is_of_what_is_measured_now(scale, result):
+    """Both files are committed: a change of quality.json asks for another simulation."""
+    assert result["measured_seconds"] == scale.measured(), "quality.json has other seconds: run benchmarks/scale.py again"
+    assert result["defaults"] == vars(scale.Cluster()), "run benchmarks/scale.py again"
+    row = result["rows"]["100 workers"]
+    again = scale.simulate(scale.Cluster(**row["changed"]), result["scenes"])
+    assert row == {"changed": row["changed"]} | {name: float(f"{value:.3g}") for name, value in again.items()}, (
+        "run benchmarks/scale.py again"
+    )
+
+
+def test_the_page_shows_the_results(scale, result):
+    page = (ROOT / "docs" / "scale.md").read_text()
+    assert scale.table(result["rows"]) in page
+    lines = " ".join(page.split())
+    assert [figure for figure in scale.said(result) if " ".join(figure.split()) not in lines] == [], "docs/scale.md is of other results"
+    result["measured_seconds"]["lego"]["coarse"] += 500
+    assert [figure for figure in scale.said(result) if " ".join(figure.split()) not in lines] != [], "the figures follow what was measured"

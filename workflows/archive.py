@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import stat
 import tempfile
 import zipfile
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from ..pipeline import CaptureError
 from ..pipeline.errors import is_odd
-from ..pipeline.files import digest_bytes
+from ..pipeline.files import digest_bytes, digest_file
+from ..pipeline.hold import hold
 
 MOST_FILES = 200_000
 MOST_TIMES_LARGER = 200  # than the archive; pictures and videos hardly shrink, so more is a bomb
@@ -20,33 +23,67 @@ MOST_FOLDERS = 64  # one in another
 SLACK = 100_000_000  # bytes that any archive may unpack to
 
 
-def unpacked(capture: Path, workspace: Path) -> Path:
-    """``capture`` itself, or the folder ``<workspace>/unpacked/<key>/`` where it is a .zip file. What is there is taken as it is: the key
-    changes with the file's path, size and time of change. A folder that holds all the rest counts as the capture.
+class InUse:
+    """Whoever has one of these uses an unpacked archive, see `unpacked`."""
 
-    Raises CaptureError where the file is no archive, is damaged, or holds what leads out of its folder.
+
+def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path:
+    """``capture`` itself, or the folder ``<workspace>/unpacked/<key>/`` where it is a .zip file. What is there is taken as it is: the key
+    follows from the archive's name and content. A folder that holds all the rest counts as the capture.
+
+    user: `gc` leaves the folder alone as long as this object lives. Raises CaptureError where the file is no archive, is damaged, or holds
+    what leads out of its folder.
     """
     if capture.suffix.lower() != ".zip" or not capture.is_file():
         return capture
-    found = capture.resolve().stat()
-    key = digest_bytes(f"{capture.resolve()} {found.st_size} {found.st_mtime_ns}".encode())[:16]
+    try:
+        key = digest_bytes(f"{capture.stem} {digest_file(capture)}".encode("utf-8", "surrogateescape"))[:16]
+    except OSError as error:
+        raise CaptureError(f"{capture}: cannot be read ({error.strerror or error}); see to its permissions, or to the disk") from error
     folder = workspace / "unpacked" / key
-    if not folder.is_dir():
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(prefix=f".{key}-", dir=folder.parent))
-        try:
-            _unpack(capture, part / capture.stem)
-            try:
-                os.rename(part, folder)
-            except OSError:
-                if not folder.is_dir():  # else another run was faster
-                    raise
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
+    while not _held(folder, user):
+        _make(capture, folder)
     root = folder / capture.stem
     while len(inside := [entry for entry in root.iterdir() if entry.name != "__MACOSX"]) == 1 and inside[0].is_dir():
         root = inside[0]
     return inside[0] if len(inside) == 1 else root
+
+
+def mark_of(folder: Path) -> Path:
+    """The file in an unpacked folder whose lock says that it is used (`pipeline/hold.py`), and whose time of change when it was last."""
+    return folder / ".used"
+
+
+def _held(folder: Path, user: object | None) -> bool:
+    """False where nothing is unpacked there, or somebody takes it away just now."""
+    try:
+        if user is not None:
+            hold(user, mark_of(folder))
+        with suppress(PermissionError):  # a workspace that is only read
+            os.utime(mark_of(folder))
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        if error.errno != errno.EROFS:
+            raise
+    return True
+
+
+def _make(capture: Path, folder: Path) -> None:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part, user = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)), InUse()
+    try:
+        mark_of(part).touch()
+        hold(user, mark_of(part))  # as long as it is filled
+        _unpack(capture, part / capture.stem)
+        try:
+            os.rename(part, folder)
+        except OSError:
+            if not folder.is_dir():  # else another run was faster
+                raise
+            mark_of(folder).touch()
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def _unpack(file: Path, folder: Path) -> None:

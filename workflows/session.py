@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..pipeline import Job, SettingsError, Store, build_settings, split_assignment
-from .archive import unpacked
+from .archive import InUse, unpacked
 from .devices import resolve_device
 from .presets import PRESETS
 from .reconstruction import reconstruction
@@ -53,7 +54,9 @@ def open_session(options: Options) -> Session:
     frames = settings["frames"]
     assert isinstance(frames, FramesSettings)
     workspace = options.workspace.resolve()
-    capture = recognise_for(unpacked(options.capture.expanduser(), workspace), frames, workspace / "heard")
+    user = InUse()
+    capture = recognise_for(unpacked(options.capture.expanduser(), workspace, user), frames, workspace / "heard")
+    weakref.finalize(capture, id, user)  # an archive's files are in use as long as the capture is
     path = Path(os.path.abspath(options.capture.expanduser())).resolve()
     scene = find_scene(workspace, path, capture.name, options.name)
     store = Store(workspace / "store")

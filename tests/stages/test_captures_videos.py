@@ -1,5 +1,6 @@
 """Several videos of one event: cameras by name, one clock from sound or from first frames, frames at shared times."""
 
+import os
 import shutil
 
 import numpy as np
@@ -185,7 +186,43 @@ def test_long_sounds_are_heard_once(tmp_path, monkeypatch):
     assert shifts() == first and not times
     kept = sorted((tmp_path / "heard").iterdir())
     assert len(kept) == 2
-    kept[0].write_bytes(kept[0].read_bytes()[:300])
-    assert shifts() == first and len(times) == 1
     (tmp_path / "videos" / "1.mp4").touch()
-    assert shifts() == first and times == ["1.mp4"]
+    shutil.move(tmp_path / "videos", tmp_path / "elsewhere")
+    shutil.move(tmp_path / "elsewhere", tmp_path / "videos")
+    assert shifts() == first and not times, "a time of change, or a place, says nothing"
+    before = (tmp_path / "videos" / "0.mp4").stat()
+    grey_video(tmp_path / "videos" / "0.mp4", 50, 25, recorded(sounds, 0.7, 2.0, 0.5, 3))
+    os.utime(tmp_path / "videos" / "0.mp4", ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert shifts() != first and times == ["0.mp4"], "another content under the same name and time"
+
+
+@pytest.mark.parametrize("damage", ["first", "digest", "values", "cut", "empty", "renamed"])
+def test_what_was_heard_is_heard_again_where_a_bit_has_flipped(tmp_path, monkeypatch, damage):
+    samples = np.arange(6.0), 0.25
+    monkeypatch.setattr(heard, "KEPT_FROM", 0.0)
+    monkeypatch.setattr(heard.sound, "onsets", lambda root, name: times.append(name) or samples)
+    (tmp_path / "a.mp4").write_bytes(b"a video")
+    times: list[str] = []
+
+    def hear():
+        ((onsets, begin),) = heard.onsets_of(tmp_path, ["a.mp4"], tmp_path / "heard")
+        assert onsets.tolist() == samples[0].tolist() and begin == samples[1]
+
+    hear()
+    hear()
+    assert times == ["a.mp4"]
+    (place,) = (tmp_path / "heard").iterdir()
+    whole = place.read_bytes()
+    at = {"first": 0, "digest": 40, "values": len(whole) - 1}
+    if damage in at:
+        spoilt = bytearray(whole)
+        spoilt[at[damage]] ^= 1  # of a value's exponent: still a number, and a wrong one
+        place.write_bytes(bytes(spoilt))
+    elif damage == "renamed":
+        (tmp_path / "a.mp4").write_bytes(b"another video")
+        place.rename(place.with_stem(heard._key(tmp_path / "a.mp4")))
+    else:
+        place.write_bytes(whole[: 100 if damage == "cut" else 0])
+    hear()
+    hear()
+    assert times == ["a.mp4"] * 2

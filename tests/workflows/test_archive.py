@@ -1,5 +1,7 @@
 """A capture in a .zip file: the same as its folder, and no way out of it."""
 
+import os
+import shutil
 import stat
 import zipfile
 from pathlib import Path
@@ -33,8 +35,14 @@ def test_it_is_unpacked_once_and_again_when_it_changes(colmap_capture, tmp_path)
     first = unpacked(file, tmp_path / "work")
     (first / "mark").touch()
     assert unpacked(file, tmp_path / "work") == first and (first / "mark").exists()
+    before = file.stat()
+    file.touch()
+    assert unpacked(file, tmp_path / "work") == first
     packed(colmap_capture.root, file, "other")
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert unpacked(file, tmp_path / "work") != first
+    copy = shutil.copy(file, tmp_path / "b.zip")
+    assert unpacked(Path(copy), tmp_path / "work").is_relative_to(tmp_path / "work" / "unpacked"), "a copy's folder has its name"
 
 
 def test_a_video_alone_in_an_archive_is_the_capture(tmp_path):

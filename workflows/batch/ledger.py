@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from ...pipeline import ArtifactError
 from ...pipeline.files import read_json, write_json
 from ...pipeline.lock import is_locked, locked
-from .listing import Entry
+from .listing import Entry, known
 
 State = Literal["waiting", "running", "done", "failed", "lost"]
 LOST = "who ran it is gone; the same e4dgs batch command goes on with it"
@@ -71,9 +71,12 @@ class Ledger:
         return str(content.get("command", "")) if isinstance(content, dict) else ""
 
     def progress(self, scene: str) -> Progress:
-        """As it was written last; see also `shown`."""
+        """As it was written last, see also `shown`. What a later version has added is left out, and a state that this one does not know counts
+        as waiting."""
         content = read_json(self._state(scene))
-        return Progress(**content) if isinstance(content, dict) else Progress()
+        if not isinstance(content, dict) or content.get("state") not in get_args(State):
+            return Progress()
+        return Progress(**known(Progress, content))
 
     def shown(self, scene: str) -> Progress:
         """As `progress`, for people: "lost" where a stage is said to run and whoever ran it is gone."""

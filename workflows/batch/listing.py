@@ -9,7 +9,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +46,14 @@ class Entry:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Entry:
-        settings = tuple((key, value) for key, value in data["settings"])
-        return cls(**{**data, "settings": settings, "store_also": tuple(data.get("store_also", ()))})
+        """What `as_json` made, of this version, an earlier or a later one: fields that are not known here are left out."""
+        settings = tuple((key, value) for key, value in data.get("settings", ()))
+        return cls(**{**known(cls, data), "settings": settings, "store_also": tuple(data.get("store_also", ()))})
+
+
+def known(cls: type, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of ``data`` that are fields of a dataclass."""
+    return {f.name: data[f.name] for f in fields(cls) if f.name in data}
 
 
 @dataclass
