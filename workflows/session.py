@@ -35,11 +35,12 @@ class Options:
 
 @dataclass
 class Session:
-    """A job and the scene that it writes to."""
+    """A job and the scene that it writes to. notes: what the capture's reader says of it, for people."""
 
     options: Options
     job: Job
     scene: Scene
+    notes: tuple[str, ...] = ()
 
 
 def open_session(options: Options) -> Session:
@@ -59,7 +60,7 @@ def open_session(options: Options) -> Session:
     store = Store(workspace / "store")
     also = [Store(path) for path in other_stores(options.store_also) if path != store.root]
     job = Job(graph, capture, settings, store, scene.records, device, also)
-    return Session(options, job, scene)
+    return Session(options, job, scene, capture.notes)
 
 
 def other_stores(paths: Sequence[Path]) -> list[Path]:
