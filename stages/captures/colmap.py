@@ -1,4 +1,4 @@
-"""A COLMAP model (`sparse/0` or `sparse`, text or binary) and `images/`: poses, points, one camera over time unless static.
+"""A COLMAP model (`sparse/0` or `sparse`, text or binary) and `images/`: poses, points, one camera over time or, in sub-folders, a rig.
 
 Pixel centres lie at +0.5 in COLMAP's intrinsics, as in ours; poses are `cam_from_world` in OpenCV axes as w x y z and a translation.
 """
@@ -20,6 +20,7 @@ from .arrays import MOST_POINTS
 from .capture import Options, Reading, Shot
 from .keep_masks import add_masks
 from .lens import LARGEST_TERM, Lens, distortion_of
+from .rigs import cameras_of, folders_of, stand_still
 
 _FOLDERS = ("sparse/0", "sparse")
 # COLMAP's models by number, and of those that are read whether one focal length stands for both and how many terms of distortion follow
@@ -74,25 +75,36 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{files['points3D']}: point {row}: {table[row, :3].tolist()} is no place; remove it")
     paths = [checks.find_image(root, f"images/{image.name}", f"{files['images']}: image {image.name!r}: name") for image in images]
     sizes, alpha = checks.image_headers(root, paths)
+    rig, odd = cameras_of(root, paths)
+    places = rig or [("", i) for i in range(len(images))]
     shots = []
-    for i, (image, path, size) in enumerate(zip(images, paths, sizes, strict=True)):
+    for (camera, time), image, path, size in zip(places, images, paths, sizes, strict=True):
         if image.camera not in cameras:
             raise CaptureError(f"{files['images']}: image {image.name!r}: camera {image.camera} is not in {files['cameras']}; export again")
         lens = _lens(cameras[image.camera], f"{files['cameras']}: camera {image.camera}", *size)
         pose = _pose(image.pose, f"{files['images']}: image {image.name!r}: pose")
-        shot = Shot(name=path, camera=0, time=float(i), size=size, file=path, cam_from_world=pose)
+        shot = Shot(name=path, camera=checks.natural_key(camera), time=float(time), size=size, file=path, cam_from_world=pose)
         shot.K, shot.distortion, shot.fisheye = lens
         shots.append(shot)
     masked = add_masks(root, shots)
-    present = sum(1 for name in checks.list_folder(root / "images") if name.lower().endswith(checks.IMAGE_SUFFIXES))
+    present = sum(
+        name.lower().endswith(checks.IMAGE_SUFFIXES)
+        for place in {"images", *folders_of(paths)}
+        for name in checks.list_folder(root / place)
+    )
+    notes = [*masked, *([odd] if odd else [])]
+    if present > len(shots):
+        notes.append(f"{present - len(shots)} images without a pose in {folder} are left out")
+    layout = "a static scene" if options.static else f"{len({s.camera for s in shots})} cameras" if rig else "one camera over time"
     return Reading(
-        why=f"a COLMAP model in {folder}, {'a static scene' if options.static else 'one camera over time'}",
+        why=f"a COLMAP model in {folder}, {layout}",
         shots=shots,
         alpha=alpha,
         sources=tuple(file for part, file in files.items() if part != "points3D" or has_points),
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
-        notes=(*masked, *([f"{present - len(shots)} images without a pose in {folder} are left out"] if present > len(shots) else [])),
+        fixed_cameras=stand_still(shots),
+        notes=tuple(notes),
     )
 
 
