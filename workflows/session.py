@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..pipeline import Job, SettingsError, Store, build_settings, split_assignment
+from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, split_assignment
 from .archive import unpacked
 from .devices import resolve_device
 from .presets import PRESETS
@@ -54,7 +54,14 @@ def open_session(options: Options) -> Session:
     frames = settings["frames"]
     assert isinstance(frames, FramesSettings)
     workspace = options.workspace.resolve()
-    capture = recognise_for(unpacked(options.capture.expanduser(), workspace), frames, workspace / "heard")
+    given = options.capture.expanduser()
+    content = unpacked(given, workspace)
+    try:
+        capture = recognise_for(content, frames, workspace / "heard")
+    except CaptureError as error:
+        if content == given:
+            raise
+        raise CaptureError(f"{given.name}: {error}") from error
     path = Path(os.path.abspath(options.capture.expanduser())).resolve()
     scene = find_scene(workspace, path, capture.name, options.name)
     store = Store(workspace / "store")

@@ -9,6 +9,7 @@ import itertools
 import mmap
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,12 +62,12 @@ def read(root: Path, options: Options) -> Reading:
         checks.resolve_inside(root, file, file)
     has_points = (root / files["points3D"]).is_file()
     parse = _BINARY if suffix == ".bin" else _TEXT
-    try:
+    with _about(files["cameras"]):
         cameras = dict(parse[0](root / files["cameras"]))
+    with _about(files["images"]):
         images = sorted(parse[1](root / files["images"]), key=lambda image: checks.natural_key(image.name))
+    with _about(files["points3D"]):
         table = _table(parse[2](root / files["points3D"])) if has_points else np.zeros((0, 6))
-    except (OSError, ValueError, IndexError, struct.error, OverflowError) as error:
-        raise CaptureError(f"{folder}: the COLMAP model cannot be read, perhaps cut short ({error}); export it again") from error
     if not images:
         raise CaptureError(f"{files['images']}: no registered image; run structure from motion again")
     good = (np.abs(table) < 1e12).all(1)
@@ -106,6 +107,17 @@ def read(root: Path, options: Options) -> Reading:
         fixed_cameras=stand_still(shots),
         notes=tuple(notes),
     )
+
+
+@contextmanager
+def _about(file: str) -> Iterator[None]:
+    """Whatever fails within is an error of `file`."""
+    try:
+        yield
+    except CaptureError as error:
+        raise CaptureError(f"{file}: {error}") from error
+    except (OSError, ValueError, IndexError, struct.error, OverflowError) as error:
+        raise CaptureError(f"{file}: the COLMAP model cannot be read, perhaps cut short ({error}); export it again") from error
 
 
 def _table(points: Iterator[list[float]]) -> np.ndarray:
@@ -169,7 +181,7 @@ def _lines(path: Path) -> Iterator[str]:
     with path.open(encoding="utf-8") as file:
         while line := file.readline(_LONGEST_LINE):
             if len(line) == _LONGEST_LINE:
-                raise ValueError(f"{path.name}: a line of more than {_LONGEST_LINE} characters")
+                raise ValueError(f"a line of more than {_LONGEST_LINE} characters")
             if not line.startswith("#"):
                 yield line
 
@@ -188,7 +200,7 @@ def _text_images(path: Path) -> Iterator[_Image]:
             empty = True
             continue
         if empty:
-            raise ValueError(f"{path.name}: an empty line where an image should be")
+            raise ValueError("an empty line where an image should be")
         parts = line.split(maxsplit=9)
         yield _Image(parts[9].strip(), int(parts[8]), np.array(parts[1:8], dtype=np.float64))
 
@@ -242,7 +254,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, 
         number, kind, width, height = source.take("iiQQ")
         model = _MODELS[kind] if 0 <= kind < len(_MODELS) else f"number {kind}"
         if model not in _LAYOUT:  # nor is it known how long its record is
-            raise CaptureError(f"{path.name}: camera {number}: {_refusal(model)}")
+            raise CaptureError(f"camera {number}: {_refusal(model)}")
         one_focal, count = _LAYOUT[model]
         yield number, (model, float(width), float(height), list(source.take(f"{4 - one_focal + count}d")))
 

@@ -107,6 +107,10 @@ def _candidates(root: Path, readers: dict[str, ModuleType]) -> dict[str, str]:
 def _advice(root: Path) -> str:
     """The likeliest reason why a folder was not recognised."""
     names = checks.list_folder(root)
+    for part in ("", "sparse/0/", "sparse/"):
+        for name in checks.list_folder(root / part) if (root / part).is_dir() else ():
+            if not (root / part / name).is_file() and not (root / part / name).is_dir():
+                return f"{part}{name} is no file, but a link that leads nowhere, a pipe or a device; put the file itself there"
     folders = [name for name in names if (root / name).is_dir()]
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
