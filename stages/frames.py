@@ -56,7 +56,7 @@ def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None
 
 class Frames(Stage):
     name = "frames"
-    version = 3  # 3: no pixel of an undistorted picture is without data
+    version = 4  # 4: masks turn with their photos, those of 16 bits are scaled; times of videos under a second span [0, 1]
     items = "cameras"
     inputs = ()
     settings = FramesSettings
@@ -134,6 +134,7 @@ def _write(capture: Capture, ctx: Context) -> None:
         out.attrs["mask_files"] = list(capture.masks)
     if capture.keeps is not None:
         out.attrs["keep_files"] = list(capture.keeps)
+        out.attrs["keep_turns"] = list(capture.keep_turns or ())
     if capture.K_hint is not None:
         out.attrs["K_hint"] = list(capture.K_hint)
 

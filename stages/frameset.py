@@ -45,6 +45,7 @@ class FrameSet:
         self.files: list[str] | None = frames.attrs.get("files")
         self.mask_files: list[str | None] | None = frames.attrs.get("mask_files")
         self.keep_files: list[str | None] | None = frames.attrs.get("keep_files")
+        self.keep_turns: list[int] = frames.attrs.get("keep_turns") or [1] * len(self.names)
         self.camera = frames.read("camera")
         self.time = frames.read("time")
         self.seconds = frames.read("seconds")
@@ -120,7 +121,7 @@ class FrameSet:
         """Pixels of frame i that count, bool [H,W], undistorted like the image; None where the capture says nothing: all do. Pixels that
         show some of what does not count do not, either."""
         name = self.keep_files[i] if self.keep_files is not None else None
-        return None if name is None else self._fitted(i, pictures.read_keep(self.root, name)) >= WHOLLY
+        return None if name is None else self._fitted(i, pictures.read_keep(self.root, name, self.keep_turns[i])) >= WHOLLY
 
     def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
         """A stored mask of frame i at the size of its image, cropped and undistorted as that is."""

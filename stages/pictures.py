@@ -4,11 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..pipeline import CaptureError
 from .image_files import BadImageError, open_image
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+# What each orientation of EXIF asks for (its tag 0x0112), of an array [H,W].
+_TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    1: lambda a: a,
+    2: np.fliplr,
+    3: lambda a: np.rot90(a, 2),
+    4: np.flipud,
+    5: np.transpose,
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(a, 2).T,
+    8: np.rot90,
+}
 
 
 def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
@@ -20,9 +36,8 @@ def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
         with open_image(root / name) as stored:
             image = ImageOps.exif_transpose(stored) if upright else stored
             alpha = "A" in image.getbands() or "transparency" in image.info
-            if image.mode.startswith("I;16"):  # grey of 16 bits, which Pillow would clip to 8
-                grey = np.rint(np.asarray(image, np.float32) / 257).astype(np.uint8)
-                return np.repeat(grey[..., None], 3, axis=2)
+            if image.mode.startswith("I;16"):
+                return np.repeat(_eight_bits(image)[..., None], 3, axis=2)
             return np.asarray(image.convert("RGBA" if alpha else "RGB"))
     except BadImageError as error:
         raise CaptureError(
@@ -30,18 +45,20 @@ def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
         ) from error
 
 
-def read_mask(root: Path, name: str) -> np.ndarray:
-    """uint8 [H,W] of a mask file; 255 is foreground (also for 1-bit files)."""
+def read_mask(root: Path, name: str, turn: int = 1) -> np.ndarray:
+    """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is foreground. turn: the EXIF orientation of its photo where the mask has the
+    photo's size as stored, so that both are turned."""
     try:
         with open_image(root / name) as image:
-            return np.asarray(image.convert("L"))
+            mask = _eight_bits(image) if image.mode.startswith("I;16") else np.asarray(image.convert("L"))
+            return np.ascontiguousarray(_TURNS[turn](mask))
     except BadImageError as error:
         raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
 
 
-def read_keep(root: Path, name: str) -> np.ndarray:
-    """uint8 [H,W], 255 what counts, 0 what does not, of a mask file that is black where pixels count for nothing."""
-    keep = np.where(read_mask(root, name) > 127, 255, 0).astype(np.uint8)
+def read_keep(root: Path, name: str, turn: int = 1) -> np.ndarray:
+    """uint8 [H,W], 255 what counts, 0 what does not, of a mask file that is black where pixels count for nothing. turn: see `read_mask`."""
+    keep = np.where(read_mask(root, name, turn) > 127, 255, 0).astype(np.uint8)
     if not keep.any():
         raise CaptureError(f"{name}: the mask is black everywhere, so nothing of its image counts; invert the masks, or remove this one")
     return keep
@@ -75,6 +92,11 @@ def composite(picture: np.ndarray, background: str | None) -> np.ndarray:
     alpha = picture[..., 3:].astype(np.uint16)
     total = picture[..., :3] * alpha + (255 if background == "white" else 0) * (255 - alpha)
     return ((total + 127) // 255).astype(np.uint8)
+
+
+def _eight_bits(image: Image) -> np.ndarray:
+    """uint8 [H,W] of grey of 16 bits, which Pillow would clip and not scale."""
+    return np.rint(np.asarray(image, np.float32) / 257).astype(np.uint8)
 
 
 def _premultiplied(picture: np.ndarray, operation: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

@@ -20,6 +20,7 @@ def plan_json(session: Session, rows: Sequence[Row]) -> dict[str, Any]:
         "scene": session.scene.name,
         "capture": str(session.scene.capture),
         "recognised": dict(job.capture.facts),
+        "notes": list(session.notes),
         "device": job.device,
         "preset": session.options.preset,
         "settings": {name: settings.model_dump(mode="json") for name, settings in job.settings.items()},

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..pipeline import Job, SettingsError, Store, build_settings, split_assignment
+from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, split_assignment
 from .archive import InUse, unpacked
 from .devices import resolve_device
 from .presets import PRESETS
@@ -36,11 +36,12 @@ class Options:
 
 @dataclass
 class Session:
-    """A job and the scene that it writes to."""
+    """A job and the scene that it writes to. notes: what the capture's reader says of it, for people."""
 
     options: Options
     job: Job
     scene: Scene
+    notes: tuple[str, ...] = ()
 
 
 def open_session(options: Options) -> Session:
@@ -54,15 +55,21 @@ def open_session(options: Options) -> Session:
     frames = settings["frames"]
     assert isinstance(frames, FramesSettings)
     workspace = options.workspace.resolve()
-    user = InUse()
-    capture = recognise_for(unpacked(options.capture.expanduser(), workspace, user), frames, workspace / "heard")
+    given, user = options.capture.expanduser(), InUse()
+    content = unpacked(given, workspace, user)
+    try:
+        capture = recognise_for(content, frames, workspace / "heard")
+    except CaptureError as error:
+        if content == given:
+            raise
+        raise CaptureError(f"{given.name}: {error}") from error
     weakref.finalize(capture, id, user)  # an archive's files are in use as long as the capture is
     path = Path(os.path.abspath(options.capture.expanduser())).resolve()
     scene = find_scene(workspace, path, capture.name, options.name)
     store = Store(workspace / "store")
     also = [Store(path) for path in other_stores(options.store_also) if path != store.root]
     job = Job(graph, capture, settings, store, scene.records, device, also)
-    return Session(options, job, scene)
+    return Session(options, job, scene, capture.notes)
 
 
 def other_stores(paths: Sequence[Path]) -> list[Path]:

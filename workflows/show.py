@@ -11,13 +11,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..pipeline import Row, duration
+from ..pipeline.errors import one_line
 from .session import Session
 
 _COLOURS = {"cached": "green", "run": "yellow", "skip": "dim"}
 
 
 def show_capture(console: Console, session: Session) -> None:
-    """What was recognised and why."""
+    """What was recognised and why, and what of the capture is left out or was assumed."""
     facts = session.job.capture.facts
     splits = ", ".join(f"{count} {name}" for name, count in facts["splits"].items() if count)
     console.print(f"[bold]{escape(session.scene.name)}[/]: {facts['format']} ({escape(facts['why'])})", soft_wrap=True, highlight=False)
@@ -26,6 +27,8 @@ def show_capture(console: Console, session: Session) -> None:
         soft_wrap=True,
         highlight=False,
     )
+    for note in session.notes:
+        console.print(f"  {one_line(note)}", soft_wrap=True, highlight=False, markup=False)
     if session.scene.renamed:
         console.print(f"  another capture already has this name in the workspace, so the scene is called {session.scene.name} (see --name)")
 

@@ -50,6 +50,7 @@ class Shot:
     file: str | None = None
     mask: str | None = None  # white: what moves
     keep: str | None = None  # black: what counts for nothing
+    keep_turn: int = 1  # EXIF orientation by which `keep` is turned as its photo is
     seconds: float | None = None
     linked: bool = True  # may be paired with the same camera's next frame
     K: np.ndarray | None = None
@@ -94,7 +95,8 @@ class Capture:
     `files` are the paths, relative to `root`, whose content decides the result (the digest of the capture); `facts` is the
     mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`); K is that of the
     pictures as the lens made them (`captures/lens.py` has the meaning of distortion and fisheye). crop [F,4]: left, top, width and
-    height, px, of the part of each stored picture that is scaled to the output size; None where all are taken whole.
+    height, px, of the part of each stored picture that is scaled to the output size; None where all are taken whole. keep_turns: the
+    EXIF orientation by which each mask of `keeps` is turned; 1 where it lies as its picture is shown.
     """
 
     root: Path
@@ -106,6 +108,7 @@ class Capture:
     images: tuple[str, ...] | None
     masks: tuple[str | None, ...] | None
     keeps: tuple[str | None, ...] | None
+    keep_turns: tuple[int, ...] | None
     videos: tuple[Video, ...]
     camera: np.ndarray
     time: np.ndarray
@@ -180,7 +183,8 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     keeps = tuple(s.keep for s in shots) if any(s.keep for s in shots) else None
     for shot in shots:
         for mask in filter(None, (shot.mask, shot.keep)):
-            if (size := checks.image_header(root, mask)[:2]) != shot.size:
+            size = checks.image_header(root, mask)[:2]
+            if (size[::-1] if shot.keep_turn in checks.LYING else size) != shot.size:
                 raise CaptureError(f"{mask}: the mask is {size[0]}x{size[1]}, its image {shot.size[0]}x{shot.size[1]}; make them one size")
     checks.refuse_odd_names(s.name for s in shots)
     files = {*reading.sources, *(images or ()), *(m for m in (*(masks or ()), *(keeps or ())) if m), *(v.file for v in reading.videos)}
@@ -196,6 +200,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         images=images,
         masks=masks,
         keeps=keeps,
+        keep_turns=None if keeps is None else tuple(s.keep_turn for s in shots),
         videos=reading.videos,
         camera=camera,
         time=time,

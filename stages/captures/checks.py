@@ -246,16 +246,19 @@ def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int
     return width, height, alpha
 
 
+def orientation(root: Path, name: str) -> int:
+    """How the EXIF data of an image ask for it to be turned: 2 to 8, or 1 for not at all."""
+    try:
+        with open_image(root / name) as image:
+            found = image.getexif().get(ORIENTATION, 1)
+    except BadImageError:
+        return 1  # `image_header` says what is wrong with it
+    return found if found in range(2, 9) else 1
+
+
 def turned(root: Path, names: Iterable[str]) -> bool:
     """Whether the EXIF data of any image ask for a turn, as those of a phone that was held upright do."""
-    for name in names:
-        try:
-            with open_image(root / name) as image:
-                if image.getexif().get(ORIENTATION, 1) in range(2, 9):
-                    return True
-        except BadImageError:
-            continue  # `image_header` says what is wrong with it
-    return False
+    return any(orientation(root, name) != 1 for name in names)
 
 
 def image_headers(root: Path, names: Iterable[str], upright: bool = False) -> tuple[list[tuple[int, int]], bool]:

@@ -1,4 +1,4 @@
-"""A COLMAP model (`sparse/0` or `sparse`, text or binary) and `images/`: poses, points, one camera over time unless static.
+"""A COLMAP model (`sparse/0` or `sparse`, text or binary) and `images/`: poses, points, one camera over time or, in sub-folders, a rig.
 
 Pixel centres lie at +0.5 in COLMAP's intrinsics, as in ours; poses are `cam_from_world` in OpenCV axes as w x y z and a translation.
 """
@@ -9,6 +9,7 @@ import itertools
 import mmap
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from .arrays import MOST_POINTS
 from .capture import Options, Reading, Shot
 from .keep_masks import add_masks
 from .lens import LARGEST_TERM, Lens, distortion_of
+from .rigs import cameras_of, folders_of, stand_still
 
 _FOLDERS = ("sparse/0", "sparse")
 # COLMAP's models by number, and of those that are read whether one focal length stands for both and how many terms of distortion follow
@@ -60,12 +62,12 @@ def read(root: Path, options: Options) -> Reading:
         checks.resolve_inside(root, file, file)
     has_points = (root / files["points3D"]).is_file()
     parse = _BINARY if suffix == ".bin" else _TEXT
-    try:
+    with _about(files["cameras"]):
         cameras = dict(parse[0](root / files["cameras"]))
+    with _about(files["images"]):
         images = sorted(parse[1](root / files["images"]), key=lambda image: checks.natural_key(image.name))
+    with _about(files["points3D"]):
         table = _table(parse[2](root / files["points3D"])) if has_points else np.zeros((0, 6))
-    except (OSError, ValueError, IndexError, struct.error, OverflowError) as error:
-        raise CaptureError(f"{folder}: the COLMAP model cannot be read, perhaps cut short ({error}); export it again") from error
     if not images:
         raise CaptureError(f"{files['images']}: no registered image; run structure from motion again")
     good = (np.abs(table) < 1e12).all(1)
@@ -74,26 +76,48 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{files['points3D']}: point {row}: {table[row, :3].tolist()} is no place; remove it")
     paths = [checks.find_image(root, f"images/{image.name}", f"{files['images']}: image {image.name!r}: name") for image in images]
     sizes, alpha = checks.image_headers(root, paths)
+    rig, odd = cameras_of(root, paths)
+    places = rig or [("", i) for i in range(len(images))]
     shots = []
-    for i, (image, path, size) in enumerate(zip(images, paths, sizes, strict=True)):
+    for (camera, time), image, path, size in zip(places, images, paths, sizes, strict=True):
         if image.camera not in cameras:
             raise CaptureError(f"{files['images']}: image {image.name!r}: camera {image.camera} is not in {files['cameras']}; export again")
         lens = _lens(cameras[image.camera], f"{files['cameras']}: camera {image.camera}", *size)
         pose = _pose(image.pose, f"{files['images']}: image {image.name!r}: pose")
-        shot = Shot(name=path, camera=0, time=float(i), size=size, file=path, cam_from_world=pose)
+        shot = Shot(name=path, camera=checks.natural_key(camera), time=float(time), size=size, file=path, cam_from_world=pose)
         shot.K, shot.distortion, shot.fisheye = lens
         shots.append(shot)
     masked = add_masks(root, shots)
-    present = sum(1 for name in checks.list_folder(root / "images") if name.lower().endswith(checks.IMAGE_SUFFIXES))
+    present = sum(
+        name.lower().endswith(checks.IMAGE_SUFFIXES)
+        for place in {"images", *folders_of(paths)}
+        for name in checks.list_folder(root / place)
+    )
+    notes = [*masked, *([odd] if odd else [])]
+    if present > len(shots):
+        notes.append(f"{present - len(shots)} images without a pose in {folder} are left out")
+    layout = "a static scene" if options.static else f"{len({s.camera for s in shots})} cameras" if rig else "one camera over time"
     return Reading(
-        why=f"a COLMAP model in {folder}, {'a static scene' if options.static else 'one camera over time'}",
+        why=f"a COLMAP model in {folder}, {layout}",
         shots=shots,
         alpha=alpha,
         sources=tuple(file for part, file in files.items() if part != "points3D" or has_points),
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
-        notes=(*masked, *([f"{present - len(shots)} images without a pose in {folder} are left out"] if present > len(shots) else [])),
+        fixed_cameras=stand_still(shots),
+        notes=tuple(notes),
     )
+
+
+@contextmanager
+def _about(file: str) -> Iterator[None]:
+    """Whatever fails within is an error of `file`."""
+    try:
+        yield
+    except CaptureError as error:
+        raise CaptureError(f"{file}: {error}") from error
+    except (OSError, ValueError, IndexError, struct.error, OverflowError) as error:
+        raise CaptureError(f"{file}: the COLMAP model cannot be read, perhaps cut short ({error}); export it again") from error
 
 
 def _table(points: Iterator[list[float]]) -> np.ndarray:
@@ -157,7 +181,7 @@ def _lines(path: Path) -> Iterator[str]:
     with path.open(encoding="utf-8") as file:
         while line := file.readline(_LONGEST_LINE):
             if len(line) == _LONGEST_LINE:
-                raise ValueError(f"{path.name}: a line of more than {_LONGEST_LINE} characters")
+                raise ValueError(f"a line of more than {_LONGEST_LINE} characters")
             if not line.startswith("#"):
                 yield line
 
@@ -176,7 +200,7 @@ def _text_images(path: Path) -> Iterator[_Image]:
             empty = True
             continue
         if empty:
-            raise ValueError(f"{path.name}: an empty line where an image should be")
+            raise ValueError("an empty line where an image should be")
         parts = line.split(maxsplit=9)
         yield _Image(parts[9].strip(), int(parts[8]), np.array(parts[1:8], dtype=np.float64))
 
@@ -230,7 +254,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, 
         number, kind, width, height = source.take("iiQQ")
         model = _MODELS[kind] if 0 <= kind < len(_MODELS) else f"number {kind}"
         if model not in _LAYOUT:  # nor is it known how long its record is
-            raise CaptureError(f"{path.name}: camera {number}: {_refusal(model)}")
+            raise CaptureError(f"camera {number}: {_refusal(model)}")
         one_focal, count = _LAYOUT[model]
         yield number, (model, float(width), float(height), list(source.take(f"{4 - one_focal + count}d")))
 

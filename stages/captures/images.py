@@ -9,7 +9,7 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks, video
 from .capture import Options, Reading, Shot
-from .keep_masks import add_masks
+from .keep_masks import add_masks, turn_masks, unread
 
 _HINT = "K.txt"
 _HINT_LIMIT = 4096  # characters; nine numbers need a tenth of that
@@ -42,6 +42,10 @@ def read(root: Path, options: Options) -> Reading:
             f"{prefix}{_HINT}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
         )
     shots = [Shot(name=path, camera=0, time=float(i), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)]
+    masked = add_masks(root, shots, prefix)
+    if upright:
+        turn_masks(root, shots)
+    elsewhere = unread(root.parent, "images") if root.name == "images" and not (root / "masks").is_dir() else ()
     thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if 1 < len(taken) < len(found) else ()
     # A strip of zeros and a set of photos look alike; only --static says that nothing moves.
     return Reading(
@@ -51,7 +55,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=(prefix + _HINT,) if hint is not None else (),
         K_hint=hint,
         upright=upright,
-        notes=(*thinned, *add_masks(root, shots)),
+        notes=(*thinned, *masked, *elsewhere),
     )
 
 

@@ -144,9 +144,10 @@ def _frames_of(root: Path, camera: str) -> list[str]:
         if not (root / folder).is_dir():
             continue
         names = [n for n in checks.list_folder(root / folder) if n.lower().endswith(checks.IMAGE_SUFFIXES)]
-        names = [n for n in names if (root / folder / n).is_file()]
         if names:
             for name in names:
                 checks.resolve_inside(root, f"{folder}/{name}", f"{folder}/{name}")
+                if not (root / folder / name).is_file():
+                    raise CaptureError(f"{folder}/{name}: no file, but a folder, a pipe or a link that leads nowhere; put the image there")
             return [f"{folder}/{name}" for name in names]
     raise CaptureError(f"{camera}: holds no images; add its frames or remove the camera (and its row in {_POSES})")

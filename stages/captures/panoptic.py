@@ -16,6 +16,7 @@ from ...pipeline import CaptureError
 from . import checks
 from .arrays import load_array
 from .capture import TEST, TRAIN, Options, Reading, Shot
+from .rigs import stand_still
 
 _FILES = ((TRAIN, "train_meta.json"), (TEST, "test_meta.json"))
 _POINTS = "init_pt_cld.npz"
@@ -54,7 +55,7 @@ def read(root: Path, options: Options) -> Reading:
         shots=shots,
         alpha=alpha,
         has_split=True,
-        fixed_cameras=_fixed(shots),
+        fixed_cameras=stand_still(shots),
         sources=(*sources, *([_POINTS] if points is not None else [])),
         points=points,
         point_colors=colors,
@@ -93,17 +94,6 @@ def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> list[Shot
                 )
             )
     return shots
-
-
-def _fixed(shots: list[Shot]) -> bool:
-    first: dict[int, np.ndarray] = {}
-    for shot in shots:
-        if (
-            shot.cam_from_world is not None
-            and np.abs(first.setdefault(shot.camera, shot.cam_from_world) - shot.cam_from_world).max() > 1e-6
-        ):
-            return False
-    return len(first) > 1
 
 
 def _points(root: Path) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -8,6 +8,7 @@ from types import ModuleType
 from ...pipeline import CaptureError
 from . import checks, colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
 from .capture import Capture, Options, assemble
+from .keep_masks import unread
 
 # Formats with poses first: a bare folder of images or a lone video is what remains when no file says more.
 _POSED: dict[str, ModuleType] = {
@@ -20,6 +21,7 @@ _POSED: dict[str, ModuleType] = {
 }
 _BARE: dict[str, ModuleType] = {"images": images, "video": video, "videos": videos}
 FORMATS = (*_POSED, *_BARE)
+_MASKED = ("nerfstudio", "colmap", "images")  # whose readers look for masks/
 _STEPPED = ("n3v", "images", "video", "videos")
 
 
@@ -54,7 +56,10 @@ def recognise(
     if sync != "auto" and kind != "videos":
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
     reading = (_POSED | _BARE)[kind].read(root, options)
-    return assemble(root if root.is_dir() else root.parent, _name(root), kind, reading, options)
+    base = root if root.is_dir() else root.parent
+    if kind not in _MASKED:
+        reading.notes += unread(base, kind)
+    return assemble(base, _name(root), kind, reading, options)
 
 
 def _name(root: Path) -> str:
@@ -102,6 +107,10 @@ def _candidates(root: Path, readers: dict[str, ModuleType]) -> dict[str, str]:
 def _advice(root: Path) -> str:
     """The likeliest reason why a folder was not recognised."""
     names = checks.list_folder(root)
+    for part in ("", "sparse/0/", "sparse/"):
+        for name in checks.list_folder(root / part) if (root / part).is_dir() else ():
+            if not (root / part / name).is_file() and not (root / part / name).is_dir():
+                return f"{part}{name} is no file, but a link that leads nowhere, a pipe or a device; put the file itself there"
     folders = [name for name in names if (root / name).is_dir()]
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."

@@ -47,10 +47,14 @@ def read(root: Path, options: Options) -> Reading:
     if len(taken) < 2:
         raise CaptureError(f"{path.name}: {len(taken)} frame(s) to work with; a scene needs more, lower frames.every")
     step = taken[1] - taken[0]
+    begin, span = header.seconds[0], header.seconds[taken[-1]] - header.seconds[taken[0]]
+    # Seconds of a video shorter than one would be taken for times that a file gives, and kept as they are.
     return Reading(
         why=f"video {path.name}, {total} frames, one camera over time",
         shots=[
-            Shot(f"{path.name}#{i}", 0, header.seconds[i], (header.width, header.height), seconds=header.seconds[i] - header.seconds[0])
+            Shot(
+                f"{path.name}#{i}", 0, (header.seconds[i] - begin) / span, (header.width, header.height), seconds=header.seconds[i] - begin
+            )
             for i in taken
         ],
         fps=header.fps,

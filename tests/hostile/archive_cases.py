@@ -33,19 +33,21 @@ NAMES = {
 
 def cases() -> Iterator[Case]:
     for what, name in NAMES.items():
-        yield Case(f"archive: name: {what}", "archive", _packed({"0.png": png(), name: png(1)}))
+        yield Case(f"archive: name: {what}", "archive", _packed({"0.png": png(), name: png(1)}), names=(FILE,))
     for what, kind in {"a link": stat.S_IFLNK, "a pipe": stat.S_IFIFO, "a device": stat.S_IFCHR}.items():
-        yield Case(f"archive: {what}", "archive", _packed({"0.png": png(), "1.png": "/etc/hostname"}, kind))
+        yield Case(f"archive: {what}", "archive", _packed({"0.png": png(), "1.png": "/etc/hostname"}, kind), names=(FILE,))
     pictures = {f"{i}.png": png(i) for i in range(3)}
-    yield Case("archive: empty", "archive", _packed({}))
-    yield Case("archive: one name twice", "archive", _packed(pictures, again="1.png"))
-    yield Case("archive: file and folder of one name", "archive", _packed({"a": b"x", "a/b.png": png()}))
-    yield Case("archive: an archive in it", "archive", _packed({"inner.zip": _zip(pictures)}))
-    yield Case("archive: folders alone", "archive", _packed({"a/": b"", "a/b/": b""}))
-    yield Case("archive: a text", "archive", _bytes(b"no archive"))
-    yield Case("archive: zeros", "archive", _packed({"0.png": png(), "zeros.png": bytes(150_000_000)}, method=zipfile.ZIP_DEFLATED))
+    yield Case("archive: empty", "archive", _packed({}), names=(FILE,))
+    yield Case("archive: one name twice", "archive", _packed(pictures, again="1.png"), names=(FILE,))
+    yield Case("archive: file and folder of one name", "archive", _packed({"a": b"x", "a/b.png": png()}), names=(FILE,))
+    yield Case("archive: an archive in it", "archive", _packed({"inner.zip": _zip(pictures)}), names=(FILE,))
+    yield Case("archive: folders alone", "archive", _packed({"a/": b"", "a/b/": b""}), names=(FILE,))
+    yield Case("archive: a text", "archive", _bytes(b"no archive"), names=(FILE,))
+    yield Case(
+        "archive: zeros", "archive", _packed({"0.png": png(), "zeros.png": bytes(150_000_000)}, method=zipfile.ZIP_DEFLATED), names=(FILE,)
+    )
     for method, what in ((zipfile.ZIP_DEFLATED, "deflate"), (zipfile.ZIP_BZIP2, "bzip2"), (zipfile.ZIP_LZMA, "LZMA")):
-        yield Case(f"archive: damaged {what}", "archive", _changed(_zip(pictures, method), _damage_data))
+        yield Case(f"archive: damaged {what}", "archive", _changed(_zip(pictures, method), _damage_data), names=(FILE,))
     for what, change in {
         "a size of 2^32": lambda d: _central(d, 24, struct.pack("<I", 2**32 - 2)),
         "a size that is too small": lambda d: _central(d, 24, struct.pack("<I", 3)),
@@ -61,7 +63,7 @@ def cases() -> Iterator[Case]:
         "cut at the beginning": lambda d: d[100:],
         "cut in the middle": lambda d: d[: len(d) // 2],
     }.items():
-        yield Case(f"archive: {what}", "archive", _changed(_zip(pictures), change))
+        yield Case(f"archive: {what}", "archive", _changed(_zip(pictures), change), names=(FILE,))
 
 
 def _zip(files: dict[str, bytes | str], method: int = zipfile.ZIP_STORED, kind: int = 0, again: str | None = None) -> bytes:

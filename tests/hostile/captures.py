@@ -62,6 +62,38 @@ def images(root: Path) -> None:
         put(root, f"{i}.png", png(i))
 
 
+def hinted(root: Path) -> None:
+    images(root)
+    put(root, "K.txt", "10 0 6 0 10 4 0 0 1\n")
+
+
+def masked(root: Path) -> None:
+    """A flat folder of photos that EXIF data turn, with masks as stored, one of them of 16 bits."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    for i in range(4):
+        buffer = io.BytesIO()
+        Image.open(io.BytesIO(png(i))).save(buffer, "JPEG", exif=exif)
+        put(root, f"{i}.jpg", buffer.getvalue())
+        keep = np.full(SIZE[::-1], 255, np.uint8)
+        keep[:, :4] = 0
+        buffer = io.BytesIO()
+        Image.fromarray(keep if i else keep.astype(np.uint16) * 257).save(buffer, "TIFF" if i == 1 else "PNG")
+        put(root, f"masks/{i}.{'tif' if i == 1 else 'png'}", buffer.getvalue())
+
+
+def colmap_rig(root: Path) -> None:
+    colmap_text(root)
+    rows = []
+    for i in range(4):
+        name = f"cam{i // 2}/{i % 2}.png"
+        put(root, f"images/{name}", png(i))
+        put(root, f"masks/{name}", png(0))
+        (root / f"images/{i}.png").unlink()
+        rows.append(f"{i + 1} 1 0 0 0 {0.1 * (i // 2)} 0 0 1 {name}\n\n")
+    put(root, "sparse/0/images.txt", "".join(rows))
+
+
 def nerfstudio(root: Path) -> None:
     images(root)
     frames = [{"file_path": f"{i}.png", "time": i / 3, "transform_matrix": pose(i).tolist()} for i in range(4)]
@@ -157,6 +189,9 @@ LAYOUTS: dict[str, Callable[[Path], None]] = {
     "video": video,
     "videos": videos,
     "archive": archive,
+    "hinted": hinted,
+    "masked": masked,
+    "colmap_rig": colmap_rig,
 }
 
 

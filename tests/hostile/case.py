@@ -12,12 +12,14 @@ from .captures import put, write
 
 @dataclass(frozen=True)
 class Case:
-    """damage: changes the capture in the folder that it is given; what it returns, if anything, e4dgs gets in its place."""
+    """damage: changes the capture in the folder that it is given; what it returns, if anything, e4dgs gets in its place. names: the file,
+    and the field, that are damaged: a refusal says each of them."""
 
     name: str
     layout: str
     damage: Callable[[Path], Path | None]
     options: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
     def make(self, sandbox: Path) -> Path:
         """Writes the capture to the new folder `sandbox/capture`; the path to give to e4dgs."""

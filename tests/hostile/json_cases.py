@@ -64,15 +64,16 @@ def cases() -> Iterator[Case]:
     for kind, file in FILES.items():
         layout = kind.split(":")[0]
         for what, text in TEXTS.items():
-            yield Case(f"{file}: {what}", layout, replace(file, text))
-        yield Case(f"{file}: a terabyte", layout, sparse(file))
-        yield Case(f"{file}: a folder", layout, node(file, "folder"))
-        yield Case(f"{file}: a link to itself", layout, node(file, Path(file).name))
+            yield Case(f"{file}: {what}", layout, replace(file, text), names=(file,))
+        yield Case(f"{file}: a terabyte", layout, sparse(file), names=(file,))
+        yield Case(f"{file}: a folder", layout, node(file, "folder"), names=(file,))
+        yield Case(f"{file}: a link to itself", layout, node(file, Path(file).name), names=(file,))
         for number, field in enumerate(FIELDS[kind]):
             # every value somewhere, every field with several: all pairs would say little more
             for k, (what, value) in enumerate(VALUES.items()):
                 if (k + number) % 3 == 0 or (kind == "nerfstudio" and number < 2):
-                    yield Case(f"{file}: {'.'.join(map(str, field))}: {what}", layout, _set(file, field, value))
+                    word = next(key for key in reversed(field) if isinstance(key, str))
+                    yield Case(f"{file}: {'.'.join(map(str, field))}: {what}", layout, _set(file, field, value), names=(file, word))
 
 
 def _set(file: str, field: tuple[Any, ...], value: Any) -> Callable[[Path], None]:

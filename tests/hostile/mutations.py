@@ -35,7 +35,7 @@ def make(layout: str, steps: list[dict[str, Any]], sandbox: Path) -> Path:
     root = capture if capture.is_dir() else capture.parent
     for step in steps:
         # camera files and models first, and pictures, of which there are many alike, last
-        files = sorted((p for p in root.rglob("*") if p.is_file()), key=lambda p: (p.suffix == ".png", p.name))
+        files = sorted((p for p in root.rglob("*") if p.is_file()), key=lambda p: (p.suffix == ".png", p.name, p.as_posix()))
         files = [p for p in files if p.suffix != ".png"] + [p for p in files if p.suffix == ".png"][:1]
         _damage(files[step["file"] % len(files)], step)
     return capture

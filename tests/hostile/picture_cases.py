@@ -87,20 +87,25 @@ CONTENTS: dict[str, bytes] = {
 
 def cases() -> Iterator[Case]:
     for what, content in CONTENTS.items():
-        yield Case(f"picture: {what}", "images", replace("1.png", content))
+        yield Case(f"picture: {what}", "images", replace("1.png", content), names=("1.png",))
     for share in (0.1, 0.5, 0.9):
-        yield Case(f"picture: {share:.0%} of it", "images", cut("1.png", share))
-    yield Case("picture: a terabyte", "images", sparse("1.png"))
-    yield Case("picture: a terabyte behind it", "images", sparse("1.png", head=png()))
-    yield Case("picture: a terabyte behind a head", "images", sparse("1.png", head=png()[:40]))
+        yield Case(f"picture: {share:.0%} of it", "images", cut("1.png", share), names=("1.png",))
+    yield Case("picture: a terabyte", "images", sparse("1.png"), names=("1.png",))
+    yield Case("picture: a terabyte behind it", "images", sparse("1.png", head=png()), names=("1.png",))
+    yield Case("picture: a terabyte behind a head", "images", sparse("1.png", head=png()[:40]), names=("1.png",))
     for layout, file in (("images", "1.png"), ("n3v", "cam01/1.png"), ("panoptic", "ims/1/1.png"), ("nerfstudio", "1.png")):
         for kind in ("pipe", "folder", "/dev/zero", "/dev/stdin", file.rsplit("/", 1)[-1], "../nowhere.png"):
-            yield Case(f"picture: {kind} as {file} of {layout}", layout, node(file, kind))
+            yield Case(f"picture: {kind} as {file} of {layout}", layout, node(file, kind), names=(file,))
     for what in ("PNG of 100000 x 100000", "PNG of no size", "text", "JPEG of no height"):
-        yield Case(f"mask: {what}", "panoptic", replace("seg/1/1.png", CONTENTS[what]))
-        yield Case(f"mask of what counts: {what}", "colmap_text", replace("masks/1.png", CONTENTS[what]))
-    yield Case("mask of what counts: black", "colmap_text", replace("masks/1.png", _saved("PNG")))
-    yield Case("mask of what counts: a pipe", "colmap_text", lambda root: (root / "masks").mkdir() or node("masks/1.png", "pipe")(root))
+        yield Case(f"mask: {what}", "panoptic", replace("seg/1/1.png", CONTENTS[what]), names=("seg/1/1.png",))
+        yield Case(f"mask of what counts: {what}", "colmap_text", replace("masks/1.png", CONTENTS[what]), names=("masks/1.png",))
+    yield Case("mask of what counts: black", "colmap_text", replace("masks/1.png", _saved("PNG")), names=("masks/1.png",))
+    yield Case(
+        "mask of what counts: a pipe",
+        "colmap_text",
+        lambda root: (root / "masks").mkdir() or node("masks/1.png", "pipe")(root),
+        names=("masks/1.png",),
+    )
     for what, text in {
         "NaN": "nan " * 9,
         "far": "1e300 " * 9,
@@ -109,6 +114,6 @@ def cases() -> Iterator[Case]:
         "empty": "",
         "negative": "-1 " * 9,
     }.items():
-        yield Case(f"K.txt: {what}", "images", replace("K.txt", text))
-    yield Case("K.txt: a terabyte", "images", sparse("K.txt"))
-    yield Case("K.txt: no UTF-8", "images", replace("K.txt", b"\xff\xfe"))
+        yield Case(f"K.txt: {what}", "images", replace("K.txt", text), names=("K.txt",))
+    yield Case("K.txt: a terabyte", "images", sparse("K.txt"), names=("K.txt",))
+    yield Case("K.txt: no UTF-8", "images", replace("K.txt", b"\xff\xfe"), names=("K.txt",))

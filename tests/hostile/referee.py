@@ -22,9 +22,15 @@ class BrokenRule(Exception):
     """What the command did that it must not do."""
 
 
-def examine(sandbox: Path, capture: Path, options: tuple[str, ...] = (), command: Callable[[list[str]], int] | None = None) -> str:
+def examine(
+    sandbox: Path,
+    capture: Path,
+    options: tuple[str, ...] = (),
+    command: Callable[[list[str]], int] | None = None,
+    names: tuple[str, ...] = (),
+) -> str:
     """`e4dgs plan` of ``capture``, which lies in ``sandbox``, and `e4dgs run frames` where that accepts it: "accepted", or the message of
-    the refusal. Raises BrokenRule. command: stands for e4dgs."""
+    the refusal. Raises BrokenRule. command: stands for e4dgs. names: what a refusal has to say."""
     command = command or _e4dgs
     workspace = sandbox / "workspace"
     before = _listing(sandbox)
@@ -36,6 +42,9 @@ def examine(sandbox: Path, capture: Path, options: tuple[str, ...] = (), command
     if changed:
         raise BrokenRule(f"changed outside of the workspace: {changed[0][0]}")
     _no_parts(workspace)
+    missing = [name for name in names if name not in message] if message else []
+    if missing:
+        raise BrokenRule(f"{missing[0]!r} is not named in: {message}")
     return message or "accepted"
 
 

@@ -44,7 +44,7 @@ def main() -> int:
             sandbox.mkdir()
             started = time.process_time()
             try:
-                outcome = examine(sandbox, case.make(sandbox), case.options)
+                outcome = examine(sandbox, case.make(sandbox), case.options, names=case.names)
             except BrokenRule as error:
                 broken += 1
                 outcome = f"BROKEN {error}"

@@ -72,6 +72,16 @@ def test_the_referee_sees_what_it_is_for(tmp_path, deed, words):
         examine(tmp_path, write("images", tmp_path / "capture"), command=lambda given: deed(given) or 0)
 
 
+def test_the_referee_misses_the_name_of_what_is_damaged(tmp_path):
+    def refused(words):
+        print("error: 1.png: not a readable image", file=sys.stderr)
+        return 2
+
+    assert "1.png" in examine(tmp_path, write("images", tmp_path / "capture"), command=refused, names=("1.png",))
+    with pytest.raises(BrokenRule, match=r"'file_path' is not named in: error: 1\.png"):
+        examine(tmp_path, tmp_path / "capture", command=refused, names=("1.png", "file_path"))
+
+
 def test_messages_are_one_printable_line_however_names_are():
     message = str(CaptureError("a\nb\x1b[2J\udcff\u202e" + "x" * 10_000 + "; do this"))
     assert message.startswith(r"a\nb\x1b[2J\udcff\u202exx") and message.endswith("; do this") and len(message) < LONGEST + 50

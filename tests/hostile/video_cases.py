@@ -65,19 +65,24 @@ LIES: dict[str, tuple[bytes, int, bytes]] = {
 
 def cases() -> Iterator[Case]:
     for what, content in CONTENTS.items():
-        yield Case(f"video: {what}", "video", _with_other(content))
+        yield Case(f"video: {what}", "video", _with_other(content), names=("clip.mp4",))
     for what, (box, offset, content) in LIES.items():
-        yield Case(f"video: {what}", "video", patch("clip.mp4", box, offset, content))
+        yield Case(f"video: {what}", "video", patch("clip.mp4", box, offset, content), names=("clip.mp4",))
     for share in (0.05, 0.3, 0.5, 0.7, 0.9, 0.99):
-        yield Case(f"video: {share:.0%} of it", "video", cut("clip.mp4", share))
-        yield Case(f"videos: {share:.0%} of one", "videos", cut("b.mp4", share))
+        yield Case(f"video: {share:.0%} of it", "video", cut("clip.mp4", share), names=("clip.mp4",))
+        yield Case(f"videos: {share:.0%} of one", "videos", cut("b.mp4", share), names=("b.mp4",))
     for step in range(10):
-        yield Case(f"video: bytes changed from {step}/10 on", "video", _scratched(step / 10))
-    yield Case("video: a terabyte", "video", sparse("clip.mp4"))
-    yield Case("video: a terabyte behind a video", "video", sparse("clip.mp4", head=mp4()))
+        yield Case(f"video: bytes changed from {step}/10 on", "video", _scratched(step / 10), names=("clip.mp4",))
+    yield Case("video: a terabyte", "video", sparse("clip.mp4"), names=("clip.mp4",))
+    yield Case("video: a terabyte behind a video", "video", sparse("clip.mp4", head=mp4()), names=("clip.mp4",))
     for kind in ("pipe", "folder", "/dev/zero", "clip.mp4"):
-        yield Case(f"video: {kind}", "video", node("clip.mp4", kind))
-        yield Case(f"video: {kind}, given itself", "video", lambda root, kind=kind: node("clip.mp4", kind)(root) or root / "clip.mp4")
+        yield Case(f"video: {kind}", "video", node("clip.mp4", kind), names=("clip.mp4",))
+        yield Case(
+            f"video: {kind}, given itself",
+            "video",
+            lambda root, kind=kind: node("clip.mp4", kind)(root) or root / "clip.mp4",
+            names=("clip.mp4",),
+        )
     yield Case("video: every 10^6th frame", "video", lambda root: None, ("--set", "frames.every=1000000"))
 
 

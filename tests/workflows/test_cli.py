@@ -72,6 +72,20 @@ def test_plan_and_why_write_nothing(cli, capture):
     assert not Path("e4dgs-workspace").exists()
 
 
+def test_what_is_missing_of_a_capture_is_said_in_every_plan(cli, nerfstudio_capture, tmp_path):
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "holes")
+    image = json.loads((root / "transforms.json").read_text())["frames"][3]["file_path"]
+    (root / image).unlink()
+    note = (
+        f"1 of 10 frames of transforms.json have no image and are left out; first transforms.json: frame 3: file_path: no image '{image}'"
+    )
+    for _ in range(2):  # the second time from the store
+        assert note in cli("plan", root).out
+        assert json.loads(cli("plan", root, "--json").out)["notes"] == [note]
+        assert note in cli("run", "frames", root).out
+    assert "cached" in cli("plan", root).out
+
+
 def test_static_and_format_are_settings_of_frames(cli, capture):
     facts = json.loads(cli("plan", capture, "--static", "--format", "images", "--json").out)
     assert facts["recognised"]["static"] is True

@@ -71,8 +71,7 @@ class Ledger:
         return str(content.get("command", "")) if isinstance(content, dict) else ""
 
     def progress(self, scene: str) -> Progress:
-        """As it was written last, see also `shown`. What a later version has added is left out, and a state that this one does not know counts
-        as waiting."""
+        """As it was written last, see also `shown`. What a later version has added is left out, a state that is not known is "waiting"."""
         content = read_json(self._state(scene))
         if not isinstance(content, dict) or content.get("state") not in get_args(State):
             return Progress()

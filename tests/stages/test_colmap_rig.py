@@ -1,0 +1,94 @@
+"""COLMAP models of several cameras: folders of frames with the same names share their times, others are one camera over time."""
+
+import numpy as np
+import pytest
+from e4dgs.stages.captures import recognise
+from factory import Options, make, write_colmap
+
+RIG = Options(backdrop="room", rig="arc", cameras=3, times=4, width=40, height=32, samples=1, fov_degrees=60.0)
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """Three fixed cameras, `images/cam0/000.png` ...; and the truth of each file."""
+    written = write_colmap(make(RIG), tmp_path / "rig")
+    listed = (written.root / "sparse/0/images.txt").read_text()
+    views = {}
+    for file, view in zip(written.files, written.views, strict=True):
+        name = f"cam{view.camera_index}/{view.time_index:03d}.png"
+        (written.root / "images" / name).parent.mkdir(exist_ok=True)
+        (written.root / file).rename(written.root / "images" / name)
+        listed = listed.replace(f" {file.removeprefix('images/')}\n", f" {name}\n")
+        views[f"images/{name}"] = view
+    (written.root / "sparse/0/images.txt").write_text(listed)
+    return written.root, views
+
+
+def lines(root):
+    return (root / "sparse/0/images.txt").read_text().splitlines()
+
+
+def test_folders_with_frames_of_the_same_names_are_cameras(rig):
+    root, views = rig
+    capture = recognise(root)
+    facts = capture.facts
+    assert (facts["cameras"], facts["times"], facts["frames"], facts["fixed_cameras"], facts["static"]) == (3, 4, 12, True, False)
+    assert facts["why"] == "a COLMAP model in sparse/0, 3 cameras" and not capture.notes
+    for i, name in enumerate(capture.names):
+        view = views[name]
+        assert (capture.camera[i], capture.time[i]) == (view.camera_index, pytest.approx(view.time_index / 3))
+        np.testing.assert_allclose(capture.cam_from_world[i], view.camera.cam_from_world, atol=1e-9)
+    following = recognise(root, holdout=0).next
+    np.testing.assert_array_equal(following, [1, 2, 3, -1, 5, 6, 7, -1, 9, 10, 11, -1])
+
+
+def test_a_frame_that_was_not_registered_moves_no_other(rig):
+    root, views = rig
+    kept = lines(root)
+    at = next(i for i, line in enumerate(kept) if line.endswith(" cam1/001.png"))
+    (root / "sparse/0/images.txt").write_text("\n".join(kept[:at] + kept[at + 2 :]) + "\n")
+    capture = recognise(root)
+    assert (capture.facts["cameras"], capture.facts["times"], capture.facts["frames"]) == (3, 4, 11)
+    np.testing.assert_allclose(capture.time, [views[name].time_index / 3 for name in capture.names])
+    assert any("1 images without a pose" in note for note in capture.notes)
+
+
+def test_cameras_that_move_are_not_called_fixed(rig):
+    root, _ = rig
+    kept = lines(root)
+    at = next(i for i, line in enumerate(kept) if line.endswith(" cam1/002.png"))
+    parts = kept[at].split()
+    parts[5] = str(float(parts[5]) + 0.01)
+    (root / "sparse/0/images.txt").write_text("\n".join([*kept[:at], " ".join(parts), *kept[at + 1 :]]) + "\n")
+    assert recognise(root).facts["fixed_cameras"] is False and recognise(root).facts["cameras"] == 3
+
+
+@pytest.mark.parametrize("change", ["one fewer", "other names"])
+def test_folders_with_other_frames_are_one_camera_over_time_with_a_note(rig, change):
+    root, _ = rig
+    kept = lines(root)
+    if change == "one fewer":
+        (root / "images/cam2/003.png").unlink()
+        kept = kept[: next(i for i, line in enumerate(kept) if line.endswith(" cam2/003.png"))]
+    else:
+        for file in (root / "images/cam2").iterdir():
+            file.rename(file.with_name(f"late{file.name}"))
+        kept = [line.replace("cam2/", "cam2/late") for line in kept]
+    (root / "sparse/0/images.txt").write_text("\n".join(kept) + "\n")
+    capture = recognise(root)
+    assert (capture.facts["cameras"], capture.facts["times"]) == (1, len(capture.names))
+    (note,) = capture.notes
+    assert "3 folders of images do not hold files of the same names (4 in images/cam0" in note and "one camera over time" in note
+
+
+def test_folders_with_one_frame_each_show_one_time(rig):
+    root, _ = rig
+    kept = []
+    for line in lines(root):
+        if line and not line.endswith("/000.png"):
+            (root / "images" / line.split()[-1]).unlink()
+        elif line:
+            kept += [line, ""]
+    (root / "sparse/0/images.txt").write_text("\n".join(kept) + "\n")
+    facts = recognise(root, holdout=0).facts
+    assert (facts["cameras"], facts["times"], facts["static"]) == (3, 1, True)

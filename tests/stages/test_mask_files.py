@@ -1,0 +1,106 @@
+"""Files of masks: photos that EXIF data turn, 16 bits, flat folders, and folders of masks that nothing looks at."""
+
+import shutil
+
+import numpy as np
+import pytest
+from e4dgs.pipeline import CaptureError
+from e4dgs.stages.captures import recognise
+from e4dgs.stages.frameset import FrameSet
+from e4dgs.stages.pictures import read_keep, read_mask, read_picture
+from PIL import Image, ImageOps
+from run_stage import run_frames
+
+
+def photos(root, orientations, size=(16, 12)):
+    """Photos whose red half is hidden by a mask of the stored size; orientations: of EXIF, one a photo."""
+    (root / "masks").mkdir(parents=True)
+    for i, orientation in enumerate(orientations):
+        picture = np.full((size[1], size[0], 3), (0, 0, 200), np.uint8)
+        picture[: size[1] // 3, : size[0] // 2] = (200, 0, 0)
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.fromarray(picture).save(root / f"{i}.png", exif=exif)
+        Image.fromarray(np.where(picture[..., 0] > 0, 0, 255).astype(np.uint8)).save(root / f"masks/{i}.png")
+    return root
+
+
+def frameset(root, folder):
+    return FrameSet(run_frames(root, folder).artifact, root)
+
+
+def test_masks_of_the_stored_size_turn_with_their_photos(tmp_path):
+    """All eight orientations; the odd size of the hidden corner tells each from the others."""
+    root = photos(tmp_path / "photos", range(1, 9))
+    for i in range(8):
+        picture = read_picture(root, f"{i}.png", upright=True)
+        mask = read_mask(root, f"masks/{i}.png", i + 1)
+        np.testing.assert_array_equal(mask == 0, picture[..., 0] == 200, err_msg=f"orientation {i + 1}")
+    frames = frameset(photos(tmp_path / "lying", [5, 6, 7, 8]), tmp_path / "out")
+    assert frames.attrs["keep_turns"] == [5, 6, 7, 8] and (frames.width, frames.height) == (12, 16)
+    for i in range(4):
+        np.testing.assert_array_equal(frames.kept(i), frames.image(i)[..., 0] == 0)
+
+
+def test_masks_that_lie_as_their_photos_are_shown_stay(tmp_path):
+    root = photos(tmp_path / "photos", [6, 8, 6])
+    for i, orientation in enumerate((6, 8, 6)):
+        mask = Image.open(root / f"masks/{i}.png")
+        mask.getexif()[0x0112] = orientation
+        ImageOps.exif_transpose(mask).save(root / f"masks/{i}.png", exif=Image.Exif())
+    frames = frameset(root, tmp_path / "out")
+    assert frames.attrs["keep_turns"] == [1, 1, 1]
+    for i in range(3):
+        np.testing.assert_array_equal(frames.kept(i), frames.image(i)[..., 0] == 0)
+
+
+def test_sizes_of_other_masks_say_how_a_half_turned_one_lies(tmp_path):
+    stored = photos(tmp_path / "stored", [6, 3])
+    assert recognise(stored).keep_turns == (6, 3)
+    Image.open(stored / "masks/0.png").transpose(Image.Transpose.ROTATE_270).save(stored / "masks/0.png")
+    assert recognise(stored).keep_turns == (1, 1)
+    assert recognise(photos(tmp_path / "half", [3, 3])).keep_turns == (3, 3), "nothing tells: as COLMAP's are"
+    assert recognise(photos(tmp_path / "square", [6, 1], (12, 12))).keep_turns == (6, 1)
+
+
+def test_a_mask_of_another_size_is_refused_whatever_its_photo_is(tmp_path):
+    root = photos(tmp_path / "photos", [6, 6])
+    Image.new("L", (8, 6), 255).save(root / "masks/1.png")
+    with pytest.raises(CaptureError, match=r"masks/1\.png: the mask is 8x6, its image 12x16"):
+        recognise(root)
+
+
+def test_masks_of_sixteen_bits_are_scaled_and_not_clipped(tmp_path):
+    values = np.array([[0, 1, 32000], [33000, 300, 65535]], np.uint16)
+    Image.fromarray(values).save(tmp_path / "deep.png")
+    np.testing.assert_array_equal(read_mask(tmp_path, "deep.png"), np.rint(values / 257))
+    np.testing.assert_array_equal(read_keep(tmp_path, "deep.png"), [[0, 0, 0], [255, 0, 255]])
+
+
+@pytest.mark.parametrize("name", ["003.png.png", "003.png"])
+def test_a_flat_folder_of_photos_may_hold_masks(images_capture, tmp_path, name):
+    root = shutil.copytree(images_capture.root, tmp_path / "photos")
+    (root / "masks").mkdir()
+    Image.new("L", (96, 80), 255).save(root / "masks" / name)
+    capture = recognise(root)
+    assert capture.facts["format"] == "images" and capture.keeps[3] == f"masks/{name}" and sum(map(bool, capture.keeps)) == 1
+    assert any("1 of 10 images have a mask in masks/" in note for note in capture.notes)
+    (root / "masks" / name).rename(root / "masks/other.png")
+    assert any("expected masks/NAME.png for NAME" in note for note in recognise(root).notes)
+
+
+def test_masks_that_no_one_looks_at_are_spoken_of(dnerf_capture, n3v_capture, video_capture, images_capture, tmp_path):
+    def notes(source, name):
+        folder = tmp_path / name
+        shutil.copytree(source, folder) if source.is_dir() else (folder.mkdir(), shutil.copy(source, folder))
+        before = recognise(folder).notes
+        (folder / "masks").mkdir()
+        return [note for note in recognise(folder).notes if note not in before]
+
+    for source, kind in ((dnerf_capture.root, "dnerf"), (n3v_capture.root, "n3v"), (video_capture.root, "video")):
+        (note,) = notes(source, kind)
+        assert "masks/ is not looked at" in note and f"the layout is {kind}" in note and "mask_path" in note
+    shutil.copytree(images_capture.root, tmp_path / "room/images")
+    (tmp_path / "room/masks").mkdir()
+    assert any("masks/ is not looked at" in note and "folder that holds both" in note for note in recognise(tmp_path / "room/images").notes)
+    assert not any("not looked at" in note for note in recognise(tmp_path / "room").notes)
