@@ -39,7 +39,7 @@ def export_splats(
     kind: of `KINDS`; all but ply lose a little. Each file is there only when it is whole. Raises StageError where ``kind`` needs a package
     that is not there.
     """
-    encode = _encoder(kind)
+    encode = encoder(kind)
 
     folder.mkdir(parents=True, exist_ok=True)
     baked = bake(model, frames)
@@ -57,7 +57,7 @@ def export_splats(
     return Exported(min(rows), max(rows), loss_of(model, baked.at(moments[0]), frames, moments[0]))
 
 
-def _encoder(kind: Kind) -> Callable[[Gaussians], tuple[bytes, int]]:
+def encoder(kind: Kind) -> Callable[[Gaussians], tuple[bytes, int]]:
     """From Gaussians to the bytes of a file of ``kind``, and how many it holds."""
     from ..scene.compressed_ply import compressed_ply_bytes
     from ..scene.gltf import glb_bytes
