@@ -40,7 +40,7 @@ def compressed_ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     packed[:, 1] = left_out.astype(np.uint32) << np.uint32(30) | _packed(others / (2 * LARGEST) + 0.5, (10, 10, 10))
     packed[:, 2] = _packed(place[:, 3:6], (11, 10, 11))
     packed[:, 3] = _packed(np.concatenate([place[:, 6:9], opacities[order, None]], 1), (8, 8, 8, 8))
-    rest = sh[order, 1:].transpose(0, 2, 1).reshape(rows, -1)
+    rest = sh[order, 1:].transpose(0, 2, 1).reshape(rows, 3 * (sh.shape[1] - 1))
     coded = np.floor((rest / (2 * SH_REACH) + 0.5) * 256).clip(0, 255).astype("u1")  # a reader takes the middle of each step
     boxes = np.concatenate([part for k in (0, 3, 6) for part in (low[:, k : k + 3], high[:, k : k + 3])], 1)
     header = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}", *(f"property float {n}" for n in BOXES)]

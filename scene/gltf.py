@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ..rasterizer import Gaussians
-from .glb import FLOAT, Glb
+from .glb import FLOAT, VERTICES, Glb
 from .ply import seen
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -36,7 +36,7 @@ def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     file = Glb()
     attributes = {}
     for name, value in named.items():
-        attributes[name] = file.add(value.detach().cpu().numpy().astype("<f4"), FLOAT, bounds=name == "POSITION")
+        attributes[name] = file.add(value.detach().cpu().numpy().astype("<f4"), FLOAT, bounds=name == "POSITION", target=VERTICES)
     primitive = {
         "mode": POINTS,
         "attributes": attributes,

@@ -20,7 +20,7 @@ def ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     shown = seen(gaussians)
     assert shown.sh is not None
     rows, sh = len(shown.means), shown.sh
-    rest = sh[:, 1:].transpose(1, 2).reshape(rows, -1)
+    rest = sh[:, 1:].transpose(1, 2).reshape(rows, 3 * (sh.shape[1] - 1))
     logit = torch.logit(shown.opacities.clamp(LEAST_ALPHA / 2, 1 - 1e-6))
     columns = [shown.means, torch.zeros(rows, 3), sh[:, 0], rest, logit[:, None], shown.scales.log(), shown.quats]
     names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest.shape[1]))]
