@@ -42,7 +42,7 @@ def errors(written: Gaussians, read: Gaussians) -> dict[str, float]:
         "gaussians": len(shown.means),
         "lost": lost,
         "position": position,
-        "relative": position / max(size, 1e-30),
+        "relative": position / size if size else 0.0,
         "scale": float((shown.scales.log() - back.scales[nearest].log()).abs().max()),
         "rotation": float(np.degrees(4 * np.arcsin(np.clip(float(unlike.max()) / 2, 0, 1)))),
         "opacity": float((shown.opacities - back.opacities[nearest]).abs().max()),

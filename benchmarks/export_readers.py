@@ -7,6 +7,7 @@ The programs from npm are looked for in the folder that the variable E4DGS_NPM n
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -25,16 +26,17 @@ SPLATS = "khr_gaussian_splatting:"  # three.js writes names of attributes in sma
 UNKNOWN = "KHR_gaussian_splatting:"  # the validator knows this extension not yet, and takes its attributes' names for wrong ones
 
 
-def splat_transform() -> list[str] | None:
+@functools.cache
+def splat_transform() -> tuple[str, ...] | None:
     """The command, or None where it is not installed."""
     folder = os.environ.get("E4DGS_NPM")
     if folder is not None:
         program = Path(folder) / "node_modules" / ".bin" / TRANSFORM
-        return [str(program)] if program.exists() else None
+        return (str(program),) if program.exists() else None
     npx = shutil.which("npx")
     if npx is None or subprocess.run([npx, "--no-install", TRANSFORM, "--version"], capture_output=True).returncode != 0:
         return None
-    return [npx, "--no-install", TRANSFORM]
+    return npx, "--no-install", TRANSFORM
 
 
 def node_modules() -> Path | None:
@@ -59,13 +61,14 @@ def missing() -> list[str]:
     return found + [f"{name} (PyPI)" for name in ("plyfile", "usd-core", "trimesh") if installed(name) is None]
 
 
-def version_of(command: list[str]) -> str:
+@functools.cache
+def version_of(command: tuple[str, ...]) -> str:
     done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
     words = (done.stdout + done.stderr).split()
     return words[words.index(TRANSFORM) + 1].removeprefix("v")
 
 
-def by_splat_transform(command: list[str], file: Path) -> Gaussians:
+def by_splat_transform(command: tuple[str, ...], file: Path) -> Gaussians:
     """``file`` (.ply, .compressed.ply, .spz, .sog) by way of the table of numbers that splat-transform makes of it."""
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "read.csv"
