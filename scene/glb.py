@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125  # component types of glTF 2.0
+VERTICES, CORNERS = 34962, 34963  # what an array is for on a GPU
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
@@ -21,10 +22,11 @@ class Glb:
         self._parts: list[bytes] = []
         self._offset = 0
 
-    def add(self, array: np.ndarray, component: int, bounds: bool = False, normalized: bool = False) -> int:
+    def add(self, array: np.ndarray, component: int, bounds: bool = False, normalized: bool = False, target: int | None = None) -> int:
         """The number of a new accessor on ``array`` [n, 1..4], little-endian, of which a row must fill whole words of four bytes.
 
-        component: its type. bounds: state minimum and maximum, as glTF asks for positions and key times."""
+        component: its type. bounds: state minimum and maximum, as glTF asks for positions and key times. target: `VERTICES`,
+        `CORNERS` or, for animations, nothing."""
         array = np.ascontiguousarray(array)
         accessor: dict[str, object] = {
             "bufferView": len(self._views),
@@ -36,7 +38,8 @@ class Glb:
             accessor["normalized"] = True
         if bounds and len(array):
             accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
-        self._views.append({"buffer": 0, "byteOffset": self._offset, "byteLength": array.nbytes})
+        view = {"buffer": 0, "byteOffset": self._offset, "byteLength": array.nbytes}
+        self._views.append(view if target is None else view | {"target": target})
         self._accessors.append(accessor)
         self._parts.append(array.tobytes())
         self._offset += array.nbytes

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from ..rasterizer import Gaussians
-from .glb import FLOAT, Glb
-from .ply import seen_rows
+from .glb import FLOAT, VERTICES, Glb
+from .ply import seen
 
 EXTENSION = "KHR_gaussian_splatting"
 POINTS = 0  # a mode of glTF 2.0
@@ -20,15 +20,14 @@ def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     POSITION in world units and the capture's axes; ROTATION x y z w, unit; SCALE, standard deviations in world units; OPACITY in [0, 1];
     SH_DEGREE_l_COEF_n RGB, n from the order -l upwards. COLOR_0 holds colour and opacity for readers that know points alone.
     """
-    assert gaussians.sh is not None
-    keep = seen_rows(gaussians)
-    sh, opacity = gaussians.sh[keep], gaussians.opacities[keep].clamp(0, 1)
-    quats = torch.nn.functional.normalize(gaussians.quats[keep], dim=1)
+    shown = seen(gaussians)
+    assert shown.sh is not None
+    sh, opacity, quats = shown.sh, shown.opacities.clamp(0, 1), shown.quats
     named: dict[str, Tensor] = {
-        "POSITION": gaussians.means[keep],
+        "POSITION": shown.means,
         "COLOR_0": torch.cat([(0.5 + SH_0 * sh[:, 0]).clamp(0, 1), opacity[:, None]], 1),
         f"{EXTENSION}:ROTATION": quats[:, [1, 2, 3, 0]],
-        f"{EXTENSION}:SCALE": gaussians.scales[keep],
+        f"{EXTENSION}:SCALE": shown.scales,
         f"{EXTENSION}:OPACITY": opacity[:, None],
     }
     for k in range(sh.shape[1]):
@@ -37,7 +36,7 @@ def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     file = Glb()
     attributes = {}
     for name, value in named.items():
-        attributes[name] = file.add(value.detach().cpu().numpy().astype("<f4"), FLOAT, bounds=name == "POSITION")
+        attributes[name] = file.add(value.detach().cpu().numpy().astype("<f4"), FLOAT, bounds=name == "POSITION", target=VERTICES)
     primitive = {
         "mode": POINTS,
         "attributes": attributes,
@@ -50,4 +49,4 @@ def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [primitive]}],
     }
-    return file.bytes(content), int(keep.sum())
+    return file.bytes(content), len(sh)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .glb import FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, Glb
+from .glb import CORNERS, FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, VERTICES, Glb
 
 TRIANGLES = 4  # a mode of glTF 2.0
 UNLIT = "KHR_materials_unlit"  # the colours hold the light of the capture
@@ -54,11 +54,11 @@ def mesh_glb_bytes(meshes: Sequence[Mesh], seconds: Sequence[float] = (0.0,)) ->
         if len(mesh.triangles):
             nodes[k]["mesh"] = len(shapes)
             attributes = {
-                "POSITION": file.add(mesh.vertices.astype("<f4"), FLOAT, bounds=True),
-                "COLOR_0": file.add((_linear(mesh.colors) * 65535).round().astype("<u2"), UNSIGNED_SHORT, normalized=True),
+                "POSITION": file.add(mesh.vertices.astype("<f4"), FLOAT, bounds=True, target=VERTICES),
+                "COLOR_0": file.add((_linear(mesh.colors) * 65535).round().astype("<u2"), UNSIGNED_SHORT, normalized=True, target=VERTICES),
             }
             material = int((mesh.colors[:, 3] < 1).any())
-            corners = file.add(mesh.triangles.astype("<u4").reshape(-1, 1), UNSIGNED_INT)
+            corners = file.add(mesh.triangles.astype("<u4").reshape(-1, 1), UNSIGNED_INT, target=CORNERS)
             shapes.append({"primitives": [{"mode": TRIANGLES, "attributes": attributes, "indices": corners, "material": material}]})
         if len(meshes) > 1:
             keys = {

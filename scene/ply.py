@@ -17,14 +17,12 @@ def ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_* (SH by channel, then coefficient),
     opacity (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit).
     """
-    assert gaussians.sh is not None
-    keep = seen_rows(gaussians)
-    rows = int(keep.sum())
-    sh = gaussians.sh[keep]
-    rest = sh[:, 1:].transpose(1, 2).reshape(rows, -1)
-    quats = torch.nn.functional.normalize(gaussians.quats[keep], dim=1)
-    logit = torch.logit(gaussians.opacities[keep].clamp(LEAST_ALPHA / 2, 1 - 1e-6))
-    columns = [gaussians.means[keep], torch.zeros(rows, 3), sh[:, 0], rest, logit[:, None], gaussians.scales[keep].log(), quats]
+    shown = seen(gaussians)
+    assert shown.sh is not None
+    rows, sh = len(shown.means), shown.sh
+    rest = sh[:, 1:].transpose(1, 2).reshape(rows, 3 * (sh.shape[1] - 1))
+    logit = torch.logit(shown.opacities.clamp(LEAST_ALPHA / 2, 1 - 1e-6))
+    columns = [shown.means, torch.zeros(rows, 3), sh[:, 0], rest, logit[:, None], shown.scales.log(), shown.quats]
     names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest.shape[1]))]
     names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
     table = torch.cat([column.detach().cpu().float() for column in columns], 1).numpy().astype("<f4")
@@ -35,6 +33,14 @@ def ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
 def seen_rows(gaussians: Gaussians) -> Tensor:
     """[N] bool: what is opaque enough to be drawn, and finite."""
     return (gaussians.opacities >= LEAST_ALPHA) & torch.isfinite(gaussians.means).all(1)
+
+
+def seen(gaussians: Gaussians) -> Gaussians:
+    """Those of ``gaussians`` (with sh) of which something can be seen; quats are unit."""
+    assert gaussians.sh is not None
+    keep = seen_rows(gaussians)
+    quats = torch.nn.functional.normalize(gaussians.quats[keep], dim=1)
+    return Gaussians(gaussians.means[keep], quats, gaussians.scales[keep], gaussians.opacities[keep], sh=gaussians.sh[keep])
 
 
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:

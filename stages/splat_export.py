@@ -14,6 +14,7 @@ from ..pipeline.files import write_atomically
 from .splat_bake import Loss, bake, loss_of
 
 if TYPE_CHECKING:
+    from ..rasterizer import Gaussians
     from ..scene.model import Model
     from .frameset import FrameSet
 
@@ -38,38 +39,55 @@ def export_splats(
     kind: of `KINDS`; all but ply lose a little. Each file is there only when it is whole. Raises StageError where ``kind`` needs a package
     that is not there.
     """
-    from ..scene.gltf import glb_bytes
-    from ..scene.ply import ply_bytes
-
-    encode = _encoder(kind)
+    encode = encoder(kind)
 
     folder.mkdir(parents=True, exist_ok=True)
     baked = bake(model, frames)
     moments = [float(t) for t in np.linspace(0, 1, count)] if count > 1 else [0.5]
     rows = []
     for k, t in enumerate(moments):
-        splats = baked.at(t)
-        data, number = glb_bytes(splats) if kind == "gltf" else ply_bytes(splats)
-        write_atomically(folder / f"frame{k + 1:04d}{KINDS[kind]}", encode(data))
+        file = folder / f"frame{k + 1:04d}{KINDS[kind]}"
+        try:
+            data, number = encode(baked.at(t))
+        except ValueError as error:
+            raise StageError(f"export {kind}: {file}: {error}; export ply instead") from error
+        write_atomically(file, data)
         rows.append(number)
         advance(1)
     return Exported(min(rows), max(rows), loss_of(model, baked.at(moments[0]), frames, moments[0]))
 
 
-def _encoder(kind: Kind) -> Callable[[bytes], bytes]:
-    """From the bytes of a PLY file, or of glTF, to those of ``kind``."""
-    if kind in ("ply", "gltf"):
-        return lambda data: data
+def encoder(kind: Kind) -> Callable[[Gaussians], tuple[bytes, int]]:
+    """From Gaussians to the bytes of a file of ``kind``, and how many it holds."""
+    from ..scene.compressed_ply import compressed_ply_bytes
+    from ..scene.gltf import glb_bytes
+    from ..scene.ply import ply_bytes
+    from ..scene.spz import spz_bytes
+
+    writers: dict[Kind, Callable[[Gaussians], tuple[bytes, int]]] = {
+        "ply": ply_bytes,
+        "compressed-ply": compressed_ply_bytes,
+        "spz": spz_bytes,
+        "gltf": glb_bytes,
+    }
+    return writers[kind] if kind in writers else _sog_encoder()
+
+
+def _sog_encoder() -> Callable[[Gaussians], tuple[bytes, int]]:
     try:
         import gaussforge
     except ImportError as error:
-        raise StageError(f"export {kind} needs the package gaussforge; install it with: pip install 'e4dgs[splats]'") from error
-    forge, suffix = gaussforge.GaussForge(), KINDS[kind].removeprefix(".")
+        raise StageError("export sog needs the package gaussforge; install it with: pip install 'e4dgs[splats]'") from error
 
-    def convert(data: bytes) -> bytes:
-        converted = forge.convert(data, "ply", suffix)
+    from ..scene.ply import ply_bytes
+
+    forge = gaussforge.GaussForge()
+
+    def encode(gaussians: Gaussians) -> tuple[bytes, int]:
+        plain, number = ply_bytes(gaussians)
+        converted = forge.convert(plain, "ply", "sog")
         if "data" not in converted:
-            raise StageError(f"export {kind}: {converted.get('error', 'the conversion failed')}")
-        return bytes(converted["data"])
+            raise StageError(f"export sog: {converted.get('error', 'the conversion failed')}")
+        return bytes(converted["data"]), number
 
-    return convert
+    return encode

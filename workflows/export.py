@@ -120,7 +120,7 @@ def _command(kind: Kind) -> Callable[..., None]:
     return command
 
 
-app.command("spz", help="Numbered .spz files (Niantic), about a tenth of the size of .ply.")(_command("spz"))
+app.command("spz", help="Numbered .spz files (Niantic), a fifth of the size of .ply or less.")(_command("spz"))
 app.command("sog", help="Numbered .sog files (PlayCanvas), for the web.")(_command("sog"))
 app.command("gltf", help="Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers.")(_command("gltf"))
 app.command()(usd)
