@@ -106,8 +106,8 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
     for i in views:
         seen = look(model, frames, int(i), t)
         advance(1)
-        if not seen.depth.any():
-            continue
+        if not ((seen.depth > 0) & (seen.depth < size.farthest)).any():
+            continue  # Open3D refuses what touches no voxel
         K = seen.K.copy()
         K[:2, 2] -= 0.5  # Open3D's pixel centres lie at whole numbers
         depth, intrinsic, extrinsic = geometry.Image(seen.depth), core.Tensor.from_numpy(K), core.Tensor.from_numpy(seen.cam_from_world)
