@@ -11,6 +11,7 @@ PAGES = ["README.md", *(str(page.relative_to(ROOT)) for page in sorted((ROOT / "
 SETTINGS = {
     "coarse.iterations": 20,
     "coarse.effort": 1,
+    "coarse.motion": "nodes",
     "coarse.seeds": 300,
     "coarse.budget": 400,
     "hulls.budget": 10,
@@ -78,6 +79,8 @@ RUN = {
 REAL = "measures real captures for minutes; only its words are checked"
 PARSED_ONLY = {
     "sudo apt install g++ python3-dev python3-venv": "changes the machine",
+    "python3 dev.py wheel": "compiles for minutes; CONTRIBUTING.md says when to run it with --check, which also installs and uses it",
+    "pip install dist/e4dgs-*.whl": "downloads; `python3 dev.py wheel --check` does it",
     "source .venv/bin/activate": "a shell's own; the environment is made by `python3 dev.py sample`, which downloads",
     "e4dgs bench cuda --garden test_garden.npz": "needs a GPU; tests/workflows/test_bench.py runs its rows on a pretended one",
     "python benchmarks/knobs.py": "compiles the kernels a dozen times",

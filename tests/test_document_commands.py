@@ -12,7 +12,7 @@ COMMANDS = [pytest.param(page, words, id=f"{page}: {' '.join(words)}") for page 
 
 
 def test_blocks_are_found():
-    assert len(COMMANDS) > 40 and {words.values[1][0] for words in COMMANDS} <= {"e4dgs", "python", "python3", "source", "sudo"}
+    assert len(COMMANDS) > 40 and {words.values[1][0] for words in COMMANDS} <= {"e4dgs", "python", "python3", "pip", "source", "sudo"}
 
 
 @pytest.mark.parametrize(("page", "words"), COMMANDS)
@@ -29,6 +29,8 @@ def test_a_printed_command_is_one(page, words):
             assert words[2] in strings
     elif words[0] == "source":
         assert words[1:] == [".venv/bin/activate"]
+    elif words[0] == "pip":
+        assert words[1] == "install" and words[2] != "e4dgs", "it is on no package index"
     else:
         assert words[:3] == ["sudo", "apt", "install"]
         packages = set(words[3:])

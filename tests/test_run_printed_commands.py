@@ -3,6 +3,7 @@
 import contextlib
 import glob
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -13,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from e4dgs.workflows.batch.listing import Entry, entries_of
 from e4dgs.workflows.cli import main
 from printed_commands import PARSED_ONLY, ROOT, RUN, TINY, printed
 
@@ -23,7 +26,7 @@ CAPTURES = {
     "photos": "images_capture",
     "data/dnerf/lego": "dnerf_capture",
     "data/n3v/coffee_martini": "n3v_capture",
-    "captures/clip.mp4": "video_capture",
+    "captures/dance.mp4": "video_capture",
 }
 NAMES = {"SCENE": "CAPTURE", "SCENE/fine": "CAPTURE/fine", "OTHER/fine": "lego/fine", "CAPTURE...": "CAPTURE"}
 
@@ -122,3 +125,34 @@ def test_the_viewer_answers_and_ends(inside, command):
     finally:
         server.kill()
         server.wait()
+
+
+def block(page: str, language: str) -> str:
+    found = re.search(rf"```{language}\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    assert found
+    return found[1]
+
+
+def test_the_script_of_the_results_page_runs(inside, request):
+    truth = request.getfixturevalue("nerfstudio_capture").views[0].camera
+    names = {
+        "K": torch.tensor(truth.K).float(),
+        "cam_from_world": torch.tensor(truth.cam_from_world).float(),
+        "width": truth.width,
+        "height": truth.height,
+    }
+    exec(block("docs/results.md", "python").replace("<name>", "CAPTURE"), names)
+    frame = names["frame"]
+    size = (truth.height, truth.width)
+    assert (frame.color.shape, frame.alpha.shape, frame.depth.shape) == ((*size, 3), size, size)
+    assert float(frame.alpha.mean()) > 0.1 and bool(torch.isfinite(frame.color).all())
+
+
+def test_the_list_of_the_batches_page_is_read(inside):
+    folder = inside / "listed"
+    (folder / "captures" / "garden").mkdir(parents=True)
+    shutil.copy("clip.mp4", folder / "captures" / "band.mp4")
+    (folder / "scenes.yaml").write_text(block("docs/batches.md", "yaml"))
+    entries = entries_of([str(folder / "scenes.yaml")], Entry("", ""))
+    assert len(entries) == 6 and {entry.preset for entry in entries} == {"fast"}
+    assert [dict(entry.settings)["coarse.iterations"] for entry in entries if "band" in entry.name] == ["3000"] * 3
