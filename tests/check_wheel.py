@@ -14,7 +14,7 @@ import venv
 import zipfile
 from pathlib import Path, PurePosixPath
 
-from printed_commands import ROOT, TINY
+from printed_commands import ROOT, SAMPLE
 
 COMPILERS = ("cc", "c++", "gcc", "g++", "clang", "clang++", "cmake", "ninja", "make")
 NATIVE = ("e4dgs/rasterizer/_cpu.", "e4dgs/scene/_kernels.")
@@ -67,7 +67,7 @@ def check_use(wheel: Path, folder: Path) -> None:
     place = run(str(programs / "python"), "-c", "import e4dgs; print(e4dgs.__file__)").strip()
     assert programs.parent in Path(place).parents, f"e4dgs comes from {place}"
     shutil.copytree(ROOT / "samples" / "cube_and_ball", folder / "cube_and_ball")
-    print(run(str(programs / "e4dgs"), "run", "all", "cube_and_ball", *TINY.split()))
+    print(run(str(programs / "e4dgs"), "run", "all", "cube_and_ball", *SAMPLE.split()))
     made = {path.name for path in (folder / "e4dgs-workspace" / "store").iterdir()}
     assert set(WANTED) <= made, f"the store has {sorted(made)}"
     assert (folder / "e4dgs-workspace" / "scenes" / "cube_and_ball" / "report.html").is_file()

@@ -19,21 +19,22 @@ SETTINGS = {
     "evaluate.movie_frames": 0,
 }
 TINY = " ".join(f"--set {key}={value}" for key, value in SETTINGS.items()) + " --device cpu"
+SAMPLE = f"{TINY} --set coarse.motion=planes"  # control nodes look for parts that turn, which takes half a minute there
 SHORT = "--rows garden --repeats 1 --seconds 0"  # of `bench`
 NOTHING = ""
-PLANNED = TINY.replace(" --set fine.iterations=3", "")
+PLANNED = SAMPLE.replace(" --set fine.iterations=3", "")
 
 # What is put behind a command as printed; for options that are there twice, the later one counts.
 RUN = {
     # README.md
-    "python3 dev.py sample": f"--workspace e4dgs-workspace {TINY}",
+    "python3 dev.py sample": f"--workspace e4dgs-workspace {SAMPLE}",
     "python3 dev.py test": "-p no:cacheprovider tests/test_sample.py",
     "e4dgs plan CAPTURE": TINY,
     "e4dgs run all CAPTURE": TINY,
     "e4dgs view CAPTURE": f"{TINY} --no-browser",
     "e4dgs run all clip.mp4": TINY,
     "e4dgs run all photos/ --static --set frames.max_size=800": TINY,
-    "e4dgs run all data/dnerf/lego --preset fast": TINY,
+    "e4dgs run all data/dnerf/lego --preset fast": SAMPLE,
     "e4dgs run all data/n3v/coffee_martini --set frames.max_frames=60": TINY,
     "e4dgs batch captures/*.mp4 --name night": TINY,
     # docs/batches.md
@@ -42,16 +43,16 @@ RUN = {
     # docs/benchmarks.md
     "e4dgs bench raster --garden test_garden.npz": SHORT,
     "e4dgs bench field": "--rows field --scale 0.001 --repeats 1 --seconds 0",
-    "e4dgs bench step --capture CAPTURE": "--scale 0.001 --repeats 1 --seconds 0",
+    "e4dgs bench step --capture CAPTURE": "--rows split --scale 0.001 --repeats 1 --seconds 0",
     "e4dgs bench raster --list": NOTHING,
     "e4dgs bench raster --scale 0.05": f"{SHORT} --scale 0.001",
-    "e4dgs bench pipeline CAPTURE... --plot FILE.svg": TINY,
+    "e4dgs bench pipeline CAPTURE... --plot FILE.svg": f"{TINY} --points default",
     # docs/comparing.md
-    "e4dgs bench pipeline CAPTURE --seeds 3 --plot curve.svg": f"{TINY} --seeds 1",
+    "e4dgs bench pipeline CAPTURE --seeds 3 --plot curve.svg": f"{TINY} --seeds 1 --points default",
     "e4dgs ablation CAPTURE --seeds 3 --out ablation/": f"{TINY} --seeds 1 --rows full",
     # docs/first-scene.md
-    "e4dgs view samples/cube_and_ball --preset fast": f"{TINY} --no-browser",
-    "e4dgs plan samples/cube_and_ball --preset fast": TINY,
+    "e4dgs view samples/cube_and_ball --preset fast": f"{SAMPLE} --no-browser",
+    "e4dgs plan samples/cube_and_ball --preset fast": SAMPLE,
     "e4dgs plan samples/cube_and_ball --preset fast --set fine.iterations=600": PLANNED,
     # docs/reruns.md
     "e4dgs run all CAPTURE --set fine.iterations=3000": f"{TINY} --set fine.iterations=4",
@@ -67,9 +68,9 @@ RUN = {
     # docs/results.md
     "e4dgs render CAPTURE --path spiral --out scene.mp4": f"{TINY} --frames 5",
     "e4dgs render CAPTURE --path turntable --time 0.5 --out pictures/ --depth": f"{TINY} --frames 5",
-    "e4dgs export ply CAPTURE --times 30 --out DIR": TINY,
-    "e4dgs export gltf CAPTURE": TINY,
-    "e4dgs export spz CAPTURE": TINY,
+    "e4dgs export ply CAPTURE --times 30 --out DIR": f"{TINY} --times 2",
+    "e4dgs export gltf CAPTURE": f"{TINY} --times 2",
+    "e4dgs export spz CAPTURE": f"{TINY} --times 2",
     "e4dgs export usd CAPTURE --out scene.usdc": TINY,
     "e4dgs export mesh CAPTURE --time 0.5 --out scene.glb": TINY,
     "e4dgs export mesh CAPTURE --convexes --out hulls.glb": TINY,
