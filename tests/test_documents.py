@@ -1,10 +1,12 @@
 """What the documents promise exists: settings with their defaults, commands, links, fixtures."""
 
+import importlib.util
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from e4dgs.workflows.cli import app
 from e4dgs.workflows.presets import PRESETS
@@ -25,6 +27,21 @@ DOCUMENTS = [
 def test_the_page_of_settings_is_what_the_code_has():
     done = subprocess.run([sys.executable, ROOT / "docs" / "write_settings.py", "--check"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_figures_of_the_maths_are_what_the_code_draws():
+    done = subprocess.run([sys.executable, ROOT / "docs" / "figures.py", "--check"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_figure_that_is_slightly_off_is_stale():
+    spec = importlib.util.spec_from_file_location("figures", ROOT / "docs" / "figures.py")
+    figures = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(figures)
+    for path in figures.FOLDER.iterdir():
+        kept = figures.pixels(path)
+        assert figures.same(kept, kept) and not figures.same(kept, None)
+        assert not figures.same(kept, np.roll(kept, 2, axis=1)), path
 
 
 def test_settings_that_documents_name_exist():

@@ -10,7 +10,7 @@ import typer
 Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, or a folder with poses.")]
 Captures = Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="Captures, as `run` takes them.")]
 Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
-Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast.")]
+Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast, best.")]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
 Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]

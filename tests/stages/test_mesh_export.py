@@ -118,3 +118,14 @@ def test_voxels_that_do_not_fit_are_refused(posed, model, monkeypatch):
     monkeypatch.setattr("e4dgs.stages.mesh_export.MOST_BLOCKS", 100)
     with pytest.raises(StageError, match="larger --voxel"):
         fuse(model, posed[1], 0.0, Size(0.01, 20.0))
+
+
+def test_a_few_solid_pixels_are_no_surface_and_no_failure_of_open3d(posed):
+    """Open3D looks at every fourth pixel along each side, and refuses a view in which none of them is solid."""
+    _, frames = posed
+    dot = GaussianSet.from_points(np.zeros((1, 3), np.float32), np.array([RED]), 0, opacity=0.99, max_scale=0.02)
+    model = Model(dot, ConvexSet.empty(6, 0), None, 0)
+    seen = [look(model, frames, i, 0.0).depth for i in range(16)]
+    assert all(depth.any() for depth in seen) and any(not depth[::4, ::4].any() for depth in seen)
+    with pytest.raises(StageError, match="no surface at time 0"):
+        fuse(model, frames, 0.0, Size(0.03, 20.0))

@@ -1,7 +1,10 @@
 """What a user types, what is printed and written, and the exit codes: 0 done, 1 a stage failed, 2 bad arguments or capture."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -257,8 +260,29 @@ def test_report_is_drawn_again_from_the_store_alone(cli, capture):
     assert page.read_text().startswith("<html>my-scene") and "cached" in page.read_text()
 
 
-def test_version_and_completion_are_offered(cli, monkeypatch):
+def test_the_version_is_said(cli):
     import e4dgs
 
     assert cli("--version").out == f"e4dgs {e4dgs.__version__}\n"
     assert "--install-completion" in cli("--help").out
+
+
+@pytest.mark.parametrize(
+    ("line", "offered", "not_offered"),
+    [("e4dgs pl", {"plan"}, {"run"}), ("e4dgs export m", {"mesh"}, {"ply"}), ("e4dgs run all x --pre", {"--preset"}, {"--set"})],
+)
+def test_bash_completes_commands_and_options(tmp_path, line, offered, not_offered):
+    """A real bash sources the script that `--show-completion` prints, and asks its function."""
+    program = tmp_path / "e4dgs"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m e4dgs.workflows.cli "$@"\n')
+    program.chmod(0o755)
+    script = (
+        'source <("$1" --show-completion bash)\n'
+        "IFS=' ' read -ra COMP_WORDS <<< \"$2\"; COMP_CWORD=$((${#COMP_WORDS[@]} - 1))\n"
+        'function=$(complete -p e4dgs | sed -E "s/.*-F ([^ ]+).*/\\1/")\n'
+        '"$function" "$1"; printf "%s\\n" "${COMPREPLY[@]}"\n'
+    )
+    command = ["bash", "--norc", "-c", script, "bash", str(program), line]
+    done = subprocess.run(command, env={**os.environ, "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}, capture_output=True, text=True)
+    found = set(done.stdout.split())
+    assert offered <= found and not not_offered & found, done.stdout + done.stderr

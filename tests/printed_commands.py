@@ -1,0 +1,111 @@
+"""The commands that README and docs/ print, and what a test adds to each so that it ends within seconds."""
+
+import re
+import shlex
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ["README.md", *(str(page.relative_to(ROOT)) for page in sorted((ROOT / "docs").glob("*.md")))]
+
+# Budgets under which a run takes seconds. All presets are one with them, so that commands find one another's results.
+SETTINGS = {
+    "coarse.iterations": 20,
+    "coarse.effort": 1,
+    "coarse.motion": "nodes",
+    "coarse.seeds": 300,
+    "coarse.budget": 400,
+    "hulls.budget": 10,
+    "fine.iterations": 3,
+    "evaluate.movie_frames": 0,
+}
+TINY = " ".join(f"--set {key}={value}" for key, value in SETTINGS.items()) + " --device cpu"
+SAMPLE = f"{TINY} --set coarse.motion=planes"  # control nodes look for parts that turn, which takes half a minute there
+SHORT = "--rows garden --repeats 1 --seconds 0"  # of `bench`
+NOTHING = ""
+PLANNED = SAMPLE.replace(" --set fine.iterations=3", "")
+
+# What is put behind a command as printed; for options that are there twice, the later one counts.
+RUN = {
+    # README.md
+    "python3 dev.py sample": f"--workspace e4dgs-workspace {SAMPLE}",
+    "python3 dev.py test": "-p no:cacheprovider tests/test_sample.py",
+    "e4dgs plan CAPTURE": TINY,
+    "e4dgs run all CAPTURE": TINY,
+    "e4dgs view CAPTURE": f"{TINY} --no-browser",
+    "e4dgs run all clip.mp4": TINY,
+    "e4dgs run all photos/ --static --set frames.max_size=800": TINY,
+    "e4dgs run all data/dnerf/lego --preset fast": SAMPLE,
+    "e4dgs run all data/n3v/coffee_martini --set frames.max_frames=60": TINY,
+    "e4dgs batch captures/*.mp4 --name night": TINY,
+    # docs/batches.md
+    "e4dgs batch captures/*.mp4 --name night --preset fast": TINY,
+    "e4dgs status": NOTHING,
+    # docs/benchmarks.md
+    "e4dgs bench raster --garden test_garden.npz": SHORT,
+    "e4dgs bench field": "--rows field --scale 0.001 --repeats 1 --seconds 0",
+    "e4dgs bench step --capture CAPTURE": "--rows split --scale 0.001 --repeats 1 --seconds 0",
+    "e4dgs bench raster --list": NOTHING,
+    "e4dgs bench raster --scale 0.05": f"{SHORT} --scale 0.001",
+    "e4dgs bench pipeline CAPTURE... --plot FILE.svg": f"{TINY} --points default",
+    # docs/comparing.md
+    "e4dgs bench pipeline CAPTURE --seeds 3 --plot curve.svg": f"{TINY} --seeds 1 --points default",
+    "e4dgs ablation CAPTURE --seeds 3 --out ablation/": f"{TINY} --seeds 1 --rows full",
+    # docs/first-scene.md
+    "e4dgs view samples/cube_and_ball --preset fast": f"{SAMPLE} --no-browser",
+    "e4dgs plan samples/cube_and_ball --preset fast": SAMPLE,
+    "e4dgs plan samples/cube_and_ball --preset fast --set fine.iterations=600": PLANNED,
+    # docs/reruns.md
+    "e4dgs run all CAPTURE --set fine.iterations=3000": f"{TINY} --set fine.iterations=4",
+    "e4dgs run flow CAPTURE": TINY,
+    "e4dgs run coarse CAPTURE --force": TINY,
+    "e4dgs why coarse CAPTURE": TINY,
+    "e4dgs list": NOTHING,
+    "e4dgs show SCENE coarse": NOTHING,
+    "e4dgs diff SCENE/fine OTHER/fine": NOTHING,
+    "e4dgs gc --dry-run": NOTHING,
+    "e4dgs gc --keep-bytes 10G --older-than 30d": NOTHING,
+    "e4dgs pin SCENE": NOTHING,
+    # docs/results.md
+    "e4dgs render CAPTURE --path spiral --out scene.mp4": f"{TINY} --frames 5",
+    "e4dgs render CAPTURE --path turntable --time 0.5 --out pictures/ --depth": f"{TINY} --frames 5",
+    "e4dgs export ply CAPTURE --times 30 --out DIR": f"{TINY} --times 2",
+    "e4dgs export gltf CAPTURE": f"{TINY} --times 2",
+    "e4dgs export spz CAPTURE": f"{TINY} --times 2",
+    "e4dgs export usd CAPTURE --out scene.usdc": TINY,
+    "e4dgs export mesh CAPTURE --time 0.5 --out scene.glb": TINY,
+    "e4dgs export mesh CAPTURE --convexes --out hulls.glb": TINY,
+    "e4dgs export flow CAPTURE --out DIR": TINY,
+}
+
+REAL = "measures real captures for minutes; only its words are checked"
+PARSED_ONLY = {
+    "sudo apt install g++ python3-dev python3-venv": "changes the machine",
+    "python3 dev.py wheel": "compiles for minutes; CONTRIBUTING.md says when to run it with --check, which also installs and uses it",
+    "pip install dist/e4dgs-*.whl": "downloads; `python3 dev.py wheel --check` does it",
+    "source .venv/bin/activate": "a shell's own; the environment is made by `python3 dev.py sample`, which downloads",
+    "e4dgs bench cuda --garden test_garden.npz": "needs a GPU; tests/workflows/test_bench.py runs its rows on a pretended one",
+    "python benchmarks/knobs.py": "compiles the kernels a dozen times",
+    "python benchmarks/flow.py SCENES --weights DIR": "needs weights that are downloaded",
+    "python benchmarks/movers.py SCENES": REAL,
+    "python benchmarks/flow_terms.py SCENES": REAL,
+    "python benchmarks/sfm_movers.py SCENES": REAL,
+    "python benchmarks/viewer.py CAPTURE": "needs Chromium and a trained scene",
+    "python benchmarks/overhead.py": "runs for minutes; tests/pipeline/test_overhead.py measures the same at a small size",
+    "python benchmarks/throughput.py": "trains twelve scenes three times",
+}
+
+
+def lines_of(page: str) -> list[list[str]]:
+    """The words of every line in the page's blocks of bash, comments left out."""
+    blocks = re.findall(r"```bash\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def printed() -> dict[str, list[str]]:
+    """Every command once, and the pages that print it."""
+    found: dict[str, list[str]] = {}
+    for page in PAGES:
+        for words in lines_of(page):
+            found.setdefault(" ".join(words), []).append(page)
+    return found
