@@ -1,5 +1,6 @@
 """A stand-in for the API server of Kubernetes that knows pods alone: each one is a process of this host. What is sent is kept."""
 
+import contextlib
 import json
 import subprocess
 import threading
@@ -51,7 +52,8 @@ class PodServer:
         process = self._processes.pop(name)
         if process.poll() is None:
             for one in (*psutil.Process(process.pid).children(recursive=True), process):
-                one.kill()
+                with contextlib.suppress(psutil.Error):
+                    one.kill()
             process.wait()
 
     def close(self) -> None:

@@ -35,7 +35,7 @@ def pods(pool: Pool, look: int) -> Any:
             return look
 
         def _status(self) -> None:
-            for pod in self.resources.values():
+            for pod in list(self.resources.values()):
                 if pod["status"].terminal:
                     continue
                 try:
