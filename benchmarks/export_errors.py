@@ -11,12 +11,15 @@ from e4dgs.scene.ply import seen
 from scipy.spatial import KDTree
 
 BEST = 100.0  # dB, where nothing differs
+KEPT = 0.01  # of the scene's size; where no position is farther off, the order is that of writing
 
 
 def errors(written: Gaussians, read: Gaussians) -> dict[str, float]:
-    """Largest errors over all Gaussians. The order may differ: each is compared with its nearest in place, size, opacity and colour.
+    """Largest errors over all Gaussians. Where a format has an order of its own, each is compared with its nearest in place, size, opacity
+    and colour.
 
-    lost: of ``written`` (what of it can be seen), how many are nobody's nearest, and the difference in number. position: world units;
+    lost: the difference in number between what of ``written`` can be seen and ``read``. shared: how many of ``read`` are the nearest of
+    several, where Gaussians lie as near to each other as the format is exact. position: world units;
     relative: of the longest side of the box of all positions. scale: ln. rotation: degrees. opacity; color: of the constant coefficient of
     SH; sh: of the others, where both have them.
     """
@@ -31,8 +34,10 @@ def errors(written: Gaussians, read: Gaussians) -> dict[str, float]:
         looks = [one.scales.log() / 100, one.opacities[:, None] / 100, one.sh[:, 0] / 100]
         return torch.cat([one.means / max(size, 1e-30), *looks], 1).numpy()
 
-    _, nearest = KDTree(place(back)).query(place(shown))
-    lost = len(shown.means) - len(np.unique(nearest)) + abs(len(back.means) - len(shown.means))
+    nearest = np.arange(len(shown.means))
+    kept = len(shown.means) == len(back.means) and float((shown.means - back.means).norm(dim=1).max()) <= KEPT * size
+    if not kept:
+        _, nearest = KDTree(place(back)).query(place(shown))
     position = float((shown.means.double() - back.means[nearest].double()).norm(dim=1).max())
     quats = torch.nn.functional.normalize(back.quats[nearest].double(), dim=1)
     unlike = torch.minimum((shown.quats.double() - quats).norm(dim=1), (shown.quats.double() + quats).norm(dim=1))
@@ -40,7 +45,8 @@ def errors(written: Gaussians, read: Gaussians) -> dict[str, float]:
     rest = (shown.sh[:, 1:both] - back.sh[nearest, 1:both]).abs()
     return {
         "gaussians": len(shown.means),
-        "lost": lost,
+        "lost": abs(len(shown.means) - len(back.means)),
+        "shared": len(nearest) - len(np.unique(nearest)),
         "position": position,
         "relative": position / size if size else 0.0,
         "scale": float((shown.scales.log() - back.scales[nearest].log()).abs().max()),

@@ -22,7 +22,7 @@ from typing import Any
 import export_readers as readers
 import numpy as np
 import torch
-from e4dgs.pipeline import Records, Store
+from e4dgs.pipeline import Records, StageError, Store
 from e4dgs.rasterizer import Camera, Gaussians
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.scene.model import Model
@@ -53,10 +53,11 @@ class Scene:
 
 
 def open_scene(workspace: Path, name: str | None, size: int) -> Scene:
-    scenes = sorted(claim.parent for claim in (workspace / "scenes").glob("*/capture.json") if name in (None, claim.parent.name))
+    every = sorted(claim.parent for claim in (workspace / "scenes").glob("*/capture.json"))
+    scenes = [folder for folder in every if name in (None, folder.name)]
     if len(scenes) != 1:
         raise SystemExit(
-            f"{workspace}: {len(scenes)} scenes fit; give one with --name: {', '.join(s.name for s in scenes) or 'none is there'}"
+            f"{workspace}: {len(scenes)} scenes fit; give --name one of: {', '.join(s.name for s in every) or 'none is there'}"
         )
     model = load(scenes[0], device="cpu")
     records, store = Records(scenes[0] / "records"), Store(workspace / "store")
@@ -108,8 +109,12 @@ def compared(scene: Scene, written: Gaussians, read: Gaussians) -> dict[str, Any
 def mesh_rows(scene: Scene, moments: list[float], folder: Path) -> Iterator[dict[str, Any]]:
     """Meshes of several times as one .glb file that plays, and as .ply: the fused scene, and the hulls of its convexes."""
     modules, version = readers.node_modules(), readers.installed("trimesh")
-    size = size_of(scene.model, scene.frames, moments[0])
-    made = {"mesh": [fuse(scene.model, scene.frames, t, size) for t in moments]}
+    made = {}
+    try:
+        size = size_of(scene.model, scene.frames, moments[0])
+        made["mesh"] = [fuse(scene.model, scene.frames, t, size) for t in moments]
+    except StageError as error:  # nothing solid, or no Open3D
+        print(f"no mesh: {error}")
     if len(scene.model.convexes):
         made["convexes"] = [hulls(scene.model, t) for t in moments]
     for name, meshes in made.items():

@@ -58,7 +58,7 @@ def camera() -> Camera:
 
 def agree(kind: str, written: Gaussians, read: Gaussians) -> None:
     found = errors(written, read)
-    assert found["lost"] == 0 and found["sh_coefficients"] == written.sh.shape[1]
+    assert found["lost"] == found["shared"] == 0 and found["sh_coefficients"] == written.sh.shape[1]
     for name, most in zip(("relative", "scale", "rotation", "opacity", "color", "sh"), PRECISION.get(kind, EXACT)):
         assert found[name] <= 1.01 * most + 1e-7, f"{kind}: {name}: {found}"
     assert psnr(written, read, [camera()], (0.2, 0.2, 0.2)) >= LEAST_PSNR.get(kind, 90.0)
