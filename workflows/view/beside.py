@@ -11,6 +11,8 @@ from dataclasses import replace
 from ..results import words_of
 from ..session import Options
 
+LEFT_TO_END = 10.0  # s
+
 
 @contextmanager
 def viewer_beside(options: Options) -> Iterator[None]:
@@ -22,6 +24,9 @@ def viewer_beside(options: Options) -> Iterator[None]:
         with suppress(KeyboardInterrupt):
             process.wait()
     finally:
-        if process.poll() is None:
-            process.terminate()
-            process.wait(timeout=10)
+        process.terminate()
+        try:
+            process.wait(timeout=LEFT_TO_END)
+        except subprocess.TimeoutExpired:  # a machine that is very busy; no viewer may stay behind
+            process.kill()
+            process.wait()
