@@ -10,7 +10,8 @@ import sys
 import time
 from typing import Any
 
-from e4dgs.pipeline import Graph, Resources, Settings, Stage, thread_count
+from e4dgs.pipeline import Graph, Resources, Settings, Stage
+from e4dgs.pipeline.threads import thread_count
 from e4dgs.stages.frames import FramesSettings
 from pydantic import Field
 
