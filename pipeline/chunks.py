@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from blake3 import blake3
 
 from .errors import DamagedError
-from .files import THREADS
+from .threads import waiting_threads
 
 if TYPE_CHECKING:
     import numpy as np
@@ -130,7 +130,7 @@ def _for_all(one: Callable[[tuple[int, ...]], None], layout: Layout, nbytes: int
         for place in places:
             one(place)
     else:
-        with ThreadPoolExecutor(THREADS) as pool:
+        with ThreadPoolExecutor(waiting_threads()) as pool:
             list(pool.map(one, places))
 
 

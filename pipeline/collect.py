@@ -137,14 +137,14 @@ def _remains(store: Store, older_than: float | None) -> list[Item]:
         when = _time_of(folder.name)
         if older_than is None or when < before:
             found.append(Item(f"quarantine/{folder.name}", "", _bytes(folder), when))
-            shutil.rmtree(folder, ignore_errors=True)
+            store.drop(folder, folder.name)
     for folder in sorted((store.root / "checkpoints").glob("*-*")) if older_than is not None else ():
         stage, key = folder.name.rsplit("-", 1)
         with store.lock_if_free(stage, key) as free:
             changed = _newest(folder)
             if free and changed < before:
                 found.append(Item(f"checkpoints/{folder.name}", "", _bytes(folder), changed))
-                shutil.rmtree(folder, ignore_errors=True)
+                store.drop_checkpoints(stage, key)
     return found
 
 

@@ -10,8 +10,9 @@ from typing import Any
 
 from blake3 import blake3
 
+from .threads import thread_count, waiting_threads
+
 _FEW, _SMALL = 16, 1 << 20  # files, and bytes of each, that are digested before threads have begun
-THREADS = min(8, (os.cpu_count() or 1) * 2)
 
 
 def canonical_json(value: Any) -> bytes:
@@ -26,13 +27,10 @@ def digest_bytes(data: bytes) -> str:
 
 def digest_file(path: Path) -> str:
     """BLAKE3 of a file's content, 64 hex digits. Raises OSError."""
-    hasher = blake3(max_threads=blake3.AUTO)
     if os.path.getsize(path) > _SMALL:
-        hasher.update_mmap(path)
-    else:
-        with open(path, "rb") as file:
-            hasher.update(file.read())
-    return hasher.hexdigest()
+        return blake3(max_threads=thread_count()).update_mmap(path).hexdigest()
+    with open(path, "rb") as file:
+        return blake3(file.read()).hexdigest()
 
 
 def digest_files(root: Path, files: Iterable[str | Path]) -> dict[str, str]:
@@ -40,7 +38,7 @@ def digest_files(root: Path, files: Iterable[str | Path]) -> dict[str, str]:
     names = sorted(Path(file).as_posix() for file in files)
     if len(names) <= _FEW and all(os.path.getsize(root / name) <= _SMALL for name in names):
         return {name: digest_file(root / name) for name in names}
-    with ThreadPoolExecutor(THREADS) as pool:
+    with ThreadPoolExecutor(waiting_threads()) as pool:
         return dict(zip(names, pool.map(lambda name: digest_file(root / name), names)))
 
 
@@ -71,7 +69,7 @@ def sync_file(path: Path) -> None:
 
 def sync_tree(root: Path, files: Iterable[str]) -> None:
     """fsync of the given files and of every folder below and including ``root``."""
-    with ThreadPoolExecutor(THREADS) as pool:
+    with ThreadPoolExecutor(waiting_threads()) as pool:
         list(pool.map(lambda name: sync_file(root / name), files))
     for folder, _, _ in os.walk(root):
         sync_file(Path(folder))

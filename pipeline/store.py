@@ -142,7 +142,17 @@ class Store:
         return Artifact(target)
 
     def drop_checkpoints(self, stage: str, key: str) -> None:
-        shutil.rmtree(self.checkpoints(stage, key), ignore_errors=True)
+        """Removes what lies there in one step: nobody goes on from half of a checkpoint. Hold the key's lock."""
+        self.drop(self.checkpoints(stage, key), f"{stage}-{key}")
+
+    def drop(self, folder: Path, name: str) -> None:
+        """Removes a folder of the store by way of ``tmp/<name>-...``, which a crash leaves to `sweep`."""
+        place = self.root / "tmp" / f"{name}-{uuid.uuid4().hex[:8]}"
+        try:
+            os.rename(folder, place)
+        except OSError:  # there is none, or no ``tmp``
+            place = folder
+        shutil.rmtree(place, ignore_errors=True)
 
     def _sweep_key(self, stage: str, key: str) -> None:
         for folder in (self.root / "tmp").glob(f"{stage}-{key}-*"):

@@ -9,3 +9,8 @@ def thread_count(most: int | None = None) -> int:
     affinity = getattr(os, "sched_getaffinity", None)
     count = int(said) if said.isdigit() and int(said) else len(affinity(0)) if affinity else os.cpu_count() or 1
     return count if most is None else min(most, count)
+
+
+def waiting_threads() -> int:
+    """For work that mostly waits for a disk: two for each of `thread_count`, up to eight."""
+    return min(8, 2 * thread_count())

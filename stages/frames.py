@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from ..pipeline import Applies, CaptureError, Context, Given, Resources, Settings, Stage
+from ..pipeline import Applies, CaptureError, Context, Given, Resources, Settings, Stage, thread_count
 
 if TYPE_CHECKING:
     import numpy as np
 
     from .captures import Capture
 
-_DECODE_THREADS = 4
+_DECODE_THREADS = 4  # at most
 _LARGE = 40_000_000  # px of pictures that are decoded one at a time: such a one takes half a gigabyte, the largest 2 GB
 
 
@@ -181,6 +181,6 @@ def _check(capture: Capture, ctx: Context) -> None:
             read(capture.root, name)
         return name
 
-    with ctx.progress(len(jobs), "check pictures") as progress, ThreadPoolExecutor(_DECODE_THREADS) as pool:
+    with ctx.progress(len(jobs), "check pictures") as progress, ThreadPoolExecutor(thread_count(_DECODE_THREADS)) as pool:
         for name in pool.map(decode, jobs):
             progress.advance(1, name)

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ...pipeline import thread_count
 from ...pipeline.files import digest_bytes, digest_file
 from . import sound
 
 KEPT_FROM = 60.0  # s of sound; less is heard again in a tenth of a second
-_TOGETHER = 2  # videos; one of twenty minutes takes 0.3 GB
+_TOGETHER = 2  # videos at most; one of twenty minutes takes 0.3 GB
 _VERSION = 1  # of what `sound.onsets` yields
 _DIGEST = 64  # characters of BLAKE3 before the values
 
@@ -24,7 +25,7 @@ _DIGEST = 64  # characters of BLAKE3 before the values
 def onsets_of(root: Path, names: Sequence[str], folder: Path | None) -> Iterator[tuple[np.ndarray, float] | None]:
     """`sound.onsets` of every name, in order. folder: where the long ones are kept, each under the digest of the video's content; one that
     cannot be written is done without, and one that is not as it was written is heard again."""
-    with ThreadPoolExecutor(_TOGETHER) as pool:
+    with ThreadPoolExecutor(thread_count(_TOGETHER)) as pool:
         yield from pool.map(lambda name: _onsets(root, name, folder), names)
 
 

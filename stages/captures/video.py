@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...pipeline import CaptureError
+from ...pipeline import CaptureError, thread_count
 from . import checks
 from .capture import Options, Reading, Shot, Video
 from .video_files import MOST_FRAMES, open_video
@@ -129,6 +129,7 @@ def decode(root: Path, video: Video, width: int, height: int, crop: np.ndarray |
         with open_video(root, video.file) as container:
             stream = _stream(container, video.file)
             stream.thread_type = "AUTO"
+            stream.codec_context.thread_count = thread_count()
             for frame in container.decode(stream):
                 if frame.is_corrupt:
                     raise CaptureError(f"{video.file}: frame {index}: the picture is damaged; copy or record the video again")

@@ -107,3 +107,40 @@ def test_damage_that_verify_sets_aside_lies_in_one_place(store, error):
         assert not store.has("s", "a")
         collect(store, set)
         assert not list((store.root / "quarantine").iterdir())
+
+
+@ERRORS
+@pytest.mark.parametrize("limits", [{"older_than": 86400.0}, {"older_than": 86400.0, "keep_bytes": 0}], ids=["age", "size"])
+def test_old_checkpoints_and_quarantine_go_as_a_whole(store, error, limits):
+    """Half of a checkpoint that lies there is worse than none: a run would go on from it."""
+    names = {f"part{k}" for k in range(3)}
+    for turn in failing(store, error):
+        put(store, "live")
+        folders = {"old": store.checkpoints("s", "old"), "new": store.checkpoints("s", "new")}
+        folders["aside"] = store.root / "quarantine" / "s-a-20200101T000000Z-abcd"
+        for which, folder in folders.items():
+            (folder / "inner").mkdir(parents=True, exist_ok=True)
+            for path in (*(folder / "inner" / name for name in names), folder / "inner", folder):
+                path.touch()
+                os.utime(path, None if which == "new" else (0, 0))
+        with turn():
+            collect(store, lambda: {("s", "live")}, **limits)
+        for folder in folders.values():
+            assert not folder.exists() or {path.name for path in (folder / "inner").iterdir()} == names
+        assert folders["new"].exists() and keys(store) == ["live"]
+        collect(store, lambda: {("s", "live")}, **limits)
+        assert [folder.exists() for folder in folders.values()] == [False, True, False]
+        assert not list((store.root / "tmp").iterdir())
+
+
+@ERRORS
+def test_checkpoints_are_dropped_as_a_whole(store, error):
+    for turn in failing(store, error):
+        put(store, "a")
+        folder = store.checkpoints("s", "a")
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in ("weights", "state"):
+            (folder / name).write_text("of one step")
+        with turn(), store.lock("s", "a"):
+            store.drop_checkpoints("s", "a")
+        assert not folder.exists() or len(list(folder.iterdir())) == 2

@@ -1,5 +1,6 @@
 """Items of an earlier result are taken over where they are what they were; what is new is made, and the plan says how much that is."""
 
+import contextlib
 import os
 import shutil
 from dataclasses import replace
@@ -7,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from e4dgs.pipeline import Applies, ArtifactError, Given, Runner, Settings, Stage, Store, collect, explain, make_plan
+from e4dgs.pipeline import Applies, ArtifactError, Given, Runner, Settings, Stage, StageError, Store, collect, explain, make_plan
+from failing import Crash, FailNth
 from toy_stages import Bench, Numbers, note
 
 
@@ -155,6 +157,29 @@ def test_damage_is_found_before_anything_is_taken_over(bench, afresh):
     assert bench.runs()[-4:] == ["1", "2", "3", "4"] and outcome.artifact.digest == afresh("1 2 3 4")
     assert any("nothing is taken over" in line and "values/c/1" in line and "moved to" in line for line in lines)
     assert not bench.store.has("squares", first.artifact.path.name)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), Crash()], ids=["error", "crash"])
+def test_failing_while_a_damaged_lender_is_set_aside_leaves_one_of_it_and_no_damage_elsewhere(quick_folder, error):
+    bench = Bench.create(quick_folder)
+    place = run(bench)[0].artifact.path
+    bench.numbers.write_text("1 2 3 4")
+    Runner(job(bench)).run(["numbers"])
+    before = shutil.copytree(bench.store.root.parent, quick_folder / "before")
+    for n in range(1, 200):
+        shutil.rmtree(bench.store.root.parent)
+        shutil.copytree(before, bench.store.root.parent)
+        spoil(bench.store, place.name)
+        with FailNth(n, error, bench.store.root).patched() as failure, contextlib.suppress(StageError, OSError, Crash):
+            Runner(job(bench)).run()
+        copies = [path for path in (place, *(bench.store.root / "quarantine").glob("*")) if path.is_dir()]
+        assert len(copies) == 1 and len([path for path in copies[0].rglob("*") if path.is_file()]) == 7, "whole, here or there"
+        made = Runner(job(bench)).run()[-1].artifact
+        assert made.read("values").tolist() == [1, 4, 9, 16]
+        assert [entry for *entry, problem in bench.store.verify() if problem] in ([], [["squares", place.name]])
+        if not failure.failed:
+            break
+    assert n > 10, "the loop must have failed at many places before it got through"
 
 
 def test_the_next_best_serves_where_the_best_is_damaged(bench):

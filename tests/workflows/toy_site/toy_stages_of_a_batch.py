@@ -11,6 +11,7 @@ import time
 from typing import Any
 
 from e4dgs.pipeline import Graph, Resources, Settings, Stage, StageError
+from e4dgs.pipeline.threads import thread_count
 from e4dgs.stages.frames import FramesSettings
 from pydantic import Field
 
@@ -58,7 +59,7 @@ class Coarse(Stage):
         return Resources(memory_gb=settings.memory_gb, gpu=settings.gpu)
 
     def run(self, ctx: Any) -> None:
-        tell(ctx, "coarse begin", os.environ.get("OMP_NUM_THREADS"))
+        tell(ctx, "coarse begin", f"threads={thread_count()}")
         settings, state = ctx.settings, ctx.checkpoints / "step.json"
         hold = ctx.capture.root.parent / "events" / f"{ctx.capture.name}.hold"
         if settings.act and settings.victim in ctx.capture.name:
