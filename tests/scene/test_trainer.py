@@ -5,64 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.model import Model
-from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.settings import TrainingSettings
+from e4dgs.scene.primitives import ConvexSet
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.recipe import NODES
 from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
-from e4dgs.scene.views import Views
-from e4dgs.stages.coarse import make_field, make_nodes
-
-SIZE = 32
-SETTINGS = TrainingSettings(
-    iterations=120, sh_degree=0, densify_every=40, lr_means=4e-3, flow_every=4, patience=100, checkpoint_seconds=1e-9
-)
-
-
-def truth(t):
-    rng = np.random.default_rng(5)
-    points = rng.uniform(-0.8, 0.8, (12, 3))
-    points[:6, 0] += 0.6 * t
-    g = GaussianSet.from_points(points, rng.uniform(size=(12, 3)), 0, opacity=0.9)
-    with torch.no_grad():
-        g.log_scales.fill_(-1.4)
-    return Model(g, ConvexSet.empty(6, 0), None, 0)
-
-
-def make_views(cameras=3, times=4):
-    poses, K = [], np.array([[36.0, 0, SIZE / 2], [0, 36, SIZE / 2], [0, 0, 1]])
-    for c in range(cameras):
-        angle = 0.5 * (c - 1)
-        R = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = R, [0, 0, 4]
-        poses.append(pose)
-    frames = [(c, t) for c in range(cameras) for t in range(times)]
-    count = len(frames)
-    nxt = np.array([i + 1 if t + 1 < times else -1 for i, (_, t) in enumerate(frames)])
-    views = Views(
-        np.repeat(K[None], count, 0), np.array([poses[c] for c, _ in frames]), np.array([t / (times - 1) for _, t in frames]),
-        np.array([c for c, _ in frames]), nxt, np.arange(count), SIZE, SIZE, lambda i: images[i],
-    )  # fmt: skip
-    images = []
-    for i, (_, t) in enumerate(frames):
-        color = truth(t / (times - 1)).render(views.rasterizer_camera(i), 0.0).color
-        images.append((color.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
-    return views
+from e4dgs.stages.coarse import make_nodes
+from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, wandering_views
 
 
 @pytest.fixture(scope="module")
 def views():
     return make_views()
-
-
-def fresh(views, static=False):
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (60, 3))
-    g = GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, max_scale=0.3)
-    return Model(g, ConvexSet.empty(6, 0), None if static else make_field(points, views, SETTINGS), 0)
 
 
 def train(views, model=None, settings=SETTINGS, budget=90, phases=None, **options):
@@ -175,16 +129,6 @@ def test_a_removal_is_made_up_for_before_training_may_stop(views, removed_at, st
     trainer._replace(trainer.model.gaussians.select(keep), keep)
     trainer.iteration = 1000
     assert trainer._converged() is stops
-
-
-def wandering_views(frames=26):
-    """One camera a time, each on another side of the scene."""
-    source = make_views(cameras=3, times=frames)
-    chosen = np.array([(t % 3) * frames + t for t in range(frames)])
-    return Views(
-        source.K[chosen], source.cam_from_world[chosen], source.time[chosen], np.arange(frames), np.full(frames, -1), np.arange(frames),
-        SIZE, SIZE, lambda i: source.load(int(chosen[i])),
-    )  # fmt: skip
 
 
 def test_control_nodes_are_spread_anew_and_survive_a_kill(tmp_path):
