@@ -372,8 +372,8 @@ class Trainer:
         return now > before * (1 - CONVERGED)
 
     def _leave_out(self, phase: Phase, steps: int, last: bool) -> None:
-        """The rest of ``phase``, which has converged."""
-        self._left_out += steps
+        """The rest of ``phase``, which has converged. Losses of before say nothing of the next phase."""
+        self._left_out, self._changed = self._left_out + steps, self.iteration
         if last:
             self.log.stopped = f"converged after {self.iteration} of {self.total} steps"
             self._event(self.log.stopped)

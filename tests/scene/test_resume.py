@@ -72,24 +72,30 @@ def test_a_process_that_is_killed_while_it_saves_is_continued_by_another(tmp_pat
     assert dict(line.split() for line in found) == digests(whole("free"))
 
 
-CONVERGING = {
-    "the only phase": [Phase("rest", 400, move=False)],
-    "a phase before another": [Phase("half", 300, move=False, scale=0.5), Phase("full", 250, move=False)],
+REST, HALF, FULL = Phase("rest", 240, False), Phase("half", 450, False, 0.5), Phase("full", 150, False)
+CONVERGING = {  # phases, places of death, the last step
+    "the only phase": ([REST], [("saved", 200)], 200),
+    "a phase before another": ([HALF, FULL], [("saved", 300), ("after", 380)], 450),
 }
 
 
-@pytest.mark.parametrize("phases", CONVERGING.values(), ids=CONVERGING)
-def test_what_has_converged_stays_so_after_a_kill(phases, tmp_path):
-    """A checkpoint of the very step at which nothing improves any more, and one of the phase after it."""
-    views = make_views(3, 1, 16)
-    settings = QUICK.model_copy(update={"densify_until": 0.0, "patience": 100, "checkpoint_seconds": 0.5})
+@pytest.mark.parametrize(("phases", "deaths", "last"), CONVERGING.values(), ids=CONVERGING)
+def test_what_has_converged_stays_so_after_a_kill(phases, deaths, last, tmp_path, monkeypatch):
+    """With a checkpoint of the very step at which nothing improves any more, and, where another phase follows, in that one."""
+    monkeypatch.setattr(interrupted.module, "CONVERGED", 0.99)  # as soon as there are losses to compare
+    views = make_views(3, 2, 16)
+    settings = QUICK.model_copy(update={"densify_until": 0.0, "checkpoint_seconds": 0.5})
 
     def training(folder, dies=None) -> Dying:
-        trainer = Dying(fresh(views, static=True), views, phases, settings, budget=90, lr_scale=1e-9, checkpoints=folder)
+        trainer = Dying(fresh(views, static=True), views, phases, settings, budget=90, checkpoints=folder)
         trainer.dies = dies
         return trainer
 
     want = run(training(None))
-    ended = next(event for event in want.log.events if "converged" in event)
-    print(want.log.events, want.log.iterations)
-    assert digests(want)
+    assert want.iteration == want.log.iterations == last and want.log.stopped.startswith("converged") == (len(phases) == 1)
+    for dies in deaths:
+        with pytest.raises(Killed):
+            run(training(tmp_path, dies))
+    again = run(training(tmp_path))
+    assert continued(again) and again.iteration == last
+    assert digests(again) == digests(want)

@@ -37,25 +37,6 @@ def test_training_learns_the_scene_within_the_budget(views):
     assert len(model.convexes) == 0
 
 
-def test_a_killed_training_continues_as_if_nothing_had_happened(views, tmp_path):
-    whole, _, _ = train(views, checkpoints=tmp_path / "whole")
-
-    class Killed(Exception):
-        pass
-
-    def kill(n, note, seen=[0]):  # noqa: B006
-        seen[0] += n
-        if seen[0] == 70:
-            raise Killed
-
-    with pytest.raises(Killed):
-        train(views, checkpoints=tmp_path / "cut", advance=kill)
-    again, log, _ = train(views, checkpoints=tmp_path / "cut")
-    assert any("continued from the checkpoint" in event for event in log.events)
-    for name, array in whole.to_arrays().items():
-        assert np.array_equal(array, again.to_arrays()[name]), name
-
-
 def test_static_scenes_have_no_field(views):
     model, log, _ = train(views, model=fresh(views, static=True))
     assert model.field is None and log.iterations == SETTINGS.iterations
@@ -131,38 +112,15 @@ def test_a_removal_is_made_up_for_before_training_may_stop(views, removed_at, st
     assert trainer._converged() is stops
 
 
-def test_control_nodes_are_spread_anew_and_survive_a_kill(tmp_path):
+def test_control_nodes_are_spread_anew_and_learn():
     views = wandering_views()
     settings = SETTINGS.model_copy(update={"iterations": 240})
-
-    def nodes_model():
-        model = fresh(views, static=True)
-        model.gaussians.dynamic[:] = True
-        model.field = make_nodes(model.gaussians.means.detach().numpy(), settings)
-        return model
-
-    options = {"phases": node_phases(240, 0.5), "recipe": NODES}
-    whole, log, _ = train(views, nodes_model(), settings, checkpoints=tmp_path / "whole", **options)
+    model = fresh(views, static=True)
+    model.gaussians.dynamic[:] = True
+    model.field = make_nodes(model.gaussians.means.detach().numpy(), settings)
+    _, log, _ = train(views, model, settings, phases=node_phases(240, 0.5), recipe=NODES)
     assert sum("spread anew" in event for event in log.events) == len(NODES.spread_at)
     assert log.loss[-1][1] < 0.7 * log.loss[0][1]
-
-    class Killed(Exception):
-        pass
-
-    for stop in (10, 40, 150):  # before, between and after the nodes were spread; links are then older than the checkpoint
-        seen = [0]
-
-        def kill(n, note, seen=seen, stop=stop):
-            seen[0] += n
-            if seen[0] == stop:
-                raise Killed
-
-        with pytest.raises(Killed):
-            train(views, nodes_model(), settings, checkpoints=tmp_path / f"cut{stop}", advance=kill, **options)
-        again, log, _ = train(views, nodes_model(), settings, checkpoints=tmp_path / f"cut{stop}", **options)
-        assert any("continued from the checkpoint" in event for event in log.events)
-        for name, array in whole.to_arrays().items():
-            assert np.array_equal(array, again.to_arrays()[name]), (stop, name)
 
 
 def test_the_captures_alpha_forbids_to_hide_dark_surfaces_as_holes():
