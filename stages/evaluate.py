@@ -46,7 +46,7 @@ class Evaluate(Stage):
     """
 
     name = "evaluate"
-    version = 7  # 7: flicker
+    version = 8  # 8: the same movies in every run
     inputs = ("frames", "poses", "flow", "coarse", "fine")
     settings = EvaluateSettings
     reads_capture = True
