@@ -29,8 +29,8 @@ class Life(NamedTuple):
 
 def whole_life(count: int) -> dict[str, Tensor]:
     """`Life` of ``count`` primitives that are there throughout and do not move."""
-    none = torch.zeros(count, 3)
-    return dict(zip(LIFE, (torch.zeros(count), torch.full((count,), math.log(ALWAYS)), none, none)))
+    # Each its own memory: what trains or sets one must not write into another.
+    return dict(zip(LIFE, (torch.zeros(count), torch.full((count,), math.log(ALWAYS)), torch.zeros(count, 3), torch.zeros(count, 3))))
 
 
 class PrimitiveSet:

@@ -44,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 14  # 14: no stop soon after primitives came or went
+    version = 15  # 15: drift and spin of what lives for a while are two things from the first step on; losses of two phases never compared
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True

@@ -21,7 +21,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 13  # 13: tau's gradient without what slots of convexes that hold no edge added on processors without AVX-512
+    version = 14  # 14: convexes drift as their seeds do, not as these turn
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True

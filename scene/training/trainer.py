@@ -109,6 +109,7 @@ class Trainer:
         self._searched = 0  # times that parts that turn were looked for
         self._joined: int | None = None  # step at which the last body joined
         self._settles = False  # bodies alone learn
+        self._left_out = 0  # steps of phases that ended early
         self._changed = 0  # step at which primitives or the motion last came or went
         self._ema = 0.0  # smoothed image loss, of all steps but those in `_losses`
         self._losses: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
@@ -137,7 +138,7 @@ class Trainer:
         done = 0
         for phase in self.phases:
             for step in range(phase.iterations):
-                if done + step < self.iteration:
+                if done + step < self.iteration + self._left_out:
                     continue
                 now = self._settling(phase)
                 self._step(now, step)
@@ -146,13 +147,11 @@ class Trainer:
                 if self.iteration % 10 == 0 or self.iteration == self.total:
                     self.advance(10 if self.iteration % 10 == 0 else self.iteration % 10, self._note(phase))
                 self._after_step(now)
+                if self._converged():  # before the checkpoint, which then says so
+                    self._leave_out(phase, phase.iterations - step - 1, last=done + phase.iterations == self.total)
                 if self.checkpoints is not None and time.monotonic() - saved > self.settings.checkpoint_seconds:
                     self._save()
                     saved = time.monotonic()
-                if self._converged():
-                    self.log.stopped = f"converged after {self.iteration} of {self.total} steps"
-                    self._event(self.log.stopped)
-                    break
             done += phase.iterations
         if self.iteration < self._prune_step() or self._prune_step() >= self.total:
             self._prune_hardly_seen()
@@ -372,6 +371,15 @@ class Trainer:
         before, now = float(np.mean(values[-2 * rows : -rows])), float(np.mean(values[-rows:]))
         return now > before * (1 - CONVERGED)
 
+    def _leave_out(self, phase: Phase, steps: int, last: bool) -> None:
+        """The rest of ``phase``, which has converged. Losses of before say nothing of the next phase."""
+        self._left_out, self._changed = self._left_out + steps, self.iteration
+        if last:
+            self.log.stopped = f"converged after {self.iteration} of {self.total} steps"
+            self._event(self.log.stopped)
+        elif steps:
+            self._event(f"step {self.iteration}: {phase.name} has converged, its last {steps} steps are left out")
+
     def _note(self, phase: Phase) -> str:
         return f"{phase.name}, loss {self._smoothed_loss():.4f}, {len(self.model.gaussians)} Gaussians, {len(self.model.convexes)} convexes"
 
@@ -396,6 +404,7 @@ class Trainer:
             "froze": self._froze_still,
             "motion": [self._spread, self._searched, self._joined],
             "changed": self._changed,
+            "left_out": self._left_out,
             "model": self.model.config,
             "nonfinite": self.guard.count,
             "log": vars(self.log),
@@ -412,7 +421,7 @@ class Trainer:
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
         self.iteration, self._ema, self._froze_still = state["iteration"], state["ema"], state["froze"]
         self._spread, self._searched, self._joined = state["motion"]
-        self._changed = state["changed"]
+        self._changed, self._left_out = state["changed"], state.get("left_out", 0)
         self.guard.count = state["nonfinite"]
         self.log = TrainingLog(**state["log"])
         self._event(f"continued from the checkpoint at step {self.iteration} of {self.total}")

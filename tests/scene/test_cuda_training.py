@@ -1,5 +1,5 @@
 """Training with everything on a CUDA device. There is none here: `pretending_cuda` makes tensors carry the mark of one, refuses what a GPU
-would refuse, and runs the CUDA kernels in the emulator. The scene is that of test_trainer.py."""
+would refuse, and runs the CUDA kernels in the emulator. The scene is that of sliding_gaussians.py."""
 
 from collections import OrderedDict
 from dataclasses import replace
@@ -14,8 +14,7 @@ from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.coarse import make_nodes
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler
-
-from .test_trainer import SETTINGS, SIZE, fresh, make_views
+from sliding_gaussians import SETTINGS, SIZE, fresh, make_views
 
 pytestmark = needs_compiler
 

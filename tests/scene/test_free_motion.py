@@ -129,6 +129,20 @@ def test_by_default_primitives_are_there_throughout():
     assert ALWAYS > 1000 and float(moved.presence.detach().min()) > 0.99
 
 
+@pytest.mark.parametrize("kind", [GaussianSet, ConvexSet])
+def test_how_a_primitive_drifts_says_nothing_of_how_it_turns(kind):
+    """Velocities and spins begin alike, at zero, and are still two things."""
+    rng = np.random.default_rng(0)
+    colors = np.zeros((4, 3))
+    made = (
+        kind.from_points(rng.normal(size=(4, 3)), colors, 0)
+        if kind is GaussianSet
+        else kind.from_hulls(rng.normal(size=(4, 6, 3)), colors, 0)
+    )
+    made.live(0.0, 1.0, torch.ones(4, 3))
+    assert float(made.spins.detach().abs().max()) == 0 and float(made.velocities.detach().min()) == 1
+
+
 def standing(times: int = TIMES) -> Views:
     """One camera that stands, once for each time, before a grey wall."""
     K = np.tile(np.array([[60.0, 0, 32], [0, 60.0, 24], [0, 0, 1]]), (times, 1, 1))

@@ -5,64 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.model import Model
-from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.settings import TrainingSettings
+from e4dgs.scene.primitives import ConvexSet
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.recipe import NODES
 from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
-from e4dgs.scene.views import Views
-from e4dgs.stages.coarse import make_field, make_nodes
-
-SIZE = 32
-SETTINGS = TrainingSettings(
-    iterations=120, sh_degree=0, densify_every=40, lr_means=4e-3, flow_every=4, patience=100, checkpoint_seconds=1e-9
-)
-
-
-def truth(t):
-    rng = np.random.default_rng(5)
-    points = rng.uniform(-0.8, 0.8, (12, 3))
-    points[:6, 0] += 0.6 * t
-    g = GaussianSet.from_points(points, rng.uniform(size=(12, 3)), 0, opacity=0.9)
-    with torch.no_grad():
-        g.log_scales.fill_(-1.4)
-    return Model(g, ConvexSet.empty(6, 0), None, 0)
-
-
-def make_views(cameras=3, times=4):
-    poses, K = [], np.array([[36.0, 0, SIZE / 2], [0, 36, SIZE / 2], [0, 0, 1]])
-    for c in range(cameras):
-        angle = 0.5 * (c - 1)
-        R = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = R, [0, 0, 4]
-        poses.append(pose)
-    frames = [(c, t) for c in range(cameras) for t in range(times)]
-    count = len(frames)
-    nxt = np.array([i + 1 if t + 1 < times else -1 for i, (_, t) in enumerate(frames)])
-    views = Views(
-        np.repeat(K[None], count, 0), np.array([poses[c] for c, _ in frames]), np.array([t / (times - 1) for _, t in frames]),
-        np.array([c for c, _ in frames]), nxt, np.arange(count), SIZE, SIZE, lambda i: images[i],
-    )  # fmt: skip
-    images = []
-    for i, (_, t) in enumerate(frames):
-        color = truth(t / (times - 1)).render(views.rasterizer_camera(i), 0.0).color
-        images.append((color.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
-    return views
+from e4dgs.stages.coarse import make_nodes
+from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, wandering_views
 
 
 @pytest.fixture(scope="module")
 def views():
     return make_views()
-
-
-def fresh(views, static=False):
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (60, 3))
-    g = GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, max_scale=0.3)
-    return Model(g, ConvexSet.empty(6, 0), None if static else make_field(points, views, SETTINGS), 0)
 
 
 def train(views, model=None, settings=SETTINGS, budget=90, phases=None, **options):
@@ -81,25 +35,6 @@ def test_training_learns_the_scene_within_the_budget(views):
     assert max(n for _, n, _ in log.primitives) <= 90
     assert any("do not move" in event for event in log.events)
     assert len(model.convexes) == 0
-
-
-def test_a_killed_training_continues_as_if_nothing_had_happened(views, tmp_path):
-    whole, _, _ = train(views, checkpoints=tmp_path / "whole")
-
-    class Killed(Exception):
-        pass
-
-    def kill(n, note, seen=[0]):  # noqa: B006
-        seen[0] += n
-        if seen[0] == 70:
-            raise Killed
-
-    with pytest.raises(Killed):
-        train(views, checkpoints=tmp_path / "cut", advance=kill)
-    again, log, _ = train(views, checkpoints=tmp_path / "cut")
-    assert any("continued from the checkpoint" in event for event in log.events)
-    for name, array in whole.to_arrays().items():
-        assert np.array_equal(array, again.to_arrays()[name]), name
 
 
 def test_static_scenes_have_no_field(views):
@@ -177,48 +112,15 @@ def test_a_removal_is_made_up_for_before_training_may_stop(views, removed_at, st
     assert trainer._converged() is stops
 
 
-def wandering_views(frames=26):
-    """One camera a time, each on another side of the scene."""
-    source = make_views(cameras=3, times=frames)
-    chosen = np.array([(t % 3) * frames + t for t in range(frames)])
-    return Views(
-        source.K[chosen], source.cam_from_world[chosen], source.time[chosen], np.arange(frames), np.full(frames, -1), np.arange(frames),
-        SIZE, SIZE, lambda i: source.load(int(chosen[i])),
-    )  # fmt: skip
-
-
-def test_control_nodes_are_spread_anew_and_survive_a_kill(tmp_path):
+def test_control_nodes_are_spread_anew_and_learn():
     views = wandering_views()
     settings = SETTINGS.model_copy(update={"iterations": 240})
-
-    def nodes_model():
-        model = fresh(views, static=True)
-        model.gaussians.dynamic[:] = True
-        model.field = make_nodes(model.gaussians.means.detach().numpy(), settings)
-        return model
-
-    options = {"phases": node_phases(240, 0.5), "recipe": NODES}
-    whole, log, _ = train(views, nodes_model(), settings, checkpoints=tmp_path / "whole", **options)
+    model = fresh(views, static=True)
+    model.gaussians.dynamic[:] = True
+    model.field = make_nodes(model.gaussians.means.detach().numpy(), settings)
+    _, log, _ = train(views, model, settings, phases=node_phases(240, 0.5), recipe=NODES)
     assert sum("spread anew" in event for event in log.events) == len(NODES.spread_at)
     assert log.loss[-1][1] < 0.7 * log.loss[0][1]
-
-    class Killed(Exception):
-        pass
-
-    for stop in (10, 40, 150):  # before, between and after the nodes were spread; links are then older than the checkpoint
-        seen = [0]
-
-        def kill(n, note, seen=seen, stop=stop):
-            seen[0] += n
-            if seen[0] == stop:
-                raise Killed
-
-        with pytest.raises(Killed):
-            train(views, nodes_model(), settings, checkpoints=tmp_path / f"cut{stop}", advance=kill, **options)
-        again, log, _ = train(views, nodes_model(), settings, checkpoints=tmp_path / f"cut{stop}", **options)
-        assert any("continued from the checkpoint" in event for event in log.events)
-        for name, array in whole.to_arrays().items():
-            assert np.array_equal(array, again.to_arrays()[name]), (stop, name)
 
 
 def test_the_captures_alpha_forbids_to_hide_dark_surfaces_as_holes():
