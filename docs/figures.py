@@ -1,4 +1,4 @@
-"""Draws the figures of docs/maths.md with the product's own code: `python docs/figures.py`; with `--check` only compares them with the files."""
+"""Draws the figures of docs/maths.md with the product's own code: `python docs/figures.py`; `--check` compares them with the files."""
 
 from __future__ import annotations
 

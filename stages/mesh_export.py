@@ -113,7 +113,8 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
         depth, intrinsic, extrinsic = geometry.Image(seen.depth), core.Tensor.from_numpy(K), core.Tensor.from_numpy(seen.cam_from_world)
         try:
             blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, size.farthest, TRUNCATION)
-        except RuntimeError as error:  # Open3D looks at some of the pixels alone, and refuses a view in which none of these is near and solid
+        except RuntimeError as error:
+            # Open3D looks at every fourth pixel along each side, and refuses a view in which none of these is near and solid.
             if "No block is touched" not in str(error):
                 raise
             continue

@@ -47,6 +47,18 @@ def parse(words: list[str]) -> None:
         context = command.make_context(name, rest, parent=context)
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_within_sentences_exist(page):
+    """They may leave out what a block of bash would have; commands and options are real."""
+    for code in re.findall(r"`(e4dgs [^`]+)`", (ROOT / page).read_text()):
+        command, words = (top := typer.main.get_command(app)), code.split()[1:]
+        while words and words[0] in getattr(command, "commands", ()):
+            command = command.commands[words.pop(0)]
+        known = {option for parameter in command.params for option in parameter.opts}
+        assert command is not top or not words or words[0].startswith("--"), f"{page}: there is no command `{code}`"
+        assert {word for word in words if word.startswith("--")} <= known, f"{page}: `{code}`"
+
+
 @pytest.mark.parametrize(
     "words", ["run all", "plan x --presett fast", "render x --out a.mp4 --frames many", "export obj x", "view x --port 0"]
 )

@@ -1,4 +1,4 @@
-"""Every command that README and docs/ print runs as printed, on tiny captures that lie where the command says, with tiny budgets behind it."""
+"""Commands that README and docs/ print run as printed, on tiny captures that lie where they say, with tiny budgets behind them."""
 
 import contextlib
 import glob
