@@ -26,6 +26,8 @@ def misfit(matches: Places, arrays: Mapping[str, np.ndarray]) -> float:
     K, poses, distortion, registered = (arrays[name] for name in ("K", "cam_from_world", "distortion", "registered"))
     distances = []
     for (a, b), places in matches.items():
+        if not len(places[0]):  # matched, but nothing was found
+            continue
         if not (registered[a] and registered[b]):
             distances.append(np.full(len(places[0]), FARTHEST))
             continue

@@ -177,6 +177,8 @@ def test_misfit_prefers_the_true_cameras_whatever_a_third_of_the_matches_say():
     best = misfit(matches, true)
     assert best < misfit(matches, {**true, "cam_from_world": wrong}) - 0.3
     assert misfit(matches, {**true, "registered": np.array([True, False])}) == pytest.approx(np.log(np.hypot(FARTHEST, NOISE)))
+    none = np.zeros((0, 2))
+    assert misfit({**matches, (1, 0): (none, none)}, true) == best, "a pair that was matched in vain says nothing"
 
 
 def test_a_camera_that_shares_nothing_is_named(videos_capture, tmp_path):

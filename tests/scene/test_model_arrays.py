@@ -1,0 +1,42 @@
+"""docs/artifacts.md lists the arrays of a model: every one that is saved, with its shape and dtype, and no other."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from e4dgs.scene.model import Model
+from e4dgs.scene.primitives import ConvexSet, GaussianSet
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "artifacts.md"
+ROW = re.compile(r"^\| `((?:gaussians|convexes)_\w+)` \| \[([\w,]+)\] \| (\w+) \| ([^|]*)\|", re.MULTILINE)
+SIZES = {"N": 7, "M": 5, "K": 6, "R": 8}
+
+
+def model():
+    rng = np.random.default_rng(0)
+    gaussians = GaussianSet.from_points(rng.uniform(-1, 1, (SIZES["N"], 3)), rng.random((SIZES["N"], 3)), 2)
+    convexes = ConvexSet.from_hulls(rng.uniform(-1, 1, (SIZES["M"], SIZES["K"], 3)), rng.random((SIZES["M"], 3)), 2)
+    return Model(gaussians, convexes, None, 2)
+
+
+def test_every_array_of_a_model_is_on_the_page():
+    arrays = model().to_arrays()
+    listed = {
+        name: (tuple(SIZES.get(n) or int(n) for n in shape.split(",")), dtype) for name, shape, dtype, _ in ROW.findall(PAGE.read_text())
+    }
+    assert listed == {name: (array.shape, str(array.dtype)) for name, array in arrays.items()}
+
+
+def test_units_follow_the_names():
+    units = {name: unit.strip() for name, _, _, unit in ROW.findall(PAGE.read_text())}
+    for name, unit in units.items():
+        assert unit.startswith("ln(") == ("_log_" in name) and (unit == "logit") == name.endswith("_logits"), name
+
+
+def test_what_the_page_says_of_opacity_and_colour_is_so():
+    one = model()
+    arrays = one.to_arrays()
+    np.testing.assert_allclose(1 / (1 + np.exp(-arrays["gaussians_opacity_logits"])), one.gaussians.opacities.detach(), rtol=1e-6)
+    rng = np.random.default_rng(0)
+    rng.uniform(-1, 1, (SIZES["N"], 3))
+    np.testing.assert_allclose(0.5 + 0.28209479 * arrays["gaussians_sh_dc"][:, 0], rng.random((SIZES["N"], 3)), atol=1e-6)
