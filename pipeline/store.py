@@ -147,12 +147,16 @@ class Store:
 
     def drop(self, folder: Path, name: str) -> None:
         """Removes a folder of the store by way of ``tmp/<name>-...``, which a crash leaves to `sweep`."""
+        with suppress(OSError):
+            os.rmdir(folder)
+            return  # it was empty
         place = self.root / "tmp" / f"{name}-{uuid.uuid4().hex[:8]}"
         try:
             os.rename(folder, place)
         except OSError:  # there is none, or no ``tmp``
             place = folder
-        shutil.rmtree(place, ignore_errors=True)
+        for _ in range(2):  # what failed once may go the second time
+            shutil.rmtree(place, ignore_errors=True)
 
     def _sweep_key(self, stage: str, key: str) -> None:
         for folder in (self.root / "tmp").glob(f"{stage}-{key}-*"):
