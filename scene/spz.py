@@ -1,4 +1,4 @@
-"""Gaussians of one moment as an SPZ file (Niantic, version 3), about a tenth of the size of a PLY file."""
+"""Gaussians of one moment as an SPZ file (Niantic, version 3), a fifth of the size of a PLY file or less."""
 
 from __future__ import annotations
 

@@ -16,10 +16,10 @@ from ..pipeline import PipelineError, Store, check_targets, explain, make_plan
 from . import show
 from .ablation import ablation
 from .batch.command import batch, status
-from .batch.orphan import end_with_starter
 from .bench.cli import app as bench
 from .export import app as export
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, StoreAlso, Workspace
+from .orphan import end_with_starter
 from .render import render
 from .report import report
 from .runs import execute

@@ -22,12 +22,12 @@ TIME, SPEED, SIDE, FRAME, PHOTO = range(5)  # the order of the panel's numbers
 
 @contextmanager
 def running(words, **more):
-    """A process that is ended as a person would end it; on a busy machine that takes its time."""
+    """A process that is ended as by Ctrl-C, which a shell's background jobs do not hear; on a busy machine that takes its time."""
     process = subprocess.Popen([*COMMAND, *words], text=True, **more)
     try:
         yield process
     finally:
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
         try:
             process.wait(timeout=90)
         except subprocess.TimeoutExpired:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...pipeline import SettingsError, StageError
-from . import orphan
+from .. import orphan
 from .ledger import Ledger, Progress
 from .listing import Entry
 from .work import PARTS, StageFailed

@@ -10,12 +10,12 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from ...pipeline import Job, PipelineError, Resources, make_plan
+from ..orphan import STARTER
 from ..reconstruction import EVALUATION, TRAINING
 from ..results import words_of
 from ..session import open_session
 from .ledger import Ledger, Progress
 from .listing import Entry
-from .orphan import STARTER
 from .process import Ended, run_process
 from .share import Lease
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
+from ..orphan import STARTER
 from ..results import words_of
 from ..session import Options
 
@@ -16,9 +18,12 @@ LEFT_TO_END = 10.0  # s
 
 @contextmanager
 def viewer_beside(options: Options) -> Iterator[None]:
-    """Opens `e4dgs view` of the capture as soon as it has a checkpoint; once the block is done, waits until Ctrl-C or its end."""
+    """Opens `e4dgs view` of the capture as soon as it has a checkpoint; once the block is done, waits until Ctrl-C or its end.
+
+    The viewer ends with this process, even when that is killed.
+    """
     command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(replace(options, store_also=())), "--wait"]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=dict(os.environ) | {STARTER: str(os.getpid())})
     try:
         yield
         with suppress(KeyboardInterrupt):

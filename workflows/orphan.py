@@ -1,6 +1,6 @@
 """A process that ends with the one that started it, also where that one was killed and could tell nobody.
 
-``python -m e4dgs.workflows.batch.orphan PID MODULE`` runs a module that ends with process PID: for programs that do not look themselves.
+``python -m e4dgs.workflows.orphan PID MODULE`` runs a module that ends with process PID: for programs that do not look themselves.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import threading
 import time
 from collections.abc import Callable
 
-STARTER = "E4DGS_STARTER"  # in the environment of a stage: the process that it ends with
+STARTER = "E4DGS_STARTER"  # in the environment: the process to end with
 LOOK = 0.5  # s between two looks at who the parent is
 GRACE = 10.0  # s between the request to end and the end
 
 
 def end_with_starter() -> None:
     """From now on this process ends with the one that its environment names, if it names one: as Ctrl-C would end it, and after `GRACE` at
-    once. What it has started goes with it."""
+    once. What a leader of a group has started goes with it."""
     starter = os.environ.pop(STARTER, "")  # not for processes that this one starts
     if starter:
-        _when_gone(int(starter), _end_group)
+        _when_gone(int(starter), _end)
 
 
 def _when_gone(parent: int, act: Callable[[], None]) -> None:
@@ -35,11 +35,14 @@ def _when_gone(parent: int, act: Callable[[], None]) -> None:
     threading.Thread(target=look, name="starter", daemon=True).start()
 
 
-def _end_group() -> None:
-    """A stage leads a group of its own (`process.py`)."""
-    os.killpg(0, signal.SIGTERM)
-    time.sleep(GRACE)
-    os.killpg(0, signal.SIGKILL)
+def _end() -> None:
+    leads = os.getpgrp() == os.getpid()  # as stages of a batch do; else others belong to the group
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        if leads:
+            os.killpg(0, number)
+        else:
+            os.kill(os.getpid(), number)
+        time.sleep(GRACE)
 
 
 if __name__ == "__main__":
