@@ -66,7 +66,7 @@ class ToyBatch:
 
     def trains(self, scene: str, time: int = 1) -> None:
         """Waits until a scene is in the middle of its training, which has begun ``time`` times."""
-        wait(lambda: self.events(scene, "coarse begin") >= time, PATIENCE, f"{scene} begins to train for the {time}. time")
+        wait(lambda: self.events(scene, "coarse begin") >= time, PATIENCE, f"{scene} has begun to train {time} times")
         wait(lambda: self.events(scene, "coarse step") >= self.steps // 2, PATIENCE, f"{scene} trains")
 
     def processes(self, *words: str) -> list[psutil.Process]:
