@@ -1,6 +1,5 @@
 """The developer entry point: messages a newcomer can act on, and no work where nothing changed. Nothing is installed here."""
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -9,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from script_module import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -17,11 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def dev(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     """dev.py as a module, with its environment in a temporary folder."""
     monkeypatch.setenv("E4DGS_VENV", str(tmp_path / "venv"))
-    spec = importlib.util.spec_from_file_location("dev", ROOT / "dev.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script(ROOT / "dev.py")
 
 
 def call(*arguments: str, **environment: str) -> subprocess.CompletedProcess:

@@ -1,6 +1,5 @@
 """What the documents promise exists: settings with their defaults, commands, links, fixtures."""
 
-import importlib.util
 import re
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from e4dgs.workflows.cli import app
 from e4dgs.workflows.presets import PRESETS
 from e4dgs.workflows.reconstruction import reconstruction
 from run_stage import run_frames, run_stage
+from script_module import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -35,9 +35,7 @@ def test_the_figures_of_the_maths_are_what_the_code_draws():
 
 
 def test_a_figure_that_is_slightly_off_is_stale():
-    spec = importlib.util.spec_from_file_location("figures", ROOT / "docs" / "figures.py")
-    figures = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(figures)
+    figures = load_script(ROOT / "docs" / "figures.py")
     for path in figures.FOLDER.iterdir():
         kept = figures.pixels(path)
         assert figures.same(kept, kept) and not figures.same(kept, None)

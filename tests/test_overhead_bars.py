@@ -4,7 +4,6 @@ Seconds are the processor's, and are compared with others of the same run: a bus
 """
 
 import copy
-import importlib.util
 import json
 import resource
 import subprocess
@@ -20,6 +19,7 @@ from e4dgs.stages.evaluate import Evaluate
 from e4dgs.workflows.runs import execute
 from e4dgs.workflows.session import Options, open_session
 from rich.console import Console
+from script_module import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 WORDS = ["hulls.budget=0", "fine.iterations=0"]
@@ -34,11 +34,7 @@ MEASURED = (  # the memory is the process's own: what the system says of a child
 
 @pytest.fixture(scope="module")
 def overhead():
-    spec = importlib.util.spec_from_file_location("overhead", ROOT / "benchmarks" / "overhead.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["overhead"] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_script(ROOT / "benchmarks" / "overhead.py")
 
 
 @pytest.fixture

@@ -1,11 +1,11 @@
 """What a wheel would hold, by the rules of pyproject.toml: all that the program reads when it runs, and nothing else."""
 
-import importlib.util
 import re
 from pathlib import PurePosixPath
 
 import pytest
 from check_wheel import ROOT, expected
+from script_module import load_script
 
 FILES = sorted(map(PurePosixPath, expected()))
 TEXT = {".cu", ".cuh", ".h", ".jinja", ".yaml"}  # what is read when it runs, beside Python: CUDA kernels, pages, clusters
@@ -16,10 +16,7 @@ def source(path: PurePosixPath) -> str:
 
 
 def test_only_the_package_is_in_it():
-    spec = importlib.util.spec_from_file_location("dev", ROOT / "dev.py")
-    assert spec and spec.loader
-    dev = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(dev)
+    dev = load_script(ROOT / "dev.py")
     assert {path.parts[:2] for path in FILES if len(path.parts) > 2} == {("e4dgs", folder) for folder in dev.FOLDERS}
     assert [path for path in FILES if len(path.parts) == 2] == [PurePosixPath("e4dgs/__init__.py")]
     strange = [str(path) for path in FILES if path.suffix not in {".py", *TEXT}]
