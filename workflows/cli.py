@@ -24,6 +24,7 @@ from .render import render
 from .report import report
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
+from .spinning import spin_briefly
 from .store import diff, list_, pin, show_result, unpin
 from .upkeep import gc
 from .view.beside import viewer_beside
@@ -181,6 +182,7 @@ def main(arguments: list[str] | None = None) -> Any:
     """Console script: runs a command and returns its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     errors = Console(stderr=True)
+    spin_briefly()
     _end_cleanly_when_terminated()
     try:
         return app(arguments, prog_name="e4dgs", standalone_mode=False) or 0

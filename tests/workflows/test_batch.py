@@ -192,14 +192,17 @@ def test_a_stage_that_hangs_is_ended_and_tried_again(dnerf_capture, tmp_path):
     assert row["attempts"] == "2" and "--stage-timeout" in row["message"]
 
 
-def test_a_stage_that_crashes_costs_that_scene_alone(dnerf_capture, tmp_path, monkeypatch):
-    crashing = tmp_path / "python"
-    crashing.write_text("#!/bin/sh\nkill -SEGV $$\n")
-    crashing.chmod(0o755)
-    monkeypatch.setattr("e4dgs.workflows.batch.work.sys.executable", str(crashing))
+def test_no_process_can_be_started(dnerf_capture, tmp_path, monkeypatch):
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\necho no such library >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr("e4dgs.workflows.batch.forks.sys.executable", str(broken))
+    monkeypatch.setenv("E4DGS_TEST", "no server of another test serves this one")
     assert main(["batch", str(dnerf_capture.root), "--workspace", str(tmp_path / "work"), "--retries", "0", *SET]) == 1
     (row,) = read(tmp_path / "work" / "batches" / "batch")
-    assert "SIGSEGV" in row["message"] and row["stage"] == "frames" and row["attempts"] == "1"
+    log = Ledger(tmp_path / "work", "batch").log(dnerf_capture.root.name)
+    assert str(log) in row["message"] and row["stage"] == "frames" and row["attempts"] == "1"
+    assert "no such library" in log.read_text()
 
 
 def test_a_batch_that_is_interrupted_ends_its_stages_and_goes_on_later(dnerf_capture, tmp_path):

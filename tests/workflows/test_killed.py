@@ -39,7 +39,7 @@ def test_a_batch_survives_kill_9_of_its_workers_and_twice_of_its_head(batch, req
     batch.trains("scene0")
     batch.trains("scene1")
     worker = stage(batch, "scene0")
-    (worker if local else worker.parent()).kill()  # without a cluster a stage's process is the worker
+    (worker if local else worker.parent().parent()).kill()  # a stage is a fork of a server that the worker has started
     batch.release("scene2", "scene3")  # they may come first
     if local:  # killed perhaps for want of memory, so it is tried again when it has all there is
         batch.release("scene1")

@@ -18,7 +18,7 @@ PATIENCE = 200.0  # s; for machines that are busy with something else
 
 def words_of(process: psutil.Process) -> list[str]:
     try:
-        return process.cmdline()
+        return " ".join(process.cmdline()).split()  # a fork says all of it in one word
     except psutil.Error:
         return []
 
@@ -47,7 +47,7 @@ def test_a_stage_is_tried_once_more_than_retries_whatever_workers_are_lost(tmp_p
     try:
         wait(lambda: told("coarse step"), PATIENCE, "the scene trains")
         (stage,) = (one for one in psutil.process_iter() if {"coarse", str(capture)} <= set(words_of(one)))
-        worker = stage.parent()
+        worker = stage.parent().parent()  # a stage is a fork of a server that the worker has started
         assert worker is not None and "multiprocessing" in " ".join(words_of(worker))
         worker.kill()  # before the stage, whose end would otherwise count as its own
         with contextlib.suppress(psutil.Error):  # it may have ended by itself

@@ -120,13 +120,23 @@ def test_the_machine_has_memory():
 # -- a stage's process
 
 
+def started(words: list[str], log: Path):
+    """What starts a process that adds what it prints to ``log``."""
+
+    def start() -> subprocess.Popen:
+        with open(log, "ab") as output:
+            return subprocess.Popen(words, stdout=output, start_new_session=True)
+
+    return start
+
+
 def test_a_process_that_hangs_is_ended_though_it_will_not_hear(tmp_path, monkeypatch):
     monkeypatch.setattr("e4dgs.workflows.batch.process.GRACE", 0.5)
     script = tmp_path / "deaf"
     script.write_text("#!/bin/sh\ntrap '' TERM\necho begins\nsleep 600 & wait\nsleep 600\n")
     script.chmod(0o755)
     log = tmp_path / "log.txt"
-    ended = run_process([str(script)], os.environ, log, 1.0, lambda used: "", lambda: False)
+    ended = run_process(started([str(script)], log), log, 1.0, lambda used: "", lambda: False)
     assert ended.code is None and "--stage-timeout" in ended.problem and not ended.memory and ended.seconds < 60
     assert log.read_text() == "begins\n"
 
@@ -135,10 +145,9 @@ def test_a_failed_process_is_explained_by_its_own_last_words(tmp_path):
     log = tmp_path / "log.txt"
     log.write_text("error: of an earlier stage\n")
     words = [sys.executable, "-S", "-c", "print('one'); print('error: no disk'); print('two'); raise SystemExit(1)"]
-    assert run_process(words, os.environ, log, None, lambda used: "", lambda: False).problem == "no disk"
-    assert run_process(
-        [*words[:-1], "print('a'); raise SystemExit(3)"], os.environ, log, None, lambda used: "", lambda: False
-    ).problem.startswith("a")
+    assert run_process(started(words, log), log, None, lambda used: "", lambda: False).problem == "no disk"
+    words[-1] = "print('a'); raise SystemExit(3)"
+    assert run_process(started(words, log), log, None, lambda used: "", lambda: False).problem.startswith("a")
 
 
 # -- whole batches of toy stages, each in a process of its own

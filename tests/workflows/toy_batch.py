@@ -73,7 +73,7 @@ class ToyBatch:
         """That have this batch's folder and all of ``words`` in their command line."""
         found = []
         for process in psutil.process_iter(["cmdline"]):
-            line = process.info["cmdline"] or []
+            line = " ".join(process.info["cmdline"] or []).split()  # a fork says all of it in one word
             if any(str(self.folder) in word for word in line) and all(word in line for word in words):
                 found.append(process)
         return found

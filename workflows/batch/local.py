@@ -12,7 +12,7 @@ from ...pipeline import Resources
 from .ledger import Ledger, Progress
 from .listing import Entry
 from .share import Lease, Share, cores
-from .work import PARTS, StageFailed, run_part
+from .work import PARTS, SERVERS, StageFailed, run_part
 
 MOST_JOBS = 2  # by default, where there are not four cores for each
 
@@ -48,6 +48,7 @@ class Local:
         """Stages that run are ended; their checkpoints stay."""
         self._stopped.set()
         self._pool.shutdown(wait=True, cancel_futures=True)
+        SERVERS.close()
 
     def _ended(self, _: Future[bool]) -> None:
         with self._lock:

@@ -7,10 +7,10 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import psutil
 
@@ -18,7 +18,15 @@ LAST_LINES = 3  # of a stage's log, for the message of its failure
 LOOK = 0.2  # s between two looks at the clock
 LOOK_AT_MEMORY = 1.0  # s; listing children walks the process table
 GRACE = 10.0  # s between the request to end and the end
-FIRST_TO_GO = "500"  # of 1000: where the system runs out of memory it ends a stage, and not who looks after the stages
+
+
+class Process(Protocol):
+    """The leader of a group of processes: a `subprocess.Popen` with a session of its own, or a `forks.Fork`."""
+
+    @property
+    def pid(self) -> int: ...
+    def poll(self) -> int | None: ...
+    def wait(self, timeout: float | None = None) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -33,31 +41,24 @@ class Ended:
 
 
 def run_process(
-    command: Sequence[str],
-    environment: Mapping[str, str],
+    start: Callable[[], Process],
     log: Path,
     timeout: float | None,
     too_large: Callable[[float], str],
     stopped: Callable[[], bool],
 ) -> Ended:
-    """Run ``command`` until it ends. What it prints is added to ``log``.
+    """Wait for the process that ``start`` starts, which adds what it prints to ``log``.
 
     timeout: seconds. too_large: asked once a second with the GB that the process and its children take; a text ends it, with that text as
     the problem. stopped: asked now and then; True ends it.
     """
     started = time.monotonic()
-    log.parent.mkdir(parents=True, exist_ok=True)
-    with open(log, "ab") as output:
-        begin = output.tell()
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
-        )
-        with contextlib.suppress(OSError):  # not Linux, or the process is gone
-            Path(f"/proc/{process.pid}/oom_score_adj").write_text(FIRST_TO_GO)
-        try:
-            code, problem = _wait(process, started, timeout, too_large, stopped)
-        finally:
-            _end(process)
+    begin = log.stat().st_size if log.is_file() else 0
+    process = start()
+    try:
+        code, problem = _wait(process, started, timeout, too_large, stopped)
+    finally:
+        _end(process)
     seconds = time.monotonic() - started
     if code is None:
         return Ended(None, seconds, problem, memory=bool(problem) and not problem.startswith("ended after"))
@@ -65,7 +66,7 @@ def run_process(
 
 
 def _wait(
-    process: subprocess.Popen[Any], started: float, timeout: float | None, too_large: Callable[[float], str], stopped: Callable[[], bool]
+    process: Process, started: float, timeout: float | None, too_large: Callable[[float], str], stopped: Callable[[], bool]
 ) -> tuple[int | None, str]:
     """Exit code, or None and why it has to be ended."""
     looked = started
@@ -93,7 +94,7 @@ def _memory_gb(pid: int) -> float:
     return total / 1e9
 
 
-def _end(process: subprocess.Popen[Any]) -> None:
+def _end(process: Process) -> None:
     """The process and what it has started."""
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGTERM)

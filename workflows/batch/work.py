@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 from ...pipeline import Job, PipelineError, Resources, make_plan
-from ..orphan import STARTER
 from ..reconstruction import EVALUATION, TRAINING
 from ..results import words_of
 from ..session import open_session
 from .ledger import Ledger, Progress
+from .forks import ForkServers
 from .listing import Entry
 from .process import Ended, run_process
 from .share import Lease
 
 PARTS = ("before", "train", "after")  # where there is a GPU, the last two want it
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+
+SERVERS = ForkServers()  # of this process; they end with it
 
 Take = Callable[[Resources], AbstractContextManager[Lease]]
 
@@ -131,12 +132,12 @@ def _part_of(job: Job, stage: str) -> str:
 
 
 def _run(ledger: Ledger, entry: Entry, target: str, timeout: float | None, lease: Lease, stopped: Callable[[], bool]) -> Ended:
-    command = [sys.executable, "-m", "e4dgs.workflows.cli", "run", target, *words_of(entry.options(ledger.workspace))]
-    environment: dict[str, str] = dict(os.environ, PYTHONUNBUFFERED="1") | {STARTER: str(os.getpid())}
+    arguments = ["run", target, *words_of(entry.options(ledger.workspace))]
+    environment = dict(os.environ, PYTHONUNBUFFERED="1")
     if lease.threads is not None:
         environment |= dict.fromkeys(THREADS, str(lease.threads))
     log = ledger.log(entry.name)
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "a") as output:
         output.write(f"== {target}\n")
-    return run_process(command, environment, log, timeout, lease.too_large, stopped)
+    return run_process(lambda: SERVERS.fork(arguments, environment, log), log, timeout, lease.too_large, stopped)
