@@ -3,7 +3,7 @@
 
     python3 dev.py sample     set up, then reconstruct the capture in samples/ with --preset fast and say where its report is;
                               further arguments go to `e4dgs run all`
-    python3 dev.py test       set up, then run the tests; further arguments go to pytest
+    python3 dev.py test       set up, then run the tests on all cores; further arguments go to pytest
     python3 dev.py lint       set up, then ruff and mypy
     python3 dev.py docs       set up, then write the documentation as web pages to build/docs
     python3 dev.py wheel      set up, then build a wheel for this Python into dist/; it needs no compiler where it is installed; with
@@ -66,8 +66,11 @@ def sample(arguments):
 
 
 def test(arguments):
-    """Run the tests against this checkout."""
-    return run([python(), "-m", "pytest", *arguments])
+    """Run the tests against this checkout; the whole suite on all cores, file by file."""
+    parts = any((ROOT / word.split("::")[0]).exists() for word in arguments)
+    spread = [] if parts else ["--numprocesses", "auto", "--maxprocesses", "8", "--dist", "loadfile"]
+    # Several processes with as many threads as cores each: threads that wait for one another have to let the others have the cores.
+    return run([python(), "-m", "pytest", *spread, *arguments], dict(os.environ, GOMP_SPINCOUNT="1000"))
 
 
 def lint(_):

@@ -167,3 +167,13 @@ def test_every_direct_dependency_is_pinned():
         name = requirement.split(";")[0].split(">")[0].strip().lower().replace("_", "-")
         assert name in pinned, f"constraints.txt lacks {name}"
     assert all("/" not in line and not line.startswith("-") for line in lines if not line.startswith("#"))
+
+
+def test_the_whole_suite_runs_on_all_cores_and_a_part_of_it_on_one(dev, monkeypatch):
+    commands = []
+    monkeypatch.setattr(dev, "run", lambda command, environment=None: commands.append((command, environment)) or 0)
+    for words in ([], ["-k", "hull"], ["tests/test_dev.py::test_dev"], ["--kernels=cuda", "tests/stress"]):
+        assert dev.test(words) == 0
+    assert ["auto" in command for command, _ in commands] == [True, True, False, False]
+    assert commands[1][0][-2:] == ["-k", "hull"]
+    assert all(environment["GOMP_SPINCOUNT"] for _, environment in commands)

@@ -95,7 +95,13 @@ class _Server:
         command = [sys.executable, "-m", "e4dgs.workflows.batch.fork_server"]
         with open(log, "ab") as errors:
             self._process = subprocess.Popen(
-                command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, env=self.environment, start_new_session=True
+                command,
+                bufsize=0,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                env=self.environment,
+                start_new_session=True,
             )
 
     def ask(self, arguments: Sequence[str], log: Path) -> int:
