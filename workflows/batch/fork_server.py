@@ -3,8 +3,8 @@
 A new Python takes 2 to 3 s of a core to import what a stage needs. A fork has it from the start, and is as much a process of its own: it
 may crash, hang or run out of memory alone. What a stage had to import, the server imports after it, for the stages that follow.
 
-Reads a line of JSON for each stage, ``[arguments of e4dgs, path of the log]``, and answers with two: process id, and exit code (negative for
-a signal). One stage at a time. It ends, and ends its stage, when its standard input ends.
+Reads a line of JSON for each stage, ``[arguments of e4dgs, path of the log]``, and answers with two: process id, and exit code (negative
+for a signal). One stage at a time. It ends, and ends its stage, when its standard input ends.
 """
 
 from __future__ import annotations
@@ -60,9 +60,8 @@ def serve() -> int:
 def _stage(arguments: list[str], log: str, writing: int) -> NoReturn:
     """In the fork. Its end closes ``writing``, into which goes first what the next stages may want imported."""
     _lead_group(0)
-    with contextlib.suppress(OSError):  # not Linux
-        with open("/proc/self/oom_score_adj", "w") as file:
-            file.write(FIRST_TO_GO)
+    with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:  # not Linux
+        file.write(FIRST_TO_GO)
     output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
     nothing = os.open(os.devnull, os.O_RDONLY)
     for source, target in ((nothing, 0), (output, 1), (output, 2)):

@@ -12,8 +12,8 @@ from ...pipeline import Job, PipelineError, Resources, make_plan
 from ..reconstruction import EVALUATION, TRAINING
 from ..results import words_of
 from ..session import open_session
-from .ledger import Ledger, Progress
 from .forks import ForkServers
+from .ledger import Ledger, Progress
 from .listing import Entry
 from .process import Ended, run_process
 from .share import Lease
