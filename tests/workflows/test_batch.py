@@ -273,7 +273,7 @@ def test_job_scripts_for_slurm_are_shell_and_do_the_work(dnerf_capture, tmp_path
 def test_arrays_of_slurm_have_at_most_a_thousand_tasks(tmp_path):
     ledger = Ledger.create(tmp_path, "many", [Entry(f"scene{k}", "/capture") for k in range(2003)])
     ledger.write("scene7", Progress("done"))
-    folder = emit(ledger, Cluster())
+    folder = emit(ledger, Cluster.model_validate({"cpu": {"provider": "slurm"}}))
     assert "scene7\n" not in (folder / "scenes.txt").read_text()
     fake = tmp_path / "bin" / "sbatch"
     fake.parent.mkdir()

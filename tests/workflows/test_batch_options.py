@@ -45,6 +45,17 @@ def test_options_of_this_machine_are_not_for_job_scripts(tmp_path, option, capsy
     assert option[0] in said and "--emit slurm" in said and said.count("\n") == 1
 
 
+@pytest.mark.parametrize("pools", ["{}", "cpu: {provider: slurm}\ngpu: {provider: kubernetes, image: e4dgs}"])
+def test_job_scripts_are_for_pools_of_slurm(tmp_path, pools, capsys):
+    file = tmp_path / "cluster.yaml"
+    file.write_text(pools)
+    words = ["batch", str(tmp_path), "--workspace", str(tmp_path / "work"), "--emit", "slurm", "--executor", str(file)]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert str(file) in said and ("kubernetes" if "kubernetes" in pools else "local") in said and "provider: slurm" in said
+    assert not (tmp_path / "work").exists()
+
+
 def test_the_page_names_every_field_of_a_cluster_file_and_its_default():
     page = (Path(__file__).resolve().parents[2] / "docs" / "batches.md").read_text()
     rows = re.findall(r"^\| `(\w+)` \| ([^|]*) \| [^|]+ \|$", page, re.MULTILINE)

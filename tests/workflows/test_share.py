@@ -199,10 +199,17 @@ def test_a_scene_that_meets_an_error_nobody_expects_is_tried_again_and_then_says
         ("crash", (), "SIGSEGV"),
         ("killed", (), "SIGKILL; out of memory, perhaps"),
         ("eat", ("--memory", "0.5"), "--memory"),
+        ("eat", ("--executor", "cluster.yaml"), "memory_gb"),
     ],
 )
-def test_what_goes_wrong_in_a_stage_fails_that_stage_with_a_message_and_nothing_else(batch, act, words, said):
-    ledger, code = batch("--retries", "0", "--set", f"coarse.act={act}", "--set", "coarse.victim=victim", *words)
+def test_what_goes_wrong_in_a_stage_fails_that_stage_with_a_message_and_nothing_else(batch, tmp_path, act, words, said):
+    if "--executor" in words:
+        pytest.importorskip("parsl")
+        (tmp_path / "cluster.yaml").write_text("retries: 0\ncpu: {cores: 1, memory_gb: 0.5}\n")
+        words = ("--executor", str(tmp_path / "cluster.yaml"))
+    else:
+        words = ("--retries", "0", *words)
+    ledger, code = batch("--set", f"coarse.act={act}", "--set", "coarse.victim=victim", *words)
     assert code == 1
     states = {entry.name: ledger.progress(entry.name) for entry in ledger.entries()}
     assert {name: progress.state for name, progress in states.items()} == {"first": "done", "victim": "failed", "third": "done"}

@@ -33,7 +33,7 @@ class Pool(BaseModel):
     provider: Literal["local", "slurm", "kubernetes"] = "local"
     workers: int = Field(1, ge=1, description="scenes at a time on one node")
     cores: int | None = Field(None, ge=1, description="threads of each worker; not given: 1, local: as many as it finds")
-    memory_gb: float | None = Field(None, gt=0, description="of each worker")
+    memory_gb: float | None = Field(None, gt=0, description="of each worker; a stage that takes more is ended")
     gpus: int = Field(0, ge=0, description="of one node, or pod; ask Slurm for them in options, too")
     nodes: int = Field(1, ge=1, description="most nodes, or pods, at a time")
     walltime: str = "04:00:00"
@@ -107,7 +107,7 @@ class Parsl:
             for part in PARTS:
                 pool = self.cluster.pool(part)
                 threads = pool.cores or (None if pool.provider == "local" else 1)
-                args = str(self.ledger.workspace), self.ledger.name, entry.name, part, self.timeout, threads
+                args = str(self.ledger.workspace), self.ledger.name, entry.name, part, self.timeout, threads, pool.memory_gb
                 done = self._apps["gpu" if pool is self.cluster.gpu else "cpu"](done, *args)
                 done.add_done_callback(lambda future, scene=entry.name: self._lost(scene, future))
             ends.append(done)

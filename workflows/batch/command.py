@@ -66,6 +66,11 @@ def batch(
         from .cluster import read_cluster
 
         cluster = read_cluster(Path(executor))
+        for pool in ("cpu", "gpu") if emit is not None else ():
+            if (provider := getattr(getattr(cluster, pool), "provider", emit)) != emit:
+                raise SettingsError(
+                    f"--emit {emit}: {executor}: {pool}: provider is {provider}; a pool for job scripts has provider: {emit}"
+                )
     with writing_to(workspace.resolve()):
         ledger = Ledger.create(workspace.resolve(), name, entries, shlex.join(words))
     for entry in entries:

@@ -20,16 +20,23 @@ LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_by
 
 @dataclass(eq=False)  # two stages that want the same are still two stages
 class Lease:
-    """What a stage may take. threads: None leaves it to the stage. used_gb: what it was seen to take last."""
+    """What a stage may take. threads: None leaves it to the stage. most_gb: more ends it; None for no bound. used_gb: what it was seen to
+    take last."""
 
     wanted: Resources
     threads: int | None = None
+    most_gb: float | None = None
     used_gb: float = 0.0
 
     def too_large(self, used_gb: float) -> str:
         """Why the stage has to end now that it takes ``used_gb``; "" where it may go on."""
         self.used_gb = used_gb
-        return ""
+        if self.most_gb is None or used_gb <= self.most_gb:
+            return ""
+        return (
+            f"ended at {used_gb:.1f} GB: a worker of this pool may take {self.most_gb:.1f} GB (memory_gb); "
+            f"use smaller pictures (--set frames.max_size=N) or more memory"
+        )
 
 
 class Share:

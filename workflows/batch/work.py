@@ -44,18 +44,25 @@ def run_part(
     part: str,
     timeout: float | None = None,
     threads: int | None = None,
+    memory_gb: float | None = None,
     stopped: Callable[[], bool] = lambda: False,
     take: Take | None = None,
 ) -> bool:
     """Run what ``part`` of `PARTS` of a scene still needs. Where another process is at work on the scene, wait until it has ended.
 
-    timeout: seconds for each stage. threads: for each stage. stopped: asked now and then; True ends the stage. take: what stages on this
-    machine share; it waits until a stage can run. Returns False where it was stopped, or the capture is refused, which another try would
-    not change. Raises StageFailed where a stage fails; the scene's state says the same.
+    timeout: seconds for each stage. threads: for each stage. memory_gb: more ends a stage. stopped: asked now and then; True ends the
+    stage. take: in place of the two before, what stages on this machine share; it waits until a stage can run. Returns False where it
+    was stopped, or the capture is refused, which another try would not change. Raises StageFailed where a stage fails; the scene's state
+    says the same.
     """
     ledger = Ledger(Path(workspace), batch)
     with ledger.at_work(scene, stopped) as ours:
-        return ours and _run_part(ledger, scene, part, timeout, threads, stopped, take)
+        return ours and _run_part(ledger, scene, part, timeout, stopped, take or _alone(threads, memory_gb))
+
+
+def _alone(threads: int | None, memory_gb: float | None) -> Take:
+    """For a worker whose cluster has given it what it may take."""
+    return lambda wanted: contextlib.nullcontext(Lease(wanted, threads, memory_gb))
 
 
 def _run_part(
@@ -63,9 +70,8 @@ def _run_part(
     scene: str,
     part: str,
     timeout: float | None,
-    threads: int | None,
     stopped: Callable[[], bool],
-    take: Take | None,
+    take: Take,
 ) -> bool:
     entry = next(entry for entry in ledger.entries() if entry.name == scene)
     progress = ledger.progress(scene)
@@ -82,7 +88,7 @@ def _run_part(
     for target in stages:
         stage = EVALUATION if target == "all" else target
         wanted = job.graph[stage].resources(job.capture.facts, job.settings[stage], job.device)
-        with take(wanted) if take is not None else contextlib.nullcontext(Lease(wanted, threads)) as lease:
+        with take(wanted) as lease:
             if stopped():
                 return False
             progress.state, progress.stage, progress.message = "running", stage, ""
