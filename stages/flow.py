@@ -144,6 +144,7 @@ def nothing_moves(ctx: Context, frames: FrameSet) -> bool:
             frames.fixed_cameras,
             None if K is None else K[chosen],
             None if poses is None else poses[chosen],
+            frames.untimed,
         )
         bar.advance(1)
     ctx.out.attrs.update(static=found.static, static_reason=found.reason, moving_share=round(found.moving_share, 6))

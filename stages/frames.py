@@ -56,7 +56,7 @@ def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None
 
 class Frames(Stage):
     name = "frames"
-    version = 4  # 4: masks turn with their photos, those of 16 bits are scaled; times of videos under a second span [0, 1]
+    version = 5  # 5: `untimed` is told
     items = "cameras"
     inputs = ()
     settings = FramesSettings

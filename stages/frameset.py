@@ -41,6 +41,7 @@ class FrameSet:
         self.background: str | None = frames.attrs["background"]
         self.alpha = bool(frames.attrs["alpha"])
         self.upright = bool(frames.attrs.get("upright"))
+        self.untimed = bool(frames.attrs.get("untimed"))
         self.names: list[str] = frames.attrs["names"]
         self.files: list[str] | None = frames.attrs.get("files")
         self.mask_files: list[str | None] | None = frames.attrs.get("mask_files")

@@ -27,6 +27,8 @@ STEPS = (8, 4, 2, 1)  # pictures ahead, the first that shows enough of the same
 LINKED = 60  # distinctive matches that obey one camera motion: ten times what repeated structures pass by chance
 FOLLOWED = 0.6  # share of the picture whose flow is consistent, for flow to be believed
 TRAVEL = 0.01  # of the width that the flow of the compared pictures should reach
+FARTHEST = 0.03  # of the width; between photos that are farther apart, flow takes for motion what is near and shifts against what is far
+LOST = 1e6  # of the width; no flow is so long
 SHARE = 0.001  # of a picture; more of it moving, with flow of its own that says so, makes a scene that moves
 CHANGED = 1e-4  # of a fixed camera's picture; sensor and codec noise stay below
 PLAIN = 4.0  # grey levels; pictures whose deviation is smaller show nothing
@@ -53,10 +55,13 @@ def static_scene(
     fixed_cameras: bool,
     K: np.ndarray | None = None,
     cam_from_world: np.ndarray | None = None,
+    untimed: bool = False,
 ) -> StaticScene:
     """Decide for the frames of a capture; picture(i) gives uint8 [H, W, 3] of frame i, from any thread.
 
     camera [F] int and time [F] as in the `frames` artifact; with `--static` off. fixed_cameras: several cameras that do not move.
+    untimed: neighbours in the list need not be neighbours in time, such as photos; then flow between pictures that are far apart says
+    nothing, nor do features that contradict where too few agree.
     K [F, 3, 3] px and cam_from_world [F, 4, 4] where known: then features must obey the poses and not just some camera motion.
 
     Fixed cameras: no pixel may change (`MotionMask`). Others: distinctive features must obey one camera motion, pair by pair, over wide
@@ -71,7 +76,7 @@ def static_scene(
     by_camera = list(camera_sequences(camera, time).values())
     if fixed_cameras:
         return _fixed(picture, [mine for mine in by_camera if len(mine) > 1])
-    return _moving(picture, order, by_camera, K, cam_from_world)
+    return _moving(picture, order, by_camera, K, cam_from_world, untimed)
 
 
 def _fixed(picture: Picture, cameras: Sequence[Sequence[int]]) -> StaticScene:
@@ -99,13 +104,18 @@ def _fixed(picture: Picture, cameras: Sequence[Sequence[int]]) -> StaticScene:
 
 
 def _moving(
-    picture: Picture, order: Sequence[int], by_camera: Sequence[Sequence[int]], K: np.ndarray | None, poses: np.ndarray | None
+    picture: Picture,
+    order: Sequence[int],
+    by_camera: Sequence[Sequence[int]],
+    K: np.ndarray | None,
+    poses: np.ndarray | None,
+    untimed: bool,
 ) -> StaticScene:
-    share, flows = _dense(picture, max(by_camera, key=len))
+    share, flows = _dense(picture, max(by_camera, key=len), untimed)
     numbers: dict[str, float | int | str] = {"flow_frames": flows, "flow_share": round(share, 6)}
     if share > SHARE:
         return StaticScene(False, share, f"flow shows {100 * share:.2g} % of a picture moving against the camera's motion", numbers)
-    links = _sparse(picture, order, K, poses)
+    links = _sparse(picture, order, K, poses, untimed)
     supporting, moving = sum(p.supporting for p in links), sum(p.moving for p in links)
     unlinked = sum(p.supporting < LINKED for p in links)
     numbers |= {"pairs": len(links), "unlinked": unlinked, "supporting": supporting, "moving": moving}
@@ -119,7 +129,7 @@ def _moving(
     return StaticScene(True, share, words + (f", and so does the flow of {flows} frames" if flows else ""), numbers)
 
 
-def _sparse(picture: Picture, order: Sequence[int], K: np.ndarray | None, poses: np.ndarray | None) -> list[PairEvidence]:
+def _sparse(picture: Picture, order: Sequence[int], K: np.ndarray | None, poses: np.ndarray | None, untimed: bool) -> list[PairEvidence]:
     """For each sampled picture the evidence of its link to a later one, and with few pictures to the one after that."""
     count = len(order)
     every = count <= ALL
@@ -145,7 +155,7 @@ def _sparse(picture: Picture, order: Sequence[int], K: np.ndarray | None, poses:
             if a + step < count:
                 found = link(a, a + step)
                 best = max(best, found, key=lambda p: p.supporting)
-                if found.moving:
+                if found.moving and not untimed:
                     return [found]
                 if found.supporting >= LINKED:
                     break
@@ -172,8 +182,9 @@ def _geometry(K: np.ndarray | None, poses: np.ndarray | None, a: int, b: int, fa
     return TwoView("epipolar", fundamental(first, second, poses[a], poses[b]))
 
 
-def _dense(picture: Picture, mine: Sequence[int]) -> tuple[float, int]:
+def _dense(picture: Picture, mine: Sequence[int], untimed: bool) -> tuple[float, int]:
     """Largest share of a picture that flow shows moving, and the frames of this camera whose flow could be followed."""
+    farthest = FARTHEST if untimed else LOST
     middles = sorted(set(np.linspace(1, len(mine) - 2, ANCHORS).round().astype(int).tolist())) if len(mine) >= 3 else []
 
     def share(k: int) -> float | None:
@@ -181,19 +192,29 @@ def _dense(picture: Picture, mine: Sequence[int]) -> tuple[float, int]:
         if min(image.shape[:2]) < MINIMUM_SIDE:
             return None
         flow, sure = _flow(image, _small(picture(mine[k + 1]), DENSE_SIZE))
-        if (sure >= 128).mean() < FOLLOWED:
+        travel = _travel(flow, sure)
+        if travel > farthest:
             return None
-        travel = float(np.median(np.hypot(*np.moveaxis(flow[sure >= 128], -1, 0))))
-        step = int(np.clip(round(TRAVEL * image.shape[1] / max(travel, 1e-3)), 1, STEPS[0]))
+        step = int(np.clip(round(TRAVEL / max(travel, 1e-5)), 1, STEPS[0]))
         around = [_flow(image, _small(picture(mine[j]), DENSE_SIZE)) for j in (k - step, k + step) if 0 <= j < len(mine)]
-        followed = [Neighbour(*one) for one in around if (one[1] >= 128).mean() >= FOLLOWED] or [Neighbour(flow, sure)]
-        found = frame_evidence(followed)
+        followed = [Neighbour(*one) for one in around if _travel(*one) <= farthest]
+        if untimed and len(followed) < 2:  # what one pair of photos shows is as often an error of the flow
+            return None
+        found = frame_evidence(followed or [Neighbour(flow, sure)])
         # what the mask filled in from its surroundings is a good guess for a mask and no evidence
         return float(((moving_mask(image, found) > 0) & (found.weight > 0.5) & (found.score > 0)).mean())
 
     with ThreadPoolExecutor(2) as pool:
         found = [s for s in pool.map(share, middles) if s is not None]
     return max(found, default=0.0), len(found)
+
+
+def _travel(flow: np.ndarray, sure: np.ndarray) -> float:
+    """Median length of a flow, of the picture's width; infinite where too little of it is consistent to be believed."""
+    followed = sure >= 128
+    if followed.mean() < FOLLOWED:
+        return np.inf
+    return float(np.median(np.hypot(*np.moveaxis(flow[followed], -1, 0)))) / flow.shape[1]
 
 
 def _flow(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

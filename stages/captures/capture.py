@@ -86,6 +86,7 @@ class Reading:
     K_hint: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     upright: bool = False  # pictures are turned as their EXIF data ask for
+    untimed: bool = False  # the files give no times: frames are in the order of their names
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,8 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     }
     if reading.upright:
         facts["upright"] = True
+    if reading.untimed and not static:
+        facts["untimed"] = True
     images = None if reading.videos else tuple(str(s.file) for s in shots)
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
     keeps = tuple(s.keep for s in shots) if any(s.keep for s in shots) else None

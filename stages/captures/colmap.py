@@ -105,6 +105,7 @@ def read(root: Path, options: Options) -> Reading:
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
         fixed_cameras=stand_still(shots),
+        untimed=not rig,
         notes=tuple(notes),
     )
 

@@ -68,6 +68,7 @@ def read(root: Path, options: Options) -> Reading:
         shots=shots,
         alpha=alpha,
         has_split=splits is not None,
+        untimed=times is None,
         fps=None if fps is None else checks.number(fps, f"{_FILE}: fps", 1e-3, 1e6),
         fixed_cameras=fixed,
         sources=(_FILE, *([cloud] if cloud else [])),

@@ -9,6 +9,7 @@ from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.frameset import FrameSet
 from e4dgs.stages.mesh_export import Size, fuse, look, size_of
 from factory import Options, Sphere, make, write_dnerf
+from open3d_here import needs_open3d
 from run_stage import run_frames
 
 RED, BLUE = (0.8, 0.2, 0.1), (0.1, 0.3, 0.9)
@@ -63,6 +64,7 @@ def model(posed) -> Model:
     return Model(gaussians, ConvexSet.empty(6, 0), None, 0)
 
 
+@needs_open3d
 def test_vertices_lie_on_the_true_surface_in_its_colour(posed, model):
     capture, frames = posed
     size = size_of(model, frames, 0.0)
@@ -79,6 +81,7 @@ def test_vertices_lie_on_the_true_surface_in_its_colour(posed, model):
     assert np.percentile(back, 75) < 2 * size.voxel, "what is seen has a surface"
 
 
+@needs_open3d
 def test_triangles_face_outwards(posed, model):
     capture, frames = posed
     made = fuse(model, frames, 0.0, Size(0.05, 20.0))
@@ -114,12 +117,14 @@ def test_a_pixel_that_shows_two_surfaces_is_not_fused(posed, behind, fused):
     assert look(Model(two, ConvexSet.empty(6, 0), None, 0), frames, 0, 0.0).depth.any() == fused
 
 
+@needs_open3d
 def test_voxels_that_do_not_fit_are_refused(posed, model, monkeypatch):
     monkeypatch.setattr("e4dgs.stages.mesh_export.MOST_BLOCKS", 100)
     with pytest.raises(StageError, match="larger --voxel"):
         fuse(model, posed[1], 0.0, Size(0.01, 20.0))
 
 
+@needs_open3d
 def test_a_few_solid_pixels_are_no_surface_and_no_failure_of_open3d(posed):
     """Open3D looks at every fourth pixel along each side, and refuses a view in which none of them is solid."""
     _, frames = posed

@@ -1,6 +1,9 @@
 """Static is said on positive evidence alone: rendered rooms that are still or not, fixed cameras, and features placed by hand."""
 
+from types import SimpleNamespace
+
 import cv2
+import e4dgs.stages.static_scene as judge
 import numpy as np
 import pytest
 from e4dgs.stages.moving_two_view import TwoView
@@ -26,10 +29,11 @@ def moving():
     return room(1.0)
 
 
-def decide(pictures, *poses, camera=None, time=None, fixed=False):
+def decide(pictures, K=None, poses=None, camera=None, time=None, fixed=False, untimed=False):
     count = len(pictures)
     camera = np.zeros(count, int) if camera is None else camera
-    return static_scene(pictures.__getitem__, camera, np.arange(count) / count if time is None else time, fixed, *poses)
+    time = np.arange(count) / count if time is None else time
+    return static_scene(pictures.__getitem__, camera, time, fixed, K, poses, untimed)
 
 
 @pytest.mark.parametrize(("posed", "thin"), [(False, 1), (False, 3), (True, 3)])
@@ -40,9 +44,26 @@ def test_a_camera_that_passes_a_still_room_and_one_in_which_things_move(still, m
     assert found[0].evidence["unlinked"] == 0 and found[0].evidence["supporting"] > 300
 
 
+@pytest.mark.parametrize(("thin", "untimed"), [(1, False), (1, True), (2, True)])
+def test_photos_without_times_are_judged_by_the_same_motion(still, moving, thin, untimed):
+    found = [decide(p[::thin], K[::thin], poses[::thin], untimed=untimed) for p, K, poses in (still, moving)]
+    assert [one.static for one in found] == [True, False], found
+
+
+def test_flow_between_photos_that_are_far_apart_is_no_motion(monkeypatch, still):
+    """Flow that finds a tenth of each picture moving: believed between frames of a video, and between photos that are near."""
+    pictures, K, poses = still
+    monkeypatch.setattr(judge, "moving_mask", lambda image, found: np.arange(image.shape[0])[:, None] < 0.1 * image.shape[0])
+    monkeypatch.setattr(judge, "frame_evidence", lambda followed: SimpleNamespace(weight=np.ones((240, 320)), score=np.ones((240, 320))))
+    for travel, untimed, static in ((0.02, False, False), (0.02, True, False), (0.04, False, False), (0.04, True, True)):
+        monkeypatch.setattr(judge, "_travel", lambda flow, sure, travel=travel: travel)
+        assert decide(pictures, K, poses, untimed=untimed).static is static, (travel, untimed)
+
+
 def test_poses_that_do_not_fit_are_no_evidence(still):
     pictures, K, poses = still
-    assert not decide(pictures[::3], K[::3], poses[::3][::-1]).static
+    for untimed in (False, True):
+        assert not decide(pictures[::3], K[::3], poses[::3][::-1], untimed=untimed).static
 
 
 def test_the_decision_is_the_same_twice(still):

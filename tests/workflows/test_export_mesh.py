@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+import sys
 
 import e4dgs
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import trimesh
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.workflows.cli import main
+from open3d_here import needs_open3d
 from scipy.spatial import ConvexHull
 
 QUICK = ["--set", "coarse.iterations=150", "--set", "hulls.budget=20", "--set", "fine.iterations=10", "--device", "cpu"]
@@ -27,6 +29,7 @@ def export(finished, *options: object) -> int:
     return main(["export", "mesh", str(capture.root), "--workspace", str(workspace), *QUICK, *map(str, options)])
 
 
+@needs_open3d
 def test_a_scene_becomes_a_mesh_about_where_it_is(finished, tmp_path, capsys):
     out = tmp_path / "new" / "scene.ply"
     assert export(finished, "--time", 0.25, "--out", out) == 0
@@ -41,6 +44,7 @@ def test_a_scene_becomes_a_mesh_about_where_it_is(finished, tmp_path, capsys):
     assert read.visual.vertex_colors[:, :3].std(0).min() > 10
 
 
+@needs_open3d
 def test_several_times_are_numbered_files_or_one_that_plays(finished, tmp_path):
     assert export(finished, "--times", 2, "--voxel", 0.15, "--out", tmp_path / "folder") == 0
     files = sorted((tmp_path / "folder").iterdir())
@@ -50,6 +54,18 @@ def test_several_times_are_numbered_files_or_one_that_plays(finished, tmp_path):
     read = trimesh.load(tmp_path / "scene.glb", process=False)
     sizes = [len(trimesh.load(f, process=False).vertices) for f in files]
     assert [len(shape.vertices) for shape in read.geometry.values()] == sizes
+
+
+def test_a_library_of_the_system_that_open3d_lacks_is_named(finished, tmp_path, monkeypatch, capsys):
+    broken = tmp_path / "broken" / "open3d"
+    broken.mkdir(parents=True)
+    (broken / "__init__.py").write_text("raise ImportError('libusb-1.0.so.0: cannot open shared object file')")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "open3d"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(broken.parent)
+    assert export(finished, "--time", 0.25, "--out", tmp_path / "scene.ply") == 1
+    said = capsys.readouterr().err
+    assert "libusb-1.0.so.0" in said and "apt-get install" in said and "pip" not in said
 
 
 def test_convexes_are_an_animated_mesh_of_their_hulls(finished, tmp_path, capsys):
