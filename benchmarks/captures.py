@@ -82,7 +82,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
     rows = ["| " + " | ".join((*heads, "train PSNR", "Gaussians + convexes", "said")) + " |", "|" + "---|" * (len(heads) + 3)]
     for name, r in results.items():
         frames, metrics = r["frames"], r.get("metrics")
-        cells = [name, CAPTURES[name][0], str(r["exit_code"]), f"{r['wall_seconds'] / 60:.1f} min"]
+        cells = [name, CAPTURES[name][0], str(r["exit_code"]), f"{r['wall_seconds'] / 60:.1f} min, load {r['machine']['load']}"]
         cells.append(f"{frames['registered']} of {frames['read']}" if frames else "")
         splits = {split: row for split, row in (metrics["splits"] if metrics else {}).items() if row and row.get("psnr") is not None}
         held_out = [split for split in splits if split != "train"]
@@ -98,7 +98,9 @@ def table(results: dict[str, dict[str, Any]]) -> str:
 
 def page(name: str, results: dict[str, dict[str, Any]]) -> str:
     intro = f"`e4dgs {' '.join(COMMAND)}` with no further word. Machine and protocol of every row: `{name}`."
-    return f"# Captures as people bring them\n\n{intro}\n\n{table(results)}\n"
+    intro += " Wall times stand with the load of the machine before the run: other programs ran beside it."
+    missing = ", ".join(capture for capture in CAPTURES if capture not in results)
+    return f"# Captures as people bring them\n\n{intro}{f' Not measured yet: {missing}.' if missing else ''}\n\n{table(results)}\n"
 
 
 def main() -> None:

@@ -33,7 +33,11 @@ def test_what_was_said_of_the_capture_is_kept_without_progress(captures):
 
 def test_a_run_that_failed_is_a_row_with_its_error(captures, tmp_path):
     (tmp_path / "log").write_text(f"error: {tmp_path}/a.mp4: no | picture\n")
-    row = {"exit_code": 3, "wall_seconds": 90.0} | captures.outcome(tmp_path)
+    row = {"exit_code": 3, "wall_seconds": 90.0, "machine": {"load": 2.5}} | captures.outcome(tmp_path)
     line = captures.table({"zip": row}).splitlines()[-1]
-    assert "| 3 | 1.5 min |" in line and line.endswith("| error: a.mp4: no \\| picture |")
+    assert "| 3 | 1.5 min, load 2.5 |" in line and line.endswith("| error: a.mp4: no \\| picture |")
     assert len(line.replace("\\|", "").split("|")) == len(captures.table({}).splitlines()[0].split("|"))
+
+
+def test_what_was_not_measured_is_named(captures):
+    assert "Not measured yet: nerfies, rotated-video" in captures.page("captures.json", {})
