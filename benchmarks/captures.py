@@ -98,7 +98,7 @@ def table(results: dict[str, dict[str, Any]]) -> str:
 
 def page(name: str, results: dict[str, dict[str, Any]]) -> str:
     intro = f"`e4dgs {' '.join(COMMAND)}` with no further word. Machine and protocol of every row: `{name}`."
-    intro += " Wall times stand with the load of the machine before the run: other programs ran beside it."
+    intro += " Wall times stand with the load of the machine: other programs ran beside."
     missing = ", ".join(capture for capture in CAPTURES if capture not in results)
     return f"# Captures as people bring them\n\n{intro}{f' Not measured yet: {missing}.' if missing else ''}\n\n{table(results)}\n"
 
