@@ -92,6 +92,7 @@ PARSED_ONLY = {
     "python benchmarks/viewer.py CAPTURE": "needs Chromium and a trained scene",
     "python benchmarks/exports.py WORKSPACE": "needs programs from npm and a trained scene",
     "python benchmarks/overhead.py": "runs for minutes; tests/pipeline/test_overhead.py measures the same at a small size",
+    "python benchmarks/captures.py SCENES": REAL,
     "python benchmarks/throughput.py": "trains twelve scenes three times",
 }
 

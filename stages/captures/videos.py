@@ -136,9 +136,10 @@ def _told(
 ) -> str:
     starts = ", ".join(f"{name} {shift:+.3f} s" for name, shift in zip(names, shifts, strict=True) if abs(shift) > 5e-4)
     step = taken[0][1] - taken[0][0]
+    counts = sorted({len(headers[name].seconds) for name in names})
     return (
         f"{len(names)} videos {how}{f' ({starts})' if starts else ''}: took {len(times)} times that all of them share, of "
-        f"{min(len(headers[name].seconds) for name in names)} to {max(len(headers[name].seconds) for name in names)} frames"
+        f"{counts[0]}{f' to {counts[-1]}' if len(counts) > 1 else ''} frames"
         f"{f' (every {step} of {names[0]})' if step > 1 else ''}; frames are at most {1000 * late:.0f} ms off the shared times"
     )
 

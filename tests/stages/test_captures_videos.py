@@ -50,6 +50,10 @@ def test_each_video_is_a_camera_and_whole_times_are_held_out(videos_capture):
     assert facts["pairs"] == 5 * 4, "the same camera's next training frame"
 
 
+def test_videos_of_one_length_are_told_by_one_count(videos_capture):
+    assert "took 6 times that all of them share, of 6 frames;" in recognise(videos_capture.root).notes[0]
+
+
 def test_holdout_and_thinning_count_times(videos_capture):
     assert recognise(videos_capture.root, holdout=0).facts["splits"]["test"] == 0
     capture = recognise(videos_capture.root, every=2)
