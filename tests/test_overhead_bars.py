@@ -129,3 +129,11 @@ def test_a_plan_of_hundreds_of_cached_scenes_takes_a_small_multiple_of_reading_t
             blake3(path.read_bytes()).hexdigest()
         plain.append(time.process_time() - started)
     assert min(planned) < 15 * min(plain), f"{min(planned):.2f} s for {scenes} scenes, {min(plain):.2f} s for reading their files"
+
+
+def test_a_batch_is_faster_than_its_scenes_one_after_the_other():
+    measured = json.loads((ROOT / "benchmarks" / "results" / "throughput.json").read_text())
+    bars, speedup = load_script(ROOT / "benchmarks" / "throughput.py").BARS, measured["speedup"]
+    assert measured["bars"] == bars and measured["protocol"]["scenes"] >= 12
+    assert speedup["batch, 2 workers"] >= bars["speedup_of_2_workers"]
+    assert min(speedup.values()) >= bars["speedup_of_any"]
