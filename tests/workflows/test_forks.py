@@ -8,7 +8,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from e4dgs.workflows.batch.forks import Fork, ForkServers
+from e4dgs.workflows.batch.forks import Fork, ForkServers, _Server
 
 PATIENCE = 60.0  # s
 
@@ -138,6 +138,20 @@ def test_a_server_that_died_while_it_waited_is_replaced(commands):
     fork.wait(PATIENCE)
     server.kill()
     assert commands.says("import", "colorsys") == "new"
+
+
+@pytest.mark.parametrize("later", [False, True])
+def test_a_server_that_cannot_start_leaves_its_words_in_the_log(commands, monkeypatch, tmp_path, later):
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\necho no such library >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr("e4dgs.workflows.batch.forks.sys.executable", str(broken))
+    ask = _Server.ask
+    if later:  # when it is asked it has ended already
+        monkeypatch.setattr(_Server, "ask", lambda self, *words: self._process.wait(PATIENCE) and ask(self, *words))
+    with pytest.raises(OSError, match="has ended; see") as error:
+        commands.start("fail")
+    assert str(commands.log) in str(error.value) and "no such library" in commands.log.read_text()
 
 
 def test_a_server_whose_starter_has_gone_ends_its_stage(commands, monkeypatch):

@@ -107,7 +107,8 @@ class _Server:
     def ask(self, arguments: Sequence[str], log: Path) -> int:
         """Process id of a new stage. Raises OSError."""
         assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps([list(arguments), str(log)]).encode() + b"\n")
+        with contextlib.suppress(BrokenPipeError):  # it has ended, and will answer nothing
+            self._process.stdin.write(json.dumps([list(arguments), str(log)]).encode() + b"\n")
         pid = self.answer(None)
         if pid is None:
             raise OSError(f"the process that starts stages has ended; see {log}")
