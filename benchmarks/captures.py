@@ -72,8 +72,8 @@ def registered(workspace: Path) -> dict[str, int] | None:
 
 
 def said(lines: list[str]) -> list[str]:
-    """What the stages `frames`, `poses`, and `evaluate` said of the capture, and errors; without their progress."""
-    told = [line.strip() for line in lines if line.startswith(("  frames: ", "  poses: ", "  evaluate: ", "error: "))]
+    """What the stages said of the capture, and errors; without their progress."""
+    told = [line.strip() for line in lines if line.startswith(("  frames: ", "  poses: ", "  flow: nothing moves", "  evaluate: ", "error: "))]
     return [line for line in dict.fromkeys(told) if not re.search(r" \(\d+ %\)", line)]
 
 
