@@ -73,7 +73,8 @@ def registered(workspace: Path) -> dict[str, int] | None:
 
 def said(lines: list[str]) -> list[str]:
     """What the stages said of the capture, and errors; without their progress."""
-    told = [line.strip() for line in lines if line.startswith(("  frames: ", "  poses: ", "  flow: nothing moves", "  evaluate: ", "error: "))]
+    heads = ("  frames: ", "  poses: ", "  flow: nothing moves", "  evaluate: ", "error: ")
+    told = [line.strip() for line in lines if line.startswith(heads)]
     return [line for line in dict.fromkeys(told) if not re.search(r" \(\d+ %\)", line)]
 
 
