@@ -119,7 +119,8 @@ def main() -> None:
             continue
         print(f"{name} ...", flush=True)
         before = machine()
-        results[name] = measure(name, args.fox if name == "fox" else args.scenes, args.scratch.resolve() / name) | {"machine": before}
+        scenes = args.fox if name == "fox" else args.scenes
+        results[name] = measure(CAPTURES[name][1], scenes, args.scratch.resolve() / name) | {"machine": before}
         args.out.write_text(json.dumps({"results": results}, indent=1) + "\n")
         args.out.with_suffix(".md").write_text(page(args.out.name, results))
         print(f"{name}: exit code {results[name]['exit_code']} after {results[name]['wall_seconds']} s", flush=True)

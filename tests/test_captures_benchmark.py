@@ -1,5 +1,6 @@
 """The table of benchmarks/captures.py: what a run said is kept without its progress, and a run that failed is a row, too."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -41,3 +42,12 @@ def test_a_run_that_failed_is_a_row_with_its_error(captures, tmp_path):
 
 def test_what_was_not_measured_is_named(captures):
     assert "Not measured yet: nerfies, rotated-video" in captures.page("captures.json", {})
+
+
+def test_a_capture_that_is_refused_is_measured_and_written(captures, tmp_path, monkeypatch):
+    (tmp_path / "scenes" / "stage").mkdir(parents=True)
+    words = [str(tmp_path / "scenes"), "--only", "stage", "fox", "--scratch", str(tmp_path / "work"), "--out", str(tmp_path / "rows.json")]
+    monkeypatch.setattr("sys.argv", ["captures.py", *words])
+    captures.main()
+    (row,) = json.loads((tmp_path / "rows.json").read_text())["results"].values()
+    assert row["exit_code"] == 2 and row["said"][0].startswith("error: ") and "| stage |" in (tmp_path / "rows.md").read_text()
