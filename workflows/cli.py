@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import traceback
 from contextlib import nullcontext
@@ -18,6 +17,7 @@ from .ablation import ablation
 from .batch.command import batch, status
 from .bench.cli import app as bench
 from .export import app as export
+from .interrupts import end_cleanly_when_terminated
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, StoreAlso, Workspace
 from .orphan import end_with_starter
 from .render import render
@@ -51,6 +51,7 @@ app.command()(gc)
 app.command()(pin)
 app.command()(unpin)
 console = Console()
+INTERRUPTED = 130  # as shells say it, and the parser of the command line
 
 
 def _version(wanted: bool) -> None:
@@ -183,12 +184,12 @@ def main(arguments: list[str] | None = None) -> Any:
     arguments = sys.argv[1:] if arguments is None else arguments
     errors = Console(stderr=True)
     spin_briefly()
-    _end_cleanly_when_terminated()
+    end_cleanly_when_terminated()
+    end_with_starter()
     try:
-        return app(arguments, prog_name="e4dgs", standalone_mode=False) or 0
+        code = app(arguments, prog_name="e4dgs", standalone_mode=False) or 0
     except (KeyboardInterrupt, typer.Abort):
-        errors.print("interrupted; what is finished is kept, and a long stage continues where its last checkpoint is", highlight=False)
-        return 130
+        code = INTERRUPTED
     except Exception as error:
         if hasattr(error, "format_message") and hasattr(error, "exit_code"):  # a usage error of the command line's parser
             context = getattr(error, "ctx", None)
@@ -201,19 +202,9 @@ def main(arguments: list[str] | None = None) -> Any:
         message = str(error) if isinstance(error, PipelineError) else f"{type(error).__name__}: {error} (--debug shows where)"
         errors.print(f"error: {message}", markup=False, highlight=False, soft_wrap=True)
         return error.exit_code if isinstance(error, PipelineError) else 1
-
-
-def _end_cleanly_when_terminated() -> None:
-    """A cluster's SIGTERM ends a run like Ctrl-C does: temporary folders are removed, checkpoints stay."""
-
-    def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    try:
-        signal.signal(signal.SIGTERM, stop)
-    except ValueError:
-        return  # not in the main thread: the caller handles signals
-    end_with_starter()
+    if code == INTERRUPTED:
+        errors.print("interrupted; what is finished is kept, and a long stage continues where its last checkpoint is", highlight=False)
+    return code
 
 
 if __name__ == "__main__":

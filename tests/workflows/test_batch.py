@@ -208,14 +208,16 @@ def test_no_process_can_be_started(dnerf_capture, tmp_path, monkeypatch):
 def test_a_batch_that_is_interrupted_ends_its_stages_and_goes_on_later(dnerf_capture, tmp_path):
     capture, workspace = str(dnerf_capture.root), str(tmp_path / "work")
     words = ["batch", capture, "--workspace", workspace, "--set", "coarse.iterations=100000", "--set", "coarse.patience=100000"]
-    process = subprocess.Popen([sys.executable, "-m", "e4dgs.workflows.cli", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "e4dgs.workflows.cli", *words]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     ledger = Ledger(tmp_path / "work", "batch")
     until = time.monotonic() + 60
     while not (ledger.exists() and ledger.progress(dnerf_capture.root.name).stage == "coarse"):
         assert time.monotonic() < until
         time.sleep(0.2)
     process.terminate()  # as Ctrl-C does, which a shell's background jobs do not hear
-    assert process.wait(timeout=40) == 130
+    assert "interrupted; what is finished is kept" in process.communicate(timeout=40)[1]
+    assert process.returncode == 130
     assert ledger.progress(dnerf_capture.root.name).state == "waiting"
     running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
     assert workspace not in running, "no stage is left behind"

@@ -1,5 +1,6 @@
 """A reconstruction of three quick stages on a real capture, for the command line's tests."""
 
+import time
 from typing import Any
 
 from e4dgs.pipeline import Applies, CaptureError, Graph, Settings, Stage, StageError
@@ -35,6 +36,7 @@ class Fine(Stage):
             raise StageError("fine: 13 steps bring bad luck; choose another number")
         if ctx.settings.iterations == 14:
             raise MemoryError("out of memory")
+        time.sleep(0.002)  # at a millisecond's rounding, some time passes
         ctx.out.attrs["steps"] = ctx.settings.iterations
         ctx.out.info["training"] = {"seconds": 1234.0}
         ctx.log("all steps done")

@@ -1,0 +1,54 @@
+"""A request to end is heard wherever it arrives."""
+
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+PROGRAM = """
+    import os, signal, sys, time, weakref
+    from e4dgs.workflows.interrupts import end_cleanly_when_terminated
+
+    class Owner:
+        def __del__(self):
+            if where == "del":
+                os.kill(os.getpid(), number)
+
+    where, number = sys.argv[1], int(sys.argv[2])
+    end_cleanly_when_terminated()
+    end_cleanly_when_terminated()
+    owner = Owner()
+    gone = weakref.ref(owner, lambda _: os.kill(os.getpid(), number)) if where == "weakref" else None
+    try:
+        del owner
+        print("dropped", flush=True)
+        time.sleep(30)
+    except KeyboardInterrupt:
+        sys.exit(7)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("where", ["weakref", "del"])
+def test_an_interrupt_that_python_drops_comes_again(where, number):
+    words = [sys.executable, "-c", textwrap.dedent(PROGRAM), where, str(int(number))]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (7, "dropped\n", "")
+
+
+def test_what_else_is_dropped_is_still_told():
+    program = """
+        from e4dgs.workflows.interrupts import end_cleanly_when_terminated
+
+        class Owner:
+            def __del__(self):
+                raise OSError("no room")
+
+        end_cleanly_when_terminated()
+        Owner()
+        print("on")
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and done.stdout == "on\n" and "no room" in done.stderr
