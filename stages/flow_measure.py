@@ -20,6 +20,7 @@ from .movers import Movers
 from .optical_flow import consistency
 
 MOVERS = "255 = shows something that moves in the world; 0 outside training frames"
+FOLLOWED = 0.5  # of the pixels of what moves, those where flow forward and backward agrees: with fewer its motion is not known
 
 
 class Looked(NamedTuple):
@@ -92,7 +93,7 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
             if movers is not None:
                 movers[i] = 0
     masks: dict[int, np.ndarray] = {}
-    came, moved, threads = Counter[str](), 0.0, thread_count(8)
+    came, moved, followed, threads = Counter[str](), 0.0, list[float](), thread_count(8)
     fixed = frames.fixed_cameras
     with (
         ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {ctx.out.attrs['method']}") as bar,
@@ -131,10 +132,17 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
                     mask = mask if kept is None else np.where(kept, mask, 0)  # nothing is to begin on what does not count
                     movers[i] = mask
                     moved += np.count_nonzero(mask) / mask.size
+                    if i in number and mask.any():
+                        followed.append(float((np.asarray(confidence[number[i]])[mask > 0] > 0).mean()))
                     bar.advance(1, frames.names[i])
     if movers is not None:
         ctx.out.attrs["movers_share"] = round(moved / max(len(trained), 1), 6)
         ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
+        if followed and (share := float(np.median(followed))) < FOLLOWED:
+            ctx.log(
+                "what moves goes too far from frame to frame to be followed: flow forward and backward agrees at "
+                f"{100 * share:.0f} % of its pixels; expect it blurred or torn between frames; more frames a second help"
+            )
     ctx.out.attrs["still_pairs"] = came["still"]
     ctx.out.info["pairs"] = {"measured": came["measured"], "taken_over": came["taken"]}
     if came["still"]:

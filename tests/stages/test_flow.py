@@ -17,7 +17,7 @@ from e4dgs.stages.flow_method import Dis, FlowMethod
 from e4dgs.stages.frameset import FrameSet
 from e4dgs.stages.motion_mask import MotionMask, motion_mask
 from e4dgs.stages.optical_flow import FlowPair, consistency, dis_flow, flow_pair
-from factory import Options, make, optical_flow, render, write_n3v
+from factory import Options, make, optical_flow, render, write_n3v, write_nerfstudio
 from raft_weights import random_state, torchvisions
 from run_stage import run_frames, run_stage
 from safetensors.torch import save_file
@@ -319,3 +319,23 @@ def test_motion_mask_of_a_still_scene_or_a_single_frame_is_empty():
     assert not motion_mask(lambda i: still[i], [0]).any()
     with pytest.raises(ValueError, match="at least one frame"):
         MotionMask([])
+
+
+@pytest.mark.parametrize(("motion", "followed"), [(1.0, True), (10.0, False)])
+def test_it_says_when_what_moves_goes_too_far_to_be_followed(motion, followed, tmp_path, monkeypatch):
+    options = Options(backdrop="room", rig="path", times=10, width=160, height=128, samples=2, fov_degrees=60.0, motion=motion)
+    frames = run_frames(write_nerfstudio(make(options), tmp_path / "capture").root, tmp_path)
+
+    def warnings(place: str) -> tuple[list[str], Artifact]:
+        inputs = {"frames": frames.artifact, "poses": None}
+        ran = run_stage(Flow(), frames.context.capture, tmp_path / place, FlowSettings(detect_static=False), inputs)
+        return [line for line in ran.lines if "too far" in line], ran.artifact
+
+    said, flow = warnings("first")
+    agrees, masks = flow.read("confidence") > 0, flow.read("movers") > 0
+    share = np.median([agrees[p][masks[i]].mean() for p, (i, _) in enumerate(flow.read("pair")) if masks[i].any()])
+    assert not said if followed else f"{100 * share:.0f} % of its pixels" in said[0]
+    monkeypatch.setattr("e4dgs.stages.flow_measure.FOLLOWED", share)
+    assert not warnings("at the threshold")[0]
+    monkeypatch.setattr("e4dgs.stages.flow_measure.FOLLOWED", np.nextafter(share, 1))
+    assert warnings("above it")[0]
