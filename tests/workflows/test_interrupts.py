@@ -17,6 +17,7 @@ PROGRAM = """
                 os.kill(os.getpid(), number)
 
     where, number = sys.argv[1], int(sys.argv[2])
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     end_cleanly_when_terminated()
     end_cleanly_when_terminated()
     owner = Owner()
