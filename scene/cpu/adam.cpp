@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "clones.h"
+#include "flush.h"
 
 namespace e4dgs {
 namespace {
@@ -45,8 +46,12 @@ E4DGS_CLONES void adam_block(float* p, const float* g, float* m, float* v, int64
 
 void adam_rows(float* parameter, const float* gradient, float* first, float* second, int64_t rows, int64_t width, const AdamStep& step, int threads) {
     const int64_t each = std::max<int64_t>(1, kGrain / std::max<int64_t>(1, width)), blocks = (rows + each - 1) / each;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t b = 0; b < blocks; ++b) adam_block(parameter, gradient, first, second, b * each, std::min(rows, (b + 1) * each), width, step);
+#pragma omp parallel num_threads(threads)
+    {
+        [[maybe_unused]] const FlushDenormals flush;
+#pragma omp for schedule(static)
+        for (int64_t b = 0; b < blocks; ++b) adam_block(parameter, gradient, first, second, b * each, std::min(rows, (b + 1) * each), width, step);
+    }
 }
 
 }  // namespace e4dgs

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "clones.h"
+#include "flush.h"
 
 namespace e4dgs {
 namespace {
@@ -163,6 +164,7 @@ E4DGS_CLONES void unapply_block(const Skinning& in, const Frames& frames, const 
 
 E4DGS_CLONES void unblend_block(const Skinning& in, const Frames& frames, const Weights& weights, const float* back, int64_t begin, int count,
                                 const SkinningGrad& out, float* totals) {
+    alignas(64) float parts[kMostLinks][kRigid];
     for (int j = 0; j < count; ++j) {
         const int64_t i = begin + j;
         const int32_t* link = in.link + in.links * i;
@@ -179,11 +181,14 @@ E4DGS_CLONES void unblend_block(const Skinning& in, const Frames& frames, const 
             sum += both * g;
             STORE(total, sum);
             const Rigid of_weight = sided * rigid * g;
-            float parts[kRigid];
-            STORE(parts, of_weight);
-            own[k] = 0;
-            for (int f = 0; f < kRigid; ++f) own[k] += parts[f];
-            mean += w * own[k];
+            STORE(parts[k], of_weight);
+        }
+        for (int k = 0; k < in.links; ++k) {
+            float* p = parts[k];
+            for (int f = 0; f < 8; ++f) p[f] += p[f + 8];
+            for (int f = 0; f < 4; ++f) p[f] += p[f + 4];
+            own[k] = (p[0] + p[2]) + (p[1] + p[3]);
+            mean += weights.value[k][j] * own[k];
         }
         for (int k = 0; k < in.links; ++k) {
             float* total = totals + size_t(link[k]) * kSums;
@@ -258,15 +263,19 @@ E4DGS_CLONES void nearest_of_block(const Skinning& in, int64_t begin, int count,
 void skin_forward(const Skinning& in, float* moved, float* turned, int threads) {
     const Frames frames = frames_of(in);
     const int64_t blocks = (in.n + kBlock - 1) / kBlock;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t k = 0; k < blocks; ++k) {
-        const int64_t begin = k * kBlock;
-        const int count = int(std::min<int64_t>(kBlock, in.n - begin));
-        Weights weights;
-        alignas(64) float blended[kBlock * kRigid];
-        weigh(in, frames, begin, count, weights);
-        blend_block(in, frames, weights, begin, count, blended);
-        apply_block(in, frames, blended, begin, count, moved, turned);
+#pragma omp parallel num_threads(threads)
+    {
+        [[maybe_unused]] const FlushDenormals flush;
+#pragma omp for schedule(static)
+        for (int64_t k = 0; k < blocks; ++k) {
+            const int64_t begin = k * kBlock;
+            const int count = int(std::min<int64_t>(kBlock, in.n - begin));
+            Weights weights;
+            alignas(64) float blended[kBlock * kRigid];
+            weigh(in, frames, begin, count, weights);
+            blend_block(in, frames, weights, begin, count, blended);
+            apply_block(in, frames, blended, begin, count, moved, turned);
+        }
     }
 }
 
@@ -281,6 +290,7 @@ void skin_backward(const Skinning& in, const float* g_moved, const float* g_turn
         const int64_t last = std::min(ranges, first + kTogether);
 #pragma omp parallel num_threads(threads)
         {
+            [[maybe_unused]] const FlushDenormals flush;
 #pragma omp for schedule(static)
             for (int64_t r = first; r < last; ++r) {
                 float* mine = totals.data() + size_t(r - first) * width;

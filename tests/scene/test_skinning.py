@@ -1,5 +1,7 @@
 """The skinning kernel against plain torch in float64, its gradients against central differences, and how it meets bad numbers."""
 
+import platform
+
 import pytest
 import torch
 from e4dgs.scene.motion.skinning import Nodes, nearest_nodes, skin, skin_reference
@@ -121,3 +123,13 @@ def test_one_bad_position_harms_no_other():
     others = torch.arange(100) != 7
     assert all(torch.equal(a[others], b[others]) for a, b in zip(good, bad))
     assert not torch.isfinite(bad[0][7]).any()
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="other processors are not slowed by such numbers")
+def test_numbers_below_the_normal_ones_are_zero_inside_and_only_there():
+    points, quats, hyper, link, nodes = scene(200, 9, dtype=torch.float32)
+    points.requires_grad_()
+    moved, _ = skin(points, quats, hyper, link, nodes)
+    moved.backward(torch.full_like(moved, 1e-41))
+    assert not points.grad.any()
+    assert float(torch.tensor(1e-41) * 2) > 0
