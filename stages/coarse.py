@@ -44,7 +44,7 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 15  # 15: drift and spin of what lives for a while are two things from the first step on; losses of two phases never compared
+    version = 16  # 16: nodes are held steadier; numbers below the normal ones are zero
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True

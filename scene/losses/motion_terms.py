@@ -30,23 +30,27 @@ def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
     return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
 
 
-def motion_priors(motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: float, unit: float, settings: TrainingSettings) -> Tensor:
-    """Weighted priors towards rigid and steady motion at ``rest`` [n, 3], judged beside it where standard normal ``noise`` [n, 3] says."""
-    rigidity, inertia = motion.priors(rest, rest + NEIGHBOURHOOD * unit * noise, t, dt)
-    return settings.rigid * rigidity + settings.inertia * inertia
+def motion_priors(
+    motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: float, unit: float, rigid: float, inertia: float
+) -> Tensor:
+    """Priors towards rigid and steady motion of the weights ``rigid`` and ``inertia`` at ``rest`` [n, 3], judged beside it where standard
+    normal ``noise`` [n, 3] says."""
+    strain, course = motion.priors(rest, rest + NEIGHBOURHOOD * unit * noise, t, dt)
+    return rigid * strain + inertia * course
 
 
 class MotionTerms:
     """The terms of one training run, with the rhythm in which each is evaluated.
 
-    unit: the viewing distance, world units. still: weight of the mean displacement. times: number of distinct times in the capture.
-    measured_flow: see `Trainer`.
+    unit: the viewing distance, world units. still: weight of the mean displacement. inertia: weight of how abruptly motion changes.
+    times: number of distinct times in the capture. measured_flow: see `Trainer`.
     """
 
     def __init__(
-        self, views: Views, settings: TrainingSettings, unit: float, still: float, times: int, measured_flow: MeasuredFlow | None
+        self, views: Views, settings: TrainingSettings, unit: float, still: float, inertia: float, times: int, measured_flow: MeasuredFlow | None
     ) -> None:
-        self.views, self.settings, self.unit, self.still, self.measured_flow = views, settings, unit, still, measured_flow
+        self.views, self.settings, self.unit, self.measured_flow = views, settings, unit, measured_flow
+        self.still, self.inertia = still, inertia
         self.times = times
         self.dt = 1.0 / max(times - 1, 1)
 
@@ -61,7 +65,7 @@ class MotionTerms:
         if iteration % PRIOR_EVERY == 0 and not model.field.steady:
             if s.tv:
                 loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()
-            if s.rigid or s.inertia:
+            if s.rigid or self.inertia:
                 loss = loss + PRIOR_EVERY * self._priors(model, t, iteration)
         if iteration % s.flow_every == 0 and iteration >= 0.3 * total and bool(dynamic.any() | model.convexes.dynamic.any()):
             loss = loss + s.flow_every * self._flow(model, i, t, scale)
@@ -78,7 +82,7 @@ class MotionTerms:
         chosen = torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator).to(moving.device)
         rest = model.gaussians.means.detach()[moving[chosen]]
         noise = torch.randn(rest.shape, generator=generator).to(rest.device)
-        return motion_priors(model.field, rest, noise, t, self.dt, self.unit, s)
+        return motion_priors(model.field, rest, noise, t, self.dt, self.unit, s.rigid, self.inertia)
 
     def _flow(self, model: Model, i: int, t: float, scale: float) -> Tensor:
         s, views = self.settings, self.views

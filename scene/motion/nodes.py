@@ -26,6 +26,7 @@ PLACE_BANDS, TIME_BANDS = 5, 6  # octaves of the positional encoding (Tancik et 
 OUTPUT = 0.3  # of the heads: motion grows from rest, slowly enough to stay coherent
 HYPER_SPREAD = 0.1  # of the nodes' distances, in which their hyper coordinates begin
 HEADS = 1e-4  # standard deviation of the heads' first weights
+BODY_COURSE = 1 / 3  # of the nodes' weight: a body that is held steadier than that never finds its way from the turn that was searched
 
 
 class ControlNodes(nn.Module):
@@ -71,6 +72,7 @@ class ControlNodes(nn.Module):
         beside = HYPER_SPREAD * spacing(positions).mean() * torch.randn(len(positions), HYPER, generator=generator).to(positions.device)
         self.hyper = nn.Parameter(beside)
         self.bodies = Bodies.none(positions.device) if bodies is None else bodies
+        self._graph: Tensor | None = None
 
     @property
     def config(self) -> dict[str, object]:
@@ -120,7 +122,7 @@ class ControlNodes(nn.Module):
         before, here, after = (self.at(s, some) for s in (middle - dt, middle, middle + dt))
         shifts = (before.shifts - 2 * here.shifts + after.shifts).norm(dim=1).mean() / self.reach
         turning = (before.turns - 2 * here.turns + after.turns).norm(dim=1).mean()
-        return rigidity, shifts + turning + self.bodies.course(self.extent)
+        return rigidity, shifts + turning + BODY_COURSE * self.bodies.course(self.extent)
 
     def regulariser(self) -> Tensor:
         """Nodes have no planes to smooth."""
@@ -143,9 +145,11 @@ class ControlNodes(nn.Module):
         return resting._replace(turns=quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), shifts=self.reach * out[:, 4:])
 
     def graph(self) -> Tensor:
-        """[B, k] numbers of each node's nearest others."""
-        gaps = torch.cdist(self.positions, self.positions)
-        return gaps.topk(min(GRAPH, len(gaps) - 1) + 1, largest=False).indices[:, 1:]
+        """[B, k] numbers of each node's nearest others, searched once: where nodes rest never changes."""
+        if self._graph is None or self._graph.device != self.positions.device:
+            gaps = torch.cdist(self.positions, self.positions)
+            self._graph = gaps.topk(min(GRAPH, len(gaps) - 1) + 1, largest=False).indices[:, 1:]
+        return self._graph
 
     def _resting(self) -> Nodes:
         none = self.positions.new_zeros(0)

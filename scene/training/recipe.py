@@ -12,7 +12,7 @@ class Recipe:
 
     freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. freeze_share: of
     what moves, below which nothing leaves. spread_at: when the motion is spread anew over what is there. bodies_at: when parts that
-    turn are searched. opacity, still, spread: default weights of the terms of `TrainingSettings`. grow_until: default of its
+    turn are searched. opacity, still, inertia, spread: default weights of the terms of `TrainingSettings`. grow_until: default of its
     `densify_until`. steady: growth adds an equal number in every round, not as many as the images bear. rounds: of density control at
     most, if they went on to the last step. prune_at: when what the training views hardly blend is removed; the steps after it make up
     for it.
@@ -24,6 +24,7 @@ class Recipe:
     spread_at: tuple[float, ...] = ()
     opacity: float = 0.15
     still: float = 0.005
+    inertia: float = 0.01
     spread: float = 0.0
     bodies_at: tuple[float, ...] = ()
     grow_until: float = 0.75
@@ -45,6 +46,7 @@ NODES = Recipe(
     rounds=150,
     opacity=0.01,
     still=0.0,
+    inertia=0.03,
     spread=0.3,
     steady=True,
     largest_convex=0.03,

@@ -100,6 +100,7 @@ class Trainer:
             settings,
             self.unit,
             recipe.still if settings.still is None else settings.still,
+            recipe.inertia if settings.inertia is None else settings.inertia,
             len(np.unique(views.time)),
             measured_flow,
         )
