@@ -29,9 +29,7 @@ class TrainingSettings(Settings):
     still: float | None = Field(None, ge=0, description="weight of the mean displacement, in viewing distances; 0.005 for planes, else 0")
     open_until: float = Field(0.7, ge=0, le=1, description="rigs: fraction of the coarse steps until all times are in; 0: at once")
     rigid: float = Field(0.01, ge=0, description="weight of how differently neighbours move: parts turn and shift as one")
-    inertia: float | None = Field(
-        None, ge=0, description="weight of how abruptly motion changes between times; 0.03 for nodes, else 0.01"
-    )
+    inertia: float | None = Field(None, ge=0, description="weight of how abruptly motion changes between times; 0.03 for nodes, else 0.01")
     opacity: float | None = Field(
         None, ge=0, description="px of error that an opaque primitive must save, else it fades; 0.15 for planes, 0.01 for nodes"
     )

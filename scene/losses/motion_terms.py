@@ -30,9 +30,7 @@ def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
     return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
 
 
-def motion_priors(
-    motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: float, unit: float, rigid: float, inertia: float
-) -> Tensor:
+def motion_priors(motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: float, unit: float, rigid: float, inertia: float) -> Tensor:
     """Priors towards rigid and steady motion of the weights ``rigid`` and ``inertia`` at ``rest`` [n, 3], judged beside it where standard
     normal ``noise`` [n, 3] says."""
     strain, course = motion.priors(rest, rest + NEIGHBOURHOOD * unit * noise, t, dt)
@@ -47,7 +45,14 @@ class MotionTerms:
     """
 
     def __init__(
-        self, views: Views, settings: TrainingSettings, unit: float, still: float, inertia: float, times: int, measured_flow: MeasuredFlow | None
+        self,
+        views: Views,
+        settings: TrainingSettings,
+        unit: float,
+        still: float,
+        inertia: float,
+        times: int,
+        measured_flow: MeasuredFlow | None,
     ) -> None:
         self.views, self.settings, self.unit, self.measured_flow = views, settings, unit, measured_flow
         self.still, self.inertia = still, inertia

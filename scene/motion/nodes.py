@@ -6,6 +6,7 @@ nodes whose motion comes from one small network, shared by all places and times,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +24,7 @@ GRAPH = 6  # neighbours of a node in the rigidity term
 COURSE_SHARE = 4  # one node of so many is asked how steadily it moves, each time
 WIDTH, DEPTH = 128, 4  # of the network
 PLACE_BANDS, TIME_BANDS = 5, 6  # octaves of the positional encoding (Tancik et al. 2020)
+LEAK = 0.01  # slope below zero: units that are zero at all places and times learn nothing any more, and the first steps can bring all there
 OUTPUT = 0.3  # of the heads: motion grows from rest, slowly enough to stay coherent
 HYPER_SPREAD = 0.1  # of the nodes' distances, in which their hyper coordinates begin
 HEADS = 1e-4  # standard deviation of the heads' first weights
@@ -41,6 +43,7 @@ class ControlNodes(nn.Module):
         reach: world units of one unit of the network's shifts.
         seed: of the network's first weights.
         bodies: rigid bodies that the network does not move.
+        leak: slope of the network's units below zero.
     """
 
     worth_culling = False  # a look at where a position lies in the image takes as long as skinning it
@@ -48,12 +51,21 @@ class ControlNodes(nn.Module):
     positions: Tensor
     centre: Tensor
 
-    def __init__(self, positions: Tensor, centre: Tensor, extent: float, reach: float, seed: int = 0, bodies: Bodies | None = None) -> None:
+    def __init__(
+        self,
+        positions: Tensor,
+        centre: Tensor,
+        extent: float,
+        reach: float,
+        seed: int = 0,
+        bodies: Bodies | None = None,
+        leak: float = LEAK,
+    ) -> None:
         super().__init__()
         positions = torch.as_tensor(positions).float()
         self.register_buffer("positions", positions.clone())
         self.register_buffer("centre", torch.as_tensor(centre).float().to(positions.device))
-        self.extent, self.reach = float(extent), float(reach)
+        self.extent, self.reach, self.leak = float(extent), float(reach), float(leak)
         inputs = 3 * (1 + 2 * PLACE_BANDS) + 1 + 2 * TIME_BANDS
         generator = torch.Generator().manual_seed(seed)
         sizes = [inputs, *[WIDTH] * DEPTH, 7]
@@ -72,18 +84,19 @@ class ControlNodes(nn.Module):
         beside = HYPER_SPREAD * spacing(positions).mean() * torch.randn(len(positions), HYPER, generator=generator).to(positions.device)
         self.hyper = nn.Parameter(beside)
         self.bodies = Bodies.none(positions.device) if bodies is None else bodies
-        self._graph: Tensor | None = None
+        self._known: dict[str, Tensor] = {}
 
     @property
     def config(self) -> dict[str, object]:
         """What `from_state` needs beside the state."""
-        return {"kind": "nodes", "extent": self.extent, "reach": self.reach}
+        return {"kind": "nodes", "extent": self.extent, "reach": self.reach, "leak": self.leak}
 
     @classmethod
     def from_state(cls, state: dict[str, Tensor], config: dict) -> ControlNodes:
         """Inverse of `state_dict` and `config`."""
         bodies = Bodies(*(state["bodies." + name] for name in ("home", "radius", "quats", "shifts")))
-        nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"], bodies=bodies)
+        leak = config.get("leak", 0.0)  # models from before there was any
+        nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"], bodies=bodies, leak=leak)
         nodes.load_state_dict(state)
         return nodes
 
@@ -132,24 +145,31 @@ class ControlNodes(nn.Module):
 
     def at(self, t: float, some: Tensor | None = None) -> Nodes:
         """The nodes, or ``some`` of them by number, at time ``t``, clamped to [0, 1]. Bodies are not among them."""
-        resting = self._resting()
+        resting, place = self._resting(), self._place()
         if some is not None:
-            resting = Nodes(*(p[some] if len(p) else p for p in resting))
-        place = encode((resting.home - self.centre) / self.extent, PLACE_BANDS)
+            resting, place = Nodes(*(p[some] if len(p) else p for p in resting)), place[some]
         time = encode(self.positions.new_tensor([[min(max(float(t), 0.0), 1.0)]]), TIME_BANDS)
         hidden = torch.cat([place, time.expand(len(place), -1)], 1)
         for layer in self.layers[:-1]:
-            hidden = torch.relu(layer(hidden))
+            hidden = nn.functional.leaky_relu(layer(hidden), self.leak)
         out = OUTPUT * self.layers[-1](hidden)
         quats = torch.cat([1 + out[:, :1], out[:, 1:4]], 1)
         return resting._replace(turns=quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), shifts=self.reach * out[:, 4:])
 
     def graph(self) -> Tensor:
-        """[B, k] numbers of each node's nearest others, searched once: where nodes rest never changes."""
-        if self._graph is None or self._graph.device != self.positions.device:
-            gaps = torch.cdist(self.positions, self.positions)
-            self._graph = gaps.topk(min(GRAPH, len(gaps) - 1) + 1, largest=False).indices[:, 1:]
-        return self._graph
+        """[B, k] numbers of each node's nearest others."""
+        return self._once("graph", lambda p: torch.cdist(p, p).topk(min(GRAPH, len(p) - 1) + 1, largest=False).indices[:, 1:])
+
+    def _place(self) -> Tensor:
+        """[B, inputs] where the nodes rest, as the network takes it."""
+        return self._once("place", lambda p: encode((p - self.centre) / self.extent, PLACE_BANDS))
+
+    def _once(self, name: str, of: Callable[[Tensor], Tensor]) -> Tensor:
+        """What depends on the rest positions alone, which never change."""
+        known = self._known.get(name)
+        if known is None or known.device != self.positions.device:
+            known = self._known[name] = of(self.positions)
+        return known
 
     def _resting(self) -> Nodes:
         none = self.positions.new_zeros(0)
@@ -170,7 +190,7 @@ class ControlNodes(nn.Module):
 
     def with_bodies(self, bodies: Bodies) -> ControlNodes:
         """The same nodes beside ``bodies``."""
-        nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, bodies=bodies)
+        nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, bodies=bodies, leak=self.leak)
         nodes.layers, nodes.log_radii, nodes.hyper = self.layers, self.log_radii, self.hyper
         return nodes
 
@@ -179,7 +199,7 @@ class ControlNodes(nn.Module):
         """The same network with nodes spread anew over ``points`` [P, 3], at most as many as here, which keep the hyper coordinates of
         the nearest node."""
         positions = torch.tensor(farthest_points(points, len(self.positions)), dtype=torch.float32, device=self.positions.device)
-        nodes = ControlNodes(positions, self.centre, self.extent, self.reach, bodies=self.bodies)
+        nodes = ControlNodes(positions, self.centre, self.extent, self.reach, bodies=self.bodies, leak=self.leak)
         nodes.layers = self.layers
         nodes.hyper.copy_(self.hyper[torch.cdist(positions, self.positions).argmin(1)])
         return nodes

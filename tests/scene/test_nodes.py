@@ -81,6 +81,23 @@ def test_gradients_reach_every_parameter():
     assert hyper.grad.abs().sum() > 0
 
 
+def test_units_that_are_zero_everywhere_still_learn():
+    nodes = moving()
+    with torch.no_grad():
+        nodes.layers[-2].bias.fill_(-50.0)
+    given = rest()
+    nodes.carry(given, 0.4).points.square().sum().backward()
+    assert all(float(layer.weight.grad.abs().max()) > 0 for layer in nodes.layers)
+
+
+def test_models_from_before_units_leaked_move_as_they_did():
+    nodes = moving()
+    config = {name: value for name, value in nodes.config.items() if name != "leak"}
+    before = ControlNodes.from_state(nodes.state_dict(), config)
+    assert before.leak == 0.0 and nodes.leak > 0.0
+    assert not torch.equal(before.carry(rest(), 0.4).points, nodes.carry(rest(), 0.4).points)
+
+
 def test_hyper_coordinates_part_what_touches():
     """Two nodes at one place, one of which moves: what lies with the other beside space stays."""
     nodes = ControlNodes(torch.tensor([[0.0, 0, 0], [0.0, 0, 1e-3]]), torch.zeros(3), 1.0, 1.0)
