@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -165,11 +166,21 @@ class ControlNodes(nn.Module):
         return self._once("place", lambda p: encode((p - self.centre) / self.extent, PLACE_BANDS))
 
     def _once(self, name: str, of: Callable[[Tensor], Tensor]) -> Tensor:
-        """What depends on the rest positions alone, which never change."""
-        known = self._known.get(name)
-        if known is None or known.device != self.positions.device:
-            known = self._known[name] = of(self.positions)
-        return known
+        """What depends on the rest positions alone, which change only where the module is moved or loaded."""
+        if name not in self._known:
+            self._known[name] = of(self.positions)
+        return self._known[name]
+
+    def _apply(self, *args: Any, **kwargs: Any) -> ControlNodes:
+        """Where torch moves a module or changes its type."""
+        super()._apply(*args, **kwargs)
+        self._known.clear()
+        return self
+
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        """Where torch gives a module its part of a state."""
+        super()._load_from_state_dict(*args, **kwargs)
+        self._known.clear()
 
     def _resting(self) -> Nodes:
         none = self.positions.new_zeros(0)

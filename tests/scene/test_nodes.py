@@ -94,8 +94,18 @@ def test_models_from_before_units_leaked_move_as_they_did():
     nodes = moving()
     config = {name: value for name, value in nodes.config.items() if name != "leak"}
     before = ControlNodes.from_state(nodes.state_dict(), config)
-    assert before.leak == 0.0 and nodes.leak > 0.0
-    assert not torch.equal(before.carry(rest(), 0.4).points, nodes.carry(rest(), 0.4).points)
+    hidden = torch.cat([encode(nodes.positions, 5), encode(torch.tensor([[0.4]]), 6).expand(12, -1)], 1)
+    for layer in nodes.layers[:-1]:
+        hidden = torch.relu(layer(hidden))
+    assert torch.allclose(before.at(0.4).shifts, 0.5 * 0.3 * nodes.layers[-1](hidden)[:, 4:], atol=1e-6)
+    assert not torch.allclose(before.at(0.4).shifts, nodes.at(0.4).shifts, atol=1e-5)
+
+
+def test_what_is_kept_of_the_places_follows_a_state_that_is_loaded():
+    nodes, other = moving(), moving(seed=3)
+    nodes.at(0.4), nodes.graph()
+    nodes.load_state_dict(other.state_dict())
+    assert torch.equal(nodes.at(0.4).shifts, other.at(0.4).shifts) and torch.equal(nodes.graph(), other.graph())
 
 
 def test_hyper_coordinates_part_what_touches():
