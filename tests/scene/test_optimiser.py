@@ -1,5 +1,7 @@
 """RowAdam against torch's Adam, and what it leaves alone."""
 
+import platform
+
 import pytest
 import torch
 from e4dgs.scene.training.optimiser import EPSILON, RowAdam
@@ -44,6 +46,16 @@ def test_rows_without_a_gradient_keep_value_and_moments():
     assert changed.tolist() == [False, False, True, False, False, True]
     for key in ("exp_avg", "exp_avg_sq"):
         assert torch.equal(adam.state()[f"a.wide/{key}"][~changed], moments[f"a.wide/{key}"][~changed])
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="other processors are not slowed by such numbers")
+def test_moments_below_the_normal_numbers_are_zero():
+    ours = {"a.wide": torch.ones(1, 2, requires_grad=True)}
+    adam = RowAdam(ours, {"a.wide": lambda progress: 0.1})
+    ours["a.wide"].grad = torch.tensor([[1e-38, 1.0]])
+    adam.step(0.0)
+    first = adam.state()["a.wide/exp_avg"]
+    assert float(first[0, 0]) == 0.0 and float(first[0, 1]) > 0.0
 
 
 def test_frozen_parameters_and_replaced_rows():
