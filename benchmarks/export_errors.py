@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
-from e4dgs.scene.ply import seen
+from e4dgs.scene.formats.ply import seen
 from scipy.spatial import KDTree
 
 BEST = 100.0  # dB, where nothing differs

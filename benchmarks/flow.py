@@ -21,9 +21,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from e4dgs.stages.flo import read_flo
-from e4dgs.stages.flow_method import Dis, FlowMethod, RaftFlow
-from e4dgs.stages.optical_flow import flow_pair
+from e4dgs.vision.flow.flo import read_flo
+from e4dgs.vision.flow.method import Dis, FlowMethod, RaftFlow
+from e4dgs.vision.flow.two_way import flow_pair
 from e4dgs.workflows.bench.machine import kernels, machine
 from e4dgs.workflows.bench.output import row_json, write
 from e4dgs.workflows.bench.rows import Check, Curve, Measured, Row
@@ -44,7 +44,7 @@ def read(path: Path) -> np.ndarray:
 def methods(weights: Path | None, networks: tuple[str, ...] = NETWORKS, **options: float) -> dict[str, FlowMethod]:
     found: dict[str, FlowMethod] = {f"dis-{preset}": Dis(preset) for preset in ("ultrafast", "fast", "medium")}  # type: ignore[arg-type]
     if weights is not None:
-        from e4dgs.scene.raft import Raft
+        from e4dgs.vision.flow.raft import Raft
 
         for name in networks:
             found[f"raft-{name}"] = RaftFlow(Raft.load(weights / f"raft_{name}.safetensors"), **options)  # type: ignore[arg-type]
@@ -94,7 +94,7 @@ def variants(weights: Path | None) -> dict[str, list[tuple[str, Callable[[int | 
         "dis": [(preset, partial(Dis, preset)) for preset in ("ultrafast", "fast", "medium")]  # type: ignore[arg-type]
     }
     if weights is not None:
-        from e4dgs.scene.raft import Raft
+        from e4dgs.vision.flow.raft import Raft
 
         for name in NETWORKS:
             network = Raft.load(weights / f"raft_{name}.safetensors")
@@ -179,7 +179,7 @@ def curves(cases: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], w
 
 
 def _said(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
-    from e4dgs.stages.optical_flow import occluded
+    from e4dgs.vision.flow.two_way import occluded
 
     return occluded(forward, backward)
 

@@ -51,12 +51,12 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
     import torch
     from e4dgs.pipeline import Records, Store
     from e4dgs.scene.losses.flow_loss import rendered_flow
+    from e4dgs.stages.artifacts.flow_fields import FlowFields
+    from e4dgs.stages.artifacts.frameset import FrameSet
+    from e4dgs.stages.artifacts.training import read_model
     from e4dgs.stages.evaluate import spread
-    from e4dgs.stages.flow_fields import FlowFields
-    from e4dgs.stages.flow_pictures import COVERED, EDGE, TRUSTED
-    from e4dgs.stages.frameset import FrameSet
-    from e4dgs.stages.judge import Judge
-    from e4dgs.stages.training_artifact import read_model
+    from e4dgs.stages.evaluation.flow_pictures import COVERED, EDGE, TRUSTED
+    from e4dgs.stages.evaluation.judge import Judge
 
     store, records = Store(workspace / "store"), Records(workspace / "scenes" / name / "records")
 
@@ -136,9 +136,9 @@ def steps(capture: str, workspace: str, name: str, interval: str, data: str, eve
     from e4dgs.scene.settings import TrainingSettings
     from e4dgs.scene.training.schedule import Phase
     from e4dgs.scene.training.trainer import Trainer
-    from e4dgs.stages.dataset import load_views, measured_flow
-    from e4dgs.stages.frameset import FrameSet
-    from e4dgs.stages.training_artifact import read_model
+    from e4dgs.stages.artifacts.dataset import load_views, measured_flow
+    from e4dgs.stages.artifacts.frameset import FrameSet
+    from e4dgs.stages.artifacts.training import read_model
 
     store, records = Store(Path(workspace) / "store"), Records(Path(workspace) / "scenes" / name / "records")
     artifacts = {stage: store.open(stage, (records.read(stage) or {})["key"]) for stage in ("frames", "flow", "coarse")}

@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 from e4dgs.pipeline import Artifact, ArtifactWriter, Progress
+from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
-from e4dgs.stages.frameset import FrameSet
-from e4dgs.stages.moving_foreground import frame_foregrounds
-from e4dgs.stages.moving_objects import moving_masks
-from e4dgs.stages.optical_flow import FlowPair, consistency, dis_flow
-from e4dgs.stages.static_scene import static_scene
+from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow
+from e4dgs.vision.moving.foreground import frame_foregrounds
+from e4dgs.vision.moving.objects import moving_masks
+from e4dgs.vision.moving.static_scene import static_scene
 from e4dgs.workflows.bench.machine import machine
 
 STATIC = {"sceaux/images": True, "stage, time stopped": True, "balloon1/images": False, "room_video/room.mp4": False, "balloon1": False}

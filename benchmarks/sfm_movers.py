@@ -27,7 +27,7 @@ import numpy as np
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from e4dgs.stages.poses import Poses, PosesSettings
-from e4dgs.stages.sfm.alignment import pose_error
+from e4dgs.vision.sfm.alignment import pose_error
 from e4dgs.workflows.bench.machine import machine
 from sfm_pose_error import read_truth
 

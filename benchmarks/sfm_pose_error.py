@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from e4dgs.pipeline import Artifact, Records, Store
-from e4dgs.stages.sfm.alignment import pose_error
+from e4dgs.vision.sfm.alignment import pose_error
 from e4dgs.workflows.bench.machine import machine
 
 

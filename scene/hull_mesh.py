@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 
 from ..rasterizer import Convexes
+from .formats.ply import LEAST_ALPHA
 from .mesh import Mesh
-from .ply import LEAST_ALPHA
 from .primitives import SH_C0
 
 JITTER = 1e-6  # of a convex's extent; which of several points on one plane make its triangles is decided as if they lay a little off it

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .glb import CORNERS, FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, VERTICES, Glb
+from .formats.glb import CORNERS, FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, VERTICES, Glb
 
 TRIANGLES = 4  # a mode of glTF 2.0
 UNLIT = "KHR_materials_unlit"  # the colours hold the light of the capture

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import Strategy, TrainingSettings
-from .seeds import is_rig
+from .seeding.seeds import is_rig
 
 if TYPE_CHECKING:
     import numpy as np
@@ -84,12 +84,12 @@ class Coarse(Stage):
         from ..scene.training.recipe import RECIPES
         from ..scene.training.schedule import HALF_RESOLUTION, coarse_phases, node_phases
         from ..scene.training.trainer import Trainer
-        from .dataset import load_frameset, load_views, measured_flow
-        from .fill_seeds import measured_depth
-        from .png import encode_png
-        from .seeds import initial_dynamic, living, load_seeds, mover_seeds
-        from .seeds_picture import seeds_picture
-        from .training_artifact import write_depth, write_training
+        from ..vision.images.png import encode_png
+        from .artifacts.dataset import load_frameset, load_views, measured_flow
+        from .artifacts.training import write_depth, write_training
+        from .seeding.fill import measured_depth
+        from .seeding.picture import seeds_picture
+        from .seeding.seeds import initial_dynamic, living, load_seeds, mover_seeds
 
         settings = ctx.settings
         torch.manual_seed(settings.seed)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..scene.metrics.lpips import Lpips
-    from .frameset import FrameSet
-    from .judge import Judge
+    from .artifacts.frameset import FrameSet
+    from .evaluation.judge import Judge
 
 Split = Literal["train", "val", "test"]
 METRICS = (
@@ -71,13 +71,13 @@ class Evaluate(Stage):
         return training_resources(facts, device)
 
     def run(self, ctx: Context) -> None:
-        from .evaluation_flicker import measure_flicker
-        from .evaluation_movies import write_movies
-        from .evaluation_pictures import PictureBook
-        from .flow_pictures import add_flow
-        from .frameset import FrameSet
-        from .judge import Judge
-        from .training_artifact import read_model
+        from .artifacts.frameset import FrameSet
+        from .artifacts.training import read_model
+        from .evaluation.flicker import measure_flicker
+        from .evaluation.flow_pictures import add_flow
+        from .evaluation.judge import Judge
+        from .evaluation.movies import write_movies
+        from .evaluation.pictures import PictureBook
 
         artifact = ctx.inputs["fine"] if ctx.inputs["fine"] is not None else ctx.inputs["coarse"]
         if artifact is None:

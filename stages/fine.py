@@ -49,10 +49,10 @@ class Fine(Stage):
         from ..scene.training.recipe import RECIPES
         from ..scene.training.schedule import fine_phases
         from ..scene.training.trainer import Trainer
+        from .artifacts.dataset import load_frameset, load_views, measured_flow
+        from .artifacts.training import read_depth, read_model, required, write_training
         from .coarse import auto_budget, is_static
-        from .dataset import load_frameset, load_views, measured_flow
-        from .fill_seeds import measured_depth
-        from .training_artifact import read_depth, read_model, required, write_training
+        from .seeding.fill import measured_depth
 
         settings = ctx.settings
         torch.manual_seed(settings.seed)

@@ -15,7 +15,7 @@ from pydantic import Field
 from ..pipeline import Applies, Context, Given, Resources, Settings, Stage
 
 if TYPE_CHECKING:
-    from .frameset import FrameSet
+    from .artifacts.frameset import FrameSet
 
 SMALL_WEIGHTS = 10_000_000  # bytes; the small network's file has 4 MB, the basic one's 21 MB
 
@@ -50,7 +50,7 @@ class Flow(Stage):
     device_class = True
 
     def applies(self, facts: Mapping[str, Any], settings: FlowSettings) -> Applies:
-        from .flow_method import choice
+        from ..vision.flow.method import choice
 
         if facts.get("static"):
             return Applies.no("static capture: nothing moves between its frames")
@@ -66,7 +66,7 @@ class Flow(Stage):
         """Two cores, seconds a pair and megapixel, both directions: medium and the small network fitted to the stage on 90 frames of
         480x270, the others to what their pairs take beside these; putting outlines right takes 0.15 s. The rest takes 0.16 s a frame and
         megapixel, and masks of movers, which are made small, take the same at any size."""
-        from .flow_method import choice, size_within
+        from ..vision.flow.method import choice, size_within
 
         width, height = int(facts["width"]), int(facts["height"])
         small_width, small_height = size_within(width, height, settings.max_size)
@@ -90,15 +90,15 @@ class Flow(Stage):
     def item_parts(self, given: Given) -> Sequence[Any]:
         """The two pictures of each pair, as the lens made them: flow does not depend on poses. The size at which it is measured follows
         from the whole capture, and `TakenFlow` looks at it."""
-        from .frameset import FrameSet
+        from .artifacts.frameset import FrameSet
 
         frames = FrameSet(given.inputs["frames"], given.capture.root, given.inputs.get("poses"))  # type: ignore[arg-type]
         wanted = choose_pairs(frames, given.settings.max_pairs)
         return [[frames.picture_parts(i, given.digests) for i in (first, int(frames.next[first]))] for first in wanted]
 
     def resources(self, facts: Mapping[str, Any], settings: FlowSettings, device: str) -> Resources:
+        from ..vision.flow.method import choice
         from .estimates import GB_OF_TORCH, picture_resources
-        from .flow_method import choice
 
         if choice(settings.method, settings.weights)[0] != "raft":
             return picture_resources(facts, 0.3)
@@ -107,9 +107,9 @@ class Flow(Stage):
     def run(self, ctx: Context) -> None:
         import numpy as np
 
-        from .flow_measure import measure
-        from .frameset import FrameSet
-        from .sequences import camera_sequences
+        from ..vision.sequences import camera_sequences
+        from .artifacts.frameset import FrameSet
+        from .measured_flow.measure import measure
 
         frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs.get("poses"))  # type: ignore[arg-type]
         if ctx.settings.detect_static and nothing_moves(ctx, frames):
@@ -133,7 +133,7 @@ class Flow(Stage):
 
 def nothing_moves(ctx: Context, frames: FrameSet) -> bool:
     """Whether the training frames show one that is still; attrs `static`, `static_reason`, `moving_share` say what was found."""
-    from .static_scene import static_scene
+    from ..vision.moving.static_scene import static_scene
 
     chosen, K, poses = frames.train, frames.K, frames.cam_from_world
     with ctx.progress(1, "does anything move?") as bar:
@@ -157,7 +157,7 @@ def choose_pairs(frames: FrameSet, limit: int) -> list[int]:
     """Training frames whose camera's next frame is a training frame too, by camera and time; evenly thinned to ``limit``."""
     import numpy as np
 
-    from .sequences import camera_sequences
+    from ..vision.sequences import camera_sequences
 
     usable = {int(i) for i in frames.train}
     pairs = [i for mine in camera_sequences(frames.camera, frames.time, usable).values() for i in mine if int(frames.next[i]) in usable]

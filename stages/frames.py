@@ -143,7 +143,7 @@ def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Cont
     """K of the pinhole cameras to which the pictures are undistorted; says what of them is lost."""
     import numpy as np
 
-    from .lenses import pinholes
+    from ..vision.images.lenses import pinholes
 
     result, kept = pinholes(K, distortion, capture.fisheye, capture.facts["width"], capture.facts["height"])
     if not kept.all():
@@ -165,8 +165,8 @@ def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Cont
 
 def _check(capture: Capture, ctx: Context) -> None:
     """Decode every picture and mask once, so that a file that is cut short is found now and not hours later in training."""
+    from ..vision.images.pictures import read_keep, read_mask, read_picture
     from .captures.checks import image_header
-    from .pictures import read_keep, read_mask, read_picture
 
     jobs: list[tuple[str, Callable[..., Any]]] = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
     jobs += [(name, read_mask) for name in dict.fromkeys(m for m in capture.masks or () if m)]

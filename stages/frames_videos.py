@@ -22,7 +22,7 @@ def video_parts(capture: Capture, given: Given) -> list[Any]:
 
 def decode_videos(capture: Capture, ctx: Context) -> None:
     """Every video into `images`, one chunk a frame. Info `videos`: where those of each lie, for who takes them over."""
-    from .captures.video import decode
+    from .captures.formats.video import decode
 
     frames, height, width = capture.facts["frames"], capture.facts["height"], capture.facts["width"]
     shape = (frames, height, width, 3)

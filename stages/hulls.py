@@ -47,8 +47,8 @@ class Hulls(Stage):
         from ..scene.edge_seeds import edge_density
         from ..scene.fibonacci import fibonacci_hulls, neighbour_radius
         from ..scene.primitives import SH_C0
-        from .dataset import load_frameset, load_views
-        from .training_artifact import read_model, required
+        from .artifacts.dataset import load_frameset, load_views
+        from .artifacts.training import read_model, required
 
         settings = ctx.settings
         model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
-from .image_files import BadImageError, open_image
-from .sfm.pairs import OVERLAP, choose, image_pairs
+from ..vision.images.files import BadImageError, open_image
+from ..vision.sfm.pairs import OVERLAP, choose, image_pairs
 
 if TYPE_CHECKING:
     import numpy as np
     from PIL import Image
 
-    from .frameset import FrameSet
-    from .sfm.coverage import Coverage
-    from .sfm.several import Several
+    from ..vision.sfm.coverage import Coverage
+    from .artifacts.frameset import FrameSet
+    from .posing.several import Several
 
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
 
@@ -64,7 +64,7 @@ class Poses(Stage):
         """Measured, one core: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image (half where a camera turns),
         0.2 s to adjust it, 0.15 s to look for what moves, 8 s for the start and a look at how the camera turns. Without a second pass,
         which takes as long again as registering and a third of the pairs' time. Several cameras: if they stand still, as most do."""
-        from .sfm.looks import look_times
+        from ..vision.sfm.looks import look_times
 
         frames = facts["frames"]
         if facts.get("cameras", 1) > 1 and not facts["static"]:
@@ -83,12 +83,12 @@ class Poses(Stage):
     def run(self, ctx: Context) -> None:
         import numpy as np
 
-        from .frameset import FrameSet
-        from .sfm.bars import Bars
-        from .sfm.coverage import cover
-        from .sfm.runner import WorkerError, finished, run_worker
-        from .sfm.second_pass import second_pass
-        from .sfm.trouble import nothing_registered
+        from ..vision.sfm.coverage import cover
+        from ..vision.sfm.runner import WorkerError, finished, run_worker
+        from ..vision.sfm.trouble import nothing_registered
+        from .artifacts.frameset import FrameSet
+        from .posing.bars import Bars
+        from .posing.second_pass import second_pass
 
         settings = ctx.settings
         artifact = ctx.inputs["frames"]
@@ -179,8 +179,8 @@ def _several(ctx: Context, frames: FrameSet) -> Several:
     """What to ask for where several cameras took the capture. Writes the pictures that are looked at."""
     from PIL import Image
 
-    from .pictures import composite
-    from .sfm.several import several_cameras
+    from ..vision.images.pictures import composite
+    from .posing.several import several_cameras
 
     folder = ctx.checkpoints / "images"
     folder.mkdir(parents=True, exist_ok=True)
@@ -205,7 +205,7 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     """Pictures for COLMAP under plain names: links to the capture's own files, or files decoded from what the store holds."""
     from PIL import Image
 
-    from .pictures import composite
+    from ..vision.images.pictures import composite
 
     folder = ctx.checkpoints / "images"
     folder.mkdir(parents=True, exist_ok=True)
@@ -271,8 +271,8 @@ def _link(source: Path, target: Path) -> None:
 def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage) -> None:
     import numpy as np
 
-    from .lenses import pinholes
-    from .sfm.world import POINT_ERROR, keep_points, normalise
+    from ..vision.images.lenses import pinholes
+    from ..vision.sfm.world import POINT_ERROR, keep_points, normalise
 
     registered = arrays["registered"]
     keep = keep_points(arrays["points"], arrays["errors"], arrays["tracks"])

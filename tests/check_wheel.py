@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from printed_commands import ROOT, SAMPLE
 
 COMPILERS = ("cc", "c++", "gcc", "g++", "clang", "clang++", "cmake", "ninja", "make")
-NATIVE = ("e4dgs/rasterizer/_cpu.", "e4dgs/scene/_kernels.")
+NATIVE = ("e4dgs/rasterizer/_cpu.", "e4dgs/scene/_kernels.", "e4dgs/vision/_kernels.")
 RECORDS = {"METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"}  # of *.dist-info
 WANTED = ("frames", "coarse", "hulls", "fine", "evaluate")  # stages that the sample has in the store
 

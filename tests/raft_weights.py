@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from e4dgs.scene.raft.architecture import Architecture, expected_shapes
+from e4dgs.vision.flow.raft.architecture import Architecture, expected_shapes
 from torch import Tensor
 
 

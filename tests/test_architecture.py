@@ -13,8 +13,9 @@ BELOW = {
     "pipeline": set(),
     "rasterizer": set(),
     "scene": {"pipeline", "rasterizer"},
-    "stages": {"scene", "pipeline", "rasterizer"},
-    "workflows": {"stages", "scene", "pipeline", "rasterizer"},
+    "vision": {"pipeline"},
+    "stages": {"scene", "vision", "pipeline", "rasterizer"},
+    "workflows": {"stages", "scene", "vision", "pipeline", "rasterizer"},
 }
 LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
 

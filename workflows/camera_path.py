@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..pipeline import CaptureError, SettingsError
-from ..stages.camera_path import NAMES, CameraPath, named_path
 from ..stages.captures import checks
+from ..stages.exports.camera_path import NAMES, CameraPath, named_path
 
 if TYPE_CHECKING:
     from ..scene.model import Model
-    from ..stages.frameset import FrameSet
+    from ..stages.artifacts.frameset import FrameSet
 
 MOST_FRAMES = 100_000
 _LARGEST = 1e7  # px

@@ -19,7 +19,7 @@ from .session import DEFAULT_WORKSPACE, Options, open_session
 from .writable import writing_to
 
 if TYPE_CHECKING:
-    from ..stages.splat_export import Kind
+    from ..stages.exports.splats import Kind
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
@@ -58,9 +58,9 @@ def flow(
             session.scene.claim()
         folder = session.scene.folder / "export" / "flow"
 
-    from ..stages.flow_export import common_largest, export_flow
-    from ..stages.flow_fields import FlowFields
-    from ..stages.frameset import FrameSet
+    from ..stages.artifacts.flow_fields import FlowFields
+    from ..stages.artifacts.frameset import FrameSet
+    from ..stages.exports.flow import common_largest, export_flow
 
     console = Console()
     fields = FlowFields(artifact)
@@ -133,7 +133,7 @@ def _splats(kind: Kind, options: Options, out: Path | None, times: int | None) -
     trained = open_trained(options)
     folder = trained.folder(out, kind)
 
-    from ..stages.splat_export import export_splats
+    from ..stages.exports.splats import export_splats
 
     moments = trained.moments(times)
     console = Console()

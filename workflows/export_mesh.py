@@ -66,7 +66,7 @@ def mesh(
     count = trained.moments(times) if every or times is not None else 1
     moments = [0.5 if time is None else time] if count == 1 else [float(t) for t in np.linspace(0, 1, count)]
 
-    from ..stages.mesh_export import fuse, fused_views, hulls, size_of
+    from ..stages.exports.mesh import fuse, fused_views, hulls, size_of
 
     console = Console()
     if convexes:

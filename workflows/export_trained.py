@@ -15,7 +15,7 @@ from .writable import writing_to
 
 if TYPE_CHECKING:
     from ..scene.model import Model
-    from ..stages.frameset import FrameSet
+    from ..stages.artifacts.frameset import FrameSet
 
 MOST_TIMES = 60
 
@@ -54,8 +54,8 @@ def open_trained(options: Options) -> Trained:
     artifact, frames = found[trained], found["frames"]
     assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
 
-    from ..stages.frameset import FrameSet
-    from ..stages.training_artifact import read_model
+    from ..stages.artifacts.frameset import FrameSet
+    from ..stages.artifacts.training import read_model
 
     return Trained(session, read_model(artifact), FrameSet(frames, session.job.capture.root, found.get("poses")))
 

@@ -40,7 +40,7 @@ def usd(
     folder = trained.folder(out, "usd")
     path = folder if single else folder / f"{trained.session.scene.name}.usdc"
 
-    from ..stages.usd_export import export_usd
+    from ..stages.exports.usd import export_usd
 
     moments = trained.moments(times)
     console = Console()

@@ -83,7 +83,7 @@ def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) 
 
 
 def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcome], evaluate: Artifact, metrics: Mapping[str, Any]) -> str:
-    from ..stages.report import render_report
+    from ..stages.report.page import render_report
 
     infos = {
         name: {**outcomes[name].artifact.attrs, **outcomes[name].artifact.info, "log": outcomes[name].artifact.provenance["log"]}  # type: ignore[union-attr]

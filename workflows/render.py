@@ -46,9 +46,9 @@ def render(
     import torch
 
     from ..rasterizer import Camera
-    from ..stages.frameset import FrameSet
-    from ..stages.movie import Movie, Pictures
-    from ..stages.training_artifact import read_model
+    from ..stages.artifacts.frameset import FrameSet
+    from ..stages.artifacts.training import read_model
+    from ..vision.images.movie import Movie, Pictures
     from .camera_path import resolve
 
     artifact, frame_artifact = found[trained], found["frames"]

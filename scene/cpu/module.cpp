@@ -17,8 +17,6 @@
 #include <vector>
 
 #include "adam.h"
-#include "arrivals.h"
-#include "correlate.h"
 #include "displacement.h"
 #include "field.h"
 #include "field_run.h"
@@ -257,27 +255,6 @@ NB_MODULE(_kernels, m) {
         in.links = int(link.shape(1));
         nb::gil_scoped_release release;
         e4dgs::nearest_nodes(in, link.data(), threads);
-    });
-
-    m.def("arrivals", [](const In& flow, const Out& out) {
-        if (flow.ndim() != 3 || flow.shape(2) != 2 || flow.shape(0) > 65536 || flow.shape(1) > 65536) throw std::invalid_argument("flow must be [H,W,2]");
-        check(out, {flow.shape(0), flow.shape(1)}, "out");
-        nb::gil_scoped_release release;
-        e4dgs::arrivals(flow.data(), int(flow.shape(0)), int(flow.shape(1)), out.data());
-    });
-
-    m.def("correlate", [](const In& first, const Ins& levels, const In& at, int radius, const Out& out, int threads) {
-        if (first.ndim() != 2 || radius < 1 || radius > e4dgs::kMaxRadius) throw std::invalid_argument("first must be [N,C], radius 1 to 8");
-        const size_t n = first.shape(0), c = first.shape(1), side = size_t(2 * radius + 1);
-        std::vector<e4dgs::CorrelationLevel> found;
-        for (const In& level : levels) {
-            if (level.ndim() != 3 || level.shape(2) != c || level.shape(0) > 65536 || level.shape(1) > 65536)
-                throw std::invalid_argument("levels must be [H,W,C] with the channels of first, H and W at most 65536");
-            found.push_back({level.data(), int(level.shape(0)), int(level.shape(1))});
-        }
-        check(at, {n, 2}, "at"), check(out, {n, levels.size() * side * side}, "out");
-        nb::gil_scoped_release release;
-        e4dgs::correlate(first.data(), found.data(), int(found.size()), at.data(), int64_t(n), int(c), radius, out.data(), threads);
     });
 
     m.def("photometric", [](In x, In y, float w_l1, float w_ssim, Out grad, int threads) {

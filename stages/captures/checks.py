@@ -19,7 +19,7 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from ...pipeline.errors import is_odd
-from ..image_files import BadImageError, open_image
+from ...vision.images.files import BadImageError, open_image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".mpg", ".mpeg", ".ts", ".gif")

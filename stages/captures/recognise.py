@@ -6,8 +6,9 @@ from pathlib import Path
 from types import ModuleType
 
 from ...pipeline import CaptureError
-from . import checks, colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
+from . import checks
 from .capture import Capture, Options, assemble
+from .formats import colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
 from .keep_masks import unread
 
 # Formats with poses first: a bare folder of images or a lone video is what remains when no file says more.

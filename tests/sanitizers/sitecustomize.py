@@ -12,7 +12,7 @@ from pathlib import Path
 FOLDER = Path(os.environ["E4DGS_SANITIZED"])
 FILES = {
     f"e4dgs.{floor}.{name}": next((FOLDER / "e4dgs" / floor).glob(name + ".*"))
-    for floor, name in (("rasterizer", "_cpu"), ("scene", "_kernels"))
+    for floor, name in (("rasterizer", "_cpu"), ("scene", "_kernels"), ("vision", "_kernels"))
 }
 
 

@@ -8,7 +8,7 @@ import torch
 from e4dgs.rasterizer import Convexes, Gaussians
 from e4dgs.scene.convex_gaussians import GaussianFit, frames
 from e4dgs.scene.fibonacci import fibonacci_sphere
-from e4dgs.scene.ply import joined
+from e4dgs.scene.formats.ply import joined
 from e4dgs.scene.rotation import quats_to_matrices
 from scipy.spatial.transform import Rotation
 

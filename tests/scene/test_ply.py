@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
-from e4dgs.scene.gltf import glb_bytes
-from e4dgs.scene.ply import LEAST_ALPHA, ply_bytes
+from e4dgs.scene.formats.gltf import glb_bytes
+from e4dgs.scene.formats.ply import LEAST_ALPHA, ply_bytes
 
 
 def gaussians(count: int = 200, degree: int = 2) -> Gaussians:

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.raft import Raft
-from e4dgs.scene.raft.architecture import ARCHITECTURES, BASIC, SMALL, Architecture, blocks, norms
-from e4dgs.scene.raft.correlation import Correlation
-from e4dgs.scene.raft.layers import context_terms, encode, enlarge, update
-from e4dgs.scene.raft.weights import folded, read_weights, recognise
+from e4dgs.vision.flow.raft import Raft
+from e4dgs.vision.flow.raft.architecture import ARCHITECTURES, BASIC, SMALL, Architecture, blocks, norms
+from e4dgs.vision.flow.raft.correlation import Correlation
+from e4dgs.vision.flow.raft.layers import context_terms, encode, enlarge, update
+from e4dgs.vision.flow.raft.weights import folded, read_weights, recognise
 from raft_weights import random_state, torchvisions
 from safetensors.torch import save_file
 from torch import Tensor
@@ -80,7 +80,7 @@ def test_products_do_not_depend_on_how_rows_are_blocked(monkeypatch: pytest.Monk
     first, second = (torch.randn(1, 16, 8, 9, generator=g) for _ in range(2))
     at = torch.rand(1, 2, 8, 9, generator=g) * 9
     whole = Correlation(first, second, 2, kernel=False)(at)
-    monkeypatch.setattr("e4dgs.scene.raft.correlation.CHUNK_BYTES", 5 * 72 * 4)
+    monkeypatch.setattr("e4dgs.vision.flow.raft.correlation.CHUNK_BYTES", 5 * 72 * 4)
     assert torch.allclose(Correlation(first, second, 2, kernel=False)(at), whole, atol=1e-6)
 
 
@@ -183,7 +183,7 @@ def test_it_stops_after_a_step_smaller_than_the_tolerance_and_not_before(
 ) -> None:
     """Each step here moves every feature by (0.3, 0.4), which is 4 px."""
     step = torch.tensor([0.3, 0.4])[None, :, None, None].expand(1, 2, 8, 8)
-    monkeypatch.setattr("e4dgs.scene.raft.network.update", lambda state, a, hidden, *_: (hidden, step))
+    monkeypatch.setattr("e4dgs.vision.flow.raft.network.update", lambda state, a, hidden, *_: (hidden, step))
     net = Raft(random_state(SMALL), SMALL)
     features = net.encode(picture(64, 64))
     flow, taken = net.match(features, features, iterations=3, tolerance=tolerance)

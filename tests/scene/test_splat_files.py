@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
-from e4dgs.scene.compressed_ply import along_a_curve, compressed_ply_bytes
-from e4dgs.scene.ply import ply_bytes
-from e4dgs.scene.smallest_three import LARGEST, smallest_three
-from e4dgs.scene.spz import MOST, TURNED_MEANS, TURNED_QUATS, TURNED_SH, fraction_bits, spz_bytes
+from e4dgs.scene.formats.compressed_ply import along_a_curve, compressed_ply_bytes
+from e4dgs.scene.formats.ply import ply_bytes
+from e4dgs.scene.formats.smallest_three import LARGEST, smallest_three
+from e4dgs.scene.formats.spz import MOST, TURNED_MEANS, TURNED_QUATS, TURNED_SH, fraction_bits, spz_bytes
 
 
 def gaussians(count: int = 100, degree: int = 3, far: float = 0.5) -> Gaussians:

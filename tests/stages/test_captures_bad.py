@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import checks, recognise
-from e4dgs.stages.pictures import read_picture
+from e4dgs.vision.images.pictures import read_picture
 from PIL import Image
 
 POSE = np.eye(4).tolist()

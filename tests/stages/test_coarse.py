@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.training import schedule
+from e4dgs.stages.artifacts.dataset import load_frameset, load_views
+from e4dgs.stages.artifacts.training import read_model
 from e4dgs.stages.coarse import Coarse, CoarseSettings
-from e4dgs.stages.dataset import load_frameset, load_views
-from e4dgs.stages.training_artifact import read_model
 from factory import Cells, Motion, Object, Options, Sphere, make, optical_flow, render, write_colmap
 from run_stage import run_frames, run_stage
 from write_artifact import write_artifact

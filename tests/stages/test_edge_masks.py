@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from e4dgs.scene.edges import edge_weights
-from e4dgs.stages.edge_masks import BOUNDARY, Seen, motion_boundaries, seen_by, stable_edges
+from e4dgs.vision.edges import BOUNDARY, Seen, motion_boundaries, seen_by, stable_edges
 
 FULL = np.full((40, 60), 255, np.uint8)
 NOTHING = np.zeros((40, 60), np.uint8)

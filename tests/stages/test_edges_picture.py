@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.edges_picture import ADDED, BOTH, GROUND, MISSING, edges_picture
+from e4dgs.stages.evaluation.edges_picture import ADDED, BOTH, GROUND, MISSING, edges_picture
 
 
 def squares(*corners: tuple[int, int]) -> np.ndarray:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Context
 from e4dgs.scene.seeds.near_plane import near_plane
+from e4dgs.stages.artifacts.dataset import load_frameset, load_views
 from e4dgs.stages.coarse import CoarseSettings, auto_budget, auto_seeds, is_rig, mean_colour
-from e4dgs.stages.dataset import load_frameset, load_views
-from e4dgs.stages.fill_seeds import middle_frames
-from e4dgs.stages.seeds import load_seeds
+from e4dgs.stages.seeding.fill import middle_frames
+from e4dgs.stages.seeding.seeds import load_seeds
 from factory import Options, make, render, write_panoptic
 from run_stage import run_frames
 

@@ -10,13 +10,13 @@ import pytest
 import torch
 from e4dgs.pipeline import Artifact, StageError
 from e4dgs.scene.edges import edge_weights
-from e4dgs.scene.raft.architecture import SMALL
-from e4dgs.stages.dataset import measured_flow
+from e4dgs.stages.artifacts.dataset import measured_flow
+from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.flow import Flow, FlowSettings, choose_pairs
-from e4dgs.stages.flow_method import Dis, FlowMethod
-from e4dgs.stages.frameset import FrameSet
-from e4dgs.stages.motion_mask import MotionMask, motion_mask
-from e4dgs.stages.optical_flow import FlowPair, consistency, dis_flow, flow_pair
+from e4dgs.vision.flow.method import Dis, FlowMethod
+from e4dgs.vision.flow.raft.architecture import SMALL
+from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow, flow_pair
+from e4dgs.vision.moving.motion_mask import MotionMask, motion_mask
 from factory import Options, make, optical_flow, render, write_n3v, write_nerfstudio
 from raft_weights import random_state, torchvisions
 from run_stage import run_frames, run_stage
@@ -335,7 +335,7 @@ def test_it_says_when_what_moves_goes_too_far_to_be_followed(motion, followed, t
     agrees, masks = flow.read("confidence") > 0, flow.read("movers") > 0
     share = np.median([agrees[p][masks[i]].mean() for p, (i, _) in enumerate(flow.read("pair")) if masks[i].any()])
     assert not said if followed else f"{100 * share:.0f} % of its pixels" in said[0]
-    monkeypatch.setattr("e4dgs.stages.flow_measure.FOLLOWED", share)
+    monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FOLLOWED", share)
     assert not warnings("at the threshold")[0]
-    monkeypatch.setattr("e4dgs.stages.flow_measure.FOLLOWED", np.nextafter(share, 1))
+    monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FOLLOWED", np.nextafter(share, 1))
     assert warnings("above it")[0]

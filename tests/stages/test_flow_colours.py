@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from e4dgs.stages.flow_colours import colour_wheel, flow_colours, typical_largest
-from e4dgs.stages.overlay import overlay
+from e4dgs.vision.flow.colours import colour_wheel, flow_colours, typical_largest
+from e4dgs.vision.images.overlay import overlay
 
 # The arcs of the wheel as the paper lists them: how many hues, and the turn of HSV in degrees that they cover.
 ARCS = ((15, 0, 60), (6, 60, 120), (4, 120, 180), (11, 180, 240), (13, 240, 300), (6, 300, 360))

@@ -1,7 +1,7 @@
 """Names of exported files: safe for every file system, and no two alike."""
 
 import pytest
-from e4dgs.stages.flow_export import SUFFIXES, pair_stems
+from e4dgs.stages.exports.flow import SUFFIXES, pair_stems
 
 
 def files(names: list[str], pairs: list[tuple[int, int]]) -> list[str]:

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 from e4dgs.stages.flow import Flow, FlowSettings
-from e4dgs.stages.flow_lens import straightened
-from e4dgs.stages.lenses import pinholes, straight_places, undistort_maps
+from e4dgs.stages.measured_flow.lens import straightened
+from e4dgs.vision.images.lenses import pinholes, straight_places, undistort_maps
 from factory import Options, make, optical_flow, write_nerfstudio
 from factory.camera import Camera
 from run_stage import run_frames, run_stage

@@ -11,10 +11,10 @@ from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.evaluation_pictures import PictureBook, read_pictures
-from e4dgs.stages.flow_colours import flow_colours
-from e4dgs.stages.flow_pictures import add_flow, difference
-from e4dgs.stages.judge import Judge
+from e4dgs.stages.evaluation.flow_pictures import add_flow, difference
+from e4dgs.stages.evaluation.judge import Judge
+from e4dgs.stages.evaluation.pictures import PictureBook, read_pictures
+from e4dgs.vision.flow.colours import flow_colours
 
 WIDTH, HEIGHT, COUNT = 48, 40, 8
 

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 from e4dgs.pipeline import Applies, Graph, Job, Outcome, Records, Runner, Settings, Stage, Store, build_settings, make_plan
-from e4dgs.stages import flow_scout
 from e4dgs.stages.flow import Flow
-from e4dgs.stages.flow_method import Dis
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
+from e4dgs.stages.measured_flow import scout as flow_scout
+from e4dgs.vision.flow.method import Dis
 from factory import Options, make, write_n3v
 from factory.writers import write_mp4
 
@@ -77,7 +77,7 @@ def posed(root: Path, frames: list[np.ndarray], k1: float = 0.0) -> Path:
 
 @pytest.fixture
 def measured(monkeypatch) -> list[int]:
-    """One entry for every flow that DIS measures; the glance of `flow_scout` is not one."""
+    """One entry for every flow that DIS measures; the glance of `scout` is not one."""
     found: list[int] = []
     original = Dis._flow
     monkeypatch.setattr(Dis, "_flow", lambda self, a, b: found.append(1) or original(self, a, b))
@@ -202,7 +202,7 @@ def test_flow_of_another_size_is_not_taken_over(tmp_path, measured, monkeypatch)
     """The size follows from the motion in the whole capture, which no plan knows."""
     run(job(tmp_path, posed(tmp_path / "capture", pictures(6))))
     path = posed(tmp_path / "capture", pictures(8))
-    monkeypatch.setattr("e4dgs.stages.flow_pairs.working_size", lambda *arguments: (flow_scout.ENOUGH // 6, 1.0))
+    monkeypatch.setattr("e4dgs.stages.measured_flow.pairs.working_size", lambda *arguments: (flow_scout.ENOUGH // 6, 1.0))
     measured.clear()
     lines: list[str] = []
     run(job(tmp_path, path), lines)
@@ -212,9 +212,11 @@ def test_flow_of_another_size_is_not_taken_over(tmp_path, measured, monkeypatch)
 
 def test_where_nothing_moves_there_is_no_flow_to_take_over(tmp_path, measured, monkeypatch):
     still = SimpleNamespace(static=True, reason="all of it stands still", moving_share=0.0)
-    monkeypatch.setattr("e4dgs.stages.static_scene.static_scene", lambda *arguments: still)
+    monkeypatch.setattr("e4dgs.vision.moving.static_scene.static_scene", lambda *arguments: still)
     run(job(tmp_path, posed(tmp_path / "capture", pictures(6)), flow__detect_static=True))
-    monkeypatch.setattr("e4dgs.stages.static_scene.static_scene", lambda *arguments: SimpleNamespace(**{**vars(still), "static": False}))
+    monkeypatch.setattr(
+        "e4dgs.vision.moving.static_scene.static_scene", lambda *arguments: SimpleNamespace(**{**vars(still), "static": False})
+    )
     outcome = run(job(tmp_path, posed(tmp_path / "capture", pictures(8)), flow__detect_static=True))
     assert "are new" not in outcome.reason and len(measured) == 2 * 7
 

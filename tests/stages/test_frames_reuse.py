@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from e4dgs.pipeline import Graph, Job, Outcome, Records, Runner, Store, build_settings, make_plan
-from e4dgs.stages.captures import video
+from e4dgs.stages.captures.formats import video
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from PIL import Image
 

@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
+from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.frameset import FrameSet
-from e4dgs.stages.lenses import pinholes, undistort_maps
+from e4dgs.vision.images.lenses import pinholes, undistort_maps
 from factory import Camera, Options, make, render, write_colmap, write_nerfstudio
 from factory.writers import flatten
 from run_stage import run_frames

@@ -6,8 +6,8 @@ import torch
 from e4dgs.pipeline import StageError
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.frameset import FrameSet
-from e4dgs.stages.mesh_export import Size, fuse, look, size_of
+from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.exports.mesh import Size, fuse, look, size_of
 from factory import Options, Sphere, make, write_dnerf
 from open3d_here import needs_open3d
 from run_stage import run_frames
@@ -119,7 +119,7 @@ def test_a_pixel_that_shows_two_surfaces_is_not_fused(posed, behind, fused):
 
 @needs_open3d
 def test_voxels_that_do_not_fit_are_refused(posed, model, monkeypatch):
-    monkeypatch.setattr("e4dgs.stages.mesh_export.MOST_BLOCKS", 100)
+    monkeypatch.setattr("e4dgs.stages.exports.mesh.MOST_BLOCKS", 100)
     with pytest.raises(StageError, match="larger --voxel"):
         fuse(model, posed[1], 0.0, Size(0.01, 20.0))
 

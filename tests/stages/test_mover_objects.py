@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
-from e4dgs.stages.mover_chain import Chain
-from e4dgs.stages.mover_depths import (
+from e4dgs.stages.seeding.chain import Chain
+from e4dgs.stages.seeding.depths import (
     ANYWHERE,
     BEFORE,
     BESIDE,
@@ -17,7 +17,7 @@ from e4dgs.stages.mover_depths import (
     depth_below,
     object_depths,
 )
-from e4dgs.stages.mover_objects import LEAST_AREA, Objects, follow_objects
+from e4dgs.stages.seeding.objects import LEAST_AREA, Objects, follow_objects
 from moving_square import FRAMES, HEIGHT, WALL, WIDTH, flow_of, pose, views, wall
 
 SIZE, GROWTH = 24, 1.08  # px of the square in the first frame, factor a frame

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.mover_depths import ANYWHERE
-from e4dgs.stages.mover_seeds import APART, KEYS, camera_seeds, key_times, rig_seeds, slope
+from e4dgs.stages.seeding.depths import ANYWHERE
+from e4dgs.stages.seeding.movers import APART, KEYS, camera_seeds, key_times, rig_seeds, slope
 from moving_square import CAMERA, FOCAL, FRAMES, SQUARE, WALL, flow_of, pose, views, wall
 from sliding_ball import RADIUS, TIMES, place, sliding_ball
 

@@ -6,9 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
-from e4dgs.stages import movers as module
-from e4dgs.stages.movers import FIXED_SIZE, Movers
-from e4dgs.stages.optical_flow import FlowPair
+from e4dgs.stages.measured_flow import movers as module
+from e4dgs.stages.measured_flow.movers import FIXED_SIZE, Movers
+from e4dgs.vision.flow.two_way import FlowPair
 
 WIDTH, HEIGHT, FRAMES, STEP = 2 * FIXED_SIZE, 270, 7, 40
 K = np.array([[400.0, 0, WIDTH / 2], [0, 400.0, HEIGHT / 2], [0, 0, 1]])

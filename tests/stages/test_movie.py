@@ -1,7 +1,7 @@
 """Pictures in, an MP4 out."""
 
 import numpy as np
-from e4dgs.stages.movie import encode_movie
+from e4dgs.vision.images.movie import encode_movie
 
 
 def test_the_same_pictures_give_the_same_bytes():

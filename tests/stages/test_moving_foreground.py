@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from e4dgs.stages.moving_colours import LIMIT, PRIOR, SHARE, colour_odds, odds_at
-from e4dgs.stages.moving_foreground import CHANGES, ONCE, SIZE, STILL, FrameForeground, frame_foregrounds
+from e4dgs.vision.moving.colours import LIMIT, PRIOR, SHARE, colour_odds, odds_at
+from e4dgs.vision.moving.foreground import CHANGES, ONCE, SIZE, STILL, FrameForeground, frame_foregrounds
 
 WIDTH, HEIGHT, TIMES = 160, 120, 12
 SHIRT = (150, 40, 40)

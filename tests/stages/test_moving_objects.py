@@ -3,13 +3,13 @@
 import cv2
 import numpy as np
 import pytest
-from e4dgs.stages.moving_evidence import NOISE_FACTOR, Evidence, evidence, spread_of_flow
-from e4dgs.stages.moving_foreground import FrameForeground, frame_foregrounds
-from e4dgs.stages.moving_objects import chain, frame_evidence, moving_mask, moving_masks
-from e4dgs.stages.moving_residual import Neighbour, Residual, rigid_residual
-from e4dgs.stages.moving_two_view import epipolar_residual, sampson, two_view
-from e4dgs.stages.moving_uncalibrated import uncalibrated_residual
-from e4dgs.stages.optical_flow import FlowPair, consistency, dis_flow
+from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow
+from e4dgs.vision.moving.evidence import NOISE_FACTOR, Evidence, evidence, spread_of_flow
+from e4dgs.vision.moving.foreground import FrameForeground, frame_foregrounds
+from e4dgs.vision.moving.objects import chain, frame_evidence, moving_mask, moving_masks
+from e4dgs.vision.moving.residual import Neighbour, Residual, rigid_residual
+from e4dgs.vision.moving.two_view import epipolar_residual, sampson, two_view
+from e4dgs.vision.moving.uncalibrated import uncalibrated_residual
 from factory import Options, make, optical_flow, render, to_uint8
 
 WIDTH, HEIGHT, TIMES, FRAMES = 160, 120, 13, 9  # the first frames of a slow walk

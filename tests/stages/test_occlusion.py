@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 import pytest
-from e4dgs.stages.flow_method import Dis
-from e4dgs.stages.flow_outlines import BETTER, LARGEST, sharpened
-from e4dgs.stages.optical_flow import _arrivals, flow_pair, occluded
+from e4dgs.vision.flow.method import Dis
+from e4dgs.vision.flow.outlines import BETTER, LARGEST, sharpened
+from e4dgs.vision.flow.two_way import _arrivals, flow_pair, occluded
 from factory import Box, Camera, Cells, Motion, Object, Scene, Sphere, look_at, optical_flow, render, to_uint8
 from factory.camera import intrinsics
 

@@ -8,13 +8,13 @@ import sys
 import numpy as np
 import pytest
 from e4dgs.pipeline import StageError
-from e4dgs.stages.frameset import FrameSet
+from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.poses import Poses, PosesSettings
-from e4dgs.stages.sfm import runner
-from e4dgs.stages.sfm.alignment import camera_centres, pose_error, similarity
-from e4dgs.stages.sfm.coverage import cover, runs, spans
-from e4dgs.stages.sfm.pairs import choose, image_pairs
-from e4dgs.stages.sfm.world import MEDIAN_DISTANCE, keep_points, normalise
+from e4dgs.vision.sfm import runner
+from e4dgs.vision.sfm.alignment import camera_centres, pose_error, similarity
+from e4dgs.vision.sfm.coverage import cover, runs, spans
+from e4dgs.vision.sfm.pairs import choose, image_pairs
+from e4dgs.vision.sfm.world import MEDIAN_DISTANCE, keep_points, normalise
 from factory import Options, make, write_images
 from PIL import Image
 from run_stage import run_poses

@@ -5,11 +5,11 @@ import shutil
 
 import numpy as np
 import pytest
-from e4dgs.stages.frameset import FrameSet
-from e4dgs.stages.sfm.alignment import camera_centres, pose_error, similarity
-from e4dgs.stages.sfm.explains import FARTHEST, NOISE, misfit
-from e4dgs.stages.sfm.looks import MOST, choose_looks, expand, look_times
-from e4dgs.stages.sfm.still_cameras import stands_still
+from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.vision.sfm.alignment import camera_centres, pose_error, similarity
+from e4dgs.vision.sfm.explains import FARTHEST, NOISE, misfit
+from e4dgs.vision.sfm.looks import MOST, choose_looks, expand, look_times
+from e4dgs.vision.sfm.still_cameras import stands_still
 from factory import Options, make, render
 from factory.render import to_uint8
 from factory.writers import flatten, write_mp4

@@ -9,9 +9,9 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from e4dgs.stages.report import headlines, render_report
-from e4dgs.stages.report_curves import training_curves
-from e4dgs.stages.report_plot import MOST_POINTS, Plot, Series, numbers, svg
+from e4dgs.stages.report.curves import training_curves
+from e4dgs.stages.report.page import headlines, render_report
+from e4dgs.stages.report.plot import MOST_POINTS, Plot, Series, numbers, svg
 
 EVIL = "<script>alert(1)</script>\"'&"
 
@@ -297,7 +297,7 @@ def test_plots_without_two_points_are_left_out():
 
 def test_the_report_is_drawn_without_torch_or_a_plotting_library():
     code = (
-        "import sys; from e4dgs.stages.report import render_report; from types import SimpleNamespace\n"
+        "import sys; from e4dgs.stages.report.page import render_report; from types import SimpleNamespace\n"
         "class A(dict):\n    attrs = {}\n"
         "render_report('s', A(), {}, [], {})\n"
         "print([m for m in ('torch', 'matplotlib', 'cv2', 'scipy', 'pycolmap', 'kornia', 'open3d') if m in sys.modules])"

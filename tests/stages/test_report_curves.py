@@ -1,8 +1,8 @@
 """What the report draws over time, and the sum of the time that it tells of."""
 
 import pytest
-from e4dgs.stages.report import total_of
-from e4dgs.stages.report_curves import over_time
+from e4dgs.stages.report.curves import over_time
+from e4dgs.stages.report.page import total_of
 
 
 def pair(camera: int, begin: float, static: float | None, edges: float | None) -> dict:

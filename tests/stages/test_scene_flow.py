@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.mover_chain import Chain
-from e4dgs.stages.scene_flow import meet, next_positions
-from e4dgs.stages.sequences import camera_sequences
+from e4dgs.stages.seeding.chain import Chain
+from e4dgs.stages.seeding.scene_flow import meet, next_positions
+from e4dgs.vision.sequences import camera_sequences
 from sliding_ball import RADIUS, place, sliding_ball
 
 

@@ -8,9 +8,9 @@ import pytest
 from e4dgs.pipeline import Artifact, Progress
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.views import Views
-from e4dgs.stages import mover_seeds as mover_seeds_room
-from e4dgs.stages.mover_seeds import MoverSeeds
-from e4dgs.stages.seeds import initial_dynamic, living, mover_seeds
+from e4dgs.stages.seeding import movers as mover_seeds_room
+from e4dgs.stages.seeding.movers import MoverSeeds
+from e4dgs.stages.seeding.seeds import initial_dynamic, living, mover_seeds
 from write_artifact import write_artifact
 
 LOOKS = 20

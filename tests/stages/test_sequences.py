@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.sequences import camera_sequences
+from e4dgs.vision.sequences import camera_sequences
 
 CAMERA = [7, 2, 7, 2, 7, 2, 10]
 TIME = [0.5, 1.0, 0.0, 0.2, 0.5, 0.1, 0.3]

@@ -6,12 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from e4dgs.stages.frameset import FrameSet
-from e4dgs.stages.sfm import runner, second_pass
-from e4dgs.stages.sfm.alignment import pose_error
-from e4dgs.stages.sfm.movers import FEWEST, mover_masks, on_movers, still_matches
-from e4dgs.stages.sfm.pose_agreement import Matches, agreement
-from e4dgs.stages.sfm.second_pass import LEAST, choose_pass, needless
+from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.posing import second_pass
+from e4dgs.stages.posing.movers import FEWEST, mover_masks
+from e4dgs.stages.posing.second_pass import LEAST, choose_pass, needless
+from e4dgs.vision.sfm import runner
+from e4dgs.vision.sfm.alignment import pose_error
+from e4dgs.vision.sfm.masks import on_movers, still_matches
+from e4dgs.vision.sfm.pose_agreement import Matches, agreement
 from factory import Box, Cells, Motion, Object, Options, make, render, write_images
 from run_stage import run_frames, run_poses
 
@@ -148,8 +150,8 @@ def test_masks_lie_on_the_box_and_frames_without_a_pose_have_none(busy, truth, b
 
 def test_masks_follow_the_lens(busy):
     """A mask of the pinhole image is bent as the picture is: what was masked is what is shown there."""
-    from e4dgs.stages.pictures import undistort
-    from e4dgs.stages.sfm.movers import _Lens
+    from e4dgs.stages.posing.movers import _Lens
+    from e4dgs.vision.images.pictures import undistort
 
     K, terms = busy.synthetic.views[0].camera.K, np.array([0.4, 0.0, 0.0, 0.0])
     lens = _Lens(K[None], terms[None], WIDTH, HEIGHT)
@@ -268,7 +270,7 @@ def test_results_are_found_again_for_the_same_request_alone(tmp_path):
 def test_refining_undoes_what_outliers_did_to_the_focal_length():
     """Exact synthetic features, one in twenty moved by 3 px: least squares bends the camera, Cauchy's loss does not."""
     pycolmap = pytest.importorskip("pycolmap")
-    from e4dgs.stages.sfm.refine import refine
+    from e4dgs.vision.sfm.worker.refine import refine
 
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig, options.num_points3D = 1, 1, 8, 150

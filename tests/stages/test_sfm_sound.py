@@ -4,17 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from e4dgs.stages.sfm.alignment import camera_centres, robust_similarity
-from e4dgs.stages.sfm.lens import lens_trouble
-from e4dgs.stages.sfm.plausible import plausible
+from e4dgs.vision.sfm.alignment import camera_centres, robust_similarity
+from e4dgs.vision.sfm.plausible import plausible
+from e4dgs.vision.sfm.worker.lens import lens_trouble
 
 pycolmap = pytest.importorskip("pycolmap")
-from e4dgs.stages.sfm import reclaim as module  # noqa: E402
-from e4dgs.stages.sfm.reclaim import reclaim  # noqa: E402
-from e4dgs.stages.sfm.reconstruct import parts  # noqa: E402
-from e4dgs.stages.sfm.refine import refine, refine_or_keep  # noqa: E402
-from e4dgs.stages.sfm.result import result_arrays  # noqa: E402
-from e4dgs.stages.sfm.sound import observe, purge  # noqa: E402
+from e4dgs.vision.sfm.sound import observe, purge  # noqa: E402
+from e4dgs.vision.sfm.worker import reclaim as module  # noqa: E402
+from e4dgs.vision.sfm.worker.reclaim import reclaim  # noqa: E402
+from e4dgs.vision.sfm.worker.reconstruct import parts  # noqa: E402
+from e4dgs.vision.sfm.worker.refine import refine, refine_or_keep  # noqa: E402
+from e4dgs.vision.sfm.worker.result import result_arrays  # noqa: E402
 
 NOISE = 0.2  # px
 
@@ -135,7 +135,7 @@ def database(tmp_path):
 
 def world_errors(model, truth) -> np.ndarray:
     """Distance of every camera from the truth, after alignment, as a share of the scene."""
-    from e4dgs.stages.sfm.alignment import similarity
+    from e4dgs.vision.sfm.alignment import similarity
 
     ids = sorted(truth.reg_image_ids())
     mine, true = (

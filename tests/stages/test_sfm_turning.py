@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.sfm.alignment import similarity
-from e4dgs.stages.sfm.tracks import join
-from e4dgs.stages.sfm.trouble import nothing_registered
-from e4dgs.stages.sfm.turning import ANYHOW, UNTOLD, solve_turning
-from e4dgs.stages.sfm.turning_bundle import rotations
+from e4dgs.vision.sfm.alignment import similarity
+from e4dgs.vision.sfm.trouble import nothing_registered
+from e4dgs.vision.sfm.turning.bundle import rotations
+from e4dgs.vision.sfm.turning.solve import ANYHOW, UNTOLD, solve_turning
+from e4dgs.vision.sfm.turning.tracks import join
 
 WIDTH, HEIGHT, FRAMES, NOISE = 640, 360, 12, 0.1
 

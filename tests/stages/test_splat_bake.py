@@ -8,8 +8,8 @@ from e4dgs.scene.convex_gaussians import GaussianFit
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.frameset import FrameSet
-from e4dgs.stages.splat_bake import SPREADS, Baked, bake, loss_of
+from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.exports.bake import SPREADS, Baked, bake, loss_of
 from run_stage import run_frames
 
 

@@ -3,12 +3,12 @@
 from types import SimpleNamespace
 
 import cv2
-import e4dgs.stages.static_scene as judge
+import e4dgs.vision.moving.static_scene as judge
 import numpy as np
 import pytest
-from e4dgs.stages.moving_two_view import TwoView
-from e4dgs.stages.static_matches import Features, compare
-from e4dgs.stages.static_scene import static_scene
+from e4dgs.vision.moving.static_matches import Features, compare
+from e4dgs.vision.moving.static_scene import static_scene
+from e4dgs.vision.moving.two_view import TwoView
 from factory import Options, make, render, to_uint8
 
 

@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.video import decode
+from e4dgs.stages.captures.formats.video import decode
 from run_stage import run_frames
 
 STAMPS = (0, 33, 66, 133, 166, 300, 333, 400, 433, 633)  # ms

@@ -26,9 +26,9 @@ def cli(tmp_path, monkeypatch, capsys):
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("e4dgs.workflows.session.reconstruction", toy_reconstruction.toy_reconstruction)
-    report = types.ModuleType("e4dgs.stages.report")
+    report = types.ModuleType("e4dgs.stages.report.page")
     report.render_report = toy_reconstruction.render_report
-    monkeypatch.setitem(sys.modules, "e4dgs.stages.report", report)
+    monkeypatch.setitem(sys.modules, "e4dgs.stages.report.page", report)
     monkeypatch.setattr("signal.signal", lambda *args: None)
 
     def run(*arguments: object) -> Result:

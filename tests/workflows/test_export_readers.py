@@ -13,7 +13,7 @@ from e4dgs.rasterizer import Camera, Convexes, Gaussians
 from e4dgs.scene.hull_mesh import hull_mesh
 from e4dgs.scene.mesh import mesh_glb_bytes
 from e4dgs.scene.rotation import quats_to_matrices
-from e4dgs.stages.splat_export import KINDS, encoder
+from e4dgs.stages.exports.splats import KINDS, encoder
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from e4dgs.stages.splat_export import KINDS
+from e4dgs.stages.exports.splats import KINDS
 from e4dgs.workflows.cli import main
 from scipy.spatial import KDTree
 
@@ -22,7 +22,7 @@ QUICK = ["--set", "coarse.iterations=40", "--set", "hulls.budget=20", "--set", "
 @pytest.fixture(autouse=True)
 def short_fit(monkeypatch):
     """How well convexes are fitted is for tests/stages/test_splat_bake.py."""
-    monkeypatch.setattr("e4dgs.stages.splat_bake.STEPS", 5)
+    monkeypatch.setattr("e4dgs.stages.exports.bake.STEPS", 5)
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
-from e4dgs.scene.ply import LEAST_ALPHA
-from e4dgs.scene.usd import nearest_axis, write_usd
+from e4dgs.scene.formats.ply import LEAST_ALPHA
+from e4dgs.scene.formats.usd import nearest_axis, write_usd
 from e4dgs.workflows.cli import main
 
 pxr = pytest.importorskip("pxr")
@@ -20,7 +20,7 @@ QUICK = ["--set", "coarse.iterations=40", "--set", "hulls.budget=20", "--set", "
 @pytest.fixture(autouse=True)
 def short_fit(monkeypatch):
     """How well convexes are fitted is for tests/stages/test_splat_bake.py."""
-    monkeypatch.setattr("e4dgs.stages.splat_bake.STEPS", 5)
+    monkeypatch.setattr("e4dgs.stages.exports.bake.STEPS", 5)
 
 
 @pytest.fixture(scope="module")

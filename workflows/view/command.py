@@ -34,7 +34,7 @@ def view(
     """Look at a scene in a browser: any view, any time. Also while it trains. Ends with Ctrl-C."""
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
 
-    from ...stages.frameset import FrameSet
+    from ...stages.artifacts.frameset import FrameSet
     from .server import Viewer
     from .source import Source
 

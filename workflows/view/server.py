@@ -15,8 +15,8 @@ import viser.transforms as tf
 
 from ...rasterizer import Camera
 from ...scene.model import Model
-from ...stages.camera_path import looked_at
-from ...stages.frameset import FrameSet
+from ...stages.artifacts.frameset import FrameSet
+from ...stages.exports.camera_path import looked_at
 from .looks import photo_beside, picture
 from .panel import Choice, Panel
 from .source import Found

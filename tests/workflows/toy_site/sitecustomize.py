@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-TOYS = ("e4dgs.workflows.reconstruction", "e4dgs.stages.report")
+TOYS = ("e4dgs.workflows.reconstruction", "e4dgs.stages.report.page")
 
 
 class Toys:

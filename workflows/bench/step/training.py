@@ -33,7 +33,7 @@ PERIOD = 8  # steps after which every term of the loss has come up as often as i
 
 def views_of(bench: Bench) -> tuple[Views, list[np.ndarray] | None, str]:
     """Training views with their pictures decoded, foreground masks of each where there is alpha, and the capture's name."""
-    from ....stages.dataset import load_frameset, load_views
+    from ....stages.artifacts.dataset import load_frameset, load_views
 
     path = bench.capture or SAMPLE
     if not path.exists():

@@ -1,0 +1,1 @@
+"""Splats and scenes as the bytes of files that other programs read."""

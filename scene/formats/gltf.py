@@ -1,0 +1,52 @@
+"""Gaussians of one moment as a binary glTF file with KHR_gaussian_splatting (ratified by Khronos), which engines and web viewers read."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ...rasterizer import Gaussians
+from .glb import FLOAT, VERTICES, Glb
+from .ply import seen
+
+EXTENSION = "KHR_gaussian_splatting"
+POINTS = 0  # a mode of glTF 2.0
+SH_0 = 0.28209479177387814  # the constant spherical harmonic
+
+
+def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
+    """The file of those of ``gaussians`` (with sh) that can be seen, and how many these are.
+
+    POSITION in world units and the capture's axes; ROTATION x y z w, unit; SCALE, standard deviations in world units; OPACITY in [0, 1];
+    SH_DEGREE_l_COEF_n RGB, n from the order -l upwards. COLOR_0 holds colour and opacity for readers that know points alone.
+    """
+    shown = seen(gaussians)
+    assert shown.sh is not None
+    sh, opacity, quats = shown.sh, shown.opacities.clamp(0, 1), shown.quats
+    named: dict[str, Tensor] = {
+        "POSITION": shown.means,
+        "COLOR_0": torch.cat([(0.5 + SH_0 * sh[:, 0]).clamp(0, 1), opacity[:, None]], 1),
+        f"{EXTENSION}:ROTATION": quats[:, [1, 2, 3, 0]],
+        f"{EXTENSION}:SCALE": shown.scales,
+        f"{EXTENSION}:OPACITY": opacity[:, None],
+    }
+    for k in range(sh.shape[1]):
+        degree = int(k**0.5)
+        named[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{k - degree * degree}"] = sh[:, k]
+    file = Glb()
+    attributes = {}
+    for name, value in named.items():
+        attributes[name] = file.add(value.detach().cpu().numpy().astype("<f4"), FLOAT, bounds=name == "POSITION", target=VERTICES)
+    primitive = {
+        "mode": POINTS,
+        "attributes": attributes,
+        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective"}},
+    }
+    content = {
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+    }
+    return file.bytes(content), len(sh)

@@ -1,0 +1,49 @@
+"""Gaussians of one moment as a PLY file in the layout of 3D Gaussian Splatting (Kerbl et al. 2023), which viewers and editors read."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...rasterizer import Gaussians
+
+LEAST_ALPHA = 1 / 255  # below, the rasterizer draws nothing
+
+
+def ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
+    """The file of those of ``gaussians`` (with sh) that can be seen, and how many these are.
+
+    Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_* (SH by channel, then coefficient),
+    opacity (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit).
+    """
+    shown = seen(gaussians)
+    assert shown.sh is not None
+    rows, sh = len(shown.means), shown.sh
+    rest = sh[:, 1:].transpose(1, 2).reshape(rows, 3 * (sh.shape[1] - 1))
+    logit = torch.logit(shown.opacities.clamp(LEAST_ALPHA / 2, 1 - 1e-6))
+    columns = [shown.means, torch.zeros(rows, 3), sh[:, 0], rest, logit[:, None], shown.scales.log(), shown.quats]
+    names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest.shape[1]))]
+    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    table = torch.cat([column.detach().cpu().float() for column in columns], 1).numpy().astype("<f4")
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {rows}", *(f"property float {n}" for n in names), "end_header"]
+    return ("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes(), rows
+
+
+def seen_rows(gaussians: Gaussians) -> Tensor:
+    """[N] bool: what is opaque enough to be drawn, and finite."""
+    return (gaussians.opacities >= LEAST_ALPHA) & torch.isfinite(gaussians.means).all(1)
+
+
+def seen(gaussians: Gaussians) -> Gaussians:
+    """Those of ``gaussians`` (with sh) of which something can be seen; quats are unit."""
+    assert gaussians.sh is not None
+    keep = seen_rows(gaussians)
+    quats = torch.nn.functional.normalize(gaussians.quats[keep], dim=1)
+    return Gaussians(gaussians.means[keep], quats, gaussians.scales[keep], gaussians.opacities[keep], sh=gaussians.sh[keep])
+
+
+def joined(first: Gaussians, second: Gaussians) -> Gaussians:
+    """Both sets in one; each has sh of the same degree."""
+    fields = ("means", "quats", "scales", "opacities", "sh")
+    return Gaussians(**{name: torch.cat([getattr(first, name), getattr(second, name)]) for name in fields})

@@ -1,0 +1,110 @@
+"""Gaussians over time as one USD file with a ParticleField3DGaussianSplat (UsdVol, OpenUSD 26.03 and later), for film and effects."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...pipeline.files import sync_file
+from ...rasterizer import Gaussians
+from .ply import seen_rows
+
+REACH = 3.0  # standard deviations that count for the box around all
+QUARTER = {"X": ("Z", 90.0), "-X": ("Z", -90.0), "-Y": ("X", 180.0), "-Z": ("X", 90.0)}  # axis and degrees that bring each to +Y
+NOTE = (
+    "Positions have the capture's own axes and unit of length (taken as a metre, which nobody measured); colours are display values (sRGB)."
+)
+
+
+def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[float], last_code: float, rate: float, up: np.ndarray) -> int:
+    """Writes ``path`` (.usdc or .usda), whole or not at all, and returns the number of Gaussians.
+
+    at: the Gaussians (with sh) at a time in [0, 1], always as many and in the same order. times: rising; each is the time code
+    t * last_code. rate: time codes a second. up [3]: what is upwards; where +Y or +Z is the nearest axis it is the stage's, else quarter
+    turns of /World bring the nearest to +Y.
+
+    /World/Splats has positions, orientations (unit), scales (standard deviations), opacities in [0, 1] and SH (0.5 is added, as in 3DGS) as
+    time samples of the same Gaussians, those that can be seen at one of the times; so a program may go between samples. Raises ImportError
+    without usd-core, OSError where the file cannot be written.
+    """
+    from pxr import Usd, UsdGeom, UsdVol, Vt
+
+    stage = Usd.Stage.CreateInMemory()
+    layer = stage.GetRootLayer()
+    layer.documentation = NOTE
+    stage.SetFramesPerSecond(rate)
+    stage.SetTimeCodesPerSecond(rate)
+    stage.SetStartTimeCode(times[0] * last_code)
+    stage.SetEndTimeCode(times[-1] * last_code)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(root.GetPrim())
+    axis = nearest_axis(up)
+    UsdGeom.SetStageUpAxis(stage, axis if axis in ("Y", "Z") else "Y")
+    if axis in QUARTER:
+        about, degrees = QUARTER[axis]
+        (root.AddRotateXOp() if about == "X" else root.AddRotateZOp()).Set(degrees)
+
+    keep = torch.stack([seen_rows(at(t)) for t in times]).any(0)
+    splats = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/World/Splats")
+    sh_degree = 0
+    written: dict[str, tuple[np.ndarray, Any]] = {}
+
+    def sample(attribute: Usd.Attribute, code: float, array: np.ndarray, kind: Any) -> None:
+        """What did not change is stored once: equal samples share one array."""
+        known = written.get(attribute.GetName())
+        if known is None or not np.array_equal(known[0], array):
+            known = written[attribute.GetName()] = array, kind.FromNumpy(array)
+        attribute.Set(known[1], Usd.TimeCode(code))
+
+    before: Tensor | None = None
+    for t in times:
+        moment, code = at(t), float(t * last_code)
+        assert moment.sh is not None
+        quats = torch.nn.functional.normalize(moment.quats[keep], dim=1)
+        if before is not None:  # q and -q are one rotation, but not on the way to the next sample
+            quats = torch.where((quats * before).sum(1, keepdim=True) < 0, -quats, quats)
+        before = quats
+        means, scales, sh = as_float32(moment.means[keep]), as_float32(moment.scales[keep]), as_float32(moment.sh[keep])
+        sh_degree = round(sh.shape[1] ** 0.5) - 1
+        sample(splats.GetPositionsAttr(), code, means, Vt.Vec3fArray)
+        sample(splats.GetOrientationsAttr(), code, as_float32(quats[:, [1, 2, 3, 0]]), Vt.QuatfArray)  # in memory the real part is last
+        sample(splats.GetScalesAttr(), code, scales, Vt.Vec3fArray)
+        sample(splats.GetOpacitiesAttr(), code, as_float32(moment.opacities[keep].clamp(0, 1)), Vt.FloatArray)
+        sample(splats.GetRadianceSphericalHarmonicsCoefficientsAttr(), code, sh.reshape(-1, 3), Vt.Vec3fArray)
+        if len(means):
+            reach = REACH * scales.max(1, keepdims=True)
+            extent = np.stack([(means - reach).min(0), (means + reach).max(0)])
+            sample(splats.GetExtentAttr(), code, extent, Vt.Vec3fArray)
+    splats.GetRadianceSphericalHarmonicsDegreeAttr().Set(sh_degree)
+    splats.GetProjectionModeHintAttr().Set("perspective")
+    splats.GetSortingModeHintAttr().Set("zDepth")
+    _export(layer, path)
+    return int(keep.sum())
+
+
+def nearest_axis(up: np.ndarray) -> str:
+    """Of X, Y, Z, -X, -Y, -Z the one nearest to ``up`` [3]."""
+    k = int(np.abs(up).argmax())
+    return ("" if up[k] > 0 else "-") + "XYZ"[k]
+
+
+def as_float32(value: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(value.detach().cpu().numpy(), np.float32)
+
+
+def _export(layer: Any, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as folder:
+        part = Path(folder) / path.name
+        if not layer.Export(str(part)):
+            raise OSError(None, "the USD library failed", str(path))
+        sync_file(part)
+        os.replace(part, path)

@@ -1,0 +1,1 @@
+"""What stages exchange, as typed readers and writers."""

@@ -1,0 +1,107 @@
+"""From artifacts to what training reads: posed views, measured flow, seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...pipeline import Artifact, StageError
+from .frameset import FrameSet
+
+if TYPE_CHECKING:
+    from ...scene.model import Model
+    from ...scene.views import Views
+
+STILL_WEIGHT = 0.1  # of measured flow where nothing moves
+BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
+
+
+def load_frameset(inputs: Any, root: Path) -> FrameSet:
+    """The capture's frames with poses from the files or from SfM."""
+    return FrameSet(inputs["frames"], root, inputs.get("poses"))
+
+
+def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", model: Model | None = None) -> Views:
+    """Views over all frames, with their pictures on ``device``, seen as ``model`` was trained (its near plane and background) where one is
+    given. ``train`` holds the registered training frames; raises StageError where there is none."""
+    from ...scene.views import Views
+
+    if not len(frames.train):
+        raise StageError(
+            "no training frame has a pose; see the coverage report of `poses`, or use fewer held-out frames (--set frames.holdout=0)"
+        )
+    edges = None
+    if flow is not None and "edges" in flow:
+        array = flow.array("edges")
+        edges = lambda i: np.asarray(array[int(i)])  # noqa: E731
+    return Views(
+        K=np.asarray(frames.K),
+        cam_from_world=np.asarray(frames.cam_from_world),
+        time=np.asarray(frames.time),
+        camera=np.asarray(frames.camera),
+        next=np.asarray(frames.next),
+        train=np.asarray(frames.train),
+        width=frames.width,
+        height=frames.height,
+        load=frames.composited,
+        background=BACKGROUNDS[frames.background] if model is None else model.background,
+        load_alpha=(lambda i: np.ascontiguousarray(frames.image(i)[..., 3])) if frames.alpha else None,
+        load_kept=None if frames.keep_files is None else kept_pixels(frames),
+        stored_edges=edges,
+        recorder=np.arange(len(frames.time)) if are_photos(frames) else None,
+        device=device,
+        near=Views.near if model is None else model.near,
+    )
+
+
+def kept_pixels(frames: FrameSet) -> Callable[[int], np.ndarray]:
+    """uint8 [H, W] of a frame: 255 where its pixels count, 0 where the capture's masks say that they do not."""
+
+    def of_frame(i: int) -> np.ndarray:
+        kept = frames.kept(i)
+        return np.full((frames.height, frames.width), 255, np.uint8) if kept is None else np.where(kept, 255, 0).astype(np.uint8)
+
+    return of_frame
+
+
+def are_photos(frames: FrameSet) -> bool:
+    """One camera went around something that stands still: every picture may have an exposure and a white balance of its own."""
+    return len(np.unique(frames.camera)) == 1 and len(np.unique(frames.time)) == 1 and not frames.alpha
+
+
+def measured_flow(flow: Artifact | None, views: Views):
+    """``frame -> (flow [h, w, 2] px, weight [h, w] in [0, 1])`` at half resolution, or None where nothing was measured.
+
+    The weight is the flow's confidence, and a tenth of it where nothing moves: there the cameras alone make the flow, and the little that
+    these pixels can teach, that a primitive before them must not move, would drown what moves.
+    """
+    if flow is None or "forward" not in flow:
+        return None
+    import cv2
+    import torch
+
+    pairs = {int(first): p for p, (first, second) in enumerate(flow.read("pair")) if int(views.next[first]) == int(second)}
+    trained = {int(i) for i in views.train}
+    forward, confidence = flow.array("forward"), flow.array("confidence")
+    movers = flow.array("movers") if "movers" in flow else None
+
+    def of_frame(i: int):
+        p = pairs.get(int(i))
+        if p is None or int(views.next[i]) not in trained:
+            return None
+        size = views.size(0.5)
+        shrink = np.array([size[0] / views.width, size[1] / views.height], np.float32)
+        field = cv2.resize(np.asarray(forward[p]).astype(np.float32), size, interpolation=cv2.INTER_AREA) * shrink
+        weight = cv2.resize(np.asarray(confidence[p]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+        if movers is not None:
+            moves = cv2.resize(np.asarray(movers[int(i)]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+            weight = weight * (STILL_WEIGHT + (1 - STILL_WEIGHT) * moves)
+        kept = views.kept(int(i), 0.5)
+        if kept is not None:
+            weight = weight * kept.cpu().numpy()
+        return torch.from_numpy(np.ascontiguousarray(field)), torch.from_numpy(weight)
+
+    return of_frame

@@ -1,0 +1,160 @@
+"""`FrameSet`: the frames of a capture as numpy, poses from the files or from structure from motion. Imports no torch."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...pipeline import Artifact
+from ...vision.images import lenses, pictures
+
+WHOLLY = 254  # of 255: of a mask that was scaled or bent, a pixel that lies inside
+_MAPS_KEPT = 4  # they take 8 bytes a pixel; one camera needs two, there and back
+
+
+class FrameSet:
+    """Frames of a capture: fields of the `frames` artifact, and pictures that fit the pinhole camera K.
+
+    frames: the `frames` artifact. root: the capture's folder, for pictures in files. poses: the `poses` artifact, whose K,
+    cam_from_world, distortion, points replace the capture's.
+
+    camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 where none); K [F,3,3] float64 px and
+    cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
+    point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
+    files, upright: the stored pictures, and whether these are turned as their EXIF data ask for; crop [F,4] px or None where all are shown
+    whole.
+    fixed_cameras: several cameras that do not move, as the files or structure from motion say.
+    train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
+    Pictures may be read from several threads at once; nothing is cached here.
+    """
+
+    def __init__(self, frames: Artifact, root: Path, poses: Artifact | None = None) -> None:
+        self.root = Path(root)
+        self.attrs = frames.attrs
+        self._files = frames.manifest["files"]
+        self.width = int(frames.attrs["width"])
+        self.height = int(frames.attrs["height"])
+        self.background: str | None = frames.attrs["background"]
+        self.alpha = bool(frames.attrs["alpha"])
+        self.upright = bool(frames.attrs.get("upright"))
+        self.untimed = bool(frames.attrs.get("untimed"))
+        self.names: list[str] = frames.attrs["names"]
+        self.files: list[str] | None = frames.attrs.get("files")
+        self.mask_files: list[str | None] | None = frames.attrs.get("mask_files")
+        self.keep_files: list[str | None] | None = frames.attrs.get("keep_files")
+        self.keep_turns: list[int] = frames.attrs.get("keep_turns") or [1] * len(self.names)
+        self.camera = frames.read("camera")
+        self.time = frames.read("time")
+        self.seconds = frames.read("seconds")
+        self.split = frames.read("split")
+        self.next = frames.read("next")
+        self.crop = frames.read("crop") if "crop" in frames else None
+        self._images = frames.array("images") if "images" in frames else None
+        source = poses if poses is not None else frames
+        self.fixed_cameras = any(bool(one.attrs.get("fixed_cameras")) for one in (frames, poses) if one is not None)
+        posed = "cam_from_world" in source
+        self.K = source.read("K") if posed else None
+        self.cam_from_world = source.read("cam_from_world") if posed else None
+        self._distortion = source.read("distortion") if posed else np.zeros((len(self), 4))
+        self._lens_K = source.read("lens_K") if "lens_K" in source else self.K
+        self._fisheye = source.read("fisheye") if "fisheye" in source else np.zeros(len(self), np.uint8)
+        self.points = source.read("points") if "points" in source else None
+        self.point_colors = source.read("point_colors") if "point_colors" in source else None
+        if self.K is None or self.cam_from_world is None:
+            self.registered = np.zeros(len(self), bool)
+        else:
+            finite = np.isfinite(self.cam_from_world).all((1, 2)) & np.isfinite(self.K).all((1, 2))
+            self.registered = finite & source.read("registered") if "registered" in source else finite
+        usable = self.registered if posed else np.ones(len(self), bool)
+        self.train, self.val, self.test = (np.flatnonzero(usable & (self.split == s)) for s in range(3))
+        self._maps: dict[bytes, tuple[np.ndarray, ...]] = {}
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    def image(self, i: int) -> np.ndarray:
+        """Frame i: uint8 [H,W,3], or [H,W,4] with straight alpha for captures with alpha; undistorted to the pinhole K."""
+        picture = self.original(i)
+        maps = self.undistortion(i)
+        return picture if maps is None else pictures.undistort(picture, maps)
+
+    def original(self, i: int) -> np.ndarray:
+        """Frame i at the capture's size, still with its lens distortion (what structure from motion matches on)."""
+        if self._images is not None:
+            return np.asarray(self._images[i])
+        assert self.files is not None
+        stored = pictures.read_picture(self.root, self.files[i], self.upright)
+        picture = pictures.resize(stored, self.width, self.height, None if self.crop is None else self.crop[i])
+        if self.alpha and picture.shape[2] == 3:
+            picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
+        return picture
+
+    def composited(self, i: int) -> np.ndarray:
+        """Frame i as uint8 [H,W,3] on the capture's background."""
+        return pictures.composite(self.image(i), self.background)
+
+    def both(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Frame i on the capture's background as the lens made it, and as `composited` gives it; the same array without distortion."""
+        stored, maps = self.original(i), self.undistortion(i)
+        seen = pictures.composite(stored, self.background)
+        return seen, seen if maps is None else pictures.composite(pictures.undistort(stored, maps), self.background)
+
+    def picture_parts(self, i: int, digests: Mapping[str, str]) -> list[Any]:
+        """All that decides frame i as the lens made it, as JSON, without reading it. digests: of the capture's files by name (BLAKE3)."""
+        if self._images is not None:
+            return [self._files[f"images/c/{i}/0/0/0"][1], self.width, self.height]  # one chunk a frame
+        assert self.files is not None
+        part = None if self.crop is None else self.crop[i].tolist()
+        shown = [self.width, self.height, part, self.upright, self.alpha, self.background]
+        return [digests[Path(self.files[i]).as_posix()], *shown]
+
+    def mask(self, i: int) -> np.ndarray | None:
+        """Foreground of frame i, uint8 [H,W] (255 foreground), undistorted like the image; None where the capture has none."""
+        name = self.mask_files[i] if self.mask_files is not None else None
+        return None if name is None else self._fitted(i, pictures.read_mask(self.root, name))
+
+    def kept(self, i: int) -> np.ndarray | None:
+        """Pixels of frame i that count, bool [H,W], undistorted like the image; None where the capture says nothing: all do. Pixels that
+        show some of what does not count do not, either."""
+        name = self.keep_files[i] if self.keep_files is not None else None
+        return None if name is None else self._fitted(i, pictures.read_keep(self.root, name, self.keep_turns[i])) >= WHOLLY
+
+    def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
+        """A stored mask of frame i at the size of its image, cropped and undistorted as that is."""
+        mask = pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i])
+        maps = self.undistortion(i)
+        return mask if maps is None else pictures.undistort(mask, maps)
+
+    def bent(self, i: int) -> bool:
+        """Whether the lens bends frame i, so that the pinhole picture differs from the lens's; never so without a pose."""
+        return self._lens_K is not None and bool(self.registered[i] and (self._distortion[i].any() or self._fisheye[i]))
+
+    def straight_places(self, i: int) -> np.ndarray | None:
+        """Where each pixel of frame i as the lens made it lies in the pinhole picture: float32 [H,W,2] px from 0; None where not `bent`."""
+        places = self._of_lens(i, b"back", lambda *lens: (lenses.straight_places(*lens),))
+        return None if places is None else places[0]
+
+    def undistortion(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Maps for `pictures.undistort`: where each pixel of the pinhole picture lies in the lens's; None where not `bent`."""
+        return self._of_lens(i, b"there", lenses.undistort_maps)  # type: ignore[return-value]
+
+    def _of_lens(self, i: int, what: bytes, make: Callable[..., tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...] | None:
+        """What ``make`` gives for the lens of frame i, which other frames share; None where not `bent`."""
+        if self.K is None or self._lens_K is None or not self.bent(i):
+            return None
+        lens_K, terms, fisheye = self._lens_K[i], self._distortion[i], bool(self._fisheye[i])
+        key = what + self.K[i].tobytes() + lens_K.tobytes() + terms.tobytes() + bytes([fisheye])
+        with self._lock:
+            maps = self._maps.get(key)
+        if maps is None:
+            maps = make(self.K[i], terms, self.width, self.height, lens_K, fisheye)
+            with self._lock:
+                if len(self._maps) >= _MAPS_KEPT:
+                    self._maps.pop(next(iter(self._maps)))
+                self._maps[key] = maps
+        return maps

@@ -1,0 +1,91 @@
+"""D-NeRF layout: `transforms_{train,val,test}.json`, `time` on every frame, RGBA images with straight alpha.
+
+Each frame is a camera of its own unless the train poses form a smooth path: then one camera moved through the scene, and
+neighbours in time make pairs (a hand-held video exported in this layout).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ....pipeline import CaptureError
+from .. import checks
+from ..capture import SPLITS, TRAIN, Options, Reading, Shot
+from . import transforms
+
+# Median step between train cameras that follow in time, over the median distance of any two: 0.03 for a walked path of 90
+# frames, 1.0 to 1.2 for the scattered views of D-NeRF. A straight walk of n frames has 3.4 / n, so a path needs about 14.
+_SMOOTH = 0.25
+
+
+def detect(root: Path) -> str | None:
+    return "transforms_train.json" if (root / "transforms_train.json").is_file() else None
+
+
+def read(root: Path, options: Options) -> Reading:
+    files = [(i, f"transforms_{name}.json") for i, name in enumerate(SPLITS) if (root / f"transforms_{name}.json").is_file()]
+    if detect(root) is None:
+        raise CaptureError(f"{root}: no transforms_train.json, which the D-NeRF layout needs; pass its folder or another --format")
+    loaded = [(split, file, checks.read_json(root, file)) for split, file in files]
+    listed = {file: transforms.frames_of(data, file) for _, file, data in loaded}
+    there = {file: transforms.present(root, frames, file) for file, frames in listed.items()}
+    entries = [(split, file, data, i, listed[file][i]) for split, file, data in loaded for i in there[file][0]]
+    paths = [there[file][0][i] for _, file, _, i, _ in entries]
+    sizes, alpha = checks.image_headers(root, paths)
+
+    per_file = [transforms.times_of(frames, file) for file, frames in listed.items()]
+    if any(t is None for t in per_file) != all(t is None for t in per_file):
+        bare = next(file for (_, file, _), t in zip(loaded, per_file, strict=True) if t is None)
+        raise CaptureError(f"{bare}: frame 0: time is missing, but the other split files have times; add it, or remove it everywhere")
+    times = [found[i] for found, file in zip(per_file, listed, strict=True) if found is not None for i in there[file][0]]
+    times = times or [0.0] * len(entries)
+
+    shots = []
+    for number, ((split, file, data, i, frame), path, time, size) in enumerate(zip(entries, paths, times, sizes, strict=True)):
+        lens = transforms.lens(frame, data, f"{file}: frame {i}", *size)
+        shots.append(
+            Shot(
+                name=path,
+                camera=(1, number),
+                time=time,
+                size=size,
+                split=split,
+                file=path,
+                K=lens.K,
+                cam_from_world=transforms.pose(frame, f"{file}: frame {i}"),
+                distortion=lens.distortion,
+                fisheye=lens.fisheye,
+            )
+        )
+    moving = _join_path(shots)
+    raw_fps = loaded[0][2].get("fps")
+    return Reading(
+        why=" + ".join(file for _, file in files) + (", poses along one smooth path" if moving else ""),
+        shots=shots,
+        alpha=alpha,
+        has_split=len(files) > 1,
+        fps=None if raw_fps is None else checks.number(raw_fps, f"{files[0][1]}: fps", 1e-3, 1e6),
+        sources=tuple(file for _, file in files),
+        notes=tuple(note for _, notes in there.values() for note in notes),
+    )
+
+
+def _join_path(shots: list[Shot]) -> bool:
+    """Give the train shots one camera when they are one path; pairs that jump (a cut) stay unlinked. True when joined."""
+    train = sorted((s for s in shots if s.split == TRAIN), key=lambda s: s.time)
+    times = [s.time for s in train]
+    if len(train) < 3 or len(set(times)) != len(times):
+        return False
+    centres = np.stack([checks.inverse(s.cam_from_world)[:3, 3] for s in train if s.cam_from_world is not None])
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    some = centres[:: max(1, len(centres) // 500)]
+    apart = np.linalg.norm(some[:, None] - some[None], axis=-1)[np.triu_indices(len(some), 1)]
+    limit = _SMOOTH * float(np.median(apart))
+    if np.median(steps) > limit:
+        return False
+    for shot, step in zip(train, [*steps, 0.0], strict=True):
+        shot.camera = (0, 0)
+        shot.linked = bool(step <= limit)
+    return True

@@ -1,0 +1,96 @@
+"""A folder of images: one camera over time in the natural order of the names, or a static scene with `--static`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ....pipeline import CaptureError
+from .. import checks
+from ..capture import Options, Reading, Shot
+from ..keep_masks import add_masks, turn_masks, unread
+from . import video
+
+_HINT = "K.txt"
+_HINT_LIMIT = 4096  # characters; nine numbers need a tenth of that
+
+
+def detect(root: Path) -> str | None:
+    folder = _folder(root)
+    return None if folder is None else f"{len(_images(root / folder))} images in {folder or 'the folder'}"
+
+
+def read(root: Path, options: Options) -> Reading:
+    folder = _folder(root)
+    if folder is None and options.format == "images" and (root / "images").is_dir() and _images(root / "images"):
+        folder = "images"  # asked for by name, whatever lies beside it
+    if folder is None:
+        raise CaptureError(f"{root}: no images here; pass the folder that holds them")
+    prefix = f"{folder}/" if folder else ""
+    found = [prefix + name for name in _images(root / folder)]
+    if len(found) < 2:
+        raise CaptureError(f"{root}: one image alone has no pose and no depth; add more views of the scene")
+    for name in found:
+        checks.resolve_inside(root, name, name)
+    taken = video.choose(len(found), options, None)
+    paths = [found[i] for i in taken]
+    upright = checks.turned(root, paths)  # where poses come with the files, they are those of the pictures as stored
+    sizes, alpha = checks.image_headers(root, paths, upright)
+    hint = _hint(root, prefix + _HINT, *sizes[0])
+    if hint is not None and len(set(sizes)) > 1:
+        raise CaptureError(
+            f"{prefix}{_HINT}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
+        )
+    shots = [Shot(name=path, camera=0, time=float(i), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)]
+    masked = add_masks(root, shots, prefix)
+    if upright:
+        turn_masks(root, shots)
+    elsewhere = unread(root.parent, "images") if root.name == "images" and not (root / "masks").is_dir() else ()
+    thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if 1 < len(taken) < len(found) else ()
+    # A strip of zeros and a set of photos look alike; only --static says that nothing moves.
+    return Reading(
+        why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
+        shots=shots,
+        alpha=alpha,
+        sources=(prefix + _HINT,) if hint is not None else (),
+        K_hint=hint,
+        upright=upright,
+        notes=(*thinned, *masked, *elsewhere),
+    )
+
+
+def _images(folder: Path) -> list[str]:
+    return [name for name in checks.list_folder(folder) if name.lower().endswith(checks.IMAGE_SUFFIXES) and (folder / name).is_file()]
+
+
+def _folder(root: Path) -> str | None:
+    """ "" when the images lie in `root`, "images" when that is its only folder but for masks/, None when there are none."""
+    if not root.is_dir():
+        return None
+    if _images(root):
+        return ""
+    folders = [name for name in checks.list_folder(root) if (root / name).is_dir()]
+    return "images" if [name for name in folders if name != "masks"] == ["images"] and _images(root / "images") else None
+
+
+def _hint(root: Path, name: str, width: int, height: int) -> np.ndarray | None:
+    """[3,3] px from `K.txt`: known intrinsics that structure from motion starts from. None without the file."""
+    path = root / name
+    if not path.is_file():
+        return None
+    checks.resolve_inside(root, name, name)
+    try:
+        with path.open(encoding="utf-8") as file:
+            values = [float(v) for v in file.read(_HINT_LIMIT).split()]
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{name}: expected nine numbers, a 3x3 camera matrix ({error}); correct or remove the file") from error
+    if len(values) != 9:
+        raise CaptureError(f"{name}: expected nine numbers, a 3x3 camera matrix, found {len(values)}; correct or remove the file")
+    K = checks.intrinsics(values[0], values[4], values[2], values[5], name, skew=values[1])
+    if not (0 < K[0, 2] < width and 0 < K[1, 2] < height):
+        raise CaptureError(
+            f"{name}: the principal point {K[0, 2]:g}, {K[1, 2]:g} lies outside the {width}x{height} images; "
+            "scale the matrix to the images or remove the file"
+        )
+    return K

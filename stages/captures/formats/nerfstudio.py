@@ -1,0 +1,137 @@
+"""One `transforms.json` (nerfstudio, instant-ngp): a moving camera, or several cameras when times repeat."""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ....pipeline import CaptureError
+from .. import checks, keep_masks
+from ..capture import SPLITS, Options, Reading, Shot
+from ..ply_points import read_points
+from . import transforms
+
+_FILE = "transforms.json"
+
+
+def detect(root: Path) -> str | None:
+    return _FILE if (root / _FILE).is_file() else None
+
+
+def read(root: Path, options: Options) -> Reading:
+    if detect(root) is None:
+        raise CaptureError(f"{root}: no {_FILE}, which the nerfstudio layout needs; pass its folder or another --format")
+    data = checks.read_json(root, _FILE)
+    frames = transforms.frames_of(data, _FILE)
+    paths, notes = transforms.present(root, frames, _FILE)
+    headers, alpha = checks.image_headers(root, paths.values())
+    sizes = dict(zip(paths, headers, strict=True))
+    times = transforms.times_of(frames, _FILE)
+    # Files of this family are often unsorted: frames follow their time, or the natural order of their names.
+    keys: dict[int, Any] = {i: checks.natural_key(p) if times is None else (times[i], checks.natural_key(p)) for i, p in paths.items()}
+    order = sorted(paths, key=lambda i: keys[i])
+    splits = _splits(data, root)
+    shots = []
+    for rank, i in enumerate(order):
+        where = f"{_FILE}: frame {i}"
+        lens = transforms.lens(frames[i], data, where, *sizes[i])
+        shots.append(
+            Shot(
+                name=paths[i],
+                camera=0,
+                time=float(rank) if times is None else times[i],
+                size=sizes[i],
+                file=paths[i],
+                keep=_mask(root, frames[i], where),
+                K=lens.K,
+                cam_from_world=transforms.pose(frames[i], where),
+                distortion=lens.distortion,
+                fisheye=lens.fisheye,
+            )
+        )
+    if splits is not None:
+        for shot in shots:
+            if shot.file not in splits:
+                raise CaptureError(f"{_FILE}: {shot.file} is in none of train_filenames, val_filenames, test_filenames; add it to one")
+            shot.split = splits[shot.file]
+    fixed = _cameras(shots)
+    of_frames = keep_masks.told(shots, "(mask_path)")
+    masked = (of_frames,) if of_frames else keep_masks.add_masks(root, shots)
+    cloud, said = _cloud(root, data)
+    points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    fps = data.get("fps")
+    return Reading(
+        why=f"{_FILE}, {'several cameras' if len({s.camera for s in shots}) > 1 else 'one moving camera'}",
+        shots=shots,
+        alpha=alpha,
+        has_split=splits is not None,
+        untimed=times is None,
+        fps=None if fps is None else checks.number(fps, f"{_FILE}: fps", 1e-3, 1e6),
+        fixed_cameras=fixed,
+        sources=(_FILE, *([cloud] if cloud else [])),
+        points=points if len(points) else None,
+        point_colors=colors if len(points) else None,
+        notes=(*notes, *masked, *said),
+    )
+
+
+def _splits(data: dict[str, Any], root: Path) -> dict[str, int] | None:
+    """file -> split from nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`; None when the file has none."""
+    result: dict[str, int] = {}
+    if data.get("train_filenames") is None:
+        return None
+    for split, name in enumerate(SPLITS):
+        field = f"{name}_filenames"
+        if not data.get(field):
+            continue
+        for i, path in enumerate(checks.items(data[field], f"{_FILE}: {field}")):
+            where = f"{_FILE}: {field}[{i}]"
+            file = checks.seek_image(root, checks.text(path, where), where)
+            if file is None:
+                continue  # `transforms.present` has counted it
+            # nerfstudio writes the same list for val and test when there is only one held-out set: it counts as test.
+            result[file] = max(split, result.get(file, 0))
+    return result
+
+
+def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:
+    """The file of points that `ply_file_path` names, and a note where it is not there. nerfstudio keeps the points in the world of
+    `transform_matrix`: `applied_transform`, which led there from COLMAP's, is in both already."""
+    field = f"{_FILE}: ply_file_path"
+    if data.get("ply_file_path") is None:
+        return None, ()
+    name = posixpath.normpath(checks.text(data["ply_file_path"], field).replace("\\", "/"))
+    if checks.resolve_inside(root, name, field).is_file():
+        return name, ()
+    return None, (f"{field}: no file {name[:200]!r}, so training begins at points that are triangulated; copy it if there is one",)
+
+
+def _mask(root: Path, frame: dict[str, Any], where: str) -> str | None:
+    path = frame.get("mask_path")
+    return None if path is None else checks.find_image(root, checks.text(path, f"{where}: mask_path"), f"{where}: mask_path")
+
+
+def _cameras(shots: Sequence[Shot]) -> bool:
+    """Tell cameras apart where several frames share a time; True when the same fixed cameras see every time."""
+    times = [round(s.time, 9) for s in shots]
+    distinct = len(set(times))
+    if distinct == len(times) or distinct == 1:
+        return False
+    # Same pose and same lens at several times: one tripod.
+    poses = [
+        tuple(np.round(np.concatenate([s.cam_from_world.ravel(), s.K.ravel()]), 5))
+        for s in shots
+        if s.cam_from_world is not None and s.K is not None
+    ]
+    ids = {key: i for i, key in enumerate(dict.fromkeys(poses))}
+    if len(ids) * distinct == len(shots):
+        for shot, key in zip(shots, poses, strict=True):
+            shot.camera = ids[key]
+        return True
+    for i, shot in enumerate(shots):
+        shot.camera = i
+    return False

@@ -1,0 +1,169 @@
+"""A video file: one camera over time. Any codec that PyAV reads, in any container of `video_files.py`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ....pipeline import CaptureError, thread_count
+from .. import checks
+from ..capture import Options, Reading, Shot, Video
+from ..video_files import MOST_FRAMES, open_video
+
+DEFAULT_MAX_FRAMES = 200
+_LARGE = 10 * 2**30  # bytes
+_LEAST_USED = 0.01  # of a large file
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the container says: size after rotation, seconds of every frame in display order, rate."""
+
+    width: int
+    height: int
+    seconds: tuple[float, ...]
+    fps: float | None
+
+
+def detect(root: Path) -> str | None:
+    file = _file(root)
+    return None if file is None else f"the video {file.name}"
+
+
+def read(root: Path, options: Options) -> Reading:
+    path = _file(root)
+    if path is None:
+        raise CaptureError(f"{root}: no video here, or several; pass the one video file")
+    base = root if root.is_dir() else root.parent
+    checks.resolve_inside(base, path.name, path.name)
+    header = probe(base, path.name)
+    total = len(header.seconds)
+    taken = choose(total, options, DEFAULT_MAX_FRAMES)
+    if len(taken) < 2:
+        raise CaptureError(f"{path.name}: {len(taken)} frame(s) to work with; a scene needs more, lower frames.every")
+    step = taken[1] - taken[0]
+    begin, span = header.seconds[0], header.seconds[taken[-1]] - header.seconds[taken[0]]
+    # Seconds of a video shorter than one would be taken for times that a file gives, and kept as they are.
+    return Reading(
+        why=f"video {path.name}, {total} frames, one camera over time",
+        shots=[
+            Shot(
+                f"{path.name}#{i}", 0, (header.seconds[i] - begin) / span, (header.width, header.height), seconds=header.seconds[i] - begin
+            )
+            for i in taken
+        ],
+        fps=header.fps,
+        videos=(Video(path.name, 0, taken, total),),
+        notes=(f"took {len(taken)} of {total} video frames (every {step}); frames.every and frames.max_frames change it",),
+    )
+
+
+def choose(total: int, options: Options, default_max: int | None) -> tuple[int, ...]:
+    """Indices of the frames to take: every `every`-th; without it the smallest step that keeps to `max_frames`."""
+    limit = options.max_frames or default_max
+    step = options.every or (max(1, math.ceil(total / limit)) if limit else 1)
+    return tuple(range(0, total, step))
+
+
+def probe(root: Path, name: str) -> Header:
+    """Read packets, decode only the first frame (its pixels tell the rotation). Refuses broken and cut-off files."""
+    import av
+
+    try:
+        with open_video(root, name) as container:
+            stream = _stream(container, name)
+            promised = stream.frames
+            base = float(stream.time_base or 0)
+            stamps: list[int | None] = []
+            size, used = (root / name).stat().st_size, 0
+            for packet in container.demux(stream):
+                if packet.size and not packet.is_discard:
+                    if packet.is_corrupt:
+                        raise CaptureError(f"{name}: frame {len(stamps)}: the file is damaged or cut short here; copy it again")
+                    stamps.append(packet.pts)
+                    used += packet.size
+                    if len(stamps) > MOST_FRAMES:
+                        raise CaptureError(f"{name}: more than {MOST_FRAMES} frames; cut the video to the part that you mean")
+            rate = float(stream.average_rate) if stream.average_rate else None
+        with open_video(root, name) as container:
+            frame = next(container.decode(_stream(container, name)), None)
+            if frame is None:
+                raise CaptureError(f"{name}: frame 0: nothing can be decoded; copy or record the video again")
+            width, height = (frame.height, frame.width) if frame.rotation % 180 else (frame.width, frame.height)
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise CaptureError(f"{name}: not a readable video, perhaps cut short ({error}); copy it again or convert it to MP4") from error
+    if promised and len(stamps) < promised:
+        raise CaptureError(f"{name}: frame {len(stamps)}: the file promises {promised} frames and ends here, cut short; copy it again")
+    if size > _LARGE and used < _LEAST_USED * size:  # every command reads all of it, to know whether it has changed
+        raise CaptureError(
+            f"{name}: {used} bytes of pictures in a file of {size / 1e9:.0f} GB, damaged; copy it again or convert it to MP4"
+        )
+    if not stamps:
+        raise CaptureError(f"{name}: holds no frames; copy or record the video again")
+    known = sorted(p for p in stamps if p is not None)
+    if len(known) == len(stamps) and len(set(known)) == len(known) and base > 0:
+        seconds = tuple((p - known[0]) * base for p in known)
+    else:  # raw streams carry no time stamps
+        seconds = tuple(i / (rate or 30.0) for i in range(len(stamps)))
+    return Header(width, height, seconds, rate)
+
+
+def decode(root: Path, video: Video, width: int, height: int, crop: np.ndarray | None = None) -> Iterator[np.ndarray]:
+    """The taken frames in order, uint8 [H,W,3] RGB, upright, scaled to width x height. crop: left, top, width, height of the part of each
+    frame that is taken, px; all of it where None.
+
+    Frames stream: one is held at a time. Raises `CaptureError` naming file and frame for damaged data and for a count of
+    decoded frames that differs from the container's.
+    """
+    import av
+
+    wanted = iter(video.taken)
+    target = next(wanted, None)
+    index = 0
+    try:
+        with open_video(root, video.file) as container:
+            stream = _stream(container, video.file)
+            stream.thread_type = "AUTO"
+            stream.codec_context.thread_count = thread_count()
+            for frame in container.decode(stream):
+                if frame.is_corrupt:
+                    raise CaptureError(f"{video.file}: frame {index}: the picture is damaged; copy or record the video again")
+                if index == target:
+                    yield _picture(frame, width, height, crop)
+                    target = next(wanted, None)
+                index += 1
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise CaptureError(f"{video.file}: frame {index}: cannot be decoded ({error}); copy or record the video again") from error
+    if index < video.total:
+        raise CaptureError(f"{video.file}: frame {index}: {video.total} frames in the file, only {index} decode; copy or record it again")
+
+
+def _picture(frame: Any, width: int, height: int, crop: np.ndarray | None) -> np.ndarray:
+    from ....vision.images.pictures import resize
+
+    rgb = frame.to_ndarray(format="rgb24")
+    turns = round(frame.rotation / 90) % 4  # counter-clockwise, as np.rot90
+    if turns:
+        rgb = np.rot90(rgb, turns)
+    return np.ascontiguousarray(resize(np.ascontiguousarray(rgb), width, height, crop))
+
+
+def _stream(container: Any, name: str) -> Any:
+    if not container.streams.video:
+        raise CaptureError(f"{name}: holds no video stream; pass a video file")
+    return container.streams.video[0]
+
+
+def _file(root: Path) -> Path | None:
+    """The video itself, or the only video of a folder that holds no images."""
+    if root.is_file():
+        return root
+    names = [name for name in checks.list_folder(root) if (root / name).is_file()]
+    videos = [name for name in names if name.lower().endswith(checks.VIDEO_SUFFIXES)]
+    has_images = any(name.lower().endswith(checks.IMAGE_SUFFIXES) for name in names)
+    return root / videos[0] if len(videos) == 1 and not has_images else None

@@ -1,0 +1,155 @@
+"""Several videos of one event and nothing else: each is a camera, by sorted name; all have frames at the same times.
+
+Where every video has sound, that says how the clocks lie to one another; else each begins at 0. The slowest camera gives the times, cut to
+the span that all share, and the others' nearest frames are taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ....pipeline import CaptureError
+from .. import checks, sound
+from ..capture import TEST, TRAIN, Options, Reading, Shot, Video
+from ..heard import onsets_of
+from . import video
+
+_POSES = "poses_bounds.npy"  # videos beside it are n3v's, whatever their names
+
+
+def detect(root: Path) -> str | None:
+    names = _videos(root)
+    return None if names is None else f"{len(names)} videos without poses"
+
+
+def read(root: Path, options: Options) -> Reading:
+    names = _videos(root, forced=True)
+    if names is None:
+        raise CaptureError(f"{root}: fewer than two videos here; pass the folder that holds the videos of one event")
+    headers = {}
+    for name in names:
+        checks.resolve_inside(root, name, name)
+        headers[name] = video.probe(root, name)
+    shifts, how = clocks(root, names, options.sync, options.heard)
+    local = [np.asarray(headers[name].seconds) for name in names]
+    times, taken = _shared(names, local, shifts, options)
+    late = max(float(np.abs(s[list(t)] + shift - times).max()) for s, t, shift in zip(local, taken, shifts, strict=True))
+    shots = [
+        Shot(
+            name=f"{name}#{i}",
+            camera=number,
+            time=float((times[k] - times[0]) / (times[-1] - times[0])),
+            size=(headers[names[number]].width, headers[names[number]].height),
+            seconds=float(times[k] - times[0]),
+            split=TEST if options.holdout and not options.static and k % options.holdout == 0 else TRAIN,
+        )
+        for number, name in enumerate(names)
+        for k, i in enumerate(taken[number])
+    ]
+    return Reading(
+        why=f"{len(names)} videos without poses, {how}; each is one camera",
+        shots=shots,
+        has_split=not options.static,  # a time is held out of all cameras, so that each time has all of them or none
+        fps=headers[names[0]].fps,
+        videos=tuple(Video(name, n * len(times), taken[n], len(headers[name].seconds)) for n, name in enumerate(names)),
+        notes=(_told(names, shifts, times, taken, headers, how, late),),
+    )
+
+
+def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | None = None) -> tuple[list[float], str]:
+    """Seconds to add to each video's own times to have them on one clock, and how they were found.
+
+    sync: "sound" raises CaptureError where the sound does not tell, "auto" then goes by frames, "frames" does not listen. heard_before: a
+    folder in which long sounds are kept (`heard.py`).
+    """
+    zero = [0.0] * len(names)
+    if sync == "frames":
+        return zero, "aligned by their first frames"
+    heard = []
+    for name, envelope in zip(names, onsets_of(root, names, heard_before), strict=True):
+        if envelope is None:
+            if sync == "sound":
+                raise CaptureError(f"{name}: no sound that can be read, so frames.sync=sound cannot align it; use frames.sync=frames")
+            return zero, f"aligned by their first frames ({name} has no sound)"
+        heard.append(envelope)
+    longest = max(range(len(names)), key=lambda n: len(heard[n][0]))
+    shifts = []
+    for name, envelope in zip(names, heard, strict=True):
+        shift = 0.0 if envelope is heard[longest] else sound.offset(heard[longest], envelope)
+        if shift is None:
+            if sync == "sound":
+                raise CaptureError(
+                    f"{name}: its sound does not fit that of {names[longest]} at one shift clearly better than at others; "
+                    "start all videos with a clap, or trim them to one start and use frames.sync=frames"
+                )
+            return zero, f"aligned by their first frames (the sound of {name} does not tell its clock)"
+        shifts.append(shift)
+    return [shift - shifts[0] for shift in shifts], "aligned by their sound"
+
+
+def _shared(
+    names: Sequence[str], local: Sequence[np.ndarray], shifts: Sequence[float], options: Options
+) -> tuple[np.ndarray, list[tuple[int, ...]]]:
+    """Times [T] on the shared clock, and the frames [T] of each video that are nearest to them, none taken twice."""
+    gaps = [float(np.median(np.diff(s))) if len(s) > 1 else 0.0 for s in local]
+    for name, seconds in zip(names, local, strict=True):
+        if len(seconds) < 2:
+            raise CaptureError(f"{name}: one frame alone; a camera needs more, take the file out of the folder")
+    slowest = max(range(len(names)), key=lambda n: gaps[n])
+    begin = max(range(len(names)), key=lambda n: shifts[n])
+    end = min(range(len(names)), key=lambda n: shifts[n] + local[n][-1])
+    times = local[slowest] + shifts[slowest]
+    times = times[(times >= shifts[begin] - 0.5 * gaps[begin]) & (times <= shifts[end] + local[end][-1] + 0.5 * gaps[end])]
+    nearest = [_nearest(s + shift, times) for s, shift in zip(local, shifts, strict=True)]
+    fresh = np.ones(len(times), bool)
+    for indices in nearest:
+        fresh[1:] &= np.diff(indices) > 0
+    kept = np.flatnonzero(fresh)
+    # a static scene needs every frame's pose, at one time, and pairs of all: as many frames in all as of a lone video
+    limit = video.DEFAULT_MAX_FRAMES // (len(names) if options.static else 1)
+    kept = kept[list(video.choose(len(kept), options, max(2, limit)))] if len(kept) else kept
+    if len(kept) < 2:
+        raise CaptureError(
+            f"{names[end]}: shares {len(kept)} time(s) with {names[begin]} on their common clock (it ends at "
+            f"{local[end][-1] + shifts[end]:.2f} s, the other begins at {shifts[begin]:.2f} s, both since {names[0]} began); trim the "
+            "videos to one event, take the odd one out, or lower frames.every"
+        )
+    return times[kept], [tuple(int(i) for i in indices[kept]) for indices in nearest]
+
+
+def _nearest(seconds: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """[T] int: index of the value of `seconds` (sorted) nearest to each time; of two equally near ones the earlier."""
+    after = np.clip(np.searchsorted(seconds, times), 1, len(seconds) - 1)
+    return np.where(times - seconds[after - 1] <= seconds[after] - times, after - 1, after)
+
+
+def _told(
+    names: Sequence[str],
+    shifts: Sequence[float],
+    times: np.ndarray,
+    taken: Sequence[tuple[int, ...]],
+    headers: dict[str, video.Header],
+    how: str,
+    late: float,
+) -> str:
+    starts = ", ".join(f"{name} {shift:+.3f} s" for name, shift in zip(names, shifts, strict=True) if abs(shift) > 5e-4)
+    step = taken[0][1] - taken[0][0]
+    counts = sorted({len(headers[name].seconds) for name in names})
+    return (
+        f"{len(names)} videos {how}{f' ({starts})' if starts else ''}: took {len(times)} times that all of them share, of "
+        f"{counts[0]}{f' to {counts[-1]}' if len(counts) > 1 else ''} frames"
+        f"{f' (every {step} of {names[0]})' if step > 1 else ''}; frames are at most {1000 * late:.0f} ms off the shared times"
+    )
+
+
+def _videos(root: Path, forced: bool = False) -> list[str] | None:
+    """The videos of a folder that holds two or more, no images, and no poses (forced: whatever else); None otherwise."""
+    if not root.is_dir():
+        return None
+    names = [name for name in checks.list_folder(root) if (root / name).is_file()]
+    found = [name for name in names if name.lower().endswith(checks.VIDEO_SUFFIXES)]
+    other = _POSES in names or any(name.lower().endswith(checks.IMAGE_SUFFIXES) for name in names)
+    return found if len(found) > 1 and (forced or not other) else None

@@ -1,0 +1,43 @@
+"""Flicker of renders at the capture's own fixed cameras over time."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..artifacts.frameset import FrameSet
+    from .judge import Judge
+
+CAMERAS, TIMES = 3, 60  # looked at, at most: cameras of the capture, neighbouring times of each
+FEWEST = 3  # times of a camera
+
+
+def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
+    """`static` and `edges` in levels of 8 bits, `flow` in px, how many `cameras` and `pairs` of times they are means of, and in `per_pair`
+    the three of each pair with its `camera` and both `times`; None for captures without a fixed camera that saw several times. Held-out
+    cameras are taken where there are any, from the first time on."""
+    import numpy as np
+
+    from ...scene.metrics.flicker import Flicker, steady_pixels
+
+    if not judge.fixed or judge.model.field is None:
+        return None
+    seen: dict[int, list[int]] = {}
+    for k in np.flatnonzero(frames.registered):
+        seen.setdefault(int(frames.camera[k]), []).append(int(k))
+    held_out = {int(frames.camera[i]) for i in np.flatnonzero(frames.registered & (frames.split > 0))}
+    wholly = [camera for camera in seen if camera in held_out and not (frames.split[seen[camera]] == 0).any()]
+    cameras = [camera for camera in (wholly or sorted(seen)) if len(seen[camera]) >= FEWEST]
+    if not cameras:
+        return None
+    chosen = [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, CAMERAS).round().astype(int))]
+    flicker, pairs = Flicker(), []
+    for camera in chosen:
+        order = sorted(seen[camera], key=lambda i: float(frames.time[i]))[:TIMES]
+        flicker.begin(steady_pixels(frames.composited(i) / 255.0 for i in order))
+        for i in order:
+            flicker.add(judge.render(i)[0], frames.composited(i) / 255.0)
+        pairs += [{"camera": camera, "times": [float(frames.time[i]) for i in pair]} for pair in pairwise(order)]
+    rows = [{**pair, **row} for pair, row in zip(pairs, flicker.rows, strict=True)]
+    return {**flicker.means(), "cameras": len(chosen), "pairs": len(rows), "per_pair": rows}

@@ -1,0 +1,90 @@
+"""The strip of flow in the report, as in Fig. 5 of the paper: a training frame, its measured flow, the flow that the model renders."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...vision.flow.colours import colour_wheel, flow_colours, typical_largest
+from ...vision.images.overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, overlay
+from ..artifacts.flow_fields import FlowFields
+from ..evaluate import spread
+from .judge import Judge
+
+if TYPE_CHECKING:
+    from ...pipeline import Artifact
+    from .pictures import PictureBook
+
+MOST_PAIRS = 4
+FLOW_SIZE = 480  # px, longest side of these pictures
+WHEEL_SIZE = 128  # px
+EDGE = 128  # of 255, weight from which a pixel is at an edge
+TRUSTED = 128  # of 255, confidence from which a pixel counts in the difference
+COVERED = 0.5  # alpha from which a pixel counts in the difference, as in the flow loss
+
+
+def add_flow(book: PictureBook, judge: Judge, flow: Artifact, most: int) -> None:
+    """Adds up to ``most`` pairs of frames to the book, evenly spread over cameras and times: names "flow/<k>/frame|measured|rendered|
+    edges|moving" and "flow/wheel", and what they show to `book.flow`.
+
+    One `largest` colours all of them. Only pairs of training frames with poses are shown.
+    """
+    fields = FlowFields(flow)
+    frames = judge.frames
+    posed = {int(i) for i in frames.train}
+    chosen = spread([p for p, pair in enumerate(fields.pairs) if posed.issuperset(pair)], min(most, MOST_PAIRS))
+    if not chosen:
+        return
+    measured = {p: fields.forward(p).astype(np.float32) for p in chosen}
+    largest = typical_largest(*measured.values())
+    size = min(book.size, FLOW_SIZE)
+    rows = []
+    for k, p in enumerate(chosen):
+        first, second = fields.pairs[p]
+        rendered, alpha = _rendered(judge, first, second)
+        picture = frames.composited(first)
+        book.add(f"flow/{k}/frame", picture, size)
+        book.add(f"flow/{k}/measured", flow_colours(measured[p], largest), size)
+        # Where the background shows through, which does not move, flow fades like the colour does.
+        shown = rendered * np.minimum(alpha / COVERED, 1)[..., None]
+        book.add(f"flow/{k}/rendered", flow_colours(shown, largest), size)
+        book.add(f"flow/{k}/edges", overlay(picture, fields.edges(first), EDGE_COLOUR), size)
+        moving = fields.moving(first, int(frames.camera[first]))
+        if moving is not None:
+            book.add(f"flow/{k}/moving", overlay(picture, moving, MOVING_COLOUR, MASK_STRENGTH), size)
+        rows.append(
+            {
+                "stem": f"flow/{k}",
+                "frames": [frames.names[first], frames.names[second]],
+                "times": [float(frames.time[first]), float(frames.time[second])],
+                **difference(measured[p], rendered, (fields.confidence(p) >= TRUSTED) & (alpha > COVERED), fields.edges(first) >= EDGE),
+            }
+        )
+    book.add("flow/wheel", colour_wheel(WHEEL_SIZE), WHEEL_SIZE)
+    book.flow = {"largest": largest, "method": str(flow.attrs.get("method", "")), "pairs": rows}
+
+
+def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray, edges: np.ndarray) -> dict[str, float | None]:
+    """Over the pixels that count, px: means of the `difference` between the flows and of `motion`, the measured length; `at_edges`, the
+    median difference where ``edges``. None where no pixel counts.
+
+    measured, rendered: float [H, W, 2] px. counts, edges: bool [H, W]; a pixel with a value that is not finite does not count.
+    """
+    counts = counts & np.isfinite(rendered).all(-1) & np.isfinite(measured).all(-1)
+    wrong, length = (np.linalg.norm(field.astype(np.float64), axis=-1) for field in (measured - rendered, measured))
+    values = {"difference": wrong[counts], "motion": length[counts], "at_edges": wrong[counts & edges]}
+    mean = {name: float(np.median(chosen) if name == "at_edges" else chosen.mean()) for name, chosen in values.items() if chosen.size}
+    return {name: round(mean[name], 4) if name in mean else None for name in values}
+
+
+def _rendered(judge: Judge, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
+    """The model's flow float32 [H, W, 2] px from one frame to another, and alpha [H, W] of the first."""
+    import torch
+
+    from ...scene.losses.flow_loss import rendered_flow
+
+    times = judge.frames.time
+    with torch.no_grad():
+        flow, alpha = rendered_flow(judge.model, judge.camera(first), float(times[first]), judge.camera(second), float(times[second]))
+    return flow.cpu().numpy(), alpha.cpu().numpy()

@@ -1,0 +1,126 @@
+"""A model as Gaussians alone, for tools that know no convexes, and how far that is from the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .capture_cameras import camera_of, distinct_views
+
+if TYPE_CHECKING:
+    from ...rasterizer import Frame, Gaussians
+    from ...scene.convex_gaussians import GaussianFit
+    from ...scene.model import Model
+    from ..artifacts.frameset import FrameSet
+
+SPREADS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of a convex's points: standard deviations of the Gaussian for it, of which the best begins
+LOOKS = 4  # views that judge
+STEPS = 200  # of the fit, each before another camera and time: with 12 views again and again it pleases these and no other
+RATE = 0.04  # of Adam, decays to a twentieth: ln of standard deviations, standard deviations, logits
+
+
+@dataclass
+class Baked:
+    """``model`` with Gaussians for its convexes, as ``fit`` says."""
+
+    model: Model
+    fit: GaussianFit
+
+    def at(self, t: float) -> Gaussians:
+        """The Gaussians, with sh, at time ``t`` in [0, 1]: always as many, in the same order."""
+        import torch
+
+        from ...scene.formats.ply import joined
+
+        with torch.no_grad():
+            gaussians, convexes = self.model.at(t)
+            return joined(gaussians, self.fit.gaussians(convexes))
+
+
+@dataclass
+class Loss:
+    """psnr: dB between renders of what was exported and of the full model, over ``cameras`` cameras. convexes: became Gaussians."""
+
+    psnr: float
+    cameras: int
+    convexes: int
+
+    def __str__(self) -> str:
+        said = f"{self.psnr:.1f} dB from the full model, first time, {self.cameras} cameras"
+        return f"{self.convexes} convexes became Gaussians: {said}" if self.convexes else said
+
+
+def bake(model: Model, frames: FrameSet) -> Baked:
+    """A Gaussian for each convex: mean, covariance and opacity whose renders are nearest to those of the full ``model`` from training
+    cameras at all times. The rest of the model stays as it is."""
+    from ...scene.convex_gaussians import GaussianFit
+
+    reference = model.convexes.points.detach()
+    if not len(model.convexes):
+        return Baked(model, GaussianFit.uniform(reference, 1.0))
+    few = frames.train[np.linspace(0, len(frames.train) - 1, min(LOOKS, len(frames.train))).round().astype(int)]
+    starts = [GaussianFit.uniform(reference, spread) for spread in SPREADS]
+    best = starts[int(np.argmin([_error(Baked(model, start), frames, few) for start in starts]))]
+    return min((Baked(model, fit) for fit in (best, _fitted(model, frames, best))), key=lambda baked: _error(baked, frames, few))
+
+
+def _fitted(model: Model, frames: FrameSet, start: GaussianFit) -> GaussianFit:
+    """``start`` after descent on the squared difference of colour and alpha; the model is its own truth, from any camera at any time."""
+    import torch
+
+    from ...scene.formats.ply import joined
+
+    learned = {name: getattr(start, name).clone().requires_grad_() for name in ("log_spread", "offset", "opacity")}
+    optimiser = torch.optim.Adam(list(learned.values()), lr=RATE)
+    rng = np.random.default_rng(0)
+    for step in range(STEPS):
+        i, t = int(rng.choice(frames.train)), float(rng.uniform())
+        wanted = _render(model, None, frames, i, t)
+        with torch.no_grad():
+            gaussians, convexes = model.at(t)
+        seen = _render(model, joined(gaussians, replace(start, **learned).gaussians(convexes)), frames, i, t)
+        loss = (seen.color - wanted.color).square().mean() + (seen.alpha - wanted.alpha).square().mean()
+        optimiser.param_groups[0]["lr"] = RATE * (1 - 0.95 * step / STEPS)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    return replace(start, **{name: value.detach() for name, value in learned.items()})
+
+
+def loss_of(model: Model, gaussians: Gaussians, frames: FrameSet, t: float) -> Loss:
+    """How far ``gaussians`` are from ``model`` at time ``t``, over cameras that training did not see, where these are enough."""
+    chosen = distinct_views(frames, np.concatenate([frames.test, frames.val]), LOOKS)
+    if len(chosen) < LOOKS:
+        chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), LOOKS)
+    error = sum(_squared_error(model, gaussians, frames, int(i), t) for i in chosen) / len(chosen)
+    return Loss(float(-10 * np.log10(max(error, 1e-10))), len(chosen), len(model.convexes))
+
+
+def _error(baked: Baked, frames: FrameSet, chosen: np.ndarray) -> float:
+    """Mean over the frames ``chosen``, at their own times."""
+    times = [float(frames.time[i]) for i in chosen]
+    return sum(_squared_error(baked.model, baked.at(t), frames, int(i), t) for i, t in zip(chosen, times)) / len(chosen)
+
+
+def _squared_error(model: Model, gaussians: Gaussians, frames: FrameSet, i: int, t: float) -> float:
+    """Mean squared difference in [0, 1] between renders of ``gaussians`` and of ``model`` from the camera of frame ``i`` at time ``t``."""
+    import torch
+
+    with torch.no_grad():
+        colors = [_render(model, shown, frames, i, t).color.clamp(0, 1) for shown in (gaussians, None)]
+    return float((colors[0] - colors[1]).square().mean())
+
+
+def _render(model: Model, gaussians: Gaussians | None, frames: FrameSet, i: int, t: float) -> Frame:
+    """``gaussians``, or without any the full ``model`` at time ``t``, from the camera of frame ``i`` on the model's background."""
+    import torch
+
+    from ...rasterizer import rasterize
+
+    camera, background = camera_of(model, frames, i), torch.tensor(model.background)
+    if gaussians is not None:
+        return rasterize(camera, gaussians, None, background)
+    with torch.no_grad():
+        return rasterize(camera, *model.at(t), background)

@@ -1,0 +1,31 @@
+"""Where the cameras of a capture stood, for those who look at a model from there at a time of their own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ...rasterizer import Camera
+    from ...scene.model import Model
+    from ..artifacts.frameset import FrameSet
+
+
+def distinct_views(frames: FrameSet, indices: np.ndarray, most: int) -> np.ndarray:
+    """At most ``most`` of ``indices``, evenly from the first to the last of those with a pose of their own: a fixed camera counts once."""
+    assert frames.cam_from_world is not None
+    _, first = np.unique(frames.cam_from_world[indices].reshape(len(indices), 16), axis=0, return_index=True)
+    own = indices[np.sort(first)]
+    return own[np.linspace(0, len(own) - 1, min(most, len(own))).round().astype(int)]
+
+
+def camera_of(model: Model, frames: FrameSet, i: int) -> Camera:
+    """The camera of frame ``i`` with the near plane of ``model``."""
+    import torch
+
+    from ...rasterizer import Camera
+
+    assert frames.K is not None and frames.cam_from_world is not None
+    K, pose = (torch.tensor(a[i], dtype=torch.float32) for a in (frames.K, frames.cam_from_world))
+    return Camera(K, pose, frames.width, frames.height, model.near)

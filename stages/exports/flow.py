@@ -1,0 +1,78 @@
+"""A `flow` artifact as files that other programs read: .flo, and PNG pictures of flow, edges and what moves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from ...pipeline import thread_count
+from ...pipeline.files import write_atomically
+from ...vision.flow.colours import colour_wheel, flow_colours, typical_largest
+from ...vision.flow.flo import write_flo
+from ...vision.images.overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, overlay
+from ...vision.images.png import encode_png
+from ..artifacts.flow_fields import FlowFields
+from ..artifacts.frameset import FrameSet
+
+SUFFIXES = (".flo", ".png", "_backward.flo", "_backward.png", "_edges.png", "_moving.png")
+WHEEL = "wheel.png"
+WHEEL_SIZE = 256  # px
+SAMPLED_PAIRS = 32  # that many pairs tell which length gets full colour
+
+
+def export_flow(fields: FlowFields, frames: FrameSet, out: Path, largest: float, advance: Callable[[], None] = lambda: None) -> int:
+    """Writes the files of every pair, named <stem> of `pair_stems` + one of `SUFFIXES`, and the legend `WHEEL`; returns their number.
+
+    .flo holds px as measured, .png its colours with full colour at ``largest`` px; edges, and what moves where that is known, lie over the
+    first frame. Each file appears whole or not at all, and takes the place of one of its name. ``advance`` is called after each pair.
+    Raises OSError where a file cannot be written, ArtifactError or CaptureError where one cannot be read.
+    """
+    stems = pair_stems(frames.names, fields.pairs)
+    out.mkdir(parents=True, exist_ok=True)
+    write_atomically(out / WHEEL, encode_png(colour_wheel(WHEEL_SIZE)))
+
+    def write(p: int) -> int:
+        first = fields.pairs[p][0]
+        for direction, field in (("", fields.forward(p)), ("_backward", fields.backward(p))):
+            write_flo(out / f"{stems[p]}{direction}.flo", field)
+            write_atomically(out / f"{stems[p]}{direction}.png", encode_png(flow_colours(field, largest)))
+        picture = frames.composited(first)
+        write_atomically(out / f"{stems[p]}_edges.png", encode_png(overlay(picture, fields.edges(first), EDGE_COLOUR)))
+        moving = fields.moving(first, int(frames.camera[first]))
+        if moving is None:
+            return len(SUFFIXES) - 1
+        covered = overlay(picture, moving, MOVING_COLOUR, MASK_STRENGTH)
+        write_atomically(out / f"{stems[p]}_moving.png", encode_png(covered))
+        return len(SUFFIXES)
+
+    written = 1
+    pool = ThreadPoolExecutor(thread_count(8))
+    try:
+        for count in pool.map(write, range(len(fields.pairs))):
+            written += count
+            advance()
+    finally:
+        pool.shutdown(cancel_futures=True)  # after an error or Ctrl-C, what is not begun is not written
+    return written
+
+
+def common_largest(fields: FlowFields) -> float:
+    """The px that get full colour in all pictures: `typical_largest` over up to `SAMPLED_PAIRS` pairs, a sixteenth of their pixels."""
+    every = max(1, -(-len(fields.pairs) // SAMPLED_PAIRS))
+    return typical_largest(*(fields.forward(p)[::4, ::4] for p in range(0, len(fields.pairs), every)))
+
+
+def pair_stems(names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> list[str]:
+    """ "<first>_<second>" of each pair, from the frames' names made safe for files: letters, digits, '.', '_', '-', no '.' first.
+
+    Where two files would get one name (also where capitals do not count), every stem begins with the number of its pair.
+    """
+    safe = [re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.")[:80] or "frame" for name in names]
+    stems = [f"{safe[first]}_{safe[second]}" for first, second in pairs]
+    files = {(stem + suffix).lower() for stem in stems for suffix in SUFFIXES}
+    if len(files) == len(SUFFIXES) * len(stems):
+        return stems
+    digits = len(str(len(pairs)))
+    return [f"{p:0{digits}d}-{stem}" for p, stem in enumerate(stems)]

@@ -1,0 +1,154 @@
+"""The whole scene at one time as a triangle mesh: colour and depth as the capture's cameras would see them then, fused by Open3D (TSDF,
+Curless and Levoy 1996)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ...pipeline import StageError
+from .capture_cameras import camera_of, distinct_views
+
+if TYPE_CHECKING:
+    from ...scene.mesh import Mesh
+    from ...scene.model import Model
+    from ..artifacts.frameset import FrameSet
+
+CAMERAS, LOOKS = 150, 12  # that are fused, and that tell how large the scene is, at most
+SOLID = 0.6  # alpha; a pixel of less is not fused
+SPREAD = 0.03  # of its depth; a pixel that shows more than one surface, along outlines, is not fused
+FAR = 4.0  # median depths; what is farther is not fused
+FOOTPRINT = 1.5  # pixels, at the median depth, that a voxel is wide,
+ACROSS = 512  # but at most so many lie along the scene
+TRUNCATION = 4.0  # voxels before and behind a surface that keep its distance
+BLOCK = 8  # voxels along each side of what is stored as one
+MOST_BLOCKS = 300_000  # of 10 KB each
+SEEN = 1.0  # more views than this must have seen a voxel, where there are several
+
+
+class Look(NamedTuple):
+    """What one camera sees. depth [H, W] float32, world units, 0 where nothing is fused; color [H, W, 3] float32 in [0, 1]; K [3, 3] px;
+    cam_from_world [4, 4]."""
+
+    depth: np.ndarray
+    color: np.ndarray
+    K: np.ndarray
+    cam_from_world: np.ndarray
+
+
+class Size(NamedTuple):
+    """voxel, farthest: world units."""
+
+    voxel: float
+    farthest: float
+
+
+def look(model: Model, frames: FrameSet, i: int, t: float) -> Look:
+    """``model`` at time ``t`` from the camera of frame ``i``, in solid pixels of one surface alone."""
+    import torch
+
+    from ...rasterizer import rasterize
+    from ...scene.losses.depth_spread import with_depth
+
+    camera = camera_of(model, frames, i)
+    with torch.no_grad():
+        frame = rasterize(camera, *with_depth(camera, *model.at(t), unit=1.0), torch.zeros(3))
+    alpha = frame.alpha.clamp(min=1e-6)
+    first, second = (frame.extras / alpha[..., None]).unbind(-1)
+    spread = (second - first.square()).clamp(min=0).sqrt()
+    fused = (frame.alpha >= SOLID) & (spread <= SPREAD * frame.depth)
+    color = (frame.color / alpha[..., None]).clamp(0, 1)  # rendered before black: what the surface adds, made whole
+    return Look(
+        torch.where(fused, frame.depth, 0).numpy(), color.numpy(), camera.K.double().numpy(), camera.cam_from_world.double().numpy()
+    )
+
+
+def size_of(model: Model, frames: FrameSet, t: float) -> Size:
+    """The voxel that fits what the cameras resolve, and how far they look, at time ``t``. Raises StageError where nothing is solid."""
+    depths, points, focal = [], [], []
+    for i in distinct_views(frames, frames.train, LOOKS):
+        seen = look(model, frames, int(i), t)
+        rows, columns = np.nonzero(seen.depth)
+        z = seen.depth[rows, columns].astype(np.float64)
+        rays = np.stack([columns + 0.5, rows + 0.5, np.ones(len(z))], 1) @ np.linalg.inv(seen.K).T
+        rotation, shift = seen.cam_from_world[:3, :3], seen.cam_from_world[:3, 3]
+        points.append((rays * z[:, None] - shift) @ rotation)
+        depths.append(z)
+        focal.append(seen.K[0, 0])
+    z, places = np.concatenate(depths), np.concatenate(points)
+    if not len(z):
+        raise StageError(
+            f"export mesh: no camera of the capture sees anything solid at time {t:g}; choose another --time, or train for longer"
+        )
+    middle = float(np.median(z))
+    low, high = np.percentile(places, (2, 98), axis=0)
+    footprint = FOOTPRINT * middle / float(np.median(focal))
+    return Size(max(footprint, float((high - low).max()) / ACROSS), FAR * middle)
+
+
+def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable[[int], None] = lambda n: None) -> Mesh:
+    """The mesh at time ``t``. ``advance`` is called once for each of the `fused_views`.
+
+    Raises StageError where Open3D is not there, where nothing is solid, and where voxels of that size do not fit in memory.
+    """
+    try:
+        import open3d
+    except ModuleNotFoundError as error:
+        raise StageError("export mesh needs the package open3d-cpu (or open3d); install it with: pip install open3d-cpu") from error
+    except ImportError as error:  # its wheel wants a library of the system that containers lack
+        raise StageError(f"export mesh: Open3D cannot be loaded: {error}; on Debian and Ubuntu: apt-get install libusb-1.0-0") from error
+    from ...scene.mesh import Mesh
+
+    core, geometry = open3d.core, open3d.t.geometry
+    channels = [core.SizeVector([n]) for n in (1, 1, 3)]
+    grid = geometry.VoxelBlockGrid(("tsdf", "weight", "color"), (core.float32,) * 3, channels, size.voxel, BLOCK, 10_000)
+    views = fused_views(frames)
+    for i in views:
+        seen = look(model, frames, int(i), t)
+        advance(1)
+        if not seen.depth.any():
+            continue
+        K = seen.K.copy()
+        K[:2, 2] -= 0.5  # Open3D's pixel centres lie at whole numbers
+        depth, intrinsic, extrinsic = geometry.Image(seen.depth), core.Tensor.from_numpy(K), core.Tensor.from_numpy(seen.cam_from_world)
+        try:
+            blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, size.farthest, TRUNCATION)
+        except RuntimeError as error:
+            # Open3D looks at every fourth pixel along each side, and refuses a view in which none of these is near and solid.
+            if "No block is touched" not in str(error):
+                raise
+            continue
+        if max(len(blocks), grid.hashmap().size()) > MOST_BLOCKS:
+            raise StageError(f"export mesh: voxels of {size.voxel:.3g} world units take more than 3 GB; give a larger --voxel")
+        grid.integrate(blocks, depth, geometry.Image(seen.color), intrinsic, extrinsic, 1.0, size.farthest, TRUNCATION)
+    surface = grid.extract_triangle_mesh(SEEN if len(views) > 1 else 0.5)
+    triangles = surface.triangle.indices.numpy() if "indices" in surface.triangle else np.zeros((0, 3))
+    if not len(triangles):
+        raise StageError(
+            f"export mesh: no surface at time {t:g} with voxels of {size.voxel:.3g} world units; give a larger --voxel, or train for longer"
+        )
+    colors = surface.vertex.colors.numpy()
+    return Mesh(
+        surface.vertex.positions.numpy().astype(np.float32),
+        np.concatenate([colors, np.ones((len(colors), 1))], axis=1).astype(np.float32),
+        triangles.astype(np.int32),
+    )
+
+
+def fused_views(frames: FrameSet) -> np.ndarray:
+    """Frames from whose cameras the scene is seen."""
+    return distinct_views(frames, frames.train, CAMERAS)
+
+
+def hulls(model: Model, t: float, advance: Callable[[int], None] = lambda n: None) -> Mesh:
+    """The hulls of the convexes of ``model`` at time ``t``. Each time has triangles of its own: a corner may move inside."""
+    import torch
+
+    from ...scene.hull_mesh import hull_mesh
+
+    with torch.no_grad():
+        _, convexes = model.at(t)
+    advance(1)
+    return hull_mesh(convexes)

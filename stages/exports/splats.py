@@ -1,0 +1,93 @@
+"""A model as numbered files of Gaussian splats, one for each time, and how far these are from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from ...pipeline import StageError
+from ...pipeline.files import write_atomically
+from .bake import Loss, bake, loss_of
+
+if TYPE_CHECKING:
+    from ...rasterizer import Gaussians
+    from ...scene.model import Model
+    from ..artifacts.frameset import FrameSet
+
+Kind = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]
+KINDS: dict[Kind, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb"}
+
+
+@dataclass
+class Exported:
+    """fewest, most: Gaussians of a file. loss: how far those of the first file are from the model."""
+
+    fewest: int
+    most: int
+    loss: Loss
+
+
+def export_splats(
+    model: Model, frames: FrameSet, folder: Path, count: int, kind: Kind = "ply", advance: Callable[[int], None] = lambda n: None
+) -> Exported:
+    """``folder/frame0001.ply`` and so on: the Gaussians of ``model`` at ``count`` times from first to last (the middle one, if one).
+
+    kind: of `KINDS`; all but ply lose a little. Each file is there only when it is whole. Raises StageError where ``kind`` needs a package
+    that is not there.
+    """
+    encode = encoder(kind)
+
+    folder.mkdir(parents=True, exist_ok=True)
+    baked = bake(model, frames)
+    moments = [float(t) for t in np.linspace(0, 1, count)] if count > 1 else [0.5]
+    rows = []
+    for k, t in enumerate(moments):
+        file = folder / f"frame{k + 1:04d}{KINDS[kind]}"
+        try:
+            data, number = encode(baked.at(t))
+        except ValueError as error:
+            raise StageError(f"export {kind}: {file}: {error}; export ply instead") from error
+        write_atomically(file, data)
+        rows.append(number)
+        advance(1)
+    return Exported(min(rows), max(rows), loss_of(model, baked.at(moments[0]), frames, moments[0]))
+
+
+def encoder(kind: Kind) -> Callable[[Gaussians], tuple[bytes, int]]:
+    """From Gaussians to the bytes of a file of ``kind``, and how many it holds."""
+    from ...scene.formats.compressed_ply import compressed_ply_bytes
+    from ...scene.formats.gltf import glb_bytes
+    from ...scene.formats.ply import ply_bytes
+    from ...scene.formats.spz import spz_bytes
+
+    writers: dict[Kind, Callable[[Gaussians], tuple[bytes, int]]] = {
+        "ply": ply_bytes,
+        "compressed-ply": compressed_ply_bytes,
+        "spz": spz_bytes,
+        "gltf": glb_bytes,
+    }
+    return writers[kind] if kind in writers else _sog_encoder()
+
+
+def _sog_encoder() -> Callable[[Gaussians], tuple[bytes, int]]:
+    try:
+        import gaussforge
+    except ImportError as error:
+        raise StageError("export sog needs the package gaussforge; install it with: pip install 'e4dgs[splats]'") from error
+
+    from ...scene.formats.ply import ply_bytes
+
+    forge = gaussforge.GaussForge()
+
+    def encode(gaussians: Gaussians) -> tuple[bytes, int]:
+        plain, number = ply_bytes(gaussians)
+        converted = forge.convert(plain, "ply", "sog")
+        if "data" not in converted:
+            raise StageError(f"export sog: {converted.get('error', 'the conversion failed')}")
+        return bytes(converted["data"]), number
+
+    return encode

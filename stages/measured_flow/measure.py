@@ -1,0 +1,166 @@
+"""The work of stage `flow`: one pass over each camera's frames, in which each picture is looked at once."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from typing import NamedTuple
+
+import numpy as np
+
+from ...pipeline import Context, thread_count
+from ...vision.edges import Seen, seen_by, stable_edges
+from ...vision.flow.method import FlowMethod
+from ...vision.flow.two_way import consistency
+from ...vision.moving.motion_mask import MotionMask, sample
+from ..artifacts.frameset import FrameSet
+from .movers import Movers
+from .pairs import PairFlows, Shown, Source
+
+MOVERS = "255 = shows something that moves in the world; 0 outside training frames"
+FOLLOWED = 0.5  # of the pixels of what moves, those where flow forward and backward agrees: with fewer its motion is not known
+
+
+class Looked(NamedTuple):
+    """A frame as its pairs need it: edge weights uint8 [H, W], and what its flow needs."""
+
+    edges: np.ndarray
+    shown: Shown | None
+
+
+class Matched(NamedTuple):
+    """The first frame's edges as the second sees them, the second's as the first sees them, and where their flow comes from."""
+
+    first: Seen
+    second: Seen
+    flow: Source
+
+
+def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int]) -> dict[int, np.ndarray]:
+    """Fills `forward`, `backward`, `confidence` for the pairs that begin at ``wanted``, `edges` and, where asked for, `movers`; attrs
+    `method`, `still_pairs`, `working_size` and `movers_share`; info `pairs`, how many were measured and how many taken over.
+
+    All follows from the flow as it is stored, rounded, so that flow that is taken over gives the same as flow that is measured.
+    cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras by their number.
+    """
+    from ...scene.edges import edge_weights
+
+    height, width, count = frames.height, frames.width, len(wanted)
+    number = {first: p for p, first in enumerate(wanted)}
+    shape, chunk = (count, height, width, 2), (1, height, width, 2)
+    forward = ctx.out.create("forward", shape, "float16", chunk, unit="px", doc="flow to the second frame, u right, v down")
+    backward = ctx.out.create("backward", shape, "float16", chunk, unit="px", doc="flow from the second frame to the first")
+    confidence = ctx.out.create(
+        "confidence", shape[:3], "uint8", chunk[:3], doc="255 = consistent forward and backward and not hidden, in the first frame"
+    )
+    edges = ctx.out.create("edges", (len(frames), height, width), "uint8", (1, height, width), doc="255 = edge; 0 outside training frames")
+    movers = None
+    if ctx.settings.movers and wanted:
+        movers = ctx.out.create("movers", (len(frames), height, width), "uint8", (1, height, width), doc=MOVERS)
+    flows = PairFlows(ctx, frames, wanted)
+
+    def look(
+        moving: MotionMask | None, gathered: Movers | None, k: int, i: int, both: tuple[np.ndarray, np.ndarray], paired: bool
+    ) -> Looked:
+        seen, picture = both
+        if moving is not None:
+            moving.add(picture)
+        if gathered is not None:
+            gathered.add_picture(k, picture)
+        return Looked(edge_weights(picture), flows.shown(i, seen) if paired else None)
+
+    def match(p: int, gathered: Movers | None, k: int, first: Future[Looked], second: Future[Looked]) -> Matched:
+        a, b = first.result(), second.result()
+        assert a.shown is not None and b.shown is not None
+        pair, source = flows.between(p, a.shown, b.shown)
+        if gathered is not None:
+            gathered.add_pair(k, pair)
+        forward[p], backward[p], confidence[p] = pair.forward, pair.backward, pair.confidence
+        back = consistency(pair.backward, pair.forward)
+        return Matched(seen_by(b.edges, pair.forward, pair.confidence), seen_by(a.edges, pair.backward, back), source)
+
+    def finish(i: int, own: Future[Looked], before: Future[Matched] | None, after: Future[Matched] | None) -> str:
+        seen = ([before.result().second] if before else []) + ([after.result().first] if after else [])
+        edges[i] = stable_edges(own.result().edges, seen)
+        return after.result().flow if after is not None else ""
+
+    trained = {i for mine in cameras.values() for i in mine}
+    for i in range(len(frames)):
+        if i not in trained:
+            edges[i] = 0
+            if movers is not None:
+                movers[i] = 0
+    masks: dict[int, np.ndarray] = {}
+    came, moved, followed, threads = Counter[str](), 0.0, list[float](), thread_count(8)
+    fixed = frames.fixed_cameras
+    with (
+        ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {ctx.out.attrs['method']}") as bar,
+        _pool(flows.method) as pool,
+    ):
+        for camera, mine in cameras.items():
+            moving = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None
+            gathered = Movers.of_camera(frames, mine, fixed) if movers is not None else None
+            busy = deque[Future[str]]()
+            waiting = deque[tuple[int, Future[Looked], Future[Matched] | None, Future[Matched] | None]]()
+            own: Future[Looked] | None = None
+            before: Future[Matched] | None = None  # the pair that ends at the frame before
+            for k, i in enumerate(mine):
+                # What a job waits for was handed to the pool before it, so that it never waits for one behind it.
+                last, joined = own, k > 0 and mine[k - 1] in number and int(frames.next[mine[k - 1]]) == i
+                own = pool.submit(look, moving, gathered, k, i, frames.both(i), joined or i in number)
+                if last is not None:
+                    after = pool.submit(match, number[mine[k - 1]], gathered, k - 1, last, own) if joined else None
+                    waiting.append((mine[k - 1], last, before, after))
+                    before = after
+                # A frame's last pair is begun before its end is asked for: no thread idles until it is there.
+                if len(waiting) > threads:
+                    busy.append(pool.submit(finish, *waiting.popleft()))
+                if len(busy) > 2 * threads:  # bounds the pictures in memory
+                    came[busy.popleft().result()] += 1
+                bar.advance(1, frames.names[i])
+            if own is not None:
+                waiting.append((mine[-1], own, before, None))
+            busy.extend(pool.submit(finish, *job) for job in waiting)
+            came.update(future.result() for future in busy)
+            if moving is not None:
+                masks[camera] = moving.mask(ctx.settings.grow)
+            if movers is not None and gathered is not None:
+                for i, mask in zip(mine, (mask for job in gathered.masks(pool) for mask in job.result()), strict=True):
+                    kept = frames.kept(i)
+                    mask = mask if kept is None else np.where(kept, mask, 0)  # nothing is to begin on what does not count
+                    movers[i] = mask
+                    moved += np.count_nonzero(mask) / mask.size
+                    if i in number and mask.any():
+                        followed.append(float((np.asarray(confidence[number[i]])[mask > 0] > 0).mean()))
+                    bar.advance(1, frames.names[i])
+    if movers is not None:
+        ctx.out.attrs["movers_share"] = round(moved / max(len(trained), 1), 6)
+        ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
+        if followed and (share := float(np.median(followed))) < FOLLOWED:
+            ctx.log(
+                "what moves goes too far from frame to frame to be followed: flow forward and backward agrees at "
+                f"{100 * share:.0f} % of its pixels; expect it blurred or torn between frames; more frames a second help"
+            )
+    ctx.out.attrs["still_pairs"] = came["still"]
+    ctx.out.info["pairs"] = {"measured": came["measured"], "taken_over": came["taken"]}
+    if came["still"]:
+        ctx.log(f"nothing moves between the frames of {came['still']} of {count} pairs: their flow is zero and was not measured")
+    if came["taken"]:
+        ctx.log(f"flow of {came['taken']} of {count} pairs is taken over from an earlier result, of {came['measured']} it was measured")
+    return masks
+
+
+@contextmanager
+def _pool(method: FlowMethod | None) -> Iterator[ThreadPoolExecutor]:
+    """Frames run side by side here; threads inside each picture would cost half again as much processor time."""
+    import cv2
+
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with method.side_by_side() if method else nullcontext() as begin, ThreadPoolExecutor(thread_count(8), initializer=begin) as pool:
+            yield pool
+    finally:
+        cv2.setNumThreads(threads)

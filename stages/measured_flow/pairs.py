@@ -1,0 +1,94 @@
+"""Flow of the pairs of a capture: measured between the lens's pictures, or taken over from an earlier result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from ...pipeline import Context
+from ...vision.flow.method import FlowMethod, Prepared, open_method
+from ...vision.flow.two_way import FlowPair, both_ways, trusted
+from ..artifacts.frameset import FrameSet
+from .lens import straightened
+from .scout import glance, no_motion, working_size
+from .taken import TakenFlow
+
+if TYPE_CHECKING:
+    import zarr
+
+STEPS = 32  # stored flow is a multiple of 1/32 px: a tenth of DIS's error, and the array compresses to a third
+LIMIT = 65504.0  # px, the largest float16
+
+Source = Literal["measured", "taken", "still"]
+
+
+class Shown(NamedTuple):
+    """A picture as the lens made it, uint8 [H, W, 3], a glance at it that tells whether anything moves, and the picture as the method wants
+    it, where there is something to measure."""
+
+    picture: np.ndarray
+    glance: np.ndarray
+    prepared: Prepared | None
+
+
+class PairFlows:
+    """Flow of the pairs that begin at the frames ``wanted``, each asked for once, from any thread. ``method``: None without pairs.
+
+    Writes attrs `method` and `working_size`, and the arrays `lens_forward` and `lens_backward` where a lens bends its pictures.
+    """
+
+    def __init__(self, ctx: Context, frames: FrameSet, wanted: Sequence[int]) -> None:
+        self._frames = frames
+        self._pairs = [(first, int(frames.next[first])) for first in wanted]
+        self._lens: list[zarr.Array] = []
+        self.method: FlowMethod | None = None
+        if not wanted:
+            ctx.out.attrs["method"] = "none"
+            return
+        size, motion = working_size(frames, wanted, ctx.settings.max_size)
+        if size < min(max(frames.width, frames.height), ctx.settings.max_size or 1 << 30):
+            ctx.log(f"motion of {motion:.1f} px at most: flow is measured at {size} px, the longest side")
+        given = ctx.settings
+        self.method = open_method(given.method, given.weights, given.preset, given.iterations, given.tolerance, ctx.device, size)
+        ctx.out.attrs["method"], ctx.out.attrs["working_size"] = self.method.name, size
+        self._taken = TakenFlow(ctx, self.method.name, size)
+        self._new = {i for p, pair in enumerate(self._pairs) if p not in self._taken for i in pair}
+        if any(frames.bent(i) for pair in self._pairs for i in pair):
+            shape = (len(wanted), frames.height, frames.width, 2)
+            for way in ("forward", "backward"):
+                doc = f"flow between the pictures as the lens made them, from which {way} follows"
+                self._lens.append(ctx.out.create(f"lens_{way}", shape, "float16", (1, *shape[1:]), unit="px", doc=doc))
+
+    def shown(self, i: int, picture: np.ndarray) -> Shown:
+        """Frame i of a pair, ``picture`` being what the lens made."""
+        assert self.method is not None
+        return Shown(picture, glance(picture), self.method.prepare(picture) if i in self._new else None)
+
+    def between(self, p: int, first: Shown, second: Shown) -> tuple[FlowPair, Source]:
+        """Flow of pair p between pinhole pictures, as float16 holds it, and where it comes from."""
+        if no_motion(first.glance, second.glance):
+            zero = np.zeros((*first.picture.shape[:2], 2), np.float32)
+            for array in self._lens:
+                array[p] = zero
+            return FlowPair(zero, zero, np.full(zero.shape[:2], 255, np.uint8)), "still"
+        taken = self._taken.flow(p)
+        forward, backward = taken or self._measured(first, second)
+        if self._lens:
+            self._lens[0][p], self._lens[1][p] = forward, backward
+            i, j = self._pairs[p]
+            forward = stored(straightened(self._frames, i, j, forward))
+            backward = stored(straightened(self._frames, j, i, backward))
+        return trusted(forward, backward), "taken" if taken else "measured"
+
+    def _measured(self, first: Shown, second: Shown) -> tuple[np.ndarray, np.ndarray]:
+        assert self.method is not None
+        a, b = (one.prepared or self.method.prepare(one.picture) for one in (first, second))
+        forward, backward = both_ways(self.method, a, b)
+        return stored(forward), stored(backward)
+
+
+def stored(flow: np.ndarray) -> np.ndarray:
+    """float32, as it is after it has been stored as float16."""
+    return (np.rint(np.clip(flow, -LIMIT, LIMIT) * STEPS) / STEPS).astype(np.float16).astype(np.float32)

@@ -1,0 +1,114 @@
+"""Which parts of the pictures show movers, by the poses that structure from motion found first, and how much rests on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...vision.sequences import camera_sequences
+
+if TYPE_CHECKING:
+    from ...vision.flow.two_way import FlowPair
+    from ..artifacts.frameset import FrameSet
+
+SIZE = 320  # px, longest side at which flow and masks are computed: a feature is a place, not an outline
+FEWEST = 6  # frames of one camera; a frame is judged by up to four to either side
+FOLLOWED = 0.6  # share of the picture whose flow is consistent, for flow to be believed
+REACH = 6  # pictures to either side that are kept while their neighbours are judged
+
+
+def mover_masks(
+    frames: FrameSet, K: np.ndarray, cam_from_world: np.ndarray, distortion: np.ndarray, size: np.ndarray, advance: Callable[[], None]
+) -> np.ndarray:
+    """Where movers are in the pictures that features were found on (with their lens distortion): bool [F, h, w], longest side `SIZE`.
+
+    K [F, 3, 3] px and distortion [F, 4] fit pictures of `size` [F, 2] (width, height) px; cam_from_world [F, 4, 4]; NaN without a pose.
+    Frames are followed in order of time by DIS; pairs that cannot be followed are left out. Nothing is masked in frames
+    without a pose, without neighbours that have one, or of cameras with fewer than `FEWEST` frames. `advance()` is called once a frame.
+    """
+    from ...vision.flow.method import size_within
+    from ...vision.moving.objects import moving_masks
+
+    width, height = size_within(frames.width, frames.height, SIZE)
+    small = np.array(K, np.float64)
+    small[:, 0] *= width / np.maximum(size[:, :1], 1)
+    small[:, 1] *= height / np.maximum(size[:, 1:], 1)
+    masks = np.zeros((len(frames), height, width), bool)
+    for mine in camera_sequences(frames.camera, frames.time).values():
+        if len(mine) >= FEWEST and np.isfinite(cam_from_world[mine]).all((1, 2)).sum() >= 2:
+            lens = _Lens(small[mine], distortion[mine], width, height)
+            picture = lru_cache(maxsize=2 * REACH)(lambda k, mine=mine, lens=lens: lens.pinhole(_small(frames, mine[k], width, height)))
+            pairs = _Pairs(picture, len(mine) - 1)
+            found = moving_masks(picture, pairs, small[mine], cam_from_world[mine])
+            for k, mask in enumerate(found):
+                masks[mine[k]] = lens.seen(mask) > 0
+                advance()
+        else:
+            for _ in mine:
+                advance()
+    return masks
+
+
+class _Pairs(Sequence["FlowPair | None"]):
+    """Flow between pictures k and k + 1, measured when it is asked for; None where it cannot be believed."""
+
+    def __init__(self, picture: Callable[[int], np.ndarray], count: int) -> None:
+        from ...vision.flow.method import Dis
+
+        self._picture, self._count, self._dis = picture, count, Dis("medium")
+        self._measured = lru_cache(maxsize=2 * REACH)(self._measure)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, k: int) -> FlowPair | None:  # type: ignore[override]
+        return self._measured(k)
+
+    def _measure(self, k: int) -> FlowPair | None:
+        from ...vision.flow.two_way import FlowPair, consistency
+
+        first, second = (self._dis.prepare(self._picture(i)) for i in (k, k + 1))
+        forward, backward = self._dis.flow(first, second), self._dis.flow(second, first)
+        confidence = consistency(forward, backward)
+        return FlowPair(forward, backward, confidence) if (confidence >= 128).mean() >= FOLLOWED else None
+
+
+class _Lens:
+    """Pictures [h, w, 3] of one camera to their pinhole images, and masks [h, w] of these back; as they are without distortion.
+
+    K [F, 3, 3] px of the pictures and distortion [F, 4]; all frames of a camera have one lens, so the first that is known serves all.
+    """
+
+    def __init__(self, K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> None:
+        import cv2
+
+        from ...vision.images.lenses import undistort_maps
+
+        self._to: tuple[np.ndarray, np.ndarray] | None = None
+        known = np.flatnonzero(np.isfinite(K).all((1, 2)))
+        if not len(known) or not distortion[known[0]].any():
+            return
+        lens, terms = K[known[0]], np.asarray(distortion[known[0]], np.float64)
+        self._to = undistort_maps(lens, terms, width, height)
+        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        places = cv2.undistortPoints(np.stack([x, y], -1).reshape(-1, 1, 2), lens, terms, P=lens).reshape(height, width, 2) - 0.5
+        self._back = np.ascontiguousarray(places[..., 0], np.float32), np.ascontiguousarray(places[..., 1], np.float32)
+
+    def pinhole(self, picture: np.ndarray) -> np.ndarray:
+        from ...vision.images.pictures import undistort
+
+        return picture if self._to is None else undistort(picture, self._to)
+
+    def seen(self, mask: np.ndarray) -> np.ndarray:
+        import cv2
+
+        return mask if self._to is None else cv2.remap(mask, *self._back, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+
+def _small(frames: FrameSet, i: int, width: int, height: int) -> np.ndarray:
+    from ...vision.images.pictures import composite, resize
+
+    return resize(composite(frames.original(i), frames.background), width, height)

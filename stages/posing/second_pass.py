@@ -1,0 +1,115 @@
+"""Whether structure from motion gains by leaving out what moves, and the second pass that does so. The parent's side: no pycolmap here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...vision.sfm.masks import on_movers
+from ...vision.sfm.pose_agreement import Matches, agreement
+from ...vision.sfm.runner import Progress, WorkerError, finished, run_worker
+from .movers import FEWEST, mover_masks
+
+if TYPE_CHECKING:
+    from ..artifacts.frameset import FrameSet
+
+LEAST = 0.1  # of a frame's used features; a tenth, all to one side, moves Cauchy's estimate by 0.15 deviations of one feature's noise
+KEPT = ("the first pass", "the second pass, without them,")
+TURNS = "the camera turns and hardly moves: rotations rest on all of the picture, and motion apart from them cannot be told"
+Result = tuple[dict[str, np.ndarray], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Passes:
+    """The result to go on with; share of the features used by the first pass that lie on movers (None: not looked at); what was done."""
+
+    arrays: dict[str, np.ndarray]
+    facts: dict[str, Any]
+    movers_share: float | None
+    told: str
+    trouble: str = ""  # what a second pass that failed had to say
+
+
+def needless(frames: FrameSet, static: bool, registered: np.ndarray) -> str | None:
+    """Why movers are not looked for; None where one camera saw enough frames in order of time."""
+    if static:
+        return "static capture: nothing moves"
+    if max(np.bincount(np.asarray(frames.camera)[registered]), default=0) < FEWEST:
+        return f"no camera has {FEWEST} frames with a pose, so what moves cannot be told"
+    return None
+
+
+def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, first: Result, static: bool, bars: Progress) -> Passes:
+    """The better of the first pass, which `run_worker(request, folder)` gave as `first`, and one without the features on movers.
+
+    Masks come from flow and the first pass's poses (`mover_masks`). Where no frame has `LEAST` of its used features on them there is
+    nothing to gain and no second pass: the adjustment of the first bears that many outliers. Where a second pass fails or is no
+    better, the first is kept. A killed run goes on where it stopped.
+    """
+    arrays, facts = first
+    why = TURNS if facts.get("turning") else needless(frames, static, arrays["registered"])
+    if why is not None:
+        return Passes(arrays, facts, None, why)
+    file = folder / "movers.npz"
+    masks = _masks(frames, arrays, file, bars)
+    share, shares = movers_shares(masks, arrays)
+    worst = int(shares.argmax())
+    percent = f"{100 * share:.1f} % of the features used lie on movers, {100 * shares[worst]:.1f} % in frame {worst}"
+    if shares[worst] < LEAST:
+        return Passes(arrays, facts, share, f"no second pass: {percent}, the most, and {100 * LEAST:g} % does no harm")
+    request = {**request, "task": "reconstruct_masked", "first": str(folder), "masks": str(file)}
+    below = folder / "masked"
+    try:
+        again = finished(request, below) or run_worker(request, below, bars)
+    except WorkerError as error:
+        return Passes(arrays, facts, share, f"{percent}; the second pass without them failed, the first is kept", str(error))
+    better, words = choose_pass(arrays, again[0])
+    return Passes(*(again if better else first), share, f"{percent}; {words}")  # type: ignore[misc]
+
+
+def movers_shares(masks: np.ndarray, arrays: Mapping[str, np.ndarray]) -> tuple[float, np.ndarray]:
+    """Share of the features that made points which lie on the masks [F, h, w]: of all frames, and of each frame [F]; 0 without features."""
+    moving = on_movers(masks, arrays["seen"], arrays["seen_xy"], arrays["size"])
+    used, hit = (np.bincount(arrays["seen"], weights, len(masks)) for weights in (None, moving.astype(np.float64)))
+    return float(hit.sum() / max(1, used.sum())), hit / np.maximum(used, 1)
+
+
+def choose_pass(first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray]) -> tuple[bool, str]:
+    """Whether the second pass is the better one, and why: more images first, then the share of matches off movers that its cameras explain.
+
+    first, second: arrays of `reconstruct`; second also has the matches (`match_pair`, `match_xy1`, `match_xy2`) that both are judged on.
+    """
+    counts = [int(arrays["registered"].sum()) for arrays in (first, second)]
+    if counts[0] != counts[1]:
+        better = counts[1] > counts[0]
+        return better, f"{KEPT[better]} is kept: {max(counts)} frames registered in it, {min(counts)} in the other"
+    common = first["registered"] & second["registered"]
+    matches = Matches(second["match_pair"], second["match_xy1"], second["match_xy2"])
+    shares = [agreement(matches, arrays, common) for arrays in (first, second)]
+    better = bool(shares[1] > shares[0])
+    explained = f"its cameras explain {100 * max(shares):.2f} % of the matches off movers, the other's {100 * min(shares):.2f} %"
+    return better, f"{KEPT[better]} is kept: {explained}"
+
+
+def _masks(frames: FrameSet, arrays: Mapping[str, np.ndarray], file: Path, bars: Progress) -> np.ndarray:
+    """Of the first pass's poses, kept in `file` with the sizes of the pictures."""
+    if file.is_file():
+        with np.load(file, allow_pickle=False) as kept:
+            return np.asarray(kept["masks"])
+    done = 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        bars("movers", done, len(frames))
+
+    bars("movers", 0, len(frames))
+    masks = mover_masks(frames, arrays["K"], arrays["cam_from_world"], arrays["distortion"], arrays["size"], advance)
+    partial = file.with_name("partial.npz")
+    np.savez_compressed(partial, allow_pickle=False, masks=masks, size=arrays["size"])
+    partial.replace(file)
+    return masks

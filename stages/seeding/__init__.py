@@ -1,0 +1,1 @@
+"""Where Gaussians begin: the work of `coarse` before it trains."""

@@ -1,0 +1,137 @@
+"""How far away something is that moves by itself: not told by one moving camera, but bounded by what stands still behind and below it.
+
+What stands on the floor is as far away as the floor at its lowest pixel, or nearer where the picture cuts it off. Of anything else only
+what it hides tells that it is nearer. An object keeps its size, so that what one frame tells holds for all of them (`objects.py`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ...scene.views import Views
+    from .objects import Objects
+
+NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest: single points may be wrong
+FEWEST = 5  # hidden points, or points of the floor, that tell a depth
+BEFORE = 0.97  # of that depth: what hides is in front of what is hidden
+ANYWHERE = 0.75  # of that depth, for what is in the air: the mean over all places in the view before what it hides
+INSET = 0.01  # of the picture's width; masks reach over outlines by as much, onto nearer floor
+TIGHTEST = 20.0  # percentile, over the frames of an object, of the depths that they tell: each is told from too far, or with some noise
+STANDS = 0.75  # of the frames that show a surface below something must show a level one, for it to stand there
+BESIDE = 8  # frames to either side whose evidence counts by itself
+FLOOR = 0.6  # least share of a surface's normal along the picture's vertical, for something to stand on it: 53 degrees from level
+AROUND_FOOT = 0.08  # of the picture's width, from which the floor is found
+THICKEST = 0.7  # of the depth, that a surface comes nearer at most
+STEADY = 9  # frames over which a track's depth is a median
+
+
+def object_depths(objects: Objects, views: Views, frames: list[int], points: np.ndarray) -> list[np.ndarray]:
+    """For each of ``frames`` the depth of each part, [labels] in world units; 0 where the still ``points`` [P, 3] do not tell."""
+    told: dict[int, _Told] = {}
+    for k, (labels, number, log_size, i) in enumerate(zip(objects.labels, objects.number, objects.log_size, frames)):
+        _, x, y, z = views.project(i, points)
+        row, column = objects.at(k, x, y)
+        inner = _inner(labels)
+        K = np.diag([1 / objects.step[0], 1 / objects.step[1], 1.0]) @ views.K[i]
+        for part in range(1, len(number)):
+            known = told.setdefault(int(number[part]), _Told([], [], 0))
+            below = depth_below(labels == part, K, column, row, z)
+            hidden = z[inner[row, column] == part]
+            if below is not None and below.level:
+                known.floor.append((k, np.log(below.depth) + log_size[part]))
+            elif below is not None:
+                told[int(number[part])] = known._replace(in_air=known.in_air + 1)
+            if len(hidden) >= FEWEST:
+                known.hidden.append((k, np.log(np.percentile(hidden, NEAR)) + log_size[part]))
+    depths = []
+    for k, (number, log_size) in enumerate(zip(objects.number, objects.log_size)):
+        depths.append(np.zeros(len(number), np.float32))
+        for part in range(1, len(number)):
+            depths[k][part] = _depth(told[int(number[part])], k, float(log_size[part]))
+    return depths
+
+
+class _Told(NamedTuple):
+    """Of one object: (frame, logarithm of depth times size) by the floor below it, and by what it hides; frames that show a wall below."""
+
+    floor: list[tuple[int, float]]
+    hidden: list[tuple[int, float]]
+    in_air: int
+
+
+def _depth(told: _Told, k: int, log_size: float) -> float:
+    """In frame ``k``; 0 where nothing tells."""
+    stands = len(told.floor) > 0 and len(told.floor) >= STANDS * (len(told.floor) + told.in_air)
+    evidence = told.floor if stands else told.hidden
+    if not evidence:
+        return 0.0
+    frame, value = np.array(evidence).T
+    beside = value[np.abs(frame - k) <= BESIDE]  # measured sizes drift with time, and as the object turns
+    tightest = np.percentile(value, TIGHTEST)
+    share = 1.0 if stands else ANYWHERE if told.in_air else BEFORE
+    return share * float(np.exp(min(tightest, np.median(beside) if len(beside) else tightest) - log_size))
+
+
+class Below(NamedTuple):
+    """depth: world units, of what is seen below something. level: it is a surface to stand on."""
+
+    depth: float
+    level: bool
+
+
+def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Below | None:
+    """Depth at the lowest pixel of ``part`` [H, W] bool, of the surface that the points at pixels ``x``, ``y`` and depths ``z`` [P] show
+    there; None where they are few, or no surface. K: intrinsics [3, 3] in px."""
+    rows, columns = np.nonzero(part)
+    foot_y = rows.max()
+    foot_x = float(np.median(columns[rows >= foot_y - 0.02 * (foot_y - rows.min() + 1)]))
+    reach = AROUND_FOOT * part.shape[1]
+    near = (np.abs(x - foot_x) < reach) & (y - foot_y > -0.3 * reach) & (y - foot_y < 1.5 * reach)
+    if near.sum() < FEWEST:
+        return None
+    # The inverse depth of a plane is affine in the pixel. Points of other things beside the floor count less and less.
+    ray_x, ray_y = (x[near] + 0.5 - K[0, 2]) / K[0, 0], (y[near] + 0.5 - K[1, 2]) / K[1, 1]
+    rays, inverse = np.stack([ray_x, ray_y, np.ones(near.sum())], 1), 1 / z[near]
+    weight = np.ones(len(inverse))
+    for _ in range(10):
+        plane = np.linalg.lstsq(rays * weight[:, None], inverse * weight, rcond=None)[0]
+        off = np.abs(rays @ plane - inverse)
+        weight = 1 / np.sqrt(1 + (off / (1.5 * np.median(off) + 1e-9 * inverse.max())) ** 2)
+    at_foot = float(plane @ [(foot_x + 0.5 - K[0, 2]) / K[0, 0], (foot_y + 0.5 - K[1, 2]) / K[1, 1], 1.0])
+    if not inverse.min() / 2 < at_foot < 2 * inverse.max():
+        return None
+    return Below(1 / at_foot, bool(plane[1] > FLOOR * np.linalg.norm(plane)))
+
+
+def _inner(labels: np.ndarray) -> np.ndarray:
+    """``labels`` [H, W] without the rim of each part."""
+    import cv2
+
+    inset = max(1, round(INSET * labels.shape[1]))
+    return np.where(cv2.erode((labels > 0).astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
+
+
+def depth_at(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, places: np.ndarray, usual: float) -> np.ndarray:
+    """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` where their part tells none.
+    A part is as thick as it is wide: its surface comes nearer away from its outline."""
+    import cv2
+
+    where = objects.at(k, *places.T)
+    z = depths[objects.labels[k][where]]
+    inside = cv2.distanceTransform((objects.labels[k] > 0).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.where(z > 0, z, usual) * np.maximum(1 - inside[where] * objects.step[0] / K[0, 0], THICKEST)
+
+
+def steady(depth: np.ndarray, alive: np.ndarray) -> np.ndarray:
+    """``depth`` [F, n] as a moving median over the `STEADY` frames around, of those in which the track is ``alive`` [F, n]."""
+    values = np.where(alive, depth, np.nan)
+    half = STEADY // 2
+    padded = np.pad(values, ((half, half), (0, 0)), constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, STEADY, axis=0)
+    order = np.sort(windows, axis=-1)  # NaN goes last
+    count = np.isfinite(order).sum(-1)
+    middle = np.take_along_axis(order, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
+    return np.where(count > 0, middle, depth)

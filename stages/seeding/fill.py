@@ -1,0 +1,147 @@
+"""Seeds where features found nothing: along rays, on the shell around everything, and on what masks of the middle time enclose."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from ...pipeline import Context
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ...scene.losses.measured_depth import MeasuredDepth
+    from ...scene.views import Views
+    from ..artifacts.frameset import FrameSet
+
+SHELL_SHARE = 0.1
+LOOKS = 32  # frames of a moving camera from which rays start
+SHRINK = 4  # of masks of what moves, for the loss of depth
+LEAST_SEEN = 2  # frames that must show a seed
+
+
+def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Up to ``count`` seeds [n, 3] (world units) beside the trusted ``points`` [P, 3], with their colours [n, 3] in [0, 1].
+
+    Of a rig the frames of the middle time are used, at which training begins; of a moving camera frames from all of its way.
+    """
+    import numpy as np
+
+    from ...scene.seeds.colours import median_colours
+    from ...scene.seeds.rays import ray_seeds
+    from ...scene.seeds.shell import shell_seeds, surrounded
+    from ...scene.training.curriculum import MIN_CAMERAS
+
+    chosen = middle_frames(views)
+    if len(chosen) < MIN_CAMERAS:
+        chosen = views.train[np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int)]
+    masks = [unsteady_mask(ctx, frames, int(i)) for i in chosen]
+    seed = ctx.settings.seed
+    found: dict[str, np.ndarray] = {}
+    colors: list[np.ndarray] = []
+    still = [np.ones((views.height, views.width), bool) if mask is None else ~mask for mask in masks]
+    shell = shell_seeds(views, points, int(SHELL_SHARE * count), seed) if surrounded(views) else np.zeros((0, 3))
+    rays = ray_seeds(views, points, chosen, count - len(shell), seed, skip=[~s for s in still])
+    for name, seeds in (("along rays", rays), ("on the shell around them", shell)):
+        color, seen = median_colours(views, seeds, chosen, still)
+        found[name] = seeds[seen >= min(LEAST_SEEN, len(chosen))]
+        colors.append(color[seen >= min(LEAST_SEEN, len(chosen))])
+    ctx.log("seeds: " + ", ".join(f"{len(seeds)} {name}" for name, seeds in found.items()))
+    return np.concatenate(list(found.values())), np.concatenate(colors)
+
+
+class Swept(NamedTuple):
+    """points [n, 3] at rest (world units), colors [n, 3] in [0, 1]. inverse: by frame, [h, w] float32, 1 / world units, 0 where the depth
+    is not known or something moves; of a fixed camera one for all its frames."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    inverse: dict[int, np.ndarray]
+
+
+def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> Swept | None:
+    """What a plane sweep finds between the cameras of the middle time, or along the way of few. points [P, 3]: trusted ones."""
+    import cv2
+    import numpy as np
+
+    from ...scene.seeds.sweep import plane_sweep, points_of
+    from .clean_plates import clean_plates
+
+    fixed = frames.fixed_cameras
+    plates = clean_plates(views, lambda i: unsteady_mask(ctx, frames, i), fixed)
+    with ctx.progress(len(plates.frames), "depth") as bar:
+        maps = plane_sweep(views, plates.frames.tolist(), plates.pictures, points, bar.advance)
+    if not maps:
+        return None
+    place = {int(i): k for k, i in enumerate(plates.frames)}
+    for one in maps:
+        h, w = one.inverse.shape
+        still = cv2.resize(plates.still[place[one.frame]].astype(np.uint8), (w, h), interpolation=cv2.INTER_AREA)
+        one.inverse = np.where(still > 0, one.inverse, 0.0).astype(np.float32)
+    found, frame, at = points_of(maps, views)
+    pictures = np.stack(plates.pictures)
+    colors = pictures[[place[int(i)] for i in frame], at[:, 1].astype(int), at[:, 0].astype(int)] / 255.0
+    known = len(found) / sum(one.inverse.size for one in maps)
+    ctx.log(f"seeds: plane sweep tells the depth of {known:.0%} of the pixels of {len(maps)} {'cameras' if fixed else 'frames'}")
+    inverse = {one.frame: one.inverse for one in maps}
+    if fixed:
+        of_camera = {int(views.camera[frame]): one for frame, one in inverse.items()}
+        inverse = {int(i): of_camera[int(views.camera[i])] for i in views.train if int(views.camera[i]) in of_camera}
+    return Swept(found, colors, inverse)
+
+
+def measured_depth(inverse: dict[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
+    """`Swept.inverse` as training holds a model to it; masks of what moves are kept small."""
+    import cv2
+    import torch
+
+    from ...scene.losses.measured_depth import MeasuredDepth
+
+    if not inverse:
+        return None
+    known: dict[int, torch.Tensor | None] = {}
+
+    def moving(i: int) -> torch.Tensor | None:
+        if i not in known:
+            mask = unsteady_mask(ctx, frames, i)
+            if mask is not None:
+                height, width = mask.shape
+                small = cv2.resize(
+                    mask.astype("float32"), (max(1, width // SHRINK), max(1, height // SHRINK)), interpolation=cv2.INTER_AREA
+                )
+                known[i] = torch.from_numpy(small > 0).to(ctx.device) if small.any() else None
+            else:
+                known[i] = None
+        return known[i]
+
+    there = {id(one): torch.from_numpy(one).to(ctx.device) for one in inverse.values()}
+    return MeasuredDepth({frame: there[id(one)] for frame, one in inverse.items()}, unit, moving)
+
+
+def middle_frames(views: Views) -> np.ndarray:
+    """[n] int: training frames of the time in the middle, where the window of times opens."""
+    import numpy as np
+
+    times = np.unique(views.time[views.train])
+    return views.train[views.time[views.train] == times[len(times) // 2]]
+
+
+def moving_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
+    """[H, W] bool, what the capture's own mask or `flow` says moves in frame ``i``; None where neither says anything."""
+    import numpy as np
+
+    mask = frames.mask(i)
+    flow = ctx.inputs["flow"]
+    if mask is None and flow is not None and "movers" in flow:
+        mask = np.asarray(flow.array("movers")[i])
+    if mask is None:
+        return None
+    kept = frames.kept(i)
+    return mask > 127 if kept is None else (mask > 127) & kept
+
+
+def unsteady_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
+    """[H, W] bool, where frame ``i`` does not show what stands still: something moves, or its pixels do not count; None without either."""
+    moving, kept = moving_mask(ctx, frames, i), frames.kept(i)
+    if kept is None:
+        return moving
+    return ~kept if moving is None else moving | ~kept

@@ -1,0 +1,151 @@
+"""Seeds on what moves, at several times: where it is then and how fast it goes, from masks and flow.
+
+Where several cameras see a time at once, seeds lie on the visual hull of their masks; before one moving camera, on the mask's pixels, as
+far away as `depths.py` finds. Velocities are measured over the frames beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ...vision.sequences import camera_sequences
+from .chain import Chain
+from .depths import depth_at, object_depths, steady
+from .objects import follow_objects
+from .scene_flow import next_positions
+
+if TYPE_CHECKING:
+    from ...pipeline import Artifact
+    from ...scene.views import Views
+
+KEYS = 12  # times at which seeds are placed, and more
+APART = 8  # frames, where these would lie farther apart
+FEWEST_FRAMES = 3  # of a camera, for a path; of cameras that see a time, for a hull
+AROUND = 3  # frames to either side over which the velocity before one camera is measured
+
+
+class MoverSeeds(NamedTuple):
+    """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units a frame, time [N] in [0, 1]: when each is there."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    velocities: np.ndarray
+    time: np.ndarray
+
+
+def key_times(times: np.ndarray) -> np.ndarray:
+    """Rows of ``times`` [T] at which seeds are placed: evenly spread, the first and the last among them."""
+    return np.unique(np.linspace(0, len(times) - 1, min(max(KEYS, len(times) // APART), len(times))).round().astype(int))
+
+
+def rig_seeds(
+    flow: Artifact,
+    views: Views,
+    mask: Callable[[int], np.ndarray | None],
+    most: int,
+    seed: int,
+    advance: Callable[[int], None] = lambda n: None,
+) -> MoverSeeds | None:
+    """Up to ``most`` seeds on what masks enclose at key times; None where fewer than three cameras have masks.
+
+    mask(i): [H, W] bool, what moves in frame i, or None. advance: called with the number of key times that are done.
+    """
+    from ...scene.seeds.colours import median_colours
+    from ...scene.seeds.hull import visual_hull
+
+    times = np.unique(views.time[views.train])
+    sequences = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) == len(times)]
+    chains = [(Chain(flow, frames), frames) for frames in sequences]
+    rows = key_times(times)
+    found = []
+    for k in rows:
+        frames = views.train[views.time[views.train] == times[k]]
+        known = [(i, m) for i in frames if (m := mask(int(i))) is not None]
+        advance(1)
+        if len(known) < FEWEST_FRAMES:
+            continue
+        chosen, masks = np.array([i for i, _ in known]), [m for _, m in known]
+        points = visual_hull(views, masks, chosen, most // len(rows), seed)
+        if not len(points):
+            continue
+        colors = median_colours(views, points, chosen, masks)[0]
+        alive = np.ones(len(points), bool)
+        steps = [(d, next_positions(views, chains, k, d, points, alive)) for d in (1, -1) if 0 <= k + d < len(times) and len(chains) > 1]
+        known_steps = np.stack([there for _, (_, there) in steps]) if steps else np.zeros((1, len(points)), bool)
+        moved = np.stack([d * (to - points) for d, (to, _) in steps]) if steps else np.zeros((1, len(points), 3))
+        velocity = (moved * known_steps[..., None]).sum(0) / np.maximum(known_steps.sum(0), 1)[:, None]
+        found.append(MoverSeeds(points, colors, velocity * per_frame(views, times, k), np.full(len(points), times[k])))
+    return join(found)
+
+
+def camera_seeds(
+    flow: Artifact, views: Views, still: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
+) -> MoverSeeds | None:
+    """Up to ``most`` seeds on the masks of moving cameras at key times; None where masks show nothing, or hide nothing that tells a depth.
+
+    still [P, 3]: points that stand still, for the most part. advance: called with the number of frames that are done.
+    """
+    found = []
+    cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
+    for frames in cameras:
+        chain = Chain(flow, frames)
+        objects = follow_objects(chain, len(frames))
+        depths = object_depths(objects, views, frames, still)
+        advance(len(frames))
+        known = [float(np.median(values[values > 0])) for values in depths if (values > 0).any()]
+        if not known:
+            continue
+        usual = float(np.median(known))
+        rows = key_times(views.time[frames])
+        area = sum(int(chain.mask(k).sum()) for k in rows)
+        stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(most, 1)))))
+        for k in rows:
+            y, x = np.nonzero(chain.mask(k)[stride // 2 :: stride, stride // 2 :: stride])
+            begin = (np.stack([x, y], 1) * stride + stride // 2).astype(np.float32)
+            if not len(begin):
+                continue
+            places, alive = chain.follow(k, begin, AROUND)
+            near = [j for j in range(k - AROUND, k + AROUND + 1) if 0 <= j < len(frames)]
+            z = np.zeros(alive.shape, np.float32)
+            for j in near:
+                z[j] = depth_at(objects, depths[j], views.K[frames[j]], j, places[j], usual)
+            z = steady(z, alive)
+            where = np.stack([lift(views, frames[j], places[j], z[j]) for j in near])
+            number = views.time[[frames[j] for j in near]] * (len(np.unique(views.time)) - 1)
+            velocity = slope(number, where, alive[near])
+            picture = views.load(frames[k]) / 255.0
+            color = picture[begin[:, 1].astype(int), begin[:, 0].astype(int)]
+            time = np.full(len(begin), views.time[frames[k]])
+            found.append(MoverSeeds(where[near.index(k)].astype(np.float64), color, velocity, time))
+    return join(found)
+
+
+def slope(x: np.ndarray, y: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Least-squares slope [N, 3] of ``y`` [K, N, 3] over ``x`` [K] where it is ``known`` [K, N]; 0 where one alone is."""
+    weight = known[..., None].astype(np.float64)
+    count = np.maximum(weight.sum(0), 1)
+    dx = x[:, None, None] - (weight * x[:, None, None]).sum(0) / count
+    dy = y - (weight * y).sum(0) / count
+    spread = (weight * dx * dx).sum(0)
+    return (weight * dx * dy).sum(0) / np.where(spread > 0, spread, 1.0)
+
+
+def per_frame(views: Views, times: np.ndarray, k: int) -> float:
+    """Steps between training times around row ``k`` that make one frame of the capture."""
+    low, high = max(k - 1, 0), min(k + 1, len(times) - 1)
+    frames = (times[high] - times[low]) * (len(np.unique(views.time)) - 1)
+    return (high - low) / frames if frames > 0 else 1.0
+
+
+def join(found: list[MoverSeeds]) -> MoverSeeds | None:
+    return MoverSeeds(*(np.concatenate(parts) for parts in zip(*found))) if found else None
+
+
+def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """World positions [n, 3] of pixels ``places`` [n, 2] (centres at +0.5) of frame ``i`` at depths ``z`` [n]."""
+    K, pose = views.K[i], views.cam_from_world[i]
+    ray = np.stack([(places[:, 0] + 0.5 - K[0, 2]) / K[0, 0], (places[:, 1] + 0.5 - K[1, 2]) / K[1, 1], np.ones(len(places))], 1)
+    return ((ray * z[:, None] - pose[:3, 3]) @ pose[:3, :3]).astype(np.float32)

@@ -1,0 +1,99 @@
+"""Parts of one camera's masks over time: which part is the same object as one a frame before, and how its apparent size changes.
+
+A rigid object's depth is inversely proportional to its apparent size, so that one frame that tells its depth tells it for all of them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .chain import Chain
+
+PIXELS = 400  # of a part that are followed to the next frame
+FEWEST = 12  # of those that must be found again
+PAIRS = 400  # of pixels, between which distances are compared
+LEAST_AREA = 1e-3  # of the picture: smaller parts are noise of the mask
+
+
+class Objects(NamedTuple):
+    """labels: for each frame [h, w] uint8, its parts, 0 where nothing moves; masks are looked at in a smaller size, and `step` is the
+    pixels of the picture that one of theirs spans, in x and y. number: for each frame [labels] int, the object that a part is, -1 for
+    none. log_size: for each frame [labels], the logarithm of its apparent size over that in the object's first frame."""
+
+    labels: list[np.ndarray]
+    step: tuple[float, float]
+    number: list[np.ndarray]
+    log_size: list[np.ndarray]
+
+    def at(self, k: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column in the labels of frame ``k`` of pixels ``x``, ``y`` of the picture, whose centres lie at whole numbers."""
+        height, width = self.labels[k].shape
+        row, column = ((np.asarray(v) + 0.5) / s for v, s in ((y, self.step[1]), (x, self.step[0])))
+        return np.clip(row.astype(int), 0, height - 1), np.clip(column.astype(int), 0, width - 1)
+
+
+def follow_objects(chain: Chain, frames: int, seed: int = 0) -> Objects:
+    """The connected parts of the masks of ``chain`` in its first ``frames`` frames, linked over time by flow."""
+    rng = np.random.default_rng(seed)
+    labels = [_parts(chain.small_mask(k)) for k in range(frames)]
+    height, width = labels[0].shape
+    objects = Objects(labels, (chain.width / width, chain.height / height), [], [])
+    number = [np.full(int(of.max()) + 1, -1) for of in labels]
+    log_size = [np.zeros(len(n)) for n in number]
+    count = 0
+    for k in range(frames):
+        claims = _claims(chain, objects, k - 1, rng) if k else []
+        for _, before, now, growth in sorted(claims, reverse=True):
+            taken = number[k - 1][before] in number[k]
+            if number[k][now] < 0 and not taken:
+                number[k][now] = number[k - 1][before]
+                log_size[k][now] = log_size[k - 1][before] + growth
+        for part in range(1, len(number[k])):
+            if number[k][part] < 0:
+                number[k][part], count = count, count + 1
+    return objects._replace(number=number, log_size=log_size)
+
+
+def _parts(mask: np.ndarray) -> np.ndarray:
+    """[h, w] uint8: 1, 2, ... for connected parts of ``mask`` [h, w] bool that are no noise, at most 255, 0 elsewhere."""
+    import cv2
+
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    area = stats[1:, cv2.CC_STAT_AREA]
+    large = 1 + np.argsort(-area, kind="stable")[: min(255, int((area >= LEAST_AREA * mask.size).sum()))]
+    renumbered = np.zeros(count, np.uint8)
+    renumbered[large] = np.arange(1, len(large) + 1)
+    return renumbered[labels]
+
+
+def _claims(chain: Chain, objects: Objects, k: int, rng: np.random.Generator) -> list[tuple[int, int, int, float]]:
+    """(pixels found again, part in frame ``k``, part in the next, logarithm of its growth) of the parts that go on."""
+    before, now = objects.labels[k], objects.labels[k + 1]
+    claims = []
+    for part in range(1, int(before.max()) + 1):
+        inside = np.argwhere(before == part)
+        chosen = rng.permutation(inside)[:PIXELS, ::-1]
+        places = ((chosen + 0.5) * objects.step - 0.5).astype(np.float32)
+        moved = chain.move(k, 1, places)
+        if moved is None:
+            return []
+        there, trusted = moved
+        lands = np.where(trusted, now[objects.at(k + 1, *there.T)], 0)
+        counts = np.bincount(lands, minlength=1)
+        counts[0] = 0
+        target = int(counts.argmax())
+        found = lands == target
+        if counts[target] >= FEWEST:
+            share = len(inside) * int(counts[target]) // len(chosen)
+            claims.append((share, part, target, _growth(places[found], there[found], rng)))
+    return claims
+
+
+def _growth(places: np.ndarray, there: np.ndarray, rng: np.random.Generator) -> float:
+    """Median logarithm of how the distances between points change from ``places`` to ``there`` [n, 2]."""
+    a, b = rng.integers(len(places), size=(2, PAIRS))
+    first, second = (np.linalg.norm(p[a] - p[b], axis=1) for p in (places, there))
+    far = first > np.percentile(first, 50)
+    return float(np.median(np.log(np.maximum(second[far], 1e-3) / first[far]))) if far.any() else 0.0

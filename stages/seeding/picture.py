@@ -1,0 +1,40 @@
+"""Where training begins, as one sees it: the seeds over a training picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ...scene.views import Views
+    from .movers import MoverSeeds
+
+SIZE = 720  # px, longest side
+DIMMED = 0.35  # of the picture's brightness, in grey, below the seeds
+MOVING = (255, 120, 0)
+
+
+def seeds_picture(views: Views, points: np.ndarray, colors: np.ndarray, movers: MoverSeeds | None) -> np.ndarray:
+    """uint8 [h, w, 3]: ``points`` [P, 3] (world units) as dots of their ``colors`` [P, 3] in [0, 1] over the middle training picture, in
+    grey; above them, with an orange rim, the seeds on what moves that belong to the time nearest to the picture's."""
+    import cv2
+
+    i = int(views.train[len(views.train) // 2])
+    grey = cv2.cvtColor(views.load(i), cv2.COLOR_RGB2GRAY)
+    factor = min(1.0, SIZE / max(views.width, views.height))
+    size = max(1, round(views.width * factor)), max(1, round(views.height * factor))
+    picture = np.repeat((DIMMED * cv2.resize(grey, size, interpolation=cv2.INTER_AREA)).astype(np.uint8)[..., None], 3, axis=2)
+    layers: list[tuple[np.ndarray, np.ndarray, int, tuple[int, int, int] | None]] = [(points, colors, 1, None)]
+    if movers is not None:
+        now = movers.time == movers.time[np.abs(movers.time - views.time[i]).argmin()]
+        layers.append((movers.points[now], movers.colors[now], 2, MOVING))
+    for places, rgb, radius, rim in layers:
+        at = views.project(i, np.asarray(places, np.float64))
+        shown = (255 * np.clip(np.asarray(rgb)[at.point], 0, 1)).round().astype(int)
+        for k in np.argsort(-at.depth, kind="stable"):  # what is near covers what is far
+            centre = int(at.x[k] * factor), int(at.y[k] * factor)
+            if rim is not None:
+                cv2.circle(picture, centre, radius, rim, -1)
+            cv2.circle(picture, centre, radius - 1 if rim is not None else radius, shown[k].tolist(), -1)
+    return picture

@@ -1,0 +1,95 @@
+"""Where places on something that moves are at the next time before several cameras at once, by all their flows.
+
+A place that some cameras see goes, to the next time, where the rays through its flowed pixels meet (robust least squares). What nobody
+sees, and what rays disagree about, goes with its neighbours. Scene flow from many views, as in Vedula et al. 1999.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .chain import Chain
+
+if TYPE_CHECKING:
+    from ...scene.views import Views
+
+FEWEST_CAMERAS = 2  # that see a seed and agree where it goes
+AGREE = 3.0  # px of a picture 640 px wide between a ray's own pixel and where all rays meet
+ROUNDS = 4  # of reweighting
+NEIGHBOURS = 12
+BLOCK = 4  # px, side of a pixel of the map that tells which seeds others hide
+BEHIND = 0.02  # of the depth, by which a seed may lie behind the first in its block
+
+
+def next_positions(
+    views: Views, chains: list[tuple[Chain, list[int]]], k: int, direction: int, points: np.ndarray, alive: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where ``points`` [N, 3] of time ``k`` are at the next one, and which of the ``alive`` [N] are still followed."""
+    rays = np.zeros((len(chains), len(points), 3))
+    seen = np.zeros((len(chains), len(points)), bool)
+    centres = views.centres()
+    for row, (chain, frames) in enumerate(chains):
+        i, j = frames[k], frames[k + direction]
+        shown = _first_in_line(views, i, points)
+        shown = shown[alive[shown]]
+        K, pose = views.K[i], views.cam_from_world[i]
+        cam = points[shown] @ pose[:3, :3].T + pose[:3, 3]
+        places = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5  # a chain's centres lie at whole numbers
+        x, y = (np.clip(np.rint(places[:, c]).astype(int), 0, size - 1) for c, size in enumerate((views.width, views.height)))
+        on = chain.mask(k)[y, x]
+        moved = chain.move(k, direction, places)
+        if moved is None:
+            continue
+        use = on & moved[1]
+        shown, places = shown[use], moved[0][use]
+        K, pose = views.K[j], views.cam_from_world[j]
+        ray = np.concatenate([(places + 0.5 - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(places), 1))], 1) @ pose[:3, :3]
+        rays[row, shown] = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+        seen[row, shown] = True
+    ends = np.array([centres[frames[k + direction]] for _, frames in chains])
+    focal = float(np.median(views.K[views.train, 0, 0]))
+    found, agreed = meet(ends, rays, seen, points, AGREE * views.width / 640 / focal)
+    return _with_neighbours(points, found - points, agreed & alive, alive)
+
+
+def meet(centres: np.ndarray, rays: np.ndarray, seen: np.ndarray, start: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """The points [N, 3] nearest to ``rays`` [C, N, 3] (unit) from ``centres`` [C, 3] where ``seen`` [C, N], and whether at least two rays
+    pass within ``angle`` (radians) of them. Rays that disagree lose their say (Cauchy weights); ``start`` [N, 3] holds what rays leave
+    open."""
+    projector = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    found = start.astype(np.float64)
+    for r in range(ROUNDS + 1):
+        offset = found[None] - centres[:, None]
+        distance = np.maximum(np.linalg.norm(offset, axis=2), 1e-12)
+        off = np.linalg.norm(np.einsum("cnij,cnj->cni", projector, offset), axis=2) / distance
+        weight = seen / distance**2 / (1 + (off / angle) ** 2 if r else 1.0)
+        if r == ROUNDS:
+            break
+        A = np.einsum("cn,cnij->nij", weight, projector)
+        b = np.einsum("cn,cnij,cj->ni", weight, projector, centres)
+        hold = 1e-3 * np.maximum(np.trace(A, axis1=1, axis2=2), 1e-12)  # along a lone ray nothing is known: it stays
+        found = np.linalg.solve(A + hold[:, None, None] * np.eye(3), (b + hold[:, None] * found)[..., None])[..., 0]
+    return found, (seen & (off < angle)).sum(0) >= FEWEST_CAMERAS
+
+
+def _first_in_line(views: Views, i: int, points: np.ndarray) -> np.ndarray:
+    """Numbers of the ``points`` [N, 3] that frame ``i`` shows and that no other of them hides."""
+    shown, x, y, depth = views.project(i, points)
+    block = (y // BLOCK) * (views.width // BLOCK + 1) + x // BLOCK
+    first = np.full(int(block.max(initial=0)) + 1, np.inf)
+    np.minimum.at(first, block, depth)
+    return shown[depth <= (1 + BEHIND) * first[block]]
+
+
+def _with_neighbours(points: np.ndarray, step: np.ndarray, known: np.ndarray, alive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each of ``points`` [N, 3] moved by the median ``step`` [N, 3] of the nearest ``known`` [N]; no longer alive where these are far."""
+    from scipy.spatial import cKDTree
+
+    if known.sum() < NEIGHBOURS:
+        return points, np.zeros(len(points), bool)
+    distance, near = cKDTree(points[known]).query(points, k=NEIGHBOURS)
+    spacing = np.median(distance[known, -1])
+    moved = points + np.median(step[known][near], axis=1)
+    return moved.astype(np.float32), alive & (distance[:, 0] <= 2 * spacing)

@@ -1,0 +1,161 @@
+"""Where the Gaussians of `coarse` begin, and which of them may move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ...pipeline import Context
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ...scene.motion.free import FreeMotion
+    from ...scene.primitives import GaussianSet
+    from ...scene.views import Views
+    from ..artifacts.frameset import FrameSet
+    from .movers import MoverSeeds
+
+# Shares of the looks at a seed that must find something that moves there, for the seed to be one that may move.
+FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever changes before it
+MOVERS_SHARE = 0.5  # of a moving camera's masks, frame by frame, where what moves has seeds of its own
+COVERED_SHARE = 0.05  # of the same, where seeds that it hides at times must stand in for it
+OVERLAP = 0.6  # of the frames between two times with seeds: the standard deviation of their lives
+SWEPT_SHARE = 0.7  # of the seeds at most, where depth was found by plane sweep
+LEAST_POINTS = 30  # from which depths between them mean something
+LOOKS = 60  # masks of a moving camera that are looked at
+
+
+class Seeds(NamedTuple):
+    """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: those of them, or others, that were measured and not guessed.
+    inverse_depth: of what stands still before each camera, see `Swept`."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    trusted: np.ndarray
+    inverse_depth: dict[int, np.ndarray]
+
+
+def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seeds:
+    """Where Gaussians start: points of the capture or SfM, else carved silhouettes, else triangulated points. Rigs are filled up to about
+    ``count``, as are posed captures of which little was triangulated."""
+    import numpy as np
+
+    from ...scene.seeds.carve import carve
+    from ...scene.seeds.outliers import trusted
+    from ...scene.seeds.volume import common_volume
+    from ...scene.training.curriculum import MIN_CAMERAS
+    from .fill import fill_seeds, middle_frames, sweep
+
+    settings = ctx.settings
+    if frames.points is not None and len(frames.points) >= 50:
+        points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
+        ctx.log(f"seeds: {len(points)} points of the capture or of SfM")
+        fill = len(middle_frames(views)) >= MIN_CAMERAS
+    elif ctx.facts.get("alpha"):
+        chosen = views.train[:: max(1, len(views.train) // 60)]
+        foreground = [frames.image(int(i))[..., 3] > 127 for i in chosen]
+        ctx.log(f"seeds: {count} points inside the silhouettes of {len(chosen)} views")
+        points, colors = carve(views, foreground, chosen, count, settings.seed)
+        return Seeds(points, colors, points, {})
+    else:
+        from ..posing.triangulate import triangulate
+
+        ctx.log("seeds: triangulating points with the known poses")
+        points, colors, _ = triangulate(frames, seed=settings.seed)
+        colors = colors / 255.0
+        fill = True
+    keep = trusted(points, views.centres()[views.train])
+    points, colors = points[keep], colors[keep]
+    ctx.log(f"seeds: {len(points)} points; {int((~keep).sum())} that stand alone are left out")
+    measured = points
+    swept = sweep(ctx, frames, views, points) if fill and len(points) >= LEAST_POINTS else None
+    if swept is not None:
+        chosen = np.random.default_rng(settings.seed).permutation(len(swept.points))[: int(SWEPT_SHARE * count)]
+        points, colors = np.concatenate([points, swept.points[chosen]]), np.concatenate([colors, swept.colors[chosen]])
+    if fill and LEAST_POINTS <= len(points) < count:
+        more, their_colors = fill_seeds(ctx, frames, views, points, count - len(points))
+        points, colors = np.concatenate([points, more]), np.concatenate([colors, their_colors])
+    elif fill and len(points) < count:
+        centre, radius = common_volume(views)
+        more = centre + np.random.default_rng(settings.seed).uniform(-radius, radius, (count, 3))
+        ctx.log(f"seeds: {len(more)} more spread over the volume that the cameras share")
+        points, colors = np.concatenate([points, more]), np.concatenate([colors, np.full((count, 3), 0.5)])
+    return Seeds(points, colors, measured if len(measured) else points, swept.inverse if swept else {})
+
+
+def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MoverSeeds | None:
+    """Up to ``most`` seeds on what moves, at several times; None without masks of movers. points [P, 3]: what stands still, mostly."""
+    import numpy as np
+
+    from .fill import moving_mask
+    from .movers import camera_seeds, key_times, rig_seeds
+
+    flow = ctx.inputs["flow"]
+    if flow is None or "movers" not in flow:
+        return None
+    if is_rig(ctx.facts):
+        times = np.unique(views.time[views.train])
+        with ctx.progress(len(key_times(times)), "seeds on what moves") as bar:
+            found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), most, ctx.settings.seed, bar.advance)
+    elif "moving" in flow:
+        return None
+    else:
+        with ctx.progress(len(views.train), "seeds on what moves") as bar:
+            found = camera_seeds(flow, views, points, most, bar.advance)
+    if found is not None:
+        ctx.log(f"seeds: {len(found.points)} on what moves, at {len(np.unique(found.time))} times")
+    return found
+
+
+def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
+    """Gaussians on ``seeds``, a set for each of their times, whose lives overlap with those of the times before and after."""
+    import numpy as np
+    import torch
+
+    from ...scene.primitives import GaussianSet
+
+    times = np.unique(seeds.time)
+    apart = (motion.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
+    sets = []
+    for t in times:
+        row = seeds.time == t
+        one = GaussianSet.from_points(seeds.points[row], seeds.colors[row], sh_degree, max_scale=max_scale)
+        one.live(motion.frame(t), max(OVERLAP * apart, 1.0), torch.from_numpy(seeds.velocities[row]).float())
+        sets.append(one)
+    return sets
+
+
+def is_rig(facts: Mapping[str, Any]) -> bool:
+    """Several cameras see each time."""
+    from ...scene.training.curriculum import MIN_CAMERAS
+
+    return facts.get("frames", 0) >= MIN_CAMERAS * facts.get("times", 1)
+
+
+def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seeded: bool) -> np.ndarray:
+    """[N] bool. Fixed cameras show which pixels ever change, masks of movers what a moving camera saw move; elsewhere everything may move
+    until the field has shown otherwise.
+
+    movers_seeded: what moves has seeds of its own, and these need not stand in for it.
+    """
+    import numpy as np
+
+    from ...scene.training.dynamics import dynamic_from_masks
+
+    flow = ctx.inputs["flow"]
+    if flow is not None and "moving" in flow:
+        moving = flow.read("moving")
+        first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}
+        looks = [(first[int(camera)], moving[k]) for k, camera in enumerate(flow.attrs["moving_cameras"])]
+        share, where = FIXED_SHARE, "no fixed camera sees a change"
+    elif flow is not None and "movers" in flow:
+        movers, train = flow.array("movers"), views.train
+        chosen = train[np.linspace(0, len(train) - 1, min(LOOKS, len(train))).round().astype(int)]
+        looks = [(int(i), np.asarray(movers[int(i)])) for i in chosen]
+        share, where = MOVERS_SHARE if movers_seeded else COVERED_SHARE, "hardly anything was seen to move"
+    else:
+        return np.ones(len(points), bool)
+    dynamic = dynamic_from_masks(points, views, looks, share)
+    ctx.log(f"{int((~dynamic).sum())} of {len(points)} seeds lie where {where} and skip the field")
+    return dynamic

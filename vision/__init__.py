@@ -1,0 +1,1 @@
+"""Pictures in; optical flow, edges, what moves, and poses out. See DESIGN.md in this folder."""

@@ -1,0 +1,1 @@
+"""Optical flow of two pictures, and how far it may be trusted."""

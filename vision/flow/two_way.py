@@ -1,0 +1,110 @@
+"""Flow of two pictures both ways, and how far it may be trusted: forward-backward consistency, and what the second picture hides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .method import Dis, FlowMethod, Prepared, Preset
+from .outlines import sharpened
+
+COVERED = 0.65  # of the density of arrivals that the flow's own stretch explains: fewer arrive where something is hidden
+SMOOTH = 1.0  # px, of the density: flow is not exact to a pixel at outlines
+AROUND = 25  # px, side of the window whose median is a place's stretch: bands that are hidden are thinner than half of it
+
+
+@dataclass(frozen=True)
+class FlowPair:
+    """forward, backward [H, W, 2] float32 px (u right, v down); backward is seen from the second picture. confidence [H, W] uint8."""
+
+    forward: np.ndarray
+    backward: np.ndarray
+    confidence: np.ndarray
+
+
+def flow_pair(method: FlowMethod, first: Prepared, second: Prepared) -> FlowPair:
+    """Flow both ways, `sharpened` at outlines, and the confidence in the forward one: `consistency`, 0 where `occluded`."""
+    return trusted(*both_ways(method, first, second))
+
+
+def both_ways(method: FlowMethod, first: Prepared, second: Prepared) -> tuple[np.ndarray, np.ndarray]:
+    """Flow forward and backward, [H, W, 2] float32 px each, `sharpened` at outlines."""
+    forward = sharpened(method.flow(first, second), first.picture, second.picture)
+    return forward, sharpened(method.flow(second, first), second.picture, first.picture)
+
+
+def trusted(forward: np.ndarray, backward: np.ndarray) -> FlowPair:
+    """Both flows, [H, W, 2] float32 px, with the confidence in the forward one."""
+    confidence = consistency(forward, backward)
+    confidence[occluded(forward, backward)] = 0
+    return FlowPair(forward, backward, confidence)
+
+
+def dis_flow(first: np.ndarray, second: np.ndarray, preset: Preset = "medium", max_size: int | None = None) -> np.ndarray:
+    """Flow [H, W, 2] float32 px between two pictures uint8 [H, W, 3] RGB by `Dis`."""
+    method = Dis(preset, max_size)
+    return method.flow(method.prepare(first), method.prepare(second))
+
+
+def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """How well ``backward`` leads back to where ``forward`` came from, both [H, W, 2] float32: uint8 [H, W], 255 consistent, 0 not.
+
+    With e = |f + b(x + f)|^2 and the tolerance 0.01 (|f|^2 + |b|^2) + 0.5 px^2 of Sundaram et al. 2010, the weight is 1 up to a quarter of
+    the tolerance and falls linearly to 0 at the tolerance. Pixels that leave the picture get 0.
+    """
+    import cv2
+
+    to_x, to_y = _places(forward)
+    back = cv2.remap(backward, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    error, (fu, fv), (bu, bv) = forward + back, cv2.split(forward), cv2.split(back)
+    tolerance = 0.01 * (fu * fu + fv * fv + bu * bu + bv * bv) + 0.5
+    error = error[..., 0] ** 2 + error[..., 1] ** 2
+    weight = np.clip((1.0 - error / tolerance) * (255.0 / 0.75), 0.0, 255.0)
+    weight[_outside(to_x, to_y)] = 0.0
+    return np.rint(weight).astype(np.uint8)
+
+
+def occluded(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """Pixels of the first picture that the second does not show: bool [H, W], from both flows [H, W, 2] float32.
+
+    Where nothing hides anything, each pixel of the second picture comes from somewhere in the first; what the second hides is where nothing
+    comes from (the range map of Wang et al. 2018). Arrivals are spread bilinearly, smoothed, and compared with what the forward flow's
+    stretch around there leaves to arrive: a camera that moves back, whose second picture holds all of the first in fewer pixels, hides
+    nothing. Pixels that leave the picture are occluded too. The disagreement of the two flows, which errors of either cause as well, has
+    many more false alarms, and so has a match that fails. Smeared flow fills narrow bands that are hidden: `flow_pair` sharpens it first.
+    """
+    import cv2
+
+    arrivals = cv2.GaussianBlur(_arrivals(backward), (0, 0), SMOOTH, borderType=cv2.BORDER_REPLICATE)
+    return _outside(*_places(forward)) | (arrivals < COVERED * np.minimum(_stretch(forward), 1.0))
+
+
+def _stretch(flow: np.ndarray) -> np.ndarray:
+    """Pixels of the second picture for one of the first, the median around each place: float32 [H, W]; 1 where the flow is not finite."""
+    import cv2
+
+    if min(flow.shape[:2]) < 2:
+        return np.ones(flow.shape[:2], np.float32)
+    (uy, ux), (vy, vx) = (np.gradient(np.clip(np.nan_to_num(flow[..., k]), -1e6, 1e6)) for k in range(2))
+    stretch = np.clip(((1 + ux) * (1 + vy) - uy * vx) * 100, 0, 255)
+    return cv2.medianBlur(np.rint(stretch).astype(np.uint8), AROUND).astype(np.float32) / 100
+
+
+def _arrivals(backward: np.ndarray) -> np.ndarray:
+    """How many pixels of the second picture come from each of the first, float32 [H, W], shared bilinearly."""
+    from .. import _kernels  # type: ignore[attr-defined]
+
+    out = np.empty(backward.shape[:2], np.float32)
+    _kernels.arrivals(np.ascontiguousarray(backward, np.float32), out)
+    return out
+
+
+def _places(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    height, width = flow.shape[:2]
+    return flow[..., 0] + np.arange(width, dtype=np.float32), flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
+
+
+def _outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    height, width = x.shape
+    return (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)

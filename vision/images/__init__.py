@@ -1,0 +1,1 @@
+"""Picture files, lenses, and pictures for people."""

@@ -1,0 +1,130 @@
+"""Pictures in, a file for people out: an MP4, or a folder of numbered PNG and depth files."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+import numpy as np
+
+from ...pipeline import StageError
+
+QUALITY = 18  # of x264, constant rate factor: hardly to be told from the original
+
+
+class Encoder:
+    """H.264 that plays in every browser, into a file or memory: `add` pictures, then `close`.
+
+    A picture has uint8 [H, W, 3]; of an odd number of rows or columns the last is left out, which the format asks for.
+    """
+
+    def __init__(self, target: str | BinaryIO, fps: float, quality: int = QUALITY) -> None:
+        import av
+
+        # The index goes to the front of a file, for those who watch while it loads; that needs a file that can be opened again.
+        options = {"movflags": "+faststart"} if isinstance(target, str) else {}
+        self._container = av.open(target, "w", format="mp4", options=options)
+        self._stream = self._container.add_stream("libx264", rate=round(fps))
+        self._stream.pix_fmt = "yuv420p"
+        # With x264's macroblock tree the same pictures gave other bytes in every run (seen on AMD EPYC); without it they do not.
+        self._stream.options = {"crf": str(quality), "x264-params": "mbtree=0"}
+        self._begun = False
+
+    def add(self, picture: np.ndarray) -> None:
+        import av
+
+        height, width = (size - size % 2 for size in picture.shape[:2])
+        if not self._begun:
+            self._stream.width, self._stream.height, self._begun = width, height, True
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
+        self._container.mux(self._stream.encode(frame))
+
+    def close(self, whole: bool = True) -> None:
+        """``whole`` False leaves out what is still to be written: nobody will look at it."""
+        if whole:
+            self._container.mux(self._stream.encode())
+        self._container.close()
+
+
+def encode_movie(pictures: Iterable[np.ndarray], fps: float, quality: int = QUALITY) -> bytes:
+    """An MP4 file of ``pictures``, uint8 [H, W, 3] each."""
+    file = io.BytesIO()
+    encoder = Encoder(file, fps, quality)
+    for picture in pictures:
+        encoder.add(picture)
+    encoder.close()
+    return file.getvalue()
+
+
+class Movie:
+    """``with Movie(path, fps) as movie: movie.add(picture, depth)``: a file as of `Encoder`, there only when it is whole."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self.path, self.fps = path, fps
+
+    def __enter__(self) -> Movie:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._part = self.path.with_name(f".{self.path.stem}-{os.getpid()}.mp4")
+        self._encoder = Encoder(str(self._part), self.fps)
+        return self
+
+    def add(self, picture: np.ndarray, depth: np.ndarray) -> None:
+        """The next picture; ``depth`` is not shown."""
+        self._encoder.add(picture)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            self._encoder.close(kind is None)
+            if kind is None:
+                os.replace(self._part, self.path)
+        finally:
+            self._part.unlink(missing_ok=True)
+
+
+class Pictures:
+    """``with Pictures(folder, depth) as pictures: ...``: ``0000.png``, ``0001.png`` and so on, with ``0000.exr`` where ``depth`` is wanted
+    (channel Z, float32, world units along the optical axis, 0 where nothing is). The folder is there only when it is whole.
+
+    Raises StageError where the folder already holds something, or the package for EXR is not there.
+    """
+
+    def __init__(self, folder: Path, depth: bool) -> None:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise StageError(f"{folder}: already holds something; name a folder that does not exist or is empty")
+        if depth and importlib.util.find_spec("OpenEXR") is None:
+            raise StageError("--depth needs the package OpenEXR; install it with: pip install 'e4dgs[exr]'")
+        self.folder, self.depth, self._count = folder, depth, 0
+
+    def __enter__(self) -> Pictures:
+        self.folder.parent.mkdir(parents=True, exist_ok=True)
+        self._part = Path(tempfile.mkdtemp(prefix=f".{self.folder.name}-", dir=self.folder.parent))
+        return self
+
+    def add(self, picture: np.ndarray, depth: np.ndarray) -> None:
+        """The next picture, uint8 [H, W, 3], and its ``depth`` [H, W]."""
+        from PIL import Image
+
+        Image.fromarray(picture).save(self._part / f"{self._count:04d}.png")
+        if self.depth:
+            import OpenEXR
+
+            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            channels = {"Z": np.ascontiguousarray(depth, np.float32)}
+            OpenEXR.File(header, channels).write(str(self._part / f"{self._count:04d}.exr"))
+        self._count += 1
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is not None:
+            shutil.rmtree(self._part, ignore_errors=True)
+            return
+        self._part.chmod(0o755)
+        if self.folder.exists():
+            self.folder.rmdir()
+        os.replace(self._part, self.folder)

@@ -1,0 +1,111 @@
+"""Decoding one image file, and resizing and undistorting pictures with or without alpha. Imports OpenCV inside functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...pipeline import CaptureError
+from .files import BadImageError, open_image
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+# What each orientation of EXIF asks for (its tag 0x0112), of an array [H,W].
+_TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    1: lambda a: a,
+    2: np.fliplr,
+    3: lambda a: np.rot90(a, 2),
+    4: np.flipud,
+    5: np.transpose,
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(a, 2).T,
+    8: np.rot90,
+}
+
+
+def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
+    """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it). upright: turned as its EXIF data ask
+    for."""
+    from PIL import ImageOps
+
+    try:
+        with open_image(root / name) as stored:
+            image = ImageOps.exif_transpose(stored) if upright else stored
+            alpha = "A" in image.getbands() or "transparency" in image.info
+            if image.mode.startswith("I;16"):
+                return np.repeat(_eight_bits(image)[..., None], 3, axis=2)
+            return np.asarray(image.convert("RGBA" if alpha else "RGB"))
+    except BadImageError as error:
+        raise CaptureError(
+            f"{name}: cannot be decoded, perhaps cut short ({error}); copy it again or remove it from the capture"
+        ) from error
+
+
+def read_mask(root: Path, name: str, turn: int = 1) -> np.ndarray:
+    """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is foreground. turn: the EXIF orientation of its photo where the mask has the
+    photo's size as stored, so that both are turned."""
+    try:
+        with open_image(root / name) as image:
+            mask = _eight_bits(image) if image.mode.startswith("I;16") else np.asarray(image.convert("L"))
+            return np.ascontiguousarray(_TURNS[turn](mask))
+    except BadImageError as error:
+        raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
+
+
+def read_keep(root: Path, name: str, turn: int = 1) -> np.ndarray:
+    """uint8 [H,W], 255 what counts, 0 what does not, of a mask file that is black where pixels count for nothing. turn: see `read_mask`."""
+    keep = np.where(read_mask(root, name, turn) > 127, 255, 0).astype(np.uint8)
+    if not keep.any():
+        raise CaptureError(f"{name}: the mask is black everywhere, so nothing of its image counts; invert the masks, or remove this one")
+    return keep
+
+
+def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None = None) -> np.ndarray:
+    """Scaled down by area, or up (bicubic); the picture itself when it has that size. crop: left, top, width, height, px, of the part of it
+    that is taken."""
+    import cv2
+
+    if crop is not None:
+        left, top, across, down = (int(v) for v in crop)
+        picture = np.ascontiguousarray(picture[top : top + down, left : left + across])
+    if picture.shape[:2] == (height, width):
+        return picture
+    way = cv2.INTER_AREA if width * height < picture.shape[0] * picture.shape[1] else cv2.INTER_CUBIC
+    return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=way))
+
+
+def undistort(picture: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """`picture` resampled (bicubic) to the pinhole image; beyond the source's border its edge pixels continue."""
+    import cv2
+
+    return _premultiplied(picture, lambda p: cv2.remap(p, *maps, interpolation=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+
+
+def composite(picture: np.ndarray, background: str | None) -> np.ndarray:
+    """uint8 [H,W,3]: straight alpha over "white" or "black" (None counts as black), rounded to nearest."""
+    if picture.shape[2] == 3:
+        return picture
+    alpha = picture[..., 3:].astype(np.uint16)
+    total = picture[..., :3] * alpha + (255 if background == "white" else 0) * (255 - alpha)
+    return ((total + 127) // 255).astype(np.uint8)
+
+
+def _eight_bits(image: Image) -> np.ndarray:
+    """uint8 [H,W] of grey of 16 bits, which Pillow would clip and not scale."""
+    return np.rint(np.asarray(image, np.float32) / 257).astype(np.uint8)
+
+
+def _premultiplied(picture: np.ndarray, operation: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Apply a resampling so that colours under alpha 0 do not bleed into what is visible."""
+    if picture.ndim == 2 or picture.shape[2] == 3:
+        return operation(picture)
+    values = picture.astype(np.float32)
+    values[..., :3] *= values[..., 3:] / 255
+    values = np.clip(operation(values), 0, 255)
+    alpha = values[..., 3:]
+    values[..., :3] = np.where(alpha > 0, values[..., :3] * 255 / np.maximum(alpha, 1e-6), 0)
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)

@@ -1,0 +1,100 @@
+"""What moves before a fixed camera, as a mask per frame: what differs from the background, and what is of one piece with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .colours import colour_odds, odds_at
+from .evidence import DECADE, Evidence
+from .motion_mask import SHIFT_STEP, MotionMask, sample, smoothed
+from .objects import moving_mask
+
+SIZE = 640  # px, about, of the longest side at which evidence is gathered; larger pictures are averaged down, which also takes their noise
+NOISIER = 1.5  # times the picture's noise, at most, for a brightness: light's own noise grows with its root, and what moves may fill a
+# band of brightness of its own and must not excuse itself
+CHANGES = 2.0  # in log odds, of a full change: the background may be what stood there first, so it can be outvoted by colour ...
+STILL = -1.0  # ... and of none: what stands still for long is background, unless its colour moves elsewhere
+ONCE = 0.1  # of a masked region has changed at some time; what never did only has a mover's colour
+
+
+class FrameForeground:
+    """Per-frame masks of one fixed camera: `foreground(frame)` at any time after construction.
+
+    The background is the temporal median of the sampled frames. Whoever stands in one place for most of the time is in it, so a difference
+    alone finds arms and outlines, not bodies. What their colours did tells the rest: colours that change more often than others are taken
+    as those of what moves (`colour_odds`), evidence of both kinds is added, averaged within the edges of the picture (`moving_mask`), and
+    regions stay where a part of them changes at some time. Noise alone masks nothing.
+    """
+
+    def __init__(self, sampled: Sequence[np.ndarray]) -> None:
+        """``sampled``: at least one frame, uint8 [H, W, 3], spread over the capture. Raises ValueError where there is none."""
+        if not sampled:
+            raise ValueError("sampled: expected at least one frame")
+        self._shape = sampled[0].shape
+        small = [self._reduced(frame) for frame in sampled]
+        self._change = _Change(small)
+        changed = [self._change.score(frame) > 0 for frame in small]
+        self._ever = np.any(changed, axis=0)
+        self._odds = colour_odds(small, changed)
+
+    def evidence(self, frame: np.ndarray) -> Evidence:
+        """Evidence of one frame, uint8 [H, W, 3]: log odds to move, float32 in [-3, 4]; every pixel counts alike."""
+        return self._evidence(frame)[0]
+
+    def foreground(self, frame: np.ndarray) -> np.ndarray:
+        """Mask uint8 [H, W] of one frame: 255 where something moves, now or at another time, along the edges of the picture."""
+        import cv2
+
+        found, changed = self._evidence(frame)
+        mask = moving_mask(frame, found)
+        ever = cv2.resize((self._ever | changed).astype(np.uint8), mask.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        count, labels = cv2.connectedComponents(mask, connectivity=8)
+        area = np.bincount(labels.ravel(), minlength=count)
+        keep = np.bincount(labels[ever > 0], minlength=count) >= ONCE * area
+        return np.where(keep[labels], mask, 0).astype(np.uint8)
+
+    def _evidence(self, frame: np.ndarray) -> tuple[Evidence, np.ndarray]:
+        """Also where the reduced frame changes, bool."""
+        import cv2
+
+        if frame.shape != self._shape or frame.dtype != np.uint8:
+            raise ValueError(f"frame: expected uint8 {list(self._shape)}, got {frame.dtype} {list(frame.shape)}")
+        small = self._reduced(frame)
+        change = self._change.score(small)
+        score = np.where(change > 0, CHANGES * change, STILL) + odds_at(self._odds, small)
+        score = cv2.resize(score.astype(np.float32), frame.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+        return Evidence(score, np.ones_like(score), 0.0), change > 0
+
+    def _reduced(self, frame: np.ndarray) -> np.ndarray:
+        import cv2
+
+        factor = max(1, round(max(frame.shape[:2]) / SIZE))
+        size = max(1, frame.shape[1] // factor), max(1, frame.shape[0] // factor)
+        return cv2.resize(frame, size, interpolation=cv2.INTER_AREA) if factor > 1 else frame
+
+
+class _Change(MotionMask):
+    """The noise model of `MotionMask`, but for `NOISIER`."""
+
+    def __init__(self, sampled: Sequence[np.ndarray]) -> None:
+        super().__init__(sampled)
+        usual = np.median(self._inverse_threshold, axis=(0, 1))
+        self._inverse_threshold = np.maximum(self._inverse_threshold, usual / NOISIER)
+
+    def score(self, frame: np.ndarray) -> np.ndarray:
+        """Difference to the background, float32 [H, W] in [-1, 1]: 0 at the threshold, 1 at `DECADE` times it, -1 at a part as small."""
+        import cv2
+
+        difference = smoothed(frame) - self._background
+        difference -= np.median(difference[::SHIFT_STEP, ::SHIFT_STEP], axis=(0, 1))  # exposure and white balance of the frame
+        red, green, blue = cv2.split(np.abs(difference) * self._inverse_threshold)
+        ratio = np.maximum(np.maximum(red, green), blue)
+        return np.clip(np.log(np.maximum(ratio, 1e-6)) / np.log(DECADE), -1.0, 1.0).astype(np.float32)
+
+
+def frame_foregrounds(frames: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Masks uint8 [H, W] of all frames, uint8 [H, W, 3], of one fixed camera."""
+    background = FrameForeground([frames[i] for i in sample(range(len(frames)))])
+    return [background.foreground(frame) for frame in frames]

@@ -1,0 +1,21 @@
+"""Which features lie on what moves, and the matches that do not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def on_movers(masks: np.ndarray, frame: np.ndarray, xy: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """[N] bool: whether the places xy [N, 2] px in pictures of `size` [F, 2] (width, height) px of the frames `frame` [N] are masked.
+
+    masks [F, h, w] bool, of any size; pixel centres at +0.5 in both. Places outside the picture count as its border.
+    """
+    height, width = masks.shape[1:]
+    scale = np.array([width, height]) / np.maximum(size[frame], 1)
+    x, y = np.floor(np.nan_to_num(xy) * scale).astype(np.int64).T
+    return np.asarray(masks[frame, np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], bool)
+
+
+def still_matches(matches: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Of matches [M,2] (indices of features) those with neither end on a mover; first, second [N] bool: which features are."""
+    return matches[~(first[matches[:, 0]] | second[matches[:, 1]])]

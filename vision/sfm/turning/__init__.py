@@ -1,0 +1,1 @@
+"""Cameras of a capture whose camera turns and hardly moves."""

@@ -1,0 +1,50 @@
+"""The process that holds pycolmap: `python -m e4dgs.vision.sfm.worker REQUEST.json`.
+
+Writes `result.npz` (arrays) and `result.json` (facts) into the request's folder; one JSON line a step of progress on stdout.
+It ends when its stdin closes, so that it never outlives the program that started it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from pathlib import Path
+
+
+def _leave_with_parent() -> None:
+    while os.read(0, 4096):  # not sys.stdin: its lock would be held while the interpreter ends
+        pass
+    os._exit(3)
+
+
+def _report(phase: str, done: int, total: int) -> None:
+    print(json.dumps({"phase": phase, "done": done, "total": total}), flush=True)
+
+
+def main(request_file: str) -> None:
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    import numpy as np
+
+    request = json.loads(Path(request_file).read_text(encoding="utf-8"))
+    if request["task"] == "reconstruct":
+        from .reconstruct import reconstruct as task
+    elif request["task"] == "reconstruct_masked":
+        from .masked import reconstruct_masked as task
+    elif request["task"] == "reconstruct_rig":
+        from .rig import reconstruct_rig as task
+    elif request["task"] == "triangulate":
+        from .known_poses import triangulate_known as task
+    else:
+        raise SystemExit(f"{request_file}: unknown task {request['task']!r}")
+    arrays, facts = task(request, _report)
+    folder = Path(request["folder"])
+    np.savez(folder / "result.npz", allow_pickle=False, **arrays)
+    partial = folder / "result.partial"  # the facts come last and whole: where they are, so are the arrays
+    partial.write_text(json.dumps(facts), encoding="utf-8")
+    partial.replace(folder / "result.json")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,80 @@
+"""The second pass: the first one's features and matches without those on movers, verified and mapped anew. Imports pycolmap (worker)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from ..masks import on_movers, still_matches
+from . import database as db
+from .reconstruct import DATABASE, map_database
+
+SAMPLE = 200_000  # matches that the two passes are compared on; the share that agrees is then known to a tenth of a percent
+
+
+def reconstruct_masked(request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Reconstruct without what moves. `request`: that of `reconstruct`, with `first` (the folder of its database) and `masks` (npz file:
+    `masks` [n,h,w] bool, `size` [n,2] px of the pictures).
+
+    Returns the arrays of `reconstruct`, and `match_pair` [M,2] int32, `match_xy1`, `match_xy2` [M,2] float32 px: matches off movers, before
+    verification, evenly thinned to `SAMPLE`; and its facts, with `kept` and `matches`: matches off movers, and all of them.
+    A killed run goes on with its own database; it has no descriptors, and the first one's stays as it is.
+    """
+    names, pairs = list(request["names"]), [(int(a), int(b)) for a, b in request["pairs"]]
+    path, seed = Path(request["folder"]) / DATABASE, int(request["seed"])
+    pycolmap.set_random_seed(seed)
+    if not path.exists():
+        with np.load(request["masks"], allow_pickle=False) as file:
+            masks, size = file["masks"], file["size"]
+        partial = path.with_name("partial.db")
+        partial.unlink(missing_ok=True)
+        _copy(Path(request["first"]) / DATABASE, partial, names, pairs, masks, size)
+        partial.replace(path)
+    sample = _sample(path, names, pairs)
+    db.verify(path, names, pairs, seed, report)
+    arrays, facts = map_database(path, request, report)
+    with pycolmap.Database.open(Path(request["first"]) / DATABASE) as database:
+        total = database.num_matches()
+    with pycolmap.Database.open(path) as database:
+        kept = database.num_matches()
+    return {**arrays, **sample}, {**facts, "kept": kept, "matches": total}
+
+
+def _copy(source: Path, target: Path, names: list[str], pairs: list[tuple[int, int]], masks: np.ndarray, size: np.ndarray) -> None:
+    """Everything but descriptors, verified geometries, and matches on movers."""
+    ids = db.image_ids(source, names)
+    with pycolmap.Database.open(source) as old, pycolmap.Database.open(target) as new, pycolmap.DatabaseTransaction(new):
+        for camera in old.read_all_cameras():
+            new.write_camera(camera, use_camera_id=True)
+        for rig in old.read_all_rigs():
+            new.write_rig(rig, use_rig_id=True)
+        for frame in old.read_all_frames():
+            new.write_frame(frame, use_frame_id=True)
+        for image in old.read_all_images():
+            new.write_image(image, use_image_id=True)
+        moving = []
+        for i, image_id in enumerate(ids):
+            keypoints = np.asarray(old.read_keypoints(image_id), np.float32)
+            new.write_keypoints(image_id, keypoints)
+            moving.append(on_movers(masks, np.full(len(keypoints), i), keypoints[:, :2], size))
+        for a, b in pairs:
+            if old.exists_matches(ids[a], ids[b]):
+                new.write_matches(ids[a], ids[b], still_matches(old.read_matches(ids[a], ids[b]), moving[a], moving[b]))
+
+
+def _sample(path: Path, names: list[str], pairs: list[tuple[int, int]]) -> dict[str, np.ndarray]:
+    ids = db.image_ids(path, names)
+    pair, xy1, xy2 = [np.zeros((0, 2), np.int32)], [np.zeros((0, 2), np.float32)], [np.zeros((0, 2), np.float32)]
+    with pycolmap.Database.open(path) as database:
+        places = [np.asarray(database.read_keypoints(image_id), np.float32)[:, :2] for image_id in ids]
+        step = max(1, -(-database.num_matches() // SAMPLE))
+        for a, b in sorted(pairs):
+            if database.exists_matches(ids[a], ids[b]):
+                matches = database.read_matches(ids[a], ids[b])[::step]
+                pair.append(np.full((len(matches), 2), (a, b), np.int32))
+                xy1.append(places[a][matches[:, 0]])
+                xy2.append(places[b][matches[:, 1]])
+    return {"match_pair": np.concatenate(pair), "match_xy1": np.concatenate(xy1), "match_xy2": np.concatenate(xy2)}

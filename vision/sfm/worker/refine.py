@@ -1,0 +1,98 @@
+"""`refine`: all cameras and points of a reconstruction adjusted together, outliers counting for little. Worker: imports pycolmap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pycolmap
+
+from ..sound import Purged, observe, purge
+from .lens import lens_trouble
+
+ROUNDS = 2  # the first one's noise is measured on cameras that outliers have pulled; a third changes nothing
+CAUCHY = 2.385  # standard deviations; Cauchy's loss then has 95 % of the efficiency of least squares on Gaussians
+MEDIAN_OF_NORM = 1.1774  # of a Gaussian in two dimensions, in standard deviations: sqrt(2 log 2)
+FINEST = 0.01  # px; exact features have no noise to measure
+ITERATIONS = 50
+TOLERANCE = 1e-6  # relative change of the cost
+WORSE = 1.05, 0.01  # factor and px by which the median error may grow
+KEPT = 0.9  # of the observations that an adjustment must leave sound
+
+
+def refine(model: pycolmap.Reconstruction, fixed_lens: bool = False) -> None:
+    """Bundle adjustment in place under Cauchy's loss, scaled by the noise of the features that this model uses.
+
+    The mapper adjusts by least squares and keeps features up to 4 px off, ten times the noise and more: a few of these, on what moves or
+    mistaken for something else, pull focal length and poses. Principal points stay, as in the mapper; with `fixed_lens` the whole lens
+    does. One thread: the same bits each time. Every observation must be of a finite point before its camera (`purge`).
+    """
+    for _ in range(ROUNDS):
+        errors = observe(model).error
+        if not len(errors):
+            return
+        options = pycolmap.BundleAdjustmentOptions()
+        options.print_summary = False
+        options.refine_focal_length = options.refine_extra_params = not fixed_lens
+        options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+        options.ceres.loss_function_scale = max(FINEST, CAUCHY * float(np.median(errors)) / MEDIAN_OF_NORM)
+        options.ceres.solver_options.num_threads = 1
+        options.ceres.solver_options.max_num_iterations = ITERATIONS
+        options.ceres.solver_options.function_tolerance = TOLERANCE
+        pycolmap.bundle_adjustment(model, options)
+
+
+def refine_or_keep(
+    model: pycolmap.Reconstruction, fixed_lens: bool = False, adjust: Callable[[pycolmap.Reconstruction, bool], None] = refine
+) -> tuple[pycolmap.Reconstruction, Purged, str | None]:
+    """`(model, purged, undone)`: the model purged, adjusted and purged again; or as it was before the adjustment, and why.
+
+    What is lost before the adjustment and after it is counted together. The model given is not changed.
+    """
+    before = pycolmap.Reconstruction(model)
+    first = purge(before)
+    if not before.num_points3D():
+        return before, first, None
+    after = pycolmap.Reconstruction(before)
+    adjust(after, fixed_lens)
+    second = purge(after)
+    why = worse(before, after)
+    if why is not None:
+        return before, first, why
+    return after, Purged(first.observations + second.observations, first.points + second.points, first.images + second.images), None
+
+
+def worse(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction) -> str | None:
+    """In what an adjusted, purged model is worse than it was; None where it is not."""
+    if after.num_reg_images() < before.num_reg_images():
+        return f"{before.num_reg_images() - after.num_reg_images()} images lost their poses"
+    was, now = observe(before).error, observe(after).error
+    if len(now) < KEPT * len(was):
+        return f"{len(was) - len(now)} of {len(was)} observations no longer fit"
+    factor, pixels = WORSE
+    if np.median(now) > factor * np.median(was) + pixels:
+        return f"the median error grew from {np.median(was):.2f} to {np.median(now):.2f} px"
+    return lens_of(after, before)
+
+
+def lens_of(model: pycolmap.Reconstruction, before: pycolmap.Reconstruction | None = None) -> str | None:
+    """What is absurd about a lens of the model, that was not about the same lens `before`; None where all are sane."""
+    for camera_id in sorted({model.image(i).camera_id for i in model.reg_image_ids()}):
+        camera = model.camera(camera_id)
+        trouble = trouble_of(camera)
+        if trouble is not None and (before is None or trouble_of(before.camera(camera_id)) is None):
+            return trouble
+    return None
+
+
+def trouble_of(camera: pycolmap.Camera) -> str | None:
+    """`lens_trouble` of a camera of COLMAP's."""
+    hinted = bool(camera.has_prior_focal_length)
+    return lens_trouble(camera.calibration_matrix(), np.array(distortion(camera)), camera.width, camera.height, hinted)
+
+
+def distortion(camera: pycolmap.Camera) -> tuple[float, float, float, float]:
+    """(k1, k2, p1, p2) of COLMAP's models that have no more than these."""
+    extra = [float(camera.params[i]) for i in camera.extra_params_idxs()]
+    k1, k2, p1, p2 = (*extra, 0.0, 0.0, 0.0, 0.0)[:4]
+    return k1, k2, p1, p2
