@@ -201,11 +201,16 @@ def is_installed(inputs, dev):
 
 
 def build_digest():
-    """Digest of all that an install depends on: pins, project file, and the native sources."""
+    """Digest of all that an install depends on: pins, project file, native sources, and which folders are packages.
+
+    An editable install remembers which names are modules: it would look for `report.py` where there is `report/` now.
+    """
     native = [path for name in FOLDERS for path in (ROOT / name).rglob("*") if path.suffix in BUILD_SUFFIXES]
     digest = hashlib.sha256(str(ROOT).encode())
     for path in [ROOT / name for name in BUILD_INPUTS] + sorted(native):
         digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    for path in sorted(path for name in FOLDERS for path in (ROOT / name).rglob("__init__.py")):
+        digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0")
     return digest.hexdigest()
 
 

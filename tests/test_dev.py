@@ -66,7 +66,7 @@ def test_an_environment_is_reused_only_with_the_same_inputs_and_extras(dev, tmp_
     assert not dev.is_installed("a", dev=False)
 
 
-def test_pins_and_native_sources_decide_about_a_new_install_and_python_files_do_not(dev, monkeypatch, tmp_path):
+def test_pins_native_sources_and_packages_decide_about_a_new_install_and_the_text_of_python_files_does_not(dev, monkeypatch, tmp_path):
     checkout = tmp_path / "checkout"
     (checkout / "rasterizer" / "cpu").mkdir(parents=True)
     for name in dev.BUILD_INPUTS:
@@ -82,7 +82,10 @@ def test_pins_and_native_sources_decide_about_a_new_install_and_python_files_do_
     changed = dev.build_digest()
     assert changed != before
     (checkout / "constraints.txt").write_text("y")
-    assert dev.build_digest() != changed
+    pinned = dev.build_digest()
+    assert pinned != changed
+    (checkout / "rasterizer" / "cpu" / "__init__.py").write_text("")  # an editable install knows which names are modules, which packages
+    assert dev.build_digest() != pinned
 
 
 @pytest.fixture
