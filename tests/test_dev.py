@@ -140,19 +140,19 @@ def test_sanitize_without_gcc_says_so(dev, monkeypatch):
 
 
 def test_every_process_of_sanitize_imports_the_instrumented_modules_and_all_else_as_usual(tmp_path):
-    for floor, name in (("rasterizer", "_cpu"), ("scene", "_kernels")):
+    for floor, name in (("rasterizer", "_cpu"), ("scene", "_kernels"), ("vision", "_kernels")):
         folder = tmp_path / "e4dgs" / floor
         folder.mkdir(parents=True)
         (folder / f"{name}.py").write_text("")
     program = (
-        "import e4dgs.rasterizer._cpu as a, e4dgs.scene._kernels as b, e4dgs.rasterizer.types as c\n"
-        "print(a.__file__, b.__file__, c.__file__)"
+        "import e4dgs.rasterizer._cpu as a, e4dgs.scene._kernels as b, e4dgs.vision._kernels as c, e4dgs.rasterizer.types as d\n"
+        "print(a.__file__, b.__file__, c.__file__, d.__file__)"
     )
     environment = {**os.environ, "E4DGS_SANITIZED": str(tmp_path), "PYTHONPATH": str(ROOT / "tests" / "sanitizers")}
     result = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=60)
     assert result.returncode == 0, result.stderr
-    first, second, third = (Path(path) for path in result.stdout.split())
-    assert tmp_path in first.parents and tmp_path in second.parents and tmp_path not in third.parents
+    *native, other = (Path(path) for path in result.stdout.split())
+    assert len(native) == 3 and all(tmp_path in path.parents for path in native) and tmp_path not in other.parents
 
 
 def test_every_direct_dependency_is_pinned():
