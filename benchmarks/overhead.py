@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from blake3 import blake3
 from e4dgs.pipeline import Graph, Job, Records, Runner, Settings, Stage, Store, make_plan
-from e4dgs.pipeline.adopt import adopt
 from e4dgs.pipeline.keys import key_of
+from e4dgs.pipeline.storage.adopt import adopt
 from e4dgs.workflows.bench.machine import machine
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -1,24 +1,24 @@
 """Stages, keys, store, plan and runner of a workflow; knows nothing of 3D. See DESIGN.md."""
 
-from .artifact import Artifact
-from .collect import Collected, collect, unused
 from .earlier import Earlier
 from .errors import ArtifactError, CaptureError, DamagedError, PipelineError, SettingsError, StageError
 from .graph import Graph
 from .job import Job
 from .keys import capture_digest
-from .pins import Pins
+from .machine.resources import Resources
+from .machine.threads import thread_count
 from .plan import Row, make_plan
 from .progress import Progress, duration
 from .records import Records
-from .resources import Resources
 from .runner import Outcome, Runner, check_targets
 from .settings import Settings, build_settings, describe, split_assignment
 from .stage import Applies, Capture, Context, Given, Stage
-from .store import Store
-from .threads import thread_count
+from .storage.artifact import Artifact
+from .storage.collect import Collected, collect, unused
+from .storage.pins import Pins
+from .storage.store import Store
+from .storage.writer import ArtifactWriter
 from .why import explain
-from .writer import ArtifactWriter
 
 __all__ = [
     "Applies",

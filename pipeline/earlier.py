@@ -6,14 +6,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .artifact import Artifact
 from .errors import ArtifactError
 from .files import canonical_json, digest_bytes
 from .job import Job
 from .stage import Given, Stage
+from .storage.artifact import Artifact
 
 if TYPE_CHECKING:
-    from .store import Store
+    from .storage.store import Store
 
 RECENT = 8  # results of other captures that are looked at, those used last; more would make plans slow in a store of thousands
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from blake3 import blake3
 
-from .threads import thread_count, waiting_threads
+from .machine.threads import thread_count, waiting_threads
 
 _FEW, _SMALL = 16, 1 << 20  # files, and bytes of each, that are digested before threads have begun
 

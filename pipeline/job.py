@@ -13,7 +13,7 @@ from .keys import capture_files, digest_of_files, key_parts
 from .records import Records
 from .settings import Settings
 from .stage import Capture, Stage
-from .store import Store
+from .storage.store import Store
 
 
 @dataclass

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from .artifact import Artifact
 from .earlier import Earlier, find_earlier, made_before
 from .errors import ArtifactError, DamagedError
 from .job import Job
 from .keys import key_of
 from .records import differences
 from .stage import Stage
+from .storage.artifact import Artifact
 
 
 @dataclass(frozen=True)

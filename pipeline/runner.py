@@ -10,16 +10,16 @@ from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
-from .adopt import adopt
-from .artifact import Artifact
 from .earlier import item_digests
 from .errors import ArtifactError, DamagedError, PipelineError, SettingsError, StageError
 from .job import Job
-from .memory import PeakMemory
+from .machine.memory import PeakMemory
 from .plan import Row, assess
 from .progress import Progress
-from .room import said_when_full
 from .stage import Context, Stage
+from .storage.adopt import adopt
+from .storage.artifact import Artifact
+from .storage.room import said_when_full
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from .resources import Resources
+from .machine.resources import Resources
 from .settings import Settings
 
 if TYPE_CHECKING:
-    from .artifact import Artifact
     from .earlier import Earlier
     from .progress import Progress
-    from .writer import ArtifactWriter
+    from .storage.artifact import Artifact
+    from .storage.writer import ArtifactWriter
 
 
 class Capture(Protocol):

@@ -16,20 +16,20 @@ from . import show
 from .ablation import ablation
 from .batch.command import batch, status
 from .bench.cli import app as bench
-from .export import app as export
-from .interrupts import end_cleanly_when_terminated
+from .exports.command import app as export
+from .exports.render import render
+from .machine.interrupts import end_cleanly_when_terminated
+from .machine.orphan import end_with_starter
+from .machine.spinning import spin_briefly
+from .machine.writable import writing_to
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, StoreAlso, Workspace
-from .orphan import end_with_starter
-from .render import render
 from .report import report
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
-from .spinning import spin_briefly
-from .store import diff, list_, pin, show_result, unpin
-from .upkeep import gc
+from .storage.store import diff, list_, pin, show_result, unpin
+from .storage.upkeep import gc
 from .view.beside import viewer_beside
 from .view.command import view
-from .writable import writing_to
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -152,7 +152,7 @@ def why(
 @app.command()
 def doctor(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
     """Check this installation; exit code 1 when something that is needed does not work."""
-    from .doctor import checks
+    from .machine.doctor import checks
 
     broken = 0
     for what, well, detail in checks(workspace):

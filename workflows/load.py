@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..pipeline import ArtifactError, Records, Store
 from ..pipeline.files import read_json
-from .devices import resolve_device
+from .machine.devices import resolve_device
 from .session import DEFAULT_WORKSPACE
 
 if TYPE_CHECKING:

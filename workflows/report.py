@@ -5,12 +5,12 @@ from __future__ import annotations
 from rich.console import Console
 
 from ..pipeline import make_plan
+from .machine.writable import writing_to
 from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
 from .reconstruction import EVALUATION
 from .results import results
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
-from .writable import writing_to
 
 
 def report(

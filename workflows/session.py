@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, split_assignment
-from .archive import InUse, unpacked
-from .devices import resolve_device
+from .machine.devices import resolve_device
 from .presets import PRESETS
 from .reconstruction import reconstruction
 from .scenes import Scene, find_scene
+from .storage.archive import InUse, unpacked
 
 DEFAULT_WORKSPACE = Path("e4dgs-workspace")
 

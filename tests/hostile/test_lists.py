@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError, SettingsError
-from e4dgs.workflows.batch.cluster import read_cluster
 from e4dgs.workflows.batch.listing import Entry, entries_of
-from e4dgs.workflows.camera_path import path_of_file
+from e4dgs.workflows.batch.sites.cluster import read_cluster
+from e4dgs.workflows.exports.camera_path import path_of_file
 
 from .referee import at_most
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import zarr
 from e4dgs.pipeline import Artifact, ArtifactError, ArtifactWriter, Store
-from e4dgs.pipeline.chunks import layout_of
 from e4dgs.pipeline.errors import DamagedError
+from e4dgs.pipeline.storage.chunks import layout_of
 
 TYPES = ["bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float16", "float32", "float64"]
 SHAPES = {

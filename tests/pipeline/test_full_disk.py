@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import toy_stages
 from e4dgs.pipeline import Runner, Settings, Stage, StageError, Store
-from e4dgs.pipeline.room import NoRoomError, said_when_full
+from e4dgs.pipeline.storage.room import NoRoomError, said_when_full
 from failing import FailNth
 from small_disk import small_disk
 from toy_stages import Bench, Numbers

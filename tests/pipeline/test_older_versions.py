@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import Artifact, DamagedError, Runner, collect, explain, make_plan
-from e4dgs.pipeline.artifact import seal
+from e4dgs.pipeline.storage.artifact import seal
 from toy_stages import Bench, Clipped
 
 OLDER = Path(__file__).resolve().parents[1] / "older"

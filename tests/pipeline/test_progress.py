@@ -5,7 +5,7 @@ import io
 import numpy as np
 from e4dgs.pipeline import Progress, duration
 from e4dgs.pipeline import progress as module
-from e4dgs.pipeline.memory import PeakMemory
+from e4dgs.pipeline.machine.memory import PeakMemory
 from rich.console import Console
 
 

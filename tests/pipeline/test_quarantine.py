@@ -174,6 +174,6 @@ def test_a_result_that_another_run_moves_away_while_it_is_opened_counts_as_damag
         os.rename(root, root.with_name("moved"))
         return sizes(root)
 
-    monkeypatch.setattr("e4dgs.pipeline.artifact.sizes", moved_away)
+    monkeypatch.setattr("e4dgs.pipeline.storage.artifact.sizes", moved_away)
     with pytest.raises(DamagedError, match="cannot be read"):
         Artifact(path)

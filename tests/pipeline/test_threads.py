@@ -5,8 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from e4dgs.pipeline import Artifact, ArtifactWriter, chunks, files, thread_count
-from e4dgs.pipeline.threads import waiting_threads
+from e4dgs.pipeline import Artifact, ArtifactWriter, files, thread_count
+from e4dgs.pipeline.machine.threads import waiting_threads
+from e4dgs.pipeline.storage import chunks
 
 
 @pytest.mark.parametrize(("said", "threads", "waiting"), [("1", 1, 2), ("3", 3, 6), ("3,1", 3, 6), ("64", 64, 8)])

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.workflows import archive as module
-from e4dgs.workflows.archive import unpacked
 from e4dgs.workflows.session import Options, open_session
+from e4dgs.workflows.storage import archive as module
+from e4dgs.workflows.storage.archive import unpacked
 
 
 def packed(folder: Path, file: Path, under: str = "") -> Path:

@@ -6,8 +6,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from e4dgs.workflows.batch.cluster import Cluster, Pool
 from e4dgs.workflows.batch.ledger import Ledger
+from e4dgs.workflows.batch.sites.cluster import Cluster, Pool
 from e4dgs.workflows.cli import main
 
 

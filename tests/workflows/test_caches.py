@@ -9,9 +9,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from e4dgs.workflows.archive import InUse, mark_of, unpacked
-from e4dgs.workflows.caches import kept, remove
 from e4dgs.workflows.session import Options, open_session
+from e4dgs.workflows.storage.archive import InUse, mark_of, unpacked
+from e4dgs.workflows.storage.caches import kept, remove
 
 WORK = Path("e4dgs-workspace")
 HOLDS = (
@@ -104,7 +104,7 @@ def test_a_session_holds_it_as_long_as_its_capture_lives(capture, tmp_path, monk
 def test_what_is_being_unpacked_stays_and_what_a_dead_run_left_goes(capture, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     file = archive(capture)
-    import e4dgs.workflows.archive as module
+    import e4dgs.workflows.storage.archive as module
 
     original, seen = module._unpack, []
 
@@ -127,7 +127,7 @@ def test_what_is_taken_away_just_before_it_is_used_is_unpacked_again(capture, tm
     monkeypatch.chdir(tmp_path)
     file = archive(capture)
     root = unpacked(file, WORK)
-    import e4dgs.workflows.archive as module
+    import e4dgs.workflows.storage.archive as module
 
     original = module._held
 

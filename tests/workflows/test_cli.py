@@ -109,7 +109,7 @@ def test_static_and_format_are_settings_of_frames(cli, capture):
     ],
 )
 def test_bad_arguments_exit_with_2_and_say_what_is_valid(cli, capture, arguments, message, monkeypatch):
-    monkeypatch.setattr("e4dgs.workflows.devices.why_not_cuda", lambda: "no driver")
+    monkeypatch.setattr("e4dgs.workflows.machine.devices.why_not_cuda", lambda: "no driver")
     result = cli("run", "all", capture, *arguments)
     assert result.code == 2 and message in result.err and "Traceback" not in result.err
     assert not Path("e4dgs-workspace").exists()
@@ -233,7 +233,7 @@ def test_doctor_reports_what_fails_without_failing_itself(cli, monkeypatch):
     def broken() -> str:
         raise ImportError("no such library")
 
-    monkeypatch.setattr("e4dgs.workflows.doctor._render", broken)
+    monkeypatch.setattr("e4dgs.workflows.machine.doctor._render", broken)
     result = cli("doctor")
     assert result.code == 1
     assert "FAIL CPU kernels: ImportError: no such library" in result.out
@@ -241,8 +241,8 @@ def test_doctor_reports_what_fails_without_failing_itself(cli, monkeypatch):
 
 
 def test_doctor_says_what_the_cuda_kernels_need(cli, monkeypatch):
-    monkeypatch.setattr("e4dgs.workflows.doctor.why_not_cuda", lambda: None)
-    monkeypatch.setattr("e4dgs.workflows.doctor.why_not_trusted", lambda: "a small render on the GPU went wrong: it is green")
+    monkeypatch.setattr("e4dgs.workflows.machine.doctor.why_not_cuda", lambda: None)
+    monkeypatch.setattr("e4dgs.workflows.machine.doctor.why_not_trusted", lambda: "a small render on the GPU went wrong: it is green")
     monkeypatch.setattr("e4dgs.rasterizer.cuda.available.describe", lambda: [("CUDA driver", True, "supports CUDA 13.0")])
     result = cli("doctor")
     assert "CUDA: --device auto takes the CPU: a small render on the GPU went wrong: it is green" in result.out

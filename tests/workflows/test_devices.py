@@ -5,8 +5,8 @@ import types
 
 import pytest
 from e4dgs.pipeline import SettingsError
-from e4dgs.workflows import devices
-from e4dgs.workflows.devices import resolve_device, why_not_cuda
+from e4dgs.workflows.machine import devices
+from e4dgs.workflows.machine.devices import resolve_device, why_not_cuda
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
     import os, signal, sys, time, weakref
-    from e4dgs.workflows.interrupts import end_cleanly_when_terminated
+    from e4dgs.workflows.machine.interrupts import end_cleanly_when_terminated
 
     class Owner:
         def __del__(self):
@@ -41,7 +41,7 @@ def test_an_interrupt_that_python_drops_comes_again(where, number):
 
 def test_what_else_is_dropped_is_still_told():
     program = """
-        from e4dgs.workflows.interrupts import end_cleanly_when_terminated
+        from e4dgs.workflows.machine.interrupts import end_cleanly_when_terminated
 
         class Owner:
             def __del__(self):

@@ -48,7 +48,7 @@ def test_a_batch_survives_kill_9_of_its_workers_and_twice_of_its_head(batch, req
     head.kill()
     head.wait()
     wait(lambda: not batch.processes("run"), PATIENCE, "stages end with the head")
-    wait(lambda: not batch.processes("e4dgs.workflows.orphan"), PATIENCE, "what passes work on ends with the head")
+    wait(lambda: not batch.processes("e4dgs.workflows.machine.orphan"), PATIENCE, "what passes work on ends with the head")
     states = batch.states()
     assert states["lost"] >= 1 and states["running"] == 0, "what is said of scenes whose head is gone"
 

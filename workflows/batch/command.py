@@ -11,10 +11,10 @@ import typer
 from rich.console import Console
 
 from ...pipeline import SettingsError
+from ..machine.writable import writing_to
 from ..options import Debug, Device, Format, Preset, Set, Static, StoreAlso, Workspace
 from ..results import words_of
 from ..session import DEFAULT_WORKSPACE, Options, other_stores
-from ..writable import writing_to
 from .board import table, watch
 from .ledger import Ledger, Progress, batches
 from .listing import Entry, entries_of
@@ -63,7 +63,7 @@ def batch(
     words += words_of(Options(Path(), workspace, preset, set or (), device, None, static, format, store_also or ()))[1:]
     cluster = None
     if executor != "local":
-        from .cluster import read_cluster
+        from .sites.cluster import read_cluster
 
         cluster = read_cluster(Path(executor))
         for pool in ("cpu", "gpu") if emit is not None else ():
@@ -78,9 +78,9 @@ def batch(
             ledger.write(entry.name, Progress())
     console = Console()
     if emit is not None:
-        from .cluster import Cluster
-        from .slurm import USUAL, USUAL_GPU
-        from .slurm import emit as write_scripts
+        from .sites.cluster import Cluster
+        from .sites.slurm import USUAL, USUAL_GPU
+        from .sites.slurm import emit as write_scripts
 
         cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
         console.print(f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh", highlight=False, soft_wrap=True)
@@ -93,7 +93,7 @@ def batch(
         tries = 1 if retries is None else retries
         runner = Local(ledger, min(jobs or usual_jobs(), len(entries)), memory or usual_memory_gb(), tries, stage_timeout)
     else:
-        from .cluster import Parsl
+        from .sites.cluster import Parsl
 
         runner = Parsl(ledger, cluster, stage_timeout)
     try:

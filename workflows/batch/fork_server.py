@@ -24,7 +24,7 @@ from typing import NoReturn
 
 from setproctitle import setproctitle
 
-from ..orphan import STARTER
+from ..machine.orphan import STARTER
 from .process import GRACE
 
 GPU = "/dev/nvidia"  # how the names of its devices begin

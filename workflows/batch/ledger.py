@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 
 from ...pipeline import ArtifactError
 from ...pipeline.files import read_json, write_json
-from ...pipeline.lock import is_locked, locked
+from ...pipeline.storage.lock import is_locked, locked
 from .listing import Entry, known
 
 State = Literal["waiting", "running", "done", "failed", "lost"]

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
-from ..orphan import STARTER
+from ..machine.orphan import STARTER
 from ..results import words_of
 from ..session import Options
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 
 from ....pipeline import SettingsError
-from ...devices import why_not_cuda
+from ...machine.devices import why_not_cuda
 from ..scene import Scene
 
 CALLS = 10  # of what is timed, in one run

@@ -1,0 +1,1 @@
+"""What a stage takes of a machine: threads, memory."""

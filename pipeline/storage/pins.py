@@ -1,0 +1,73 @@
+"""Results that stay whatever is collected: a named list of keys each, a file in the store."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..errors import ArtifactError, SettingsError
+from ..files import read_json, write_json
+from .store import Store
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+
+class Pins:
+    """``pins/<name>.json`` of a store: ``{"results": [[stage, key], ...]}``."""
+
+    def __init__(self, store: Store) -> None:
+        self._store, self._folder = store, store.root / "pins"
+
+    def add(self, name: str, results: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+        """Pins results under ``name``, with those that are pinned there already; returns all of these.
+
+        Raises SettingsError for a name that is no file's, ArtifactError where a result is not in the store; then nothing is pinned.
+        """
+        before = self.read(name)
+        pinned = [*before, *(result for result in results if result not in before)]
+        write_json(self._path(name), {"results": pinned})
+        # Asked after the pin lies there: whoever collects looks at the pins once more after he has taken something.
+        gone = [f"{stage}/{key}" for stage, key in pinned if not self._store.has(stage, key)]
+        if gone:
+            if before:
+                write_json(self._path(name), {"results": before})
+            else:
+                self.remove(name)
+            raise ArtifactError(f"{self._store.root}: {', '.join(gone)} is not there, so {name} cannot be pinned; run it again")
+        return pinned
+
+    def remove(self, name: str) -> bool:
+        """False where there is no such pin."""
+        try:
+            self._path(name).unlink()
+        except FileNotFoundError:
+            return False
+        return True
+
+    def read(self, name: str) -> list[tuple[str, str]]:
+        """(stage, key) of what is pinned under a name. Raises ArtifactError for a file that is no list of results."""
+        path = self._path(name)
+        if not path.exists():
+            return []
+        content = read_json(path)
+        try:
+            return [(str(stage), str(key)) for stage, key in content["results"]]
+        except (TypeError, KeyError, ValueError):
+            raise ArtifactError(f"{path}: this is no list of pinned results; remove the file, and pin {name} again") from None
+
+    def _path(self, name: str) -> Path:
+        if not _NAME.fullmatch(name):
+            raise SettingsError(f"{name}: use up to 128 letters, digits, '.', '_' and '-', a letter or digit first")
+        return self._folder / f"{name}.json"
+
+    def names(self) -> list[str]:
+        return sorted(path.stem for path in self._folder.glob("*.json"))
+
+    def results(self) -> dict[tuple[str, str], list[str]]:
+        """(stage, key) of everything that is pinned -> the names of its pins."""
+        found: dict[tuple[str, str], list[str]] = {}
+        for name in self.names():
+            for result in self.read(name):
+                found.setdefault(result, []).append(name)
+        return found

@@ -1,0 +1,82 @@
+"""A full disk is said in one message: which file, how much has been written, and how much is free."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ..errors import StageError
+from ..files import sizes
+
+_FULL = {errno.ENOSPC: "No space left on device", errno.EDQUOT: "Disk quota exceeded"}
+_FEW = 100  # files that a file system has room for, from which on their number is no matter
+
+
+class NoRoomError(StageError):
+    """A file system, or somebody's quota on it, is full: exit code 1."""
+
+
+@contextmanager
+def said_when_full(place: Path, what: str = "", partial: Path | None = None, needed: int = 0) -> Iterator[None]:
+    """Raises NoRoomError where the block fails because a disk is full; other errors pass.
+
+    place: a folder on the file system that is written to. what: put before the message. partial: a folder with what has been written so
+    far, and needed: bytes that all of it takes, where that is known.
+    """
+    try:
+        yield
+    except NoRoomError:
+        raise
+    except Exception as error:
+        found = _full(error)
+        if found is None:
+            raise
+        path, reason = found
+        written = _bytes(partial) if partial is not None else 0
+        known = [f"{written} bytes were written"] if partial is not None else []
+        known += [f"{needed} are needed"] if needed else []
+        known += [_free(folder) for folder in _places(Path(path) if path else place, place)]
+        raise NoRoomError(
+            f"{what + ': ' if what else ''}{path or place}: {reason}: {'; '.join(known)}. Make room there (`e4dgs gc` removes results that "
+            "no scene uses) or give another --workspace, and run again: what is finished is kept"
+        ) from error
+
+
+def _full(error: BaseException | None) -> tuple[str, str] | None:
+    """Path ("" where it is not known) and the system's words, if a full disk is behind an error."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            return str(error.filename2 or error.filename or ""), _FULL[error.errno]  # the second is where to, of copies and moves
+        for words in _FULL.values():
+            if words in str(error):  # from a library that writes by itself
+                return "", words
+        error = error.__cause__ or error.__context__
+    return None
+
+
+def _places(*paths: Path) -> list[Path]:
+    """The nearest existing folders of these, and the one for temporary files; one a file system."""
+    found: dict[int, Path] = {}
+    for path in (*paths, Path(tempfile.gettempdir())):
+        with suppress(OSError):
+            folder = next(one for one in (path, *path.parents) if one.is_dir())
+            found.setdefault(folder.stat().st_dev, folder)
+    return list(found.values())
+
+
+def _free(folder: Path) -> str:
+    with suppress(OSError):
+        found = os.statvfs(folder)
+        files = f" and {found.f_favail} more files" if found.f_favail < _FEW and found.f_files > 0 else ""
+        return f"{found.f_bavail * found.f_frsize} bytes{files} are free in {folder}"
+    return f"it is unknown how much is free in {folder}"
+
+
+def _bytes(folder: Path) -> int:
+    with suppress(OSError):
+        return sum(max(0, size) for size in sizes(folder).values())
+    return 0

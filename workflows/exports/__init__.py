@@ -1,0 +1,1 @@
+"""`e4dgs export` and `e4dgs render`."""

@@ -1,0 +1,143 @@
+"""`e4dgs export WHAT CAPTURE`: results of the store as files that other programs read. Nothing is computed that a stage computes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from ...pipeline import CaptureError, Progress, SettingsError
+from ..machine.writable import writing_to
+from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from ..results import results
+from ..session import DEFAULT_WORKSPACE, Options, open_session
+from .mesh import mesh
+from .trained import check_folder, open_trained, writing
+from .usd import usd
+
+if TYPE_CHECKING:
+    from ...stages.exports.splats import Kind
+
+app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
+
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/flow in the workspace by default.")]
+Largest = Annotated[float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; chosen by default.")]
+
+Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Files; one for each time, at most 60, by default.")]
+Folder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/ in the workspace by default.")]
+
+
+@app.command()
+def flow(
+    capture: Capture,
+    out: Out = None,
+    largest: Largest = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Measured flow of every pair of frames as .flo and PNG, with edges and what moves laid over the first frame."""
+    if largest is not None and not 0 < largest < float("inf"):
+        raise SettingsError(f"--largest {largest}: give a positive number of px")
+    check_folder(out)
+    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    found = results(session, "flow")
+    artifact, frames = found["flow"], found["frames"]
+    assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
+    folder = out
+    if folder is None:
+        with writing_to(session.options.workspace.resolve()):
+            session.scene.claim()
+        folder = session.scene.folder / "export" / "flow"
+
+    from ...stages.artifacts.flow_fields import FlowFields
+    from ...stages.artifacts.frameset import FrameSet
+    from ...stages.exports.flow import common_largest, export_flow
+
+    console = Console()
+    fields = FlowFields(artifact)
+    if not fields.pairs:
+        why = artifact.attrs.get("static_reason", "no two training frames of one camera")
+        raise CaptureError(f"{capture}: no flow was measured, so there is none to export: {why}")
+    largest = largest or common_largest(fields)
+    pictures = FrameSet(frames, session.job.capture.root, found.get("poses"))
+    with Progress(len(fields.pairs), "export", console) as bar, writing(folder):
+        count = export_flow(fields, pictures, folder, largest, bar.advance)
+    for line in (
+        f"{len(fields.pairs)} pairs, {count} files; full colour is {largest:.3g} px, darker is more, black is not known (wheel.png)",
+        f"flow: {folder}",
+    ):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
+def ply(
+    capture: Capture,
+    out: Folder = None,
+    times: Times = None,
+    compressed: Annotated[bool, typer.Option("--compressed", help="The compressed layout of PlayCanvas.")] = False,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Numbered .ply files, one for each time, as SuperSplat, Brush and other 3DGS tools read them; convexes become Gaussians."""
+    _splats(
+        "compressed-ply" if compressed else "ply", Options(capture, workspace, preset, set or (), device, name, static, format), out, times
+    )
+
+
+def _command(kind: Kind) -> Callable[..., None]:
+    """A command that takes the options of the run and writes files of ``kind``."""
+
+    def command(
+        capture: Capture,
+        out: Folder = None,
+        times: Times = None,
+        workspace: Workspace = DEFAULT_WORKSPACE,
+        preset: Preset = "default",
+        set: Set = None,
+        device: Device = "auto",
+        name: Name = None,
+        static: Static = False,
+        format: Format = None,
+        debug: Debug = False,
+    ) -> None:
+        _splats(kind, Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
+
+    return command
+
+
+app.command("spz", help="Numbered .spz files (Niantic), a fifth of the size of .ply or less.")(_command("spz"))
+app.command("sog", help="Numbered .sog files (PlayCanvas), for the web.")(_command("sog"))
+app.command("gltf", help="Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers.")(_command("gltf"))
+app.command()(usd)
+app.command()(mesh)
+
+
+def _splats(kind: Kind, options: Options, out: Path | None, times: int | None) -> None:
+    """Gaussians of each time as files of ``kind``, and how far these are from the model."""
+    check_folder(out)
+    trained = open_trained(options)
+    folder = trained.folder(out, kind)
+
+    from ...stages.exports.splats import export_splats
+
+    moments = trained.moments(times)
+    console = Console()
+    with Progress(moments, "export", console) as bar, writing(folder):
+        done = export_splats(trained.model, trained.frames, folder, moments, kind, bar.advance)
+    for line in (f"{moments} files, {done.fewest} to {done.most} Gaussians each; {done.loss}", f"{kind}: {folder}"):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,104 @@
+"""`e4dgs export mesh CAPTURE`: the whole scene as a triangle mesh, at one time or at several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from ...pipeline import Progress, SettingsError, StageError
+from ...pipeline.files import write_atomically
+from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from ..session import DEFAULT_WORKSPACE, Options
+from .trained import Trained, is_file, open_trained, writing
+
+if TYPE_CHECKING:
+    from ...scene.mesh import Mesh
+
+ENDINGS = (".glb", ".ply")
+USUAL_RATE = 24.0  # times a second of a capture that knows no seconds
+
+Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.glb|FILE.ply|DIR", help="Where to; scenes/<name>/export/mesh by default.")]
+Times = Annotated[
+    int | None,
+    typer.Option("--times", min=1, max=10_000, help="Times from first to last; by default one, the middle; of convexes each, at most 60."),
+]
+Hulls = Annotated[bool, typer.Option("--convexes", help="The hulls of the model's convexes, and nothing else.")]
+Moment = Annotated[float | None, typer.Option("--time", min=0, max=1, help="This moment alone, 0 to 1.")]
+Voxel = Annotated[
+    float | None, typer.Option("--voxel", metavar="SIZE", help="Width of a voxel in world units; by default what pixels resolve.")
+]
+
+
+def mesh(
+    capture: Capture,
+    out: Out = None,
+    times: Times = None,
+    time: Moment = None,
+    voxel: Voxel = None,
+    convexes: Hulls = False,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """The whole scene as a coloured triangle mesh, fused from depth: a .ply file for each time, or a .glb file that plays."""
+    if voxel is not None and not 0 < voxel < float("inf"):
+        raise SettingsError(f"--voxel {voxel}: give a positive size in world units")
+    if convexes and voxel is not None:
+        raise SettingsError("--voxel: the hulls of convexes are exact and know no voxels; leave it out, or --convexes")
+    if time is not None and times is not None:
+        raise SettingsError("--time and --times: give one of them")
+    single = is_file(out, ENDINGS)
+    if single and out is not None and out.suffix.lower() == ".ply" and (times or 1) > 1:
+        raise SettingsError(f"--out {out}: a .ply file holds one time; name a folder, or a .glb file, which holds them all")
+    trained = open_trained(Options(capture, workspace, preset, set or (), device, name, static, format))
+    target = trained.folder(out, "mesh")
+    every = convexes and time is None and not (single and target.suffix.lower() == ".ply")
+    count = trained.moments(times) if every or times is not None else 1
+    moments = [0.5 if time is None else time] if count == 1 else [float(t) for t in np.linspace(0, 1, count)]
+
+    from ...stages.exports.mesh import fuse, fused_views, hulls, size_of
+
+    console = Console()
+    if convexes:
+        if not len(trained.model.convexes):
+            raise StageError(f"{capture}: its model has no convexes; leave out --convexes, or train with a larger hulls.budget")
+        made = f"{len(trained.model.convexes)} convexes"
+        with Progress(count, "export", console) as bar, writing(target):
+            triangles = write_meshes(trained, (hulls(trained.model, t, bar.advance) for t in moments), moments, target, single)
+    else:
+        size = size_of(trained.model, trained.frames, moments[0])
+        size = size if voxel is None else size._replace(voxel=voxel)
+        made = f"voxels of {size.voxel:.3g} world units"
+        with Progress(count * len(fused_views(trained.frames)), "export", console) as bar, writing(target):
+            meshes = (fuse(trained.model, trained.frames, t, size, bar.advance) for t in moments)
+            triangles = write_meshes(trained, meshes, moments, target, single)
+    said = f"{min(triangles)} to {max(triangles)} triangles at {count} times" if count > 1 else f"{triangles[0]} triangles"
+    for line in (f"{said}; {made}", f"mesh: {target}"):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool) -> list[int]:
+    """``meshes`` at ``moments`` in [0, 1] as ``target``, a .glb file with all or a .ply file with one, or as numbered .ply files in it.
+    Returns how many triangles each has."""
+    from ...scene.mesh import mesh_glb_bytes, mesh_ply_bytes
+
+    if single and target.suffix.lower() == ".glb":
+        seconds = float(np.ptp(trained.frames.seconds)) or (trained.times - 1) / USUAL_RATE
+        whole = list(meshes)
+        write_atomically(target, mesh_glb_bytes(whole, [t * seconds for t in moments]))
+        return [len(one.triangles) for one in whole]
+    triangles = []
+    for k, one in enumerate(meshes):
+        write_atomically(target if single else target / f"frame{k + 1:04d}.ply", mesh_ply_bytes(one))
+        triangles.append(len(one.triangles))
+    return triangles

@@ -1,0 +1,73 @@
+"""`e4dgs render CAPTURE`: the trained scene as a video, or as pictures and depth, along a path of the camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from ...pipeline import CaptureError, Progress, SettingsError
+from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from ..results import results, trained_stage
+from ..session import DEFAULT_WORKSPACE, Options, open_session
+
+
+def render(
+    capture: Capture,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
+    path: Annotated[str, typer.Option("--path", metavar="NAME|FILE.json", help="turntable, spiral, capture, or a file.")] = "spiral",
+    frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures; 120 by default.")] = None,
+    size: Annotated[int | None, typer.Option("--size", min=16, max=16_384, help="Longer side in px; the capture's without it.")] = None,
+    time: Annotated[float | None, typer.Option("--time", min=0, max=1, help="Freeze this moment, 0 to 1; else time goes by once.")] = None,
+    fps: Annotated[float, typer.Option("--fps", min=1, max=240, help="Pictures a second of a video.")] = 30.0,
+    depth: Annotated[bool, typer.Option("--depth", help="Write depth as EXR beside each PNG.")] = False,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """Render a trained scene along a path of the camera: a video, or pictures and depth."""
+    video = out.suffix.lower() == ".mp4"
+    if depth and video:
+        raise SettingsError("--depth: a video holds no depth; give a folder as --out")
+    if out.suffix and not video and not out.is_dir():
+        raise SettingsError(f"--out {out}: the file must end in .mp4; without an ending it is a folder for PNG files")
+    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    trained = trained_stage(session)
+    found = results(session, trained)
+
+    import torch
+
+    from ...rasterizer import Camera
+    from ...stages.artifacts.frameset import FrameSet
+    from ...stages.artifacts.training import read_model
+    from ...vision.images.movie import Movie, Pictures
+    from .camera_path import resolve
+
+    artifact, frame_artifact = found[trained], found["frames"]
+    assert artifact is not None and frame_artifact is not None  # `results` has seen to the first, and no stage runs without the second
+    capture_frames = FrameSet(frame_artifact, session.job.capture.root, found.get("poses"))
+    if not len(capture_frames.train):
+        raise CaptureError(f"{capture}: no training frame has a pose, so there is no place to look from")
+    model = read_model(artifact).to(session.job.device)
+    views = resolve(path, capture_frames, model, frames)
+    width, height = capture_frames.width, capture_frames.height
+    if size is not None:
+        width, height = (max(1, round(side * size / max(capture_frames.width, capture_frames.height))) for side in (width, height))
+    scale = np.diag([width / capture_frames.width, height / capture_frames.height, 1.0])  # pixel centres lie at +0.5: no offset
+    console = Console()
+    writer = Movie(out, fps) if video else Pictures(out, depth)
+    with Progress(len(views.time), "render", console) as bar, writer as target:
+        for K, pose, t in zip(views.K, views.cam_from_world, views.time):
+            camera = Camera(torch.tensor(scale @ K).float(), torch.tensor(pose).float(), width, height, model.near)
+            frame = model.render(camera, float(t) if time is None else time)
+            target.add((frame.color.clamp(0, 1) * 255).round().byte().cpu().numpy(), frame.depth.cpu().numpy().astype(np.float32))
+            bar.advance(1)
+    console.print(f"{len(views.time)} pictures of {width}x{height}: {out}", highlight=False, soft_wrap=True)

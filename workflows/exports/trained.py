@@ -1,0 +1,85 @@
+"""What every export of a trained model needs: the model and the frames of a capture, found in the store, and where the files go."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ...pipeline import SettingsError, StageError
+from ..machine.writable import writing_to
+from ..results import results, trained_stage
+from ..session import Options, Session, open_session
+
+if TYPE_CHECKING:
+    from ...scene.model import Model
+    from ...stages.artifacts.frameset import FrameSet
+
+MOST_TIMES = 60
+
+
+@dataclass
+class Trained:
+    """A trained model, the frames that it learned from, and the session that found both."""
+
+    session: Session
+    model: Model
+    frames: FrameSet
+
+    @property
+    def times(self) -> int:
+        """Times of the capture; 1 where nothing moves."""
+        return 1 if self.model.field is None else int(self.session.job.capture.facts["times"])
+
+    def moments(self, asked: int | None) -> int:
+        """How many times are exported: ``asked``, or each of the capture's, at most `MOST_TIMES`; one where nothing moves."""
+        return 1 if self.model.field is None else asked or min(self.times, MOST_TIMES)
+
+    def folder(self, out: Path | None, kind: str) -> Path:
+        """``out``, or the scene's own folder for exports of this ``kind``."""
+        if out is not None:
+            return out
+        with writing_to(self.session.options.workspace.resolve()):
+            self.session.scene.claim()
+        return self.session.scene.folder / "export" / kind
+
+
+def open_trained(options: Options) -> Trained:
+    """Raises CaptureError or ArtifactError where there is no trained model with these options."""
+    session = open_session(options)
+    trained = trained_stage(session)
+    found = results(session, trained)
+    artifact, frames = found[trained], found["frames"]
+    assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
+
+    from ...stages.artifacts.frameset import FrameSet
+    from ...stages.artifacts.training import read_model
+
+    return Trained(session, read_model(artifact), FrameSet(frames, session.job.capture.root, found.get("poses")))
+
+
+def check_folder(out: Path | None) -> None:
+    """Raises SettingsError where ``out`` is a file."""
+    if out is not None and out.exists() and not out.is_dir():
+        raise SettingsError(f"--out {out}: this is a file; name a folder")
+
+
+def is_file(out: Path | None, endings: tuple[str, ...]) -> bool:
+    """Whether ``out`` names a file of one of ``endings``, not a folder: that has no ending, or exists. Raises SettingsError."""
+    if out is None or out.is_dir() or not out.suffix:
+        check_folder(out)
+        return False
+    if out.suffix.lower() not in endings:
+        raise SettingsError(f"--out {out}: the file must end in {' or '.join(endings)}; without an ending it is a folder")
+    return True
+
+
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """What the disk refuses becomes a StageError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise StageError(f"export: {error.filename or out} cannot be written ({error.strerror or error}); give another --out") from error

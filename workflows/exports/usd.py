@@ -1,0 +1,51 @@
+"""`e4dgs export usd CAPTURE`: the model over time as one USD file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ...pipeline import Progress
+from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from ..session import DEFAULT_WORKSPACE, Options
+from .trained import is_file, open_trained, writing
+
+ENDINGS = (".usdc", ".usda")
+
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE.usdc|FILE.usda|DIR", help="Where to; scenes/<name>/export/usd by default.")
+]
+Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Time samples; one for each time, at most 60, by default.")]
+
+
+def usd(
+    capture: Capture,
+    out: Out = None,
+    times: Times = None,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    preset: Preset = "default",
+    set: Set = None,
+    device: Device = "auto",
+    name: Name = None,
+    static: Static = False,
+    format: Format = None,
+    debug: Debug = False,
+) -> None:
+    """One USD file with time samples (ParticleField3DGaussianSplat), for film and effects; convexes become Gaussians."""
+    single = is_file(out, ENDINGS)
+    trained = open_trained(Options(capture, workspace, preset, set or (), device, name, static, format))
+    folder = trained.folder(out, "usd")
+    path = folder if single else folder / f"{trained.session.scene.name}.usdc"
+
+    from ...stages.exports.usd import export_usd
+
+    moments = trained.moments(times)
+    console = Console()
+    with Progress(2 * moments, "export", console) as bar, writing(path):
+        done = export_usd(trained.model, trained.frames, path, moments, trained.times, bar.advance)
+    said = f"{done.gaussians} Gaussians at {moments} times, {done.rate:.6g} time codes a second; {done.loss}"
+    for line in (said, f"usd: {path}"):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)

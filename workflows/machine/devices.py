@@ -1,0 +1,111 @@
+"""Which device a run computes on, decided without importing torch."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import hashlib
+import os
+import re
+import subprocess
+import sys
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+from ...pipeline import SettingsError
+
+DEVICES = ("auto", "cpu", "cuda")
+SELFTEST_SECONDS = 300  # at most; the first time the kernels are compiled
+EXTRAS = "install e4dgs[cuda13], or e4dgs[cuda12] where torch.version.cuda starts with 12"
+NVRTC_PACKAGES = ("nvidia.cu13", "nvidia.cuda_nvrtc")  # where NVIDIA's wheels for CUDA 13 and 12 put it
+TOOLKITS = ("CUDA_HOME", "CUDA_PATH", "CONDA_PREFIX")  # environment variables with the folder of one
+SYSTEM_TOOLKIT = "/usr/local/cuda"
+
+
+def resolve_device(choice: str) -> str:
+    """``auto`` -> "cuda" where it can be used, else "cpu". Raises SettingsError for ``cuda`` where it cannot, with the reason."""
+    if choice not in DEVICES:
+        raise SettingsError(f"--device {choice}: choose one of {', '.join(DEVICES)}")
+    if choice == "cpu":
+        return "cpu"
+    problem = why_not_cuda() or why_not_trusted()
+    if choice == "cuda" and problem:
+        raise SettingsError(f"--device cuda: {problem}; use --device cpu")
+    return "cpu" if problem else "cuda"
+
+
+def why_not_cuda() -> str | None:
+    """Why CUDA cannot be used here, or None when it can. Checks what can be seen without importing torch or loading NVRTC;
+    `e4dgs.rasterizer.cuda.available.why_not` checks the rest where the kernels are used."""
+    spec = find_spec("torch")
+    if spec is None or spec.origin is None:
+        return "torch is not installed"
+    version = (Path(spec.origin).parent / "version.py").read_text()
+    if not re.search(r"^cuda\b[^=]*= *['\"]", version, re.MULTILINE):
+        return "the installed torch was built without CUDA"
+    for module, package in (("cuda.core", "cuda-core"), ("cuda.bindings.nvrtc", "cuda-bindings")):
+        if not _is_there(module):
+            return f"{package} is not installed; {EXTRAS}"
+    if not _nvrtc_is_there():
+        return f"NVRTC, which compiles the kernels, was not found; {EXTRAS}"
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return "no NVIDIA driver was found (libcuda.so.1)"
+    count = ctypes.c_int(0)
+    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
+        return "the NVIDIA driver finds no device"
+    return None
+
+
+def why_not_trusted() -> str | None:
+    """What a small render on the GPU says that is not what the CPU says, or None where they agree. Run in a process of its own; that they
+    agreed is remembered for this version of e4dgs, torch and driver."""
+    proof = _proof()
+    if proof.is_file():
+        return None
+    command = [sys.executable, "-m", "e4dgs.rasterizer.cuda.selftest"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SELFTEST_SECONDS)
+    except (OSError, subprocess.TimeoutExpired) as cause:
+        return f"a small render on the GPU did not end: {type(cause).__name__}"
+    if done.returncode:
+        said = (done.stdout.strip() or done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
+        return f"a small render on the GPU went wrong: {said}"
+    with suppress(OSError):  # then it is asked again next time
+        proof.parent.mkdir(parents=True, exist_ok=True)
+        proof.touch()
+    return None
+
+
+def _proof() -> Path:
+    """A file that is there once the kernels have agreed with the CPU's on this machine: for these kernels, this torch and this driver."""
+    state = hashlib.sha256()
+    kernels = Path(__file__).resolve().parents[2] / "rasterizer"
+    for path in sorted([*kernels.glob("cuda/*"), *kernels.glob("math/*")]):
+        if path.is_file():
+            state.update(path.name.encode() + path.read_bytes())
+    spec, driver = find_spec("torch"), ctypes.c_int(0)
+    assert spec is not None and spec.origin is not None
+    state.update((Path(spec.origin).parent / "version.py").read_bytes())
+    ctypes.CDLL("libcuda.so.1").cuDriverGetVersion(ctypes.byref(driver))
+    state.update(f"{driver.value} {os.environ.get('CUDA_VISIBLE_DEVICES')}".encode())
+    cache = Path(os.environ.get("E4DGS_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "e4dgs")
+    return cache / f"cuda-agrees-{state.hexdigest()[:20]}"
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ImportError:  # a package above it is missing or broken
+        return False
+
+
+def _nvrtc_is_there() -> bool:
+    """In a package of its own, in a toolkit, or where the system's loader looks; torch's CUDA builds bring the package."""
+    if any(_is_there(package) for package in NVRTC_PACKAGES):
+        return True
+    roots = [*(os.environ.get(name, "") for name in TOOLKITS), SYSTEM_TOOLKIT]
+    folders = [Path(root) / folder for root in roots if root for folder in ("lib64", "lib")]
+    return any(any(folder.glob("libnvrtc.so*")) for folder in folders) or ctypes.util.find_library("nvrtc") is not None

@@ -1,0 +1,125 @@
+"""`e4dgs doctor`: what this installation has, and what is missing; every check catches its own failure."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Callable
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+
+from ..reconstruction import LIBRARIES
+from .devices import why_not_cuda, why_not_trusted
+
+_MIN_FREE_GB = 5.0
+
+
+def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
+    """(what, well, detail); ``well`` is None for a fact that is neither good nor bad."""
+    found: list[tuple[str, bool | None, str]] = [
+        ("python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
+        ("e4dgs", True, _installed_version()),
+    ]
+    found += [(name, *_library(name)) for name in LIBRARIES]
+    found.append(("CPU kernels", *_try(_render)))
+    found.append(("threads", *_try(_threads)))
+    found.append(("pycolmap loads", *_try(_pycolmap)))
+    found.append(("zarr writes and reads", *_try(_zarr)))
+    problem = why_not_cuda() or why_not_trusted()
+    found.append(("CUDA", True if problem is None else None, f"--device auto takes the CPU: {problem}" if problem else "usable"))
+    found += _cuda()
+    free = shutil.disk_usage(_existing(workspace)).free / 1e9
+    writable = os.access(_existing(workspace), os.W_OK)
+    found.append(("workspace", free >= _MIN_FREE_GB and writable, f"{workspace}: {free:.0f} GB free{'' if writable else ', NOT writable'}"))
+    found.append(("compiler", None, "not needed: the kernels are built at install time"))
+    return found
+
+
+_MODULES = {"opencv-contrib-python-headless": "cv2", "open3d-cpu": "open3d"}  # other distributions bring the same module
+_OPTIONAL = ("open3d-cpu",)
+
+
+def _library(name: str) -> tuple[bool | None, str]:
+    try:
+        return True, metadata.version(name)
+    except metadata.PackageNotFoundError:
+        if name in _MODULES and find_spec(_MODULES[name]) is not None:
+            return True, f"another distribution brings {_MODULES[name]}"
+        return (
+            (None, "not installed, optional") if name in _OPTIONAL else (False, "not installed; install e4dgs again with its dependencies")
+        )
+
+
+def _try(check: Callable[[], str]) -> tuple[bool, str]:
+    try:
+        return True, check()
+    except Exception as error:  # a doctor reports whatever is broken
+        return False, f"{type(error).__name__}: {error}"
+
+
+def _installed_version() -> str:
+    from ... import __version__
+
+    return __version__
+
+
+def _render() -> str:
+    import torch
+
+    from ...rasterizer import Camera, Gaussians, rasterize
+
+    camera = Camera(torch.tensor([[32.0, 0, 16], [0, 32, 16], [0, 0, 1]]), torch.eye(4), 32, 32)
+    one = Gaussians(
+        torch.tensor([[0.0, 0, 2]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.2), torch.ones(1), colors=torch.ones(1, 3)
+    )
+    alpha = float(rasterize(camera, gaussians=one, backend="cpu").alpha[16, 16])
+    if not 0.9 < alpha <= 0.99:
+        raise RuntimeError(f"a test picture has alpha {alpha:.3f} in its middle where about 0.99 is right; install e4dgs again")
+    return "load and render a test picture"
+
+
+def _threads() -> str:
+    import torch
+
+    return f"{torch.get_num_threads()} used, {os.cpu_count()} processors, {len(os.sched_getaffinity(0))} allowed"
+
+
+def _cuda() -> list[tuple[str, bool | None, str]]:
+    try:
+        from ...rasterizer.cuda.available import describe
+
+        return describe()
+    except Exception as error:  # torch may be what is broken
+        return [("CUDA kernels", False, f"{type(error).__name__}: {error}")]
+
+
+def _pycolmap() -> str:
+    import pycolmap
+
+    return f"version {pycolmap.__version__}"
+
+
+def _zarr() -> str:
+    import tempfile
+
+    import numpy as np
+
+    from ...pipeline import Artifact, ArtifactWriter
+
+    with tempfile.TemporaryDirectory() as folder:
+        writer = ArtifactWriter(Path(folder))
+        writer.write("x", np.arange(5))
+        writer.finish({})
+        if Artifact(Path(folder)).read("x").tolist() != [0, 1, 2, 3, 4]:
+            raise RuntimeError("an array came back changed; install zarr again")
+    return "with checksums"
+
+
+def _existing(path: Path) -> Path:
+    path = path.resolve()
+    while not path.exists():
+        path = path.parent
+    return path

@@ -1,0 +1,29 @@
+"""A workspace that can only be read, or is full: fine for looking, and one clear message for whatever must write."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ...pipeline import StageError
+from ...pipeline.storage.room import said_when_full
+
+_FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
+
+
+@contextmanager
+def writing_to(workspace: Path) -> Iterator[None]:
+    """Raises StageError where the block fails because the workspace, or something in it, cannot be written or has no room."""
+    try:
+        with said_when_full(workspace):
+            yield
+    except OSError as error:
+        place = Path(str(error.filename or workspace))
+        if error.errno not in _FORBIDDEN or not place.is_relative_to(workspace):
+            raise
+        raise StageError(
+            f"{place}: cannot be written ({error.strerror}), and this command has to; results in {workspace} can be read: give another "
+            f"--workspace, and to `run`, `plan` and `batch` --store-also {workspace}, to take them from there"
+        ) from error

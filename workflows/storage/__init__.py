@@ -1,0 +1,1 @@
+"""What a workspace keeps, and the commands that look after it."""

@@ -1,0 +1,125 @@
+"""A capture in a .zip file: unpacked once into the workspace, and nothing of it outside."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import stat
+import tempfile
+import zipfile
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+
+from ...pipeline import CaptureError
+from ...pipeline.errors import is_odd
+from ...pipeline.files import digest_bytes, digest_file
+from ...pipeline.storage.hold import hold
+
+MOST_FILES = 200_000
+MOST_TIMES_LARGER = 200  # than the archive; pictures and videos hardly shrink, so more is a bomb
+MOST_FOLDERS = 64  # one in another
+SLACK = 100_000_000  # bytes that any archive may unpack to
+
+
+class InUse:
+    """Whoever has one of these uses an unpacked archive, see `unpacked`."""
+
+
+def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path:
+    """``capture`` itself, or the folder ``<workspace>/unpacked/<key>/`` where it is a .zip file. What is there is taken as it is: the key
+    follows from the archive's name and content. A folder that holds all the rest counts as the capture.
+
+    user: `gc` leaves the folder alone as long as this object lives. Raises CaptureError where the file is no archive, is damaged, or holds
+    what leads out of its folder.
+    """
+    if capture.suffix.lower() != ".zip" or not capture.is_file():
+        return capture
+    try:
+        key = digest_bytes(f"{capture.stem} {digest_file(capture)}".encode("utf-8", "surrogateescape"))[:16]
+    except OSError as error:
+        raise CaptureError(f"{capture}: cannot be read ({error.strerror or error}); see to its permissions, or to the disk") from error
+    folder = workspace / "unpacked" / key
+    while not _held(folder, user):
+        _make(capture, folder)
+    root = folder / capture.stem
+    while len(inside := [entry for entry in root.iterdir() if entry.name != "__MACOSX"]) == 1 and inside[0].is_dir():
+        root = inside[0]
+    return inside[0] if len(inside) == 1 else root
+
+
+def mark_of(folder: Path) -> Path:
+    """The file in an unpacked folder whose lock says that it is used (`pipeline/storage/hold.py`), and whose time of change says
+    when it was last."""
+    return folder / ".used"
+
+
+def _held(folder: Path, user: object | None) -> bool:
+    """False where nothing is unpacked there, or somebody takes it away just now."""
+    try:
+        if user is not None:
+            hold(user, mark_of(folder))
+        with suppress(PermissionError):  # a workspace that is only read
+            os.utime(mark_of(folder))
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        if error.errno != errno.EROFS:
+            raise
+    return True
+
+
+def _make(capture: Path, folder: Path) -> None:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part, user = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)), InUse()
+    try:
+        mark_of(part).touch()
+        hold(user, mark_of(part))  # as long as it is filled
+        _unpack(capture, part / capture.stem)
+        try:
+            os.rename(part, folder)
+        except OSError:
+            if not folder.is_dir():  # else another run was faster
+                raise
+            mark_of(folder).touch()
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _unpack(file: Path, folder: Path) -> None:
+    folder.mkdir()
+    try:
+        with zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if len(members) > MOST_FILES or total > MOST_TIMES_LARGER * file.stat().st_size + SLACK:
+                raise CaptureError(f"{file}: {len(members)} files of {total / 1e9:.1f} GB are more than a capture; unpack it yourself")
+            for member in members:
+                _refuse(file, member)
+            twice = [name for name, count in Counter(member.filename for member in members).items() if count > 1]
+            if twice:
+                raise CaptureError(f"{file}: {twice[0]!r} is in it twice; pack it again with one file of that name")
+            for member in members:
+                archive.extract(member, folder)
+    except CaptureError:
+        raise
+    except OSError as error:
+        if error.errno is None:  # what bz2 says of damaged data
+            raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again") from error
+        raise CaptureError(f"{file}: {error.filename or folder} cannot be written ({error.strerror or error})") from error
+    except Exception as error:  # zipfile lets zlib.error, LZMAError, struct.error, ... of damaged archives through
+        raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again without a password") from error
+
+
+def _refuse(file: Path, member: zipfile.ZipInfo) -> None:
+    name = PurePosixPath(member.filename.replace("\\", "/"))
+    if name.is_absolute() or ".." in name.parts or ":" in member.filename:
+        raise CaptureError(f"{file}: {member.filename!r} leads out of the archive's folder; pack it again with relative paths")
+    if any(map(is_odd, member.filename)) or len(name.parts) > MOST_FOLDERS:
+        raise CaptureError(f"{file}: {member.filename!r} is no name of a file; pack it again with plain names, fewer folders deep")
+    kind = stat.S_IFMT(member.external_attr >> 16)
+    if kind == stat.S_IFLNK:
+        raise CaptureError(f"{file}: {member.filename!r} is a link; pack the file that it leads to")
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        raise CaptureError(f"{file}: {member.filename!r} is neither a file nor a folder; leave it out")

@@ -1,0 +1,97 @@
+"""Results in a workspace's store, found by the words that a person has: a key, the beginning of one, or a scene and a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...pipeline import ArtifactError, Records, SettingsError, Store
+from ...pipeline.files import read_json
+
+SHORTEST = 4  # digits of a key that are enough, where one result alone begins with them
+
+
+@dataclass(frozen=True)
+class Stored:
+    """One result. path: its folder. scenes: those whose last run used it."""
+
+    stage: str
+    key: str
+    path: Path
+    manifest: Mapping[str, Any]
+    scenes: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        return f"{self.stage}/{self.key}"
+
+    @property
+    def size(self) -> int:
+        """Bytes, as the manifest says."""
+        return sum(int(entry[0]) for entry in self.manifest["files"].values())
+
+    def made(self, field: str, unknown: Any = None) -> Any:
+        """A field of the provenance, which results of other versions may not have."""
+        return self.manifest["provenance"].get(field, unknown)
+
+    def arrays(self) -> list[tuple[str, str, str, str]]:
+        """Name, shape, dtype and unit of each array, without zarr."""
+        found = []
+        for file in sorted(file for file in self.manifest["files"] if file.endswith("/zarr.json")):
+            described = read_json(self.path / file)
+            if not isinstance(described, dict) or "shape" not in described:
+                continue
+            name = file.removesuffix("/zarr.json")
+            shape = "x".join(map(str, described["shape"])) or "scalar"
+            found.append((name, shape, str(described.get("data_type")), str(described.get("attributes", {}).get("unit", ""))))
+        return found
+
+
+def users(workspace: Path) -> dict[tuple[str, str], tuple[str, ...]]:
+    """(stage, key) of every result that some scene's last run used -> the scenes' names."""
+    found: dict[tuple[str, str], tuple[str, ...]] = {}
+    for folder in sorted((workspace / "scenes").glob("*/records")):
+        for path in folder.glob("*.json"):
+            if (record := Records(folder).read(path.stem)) is not None:
+                where = path.stem, record["key"]
+                found[where] = (*found.get(where, ()), folder.parent.name)
+    return found
+
+
+def every(workspace: Path) -> list[Stored]:
+    """All results with a valid manifest, stage by stage; `e4dgs verify` says what is wrong with others."""
+    store, used = Store(workspace / "store"), users(workspace)
+    found = []
+    for stage, key in store.entries():
+        if (manifest := store.manifest(stage, key)) is not None:
+            found.append(Stored(stage, key, store.path(stage, key), manifest, used.get((stage, key), ())))
+    return found
+
+
+def find(workspace: Path, *words: str) -> Stored:
+    """The result that the words name: KEY or STAGE/KEY, of which the first digits are enough, or SCENE STAGE or SCENE/STAGE.
+
+    Raises SettingsError where none or several are meant, ArtifactError where the one that is meant is not in the store or is damaged.
+    """
+    store, used = Store(workspace / "store"), users(workspace)
+    first, _, last = " ".join(words).replace(" ", "/").rpartition("/")
+    of_scene = {stage: (stage, key) for (stage, key), scenes in used.items() if first in scenes}
+    matches = [of_scene[last]] if last in of_scene else []
+    if not matches:
+        matches = [(stage, key) for stage, key in store.entries() if first in ("", stage) and key.startswith(last)]
+    if not matches and of_scene:
+        raise SettingsError(f"{first}: no run of this scene has used a result of {last!r}; it has {', '.join(sorted(of_scene))}")
+    if not matches or (len(last) < SHORTEST and last not in of_scene):
+        raise SettingsError(
+            f"{' '.join(words)}: this names no result in {workspace}; give a key ({SHORTEST} digits or more), STAGE/KEY, or a scene and "
+            "a stage (e4dgs list has them all)"
+        )
+    if len(matches) > 1:
+        raise SettingsError(f"{' '.join(words)}: several results begin so: {', '.join('/'.join(match) for match in matches[:5])}")
+    stage, key = matches[0]
+    if (manifest := store.manifest(stage, key)) is None:
+        store.open(stage, key)  # says what is wrong
+        raise ArtifactError(f"{store.path(stage, key)}: cannot be read; run the stage again")
+    return Stored(stage, key, store.path(stage, key), manifest, used.get((stage, key), ()))

@@ -1,0 +1,83 @@
+"""`e4dgs gc`: drop what no scene refers to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ...pipeline import Store, collect, unused
+from ..machine.writable import writing_to
+from ..options import Debug, Workspace
+from ..session import DEFAULT_WORKSPACE
+from .amounts import bytes_of, megabytes, seconds_of
+from .caches import kept, remove
+from .stored import users
+
+
+def gc(
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    keep_bytes: Annotated[
+        str | None, typer.Option("--keep-bytes", metavar="SIZE", help="Only as much as it takes to have at most this, as 10G.")
+    ] = None,
+    older_than: Annotated[
+        str | None, typer.Option("--older-than", metavar="AGE", help="Only what was last used so long ago, as 30d; old checkpoints, too.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be removed, remove nothing.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Remove results that no scene's last run used and no pin keeps, what archives were unpacked to and what was heard of videos (made
+    again when it is missed), and what dead runs and damage have left. Runs may go on meanwhile."""
+    workspace = workspace.resolve()
+    store = Store(workspace / "store")
+    most = bytes_of("--keep-bytes", keep_bytes) if keep_bytes is not None else None
+    age = seconds_of("--older-than", older_than) if older_than is not None else None
+
+    def live() -> dict[tuple[str, str], tuple[str, ...]]:
+        return users(workspace)
+
+    if not workspace.is_dir():
+        _say("0 results, 0.0 MB")
+        return
+    with writing_to(workspace):
+        spared = _caches(workspace, store, most, age, dry_run)
+    for_results = None if most is None else max(0, most - spared)
+    if dry_run:
+        items, total = unused(store, live, for_results, age)
+        left = total - sum(item.size for item in items)
+    elif store.root.is_dir():
+        with writing_to(workspace):
+            found = collect(store, live, for_results, age)
+        items, left = found.removed, found.left
+        for item in found.busy:
+            _say(f"left {item.name}: a process uses it")
+    else:
+        items, left = [], 0
+    for item in items:
+        _say(f"{'would remove' if dry_run else 'removed'} {item.name} ({megabytes(item.size)})")
+    results = [item for item in items if item.key]
+    _say(f"{len(results)} results, {megabytes(sum(item.size for item in results))}; {megabytes(left + spared)} are left")
+    if most is not None and left + spared > most:
+        _say("what is left is in use, pinned, too new, or of scenes' last runs; remove a folder under scenes/ to let go of that scene's")
+
+
+def _caches(workspace: Path, store: Store, most: int | None, age: float | None, dry_run: bool) -> int:
+    """Removes, or names, unpacked archives and what was heard: before any result, since they are made again within seconds. Returns the
+    bytes of those that stay."""
+    spared = sum(item.size for item in kept(workspace))
+    results = 0 if most is None else unused(store, tuple)[1]
+    for item in kept(workspace, age or 0.0):
+        if most is not None and results + spared <= most:
+            break
+        if dry_run or remove(item):
+            spared -= item.size
+            _say(f"{'would remove' if dry_run else 'removed'} {item.name} ({megabytes(item.size)})")
+        else:
+            _say(f"left {item.name}: a process uses it")
+    return spared
+
+
+def _say(message: str) -> None:
+    Console().print(message, markup=False, highlight=False, soft_wrap=True)
