@@ -101,6 +101,14 @@ def test_models_from_before_units_leaked_move_as_they_did():
     assert not torch.allclose(before.at(0.4).shifts, nodes.at(0.4).shifts, atol=1e-5)
 
 
+def test_a_network_is_as_wide_as_the_state_that_it_is_loaded_from():
+    """Models from before the default became 256 have 128 units a layer."""
+    narrow = ControlNodes(rest().points, torch.zeros(3), 1.0, 0.5, width=128)
+    again = ControlNodes.from_state(narrow.state_dict(), narrow.config)
+    assert len(again.layers[0].bias) == 128 and len(moving().layers[0].bias) == 256
+    assert torch.equal(again.at(0.4).shifts, narrow.at(0.4).shifts)
+
+
 def test_what_is_kept_of_the_places_follows_a_state_that_is_loaded():
     nodes, other = moving(), moving(seed=3)
     nodes.at(0.4), nodes.graph()
