@@ -54,9 +54,9 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
     from e4dgs.stages.artifacts.flow_fields import FlowFields
     from e4dgs.stages.artifacts.frameset import FrameSet
     from e4dgs.stages.artifacts.training import read_model
-    from e4dgs.stages.evaluate import spread
     from e4dgs.stages.evaluation.flow_pictures import COVERED, EDGE, TRUSTED
     from e4dgs.stages.evaluation.judge import Judge
+    from e4dgs.stages.evaluation.spread import spread
 
     store, records = Store(workspace / "store"), Records(workspace / "scenes" / name / "records")
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
+from .evaluation.spread import spread, worst_and_others
 
 if TYPE_CHECKING:
     import numpy as np
@@ -146,22 +147,6 @@ def choose_views(frames: FrameSet, splits: Sequence[str]) -> tuple[dict[str, lis
             "which says nothing about new views; hold some out with --set frames.holdout=8"
         )
     return views, notes
-
-
-def spread(items: Sequence[int], count: int) -> list[int]:
-    """Up to ``count`` items, evenly spread, ends included."""
-    if len(items) <= count:
-        return list(items)
-    if count < 2:
-        return list(items[:count])
-    return [items[round(k * (len(items) - 1) / (count - 1))] for k in range(count)]
-
-
-def worst_and_others(rows: Sequence[Mapping[str, Any]], count: int) -> list[int]:
-    """Frames of up to ``count`` of ``rows``, from the lowest PSNR to the highest: half are the worst, the others spread over the rest."""
-    ordered = [int(row["frame"]) for row in sorted(rows, key=lambda row: float(row["psnr"]))]
-    worst = (count + 1) // 2
-    return ordered[:worst] + spread(ordered[worst:], count - worst)
 
 
 def means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:

@@ -55,6 +55,57 @@ def test_the_rule_sees_every_form_of_import(tmp_path, monkeypatch):
     assert imported_folders(path) == {"workflows", "stages", "rasterizer", "scene", "pipeline"}
 
 
+def imported_files(path: Path, known: dict[str, Path]) -> set[str]:
+    """Files of the house that a file imports when it runs, as dotted names: imports for type checkers alone do not count."""
+    package = path.relative_to(ROOT).parts[:-1]
+    tree = ast.parse(path.read_text())
+    typing = [node for node in ast.walk(tree) if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"]
+    skipped = {id(inner) for node in typing for inner in ast.walk(node)}
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level and id(node) not in skipped:
+            base = ".".join([*package[: len(package) - node.level + 1], *(node.module or "").split(".")]).rstrip(".")
+            for alias in node.names:
+                name = f"{base}.{alias.name}"
+                if name in known or alias.name not in ("_cpu", "_kernels"):  # native modules import nothing
+                    found.add(name if name in known else base)
+    return found & known.keys()
+
+
+def circles(graph: dict[str, set[str]]) -> list[str]:
+    """Names that can be reached from themselves."""
+    left = dict(graph)
+    while True:  # what imports nothing that is left, or is imported by nothing that is left, lies on no circle
+        imported = set().union(*left.values()) if left else set()
+        gone = [name for name, needs in left.items() if name not in imported or not needs & left.keys()]
+        if not gone:
+            return sorted(left)
+        for name in gone:
+            del left[name]
+
+
+def test_no_file_imports_itself_through_others():
+    known = {}
+    for path in sorted(path for folder in BELOW for path in (ROOT / folder).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        known[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    assert not circles({name: imported_files(path, known) for name, path in known.items()})
+
+
+def test_circles_are_found():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()}) == ["b", "c"]
+    assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+@pytest.mark.parametrize("folder", BELOW)
+def test_python_folders_are_small(folder):
+    for inner in [ROOT / folder, *(path for path in (ROOT / folder).rglob("*") if path.is_dir())]:
+        files = [path for path in inner.iterdir() if path.is_file() and path.suffix not in (".so", ".pyc")]
+        if inner.name in ("cpu", "cuda"):  # kernels and their headers
+            continue
+        assert len(files) <= 15, f"{inner.relative_to(ROOT)} has {len(files)} files: give some of them a folder"
+
+
 @pytest.mark.parametrize("folder", BELOW)
 def test_every_folder_has_a_short_design(folder):
     design = ROOT / folder / "DESIGN.md"

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from . import cache
-from .launcher import Argument, Scalar
+from .arguments import Argument, Scalar
 from .program import Program
 
 MAX_BLOCKS = 2**31 - 1  # of a grid's first axis

@@ -2,34 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import torch
-from torch import Tensor
 
+from .arguments import Argument
 from .program import Program
-
-# Exactly these map to one type of kernel parameter each. Python's int, float and bool are refused: their width would be a guess.
-Scalar: TypeAlias = (
-    ctypes.c_bool
-    | ctypes.c_int8
-    | ctypes.c_uint8
-    | ctypes.c_int16
-    | ctypes.c_uint16
-    | ctypes.c_int32
-    | ctypes.c_uint32
-    | ctypes.c_int64
-    | ctypes.c_uint64
-    | ctypes.c_float
-    | ctypes.c_double
-)
-Argument: TypeAlias = Tensor | Scalar | None
 
 
 class Launcher(Protocol):

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ...rasterizer.cuda.launcher import Argument, Launcher
-from ..motion.field_kernel import lookup_reference
+from ...rasterizer.cuda.arguments import Argument
+from ...rasterizer.cuda.launcher import Launcher
+from ..motion.field_reference import lookup_reference
 from .programs import program
 
 MOST_LEVELS, MOST_CHANNELS = 4, 64

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from .. import _kernels
-from .field_kernel import field_outputs, lookup_reference
+from .field_kernel import field_outputs
+from .field_reference import lookup_reference
 
 __all__ = ["HexPlanes", "lookup_reference"]
 

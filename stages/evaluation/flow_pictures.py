@@ -9,8 +9,8 @@ import numpy as np
 from ...vision.flow.colours import colour_wheel, flow_colours, typical_largest
 from ...vision.images.overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, overlay
 from ..artifacts.flow_fields import FlowFields
-from ..evaluate import spread
 from .judge import Judge
+from .spread import spread
 
 if TYPE_CHECKING:
     from ...pipeline import Artifact

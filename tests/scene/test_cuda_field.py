@@ -11,7 +11,7 @@ from e4dgs.scene.cuda import field
 from e4dgs.scene.cuda.field import look_up
 from e4dgs.scene.motion import field_kernel
 from e4dgs.scene.motion.field import DeformationField
-from e4dgs.scene.motion.field_kernel import lookup_reference
+from e4dgs.scene.motion.field_reference import lookup_reference
 from simt import CHECKED, RACES, Emulator, why_not
 
 BOX = torch.tensor([-1.0, 0, 2]), torch.tensor([1.0, 3, 2.5])
