@@ -51,7 +51,7 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
             return primitives[last]
         if last in ("log_radii", "hyper"):
             return radii if last == "log_radii" else hyper
-        if last.startswith("layers."):
+        if last.startswith("network."):
             return network
         if last.startswith("bodies."):
             return bodies if last == "bodies.quats" else exponential(bodies(0) * unit / 4, bodies(1) * unit / 4)

@@ -5,8 +5,9 @@ import pytest
 import torch
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.bodies import Bodies
+from e4dgs.scene.motion.courses import RANK, SharedCourses, encode, encode_places
 from e4dgs.scene.motion.interface import Rest
-from e4dgs.scene.motion.nodes import ControlNodes, encode, farthest_points, spacing
+from e4dgs.scene.motion.nodes import ControlNodes, farthest_points, spacing
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 
 
@@ -19,7 +20,7 @@ def moving(count=12, seed=0):
     """Nodes whose heads have been given something to do."""
     nodes = some(count, seed)
     with torch.no_grad():
-        nodes.layers[-1].weight.normal_(0, 0.5, generator=torch.Generator().manual_seed(seed))
+        nodes.network.place[-1].weight.normal_(0, 0.5, generator=torch.Generator().manual_seed(seed))
     return nodes
 
 
@@ -32,8 +33,10 @@ def rest(n=40, seed=1):
 def steer(nodes, output):
     """Every node and time gets the same seven numbers from the network."""
     with torch.no_grad():
-        nodes.layers[-1].weight.zero_()
-        nodes.layers[-1].bias.copy_(torch.tensor(output))
+        for head in (nodes.network.place[-1], nodes.network.time[-1]):
+            head.weight.zero_()
+        nodes.network.time[-1].bias.fill_(1.0)
+        nodes.network.place[-1].bias.copy_((torch.tensor(output) / RANK**0.5).repeat_interleave(RANK))
     return nodes
 
 
@@ -81,32 +84,50 @@ def test_gradients_reach_every_parameter():
     assert hyper.grad.abs().sum() > 0
 
 
-def test_units_that_are_zero_everywhere_still_learn():
+@pytest.mark.parametrize("part", ["place", "time"])
+def test_units_that_are_zero_everywhere_still_learn(part):
     nodes = moving()
+    layers = getattr(nodes.network, part)
     with torch.no_grad():
-        nodes.layers[-2].bias.fill_(-50.0)
+        layers[-2].bias.fill_(-50.0)
     given = rest()
     nodes.carry(given, 0.4).points.square().sum().backward()
-    assert all(float(layer.weight.grad.abs().max()) > 0 for layer in nodes.layers)
+    assert all(float(layer.weight.grad.abs().max()) > 0 for layer in layers)
 
 
-def test_models_from_before_units_leaked_move_as_they_did():
+def test_a_place_takes_its_share_of_the_courses():
+    """Against the sum that the network stands for, one place and time after another, in float64."""
+    network = SharedCourses(seed=2).double()
+    with torch.no_grad():
+        network.place[-1].weight.normal_(0, 0.5, generator=torch.Generator().manual_seed(1))
+    places, times = torch.rand(5, 3, dtype=torch.float64) * 2 - 1, [0.0, 0.3, 1.0]
+    weights, courses = network.weights(encode_places(places)), network.courses(times)
+
+    def through(layers, x):
+        for number, layer in enumerate(layers):
+            x = layer.weight @ x + layer.bias
+            x = x if number == len(layers) - 1 else torch.where(x < 0, 0.01 * x, x)
+        return x
+
+    for place, found in zip(places, weights):
+        share = through(network.place, encode_places(place[None])[0]).reshape(7, RANK)
+        for time, course in zip(times, courses):
+            expected = share @ through(network.time, encode(torch.tensor([[time]], dtype=torch.float64), 6)[0]) / RANK**0.5
+            assert torch.allclose(found @ course, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_several_times_at_once_are_those_one_by_one():
     nodes = moving()
-    config = {name: value for name, value in nodes.config.items() if name != "leak"}
-    before = ControlNodes.from_state(nodes.state_dict(), config)
-    hidden = torch.cat([encode(nodes.positions, 5), encode(torch.tensor([[0.4]]), 6).expand(12, -1)], 1)
-    for layer in nodes.layers[:-1]:
-        hidden = torch.relu(layer(hidden))
-    assert torch.allclose(before.at(0.4).shifts, 0.5 * 0.3 * nodes.layers[-1](hidden)[:, 4:], atol=1e-6)
-    assert not torch.allclose(before.at(0.4).shifts, nodes.at(0.4).shifts, atol=1e-5)
+    for t, together in zip((0.0, 0.4, 2.0), nodes.at_times([0.0, 0.4, 2.0])):
+        assert torch.allclose(together.shifts, nodes.at(min(t, 1.0)).shifts, atol=1e-6)
+        assert torch.allclose(together.turns, nodes.at(min(t, 1.0)).turns, atol=1e-6)
 
 
-def test_a_network_is_as_wide_as_the_state_that_it_is_loaded_from():
-    """Models from before the default became 256 have 128 units a layer."""
-    narrow = ControlNodes(rest().points, torch.zeros(3), 1.0, 0.5, width=128)
-    again = ControlNodes.from_state(narrow.state_dict(), narrow.config)
-    assert len(again.layers[0].bias) == 128 and len(moving().layers[0].bias) == 256
-    assert torch.equal(again.at(0.4).shifts, narrow.at(0.4).shifts)
+def test_a_model_of_a_version_with_another_network_is_refused():
+    nodes = moving()
+    state = {name.replace("network.place", "layers"): value for name, value in nodes.state_dict().items()}
+    with pytest.raises(KeyError, match="network"):
+        ControlNodes.from_state(state, nodes.config)
 
 
 def test_what_is_kept_of_the_places_follows_a_state_that_is_loaded():
@@ -164,7 +185,7 @@ def test_nodes_spread_anew_keep_the_network():
     nodes = moving()
     again = nodes.spread_over(np.random.default_rng(3).normal(size=(500, 3)))
     assert len(again.positions) == len(nodes.positions) and not torch.equal(again.positions, nodes.positions)
-    assert all(a is b for a, b in zip(nodes.layers.parameters(), again.layers.parameters()))
+    assert all(a is b for a, b in zip(nodes.network.parameters(), again.network.parameters()))
     assert torch.allclose(again.log_radii, spacing(again.positions).log())
 
 

@@ -1,0 +1,74 @@
+"""The network that moves control nodes: a few courses through time that all nodes share, and how much of each a place takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+RANK = 32  # courses
+OUTPUTS = 7  # of a node at a time: a turn (4) and a shift (3)
+WIDTH, DEPTH = 128, 3  # of the layers that look at places
+TIME_WIDTH, TIME_DEPTH = 128, 2  # of those that look at times: one row each, so they cost next to nothing
+PLACE_BANDS, TIME_BANDS = 5, 6  # octaves of the positional encoding (Tancik et al. 2020)
+LEAK = 0.01  # slope below zero: units that are zero at all places and times learn nothing any more, and the first steps can bring all there
+HEADS = 1e-4  # standard deviation of the last layer's first weights: motion grows from rest
+
+
+class SharedCourses(nn.Module):
+    """out(place, time) = sum over k of weights_k(place) course_k(time) / sqrt(RANK), both factors small networks.
+
+    Bodies move in few ways at once, so 32 courses are enough, as in non-rigid structure from motion (Bregler et al. 2000). One network of
+    (place, time) together is looked at anew for every node at every time; here the places, which cost nearly all of it, are looked at once
+    for as many times as are wanted.
+
+    Args:
+        seed: of the first weights.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        super().__init__()
+        generator = torch.Generator().manual_seed(seed)
+        self.place = _layers([3 * (1 + 2 * PLACE_BANDS), *[WIDTH] * DEPTH, OUTPUTS * RANK], generator)
+        self.time = _layers([1 + 2 * TIME_BANDS, *[TIME_WIDTH] * TIME_DEPTH, RANK], generator)
+        with torch.no_grad():
+            self.place[-1].weight.normal_(0.0, HEADS, generator=generator)
+
+    def weights(self, encoded: Tensor) -> Tensor:
+        """[B, 7, RANK] of places [B, ...] as `encode_places` gives them."""
+        return _through(self.place, encoded).view(len(encoded), OUTPUTS, RANK) * RANK**-0.5
+
+    def courses(self, times: Sequence[float]) -> Tensor:
+        """[T, RANK] at ``times``, each clamped to [0, 1]."""
+        clamped = self.time[0].weight.new_tensor([[min(max(float(t), 0.0), 1.0)] for t in times])
+        return _through(self.time, encode(clamped, TIME_BANDS))
+
+
+def encode_places(places: Tensor) -> Tensor:
+    """[B, 33] of ``places`` [B, 3], in which the scene spans about [-1, 1]."""
+    return encode(places, PLACE_BANDS)
+
+
+def encode(x: Tensor, bands: int) -> Tensor:
+    """``x`` [N, d] beside its sines and cosines at ``bands`` octaves: [N, d (1 + 2 bands)]."""
+    scaled = x[:, None] * (2.0 ** torch.arange(bands, device=x.device, dtype=x.dtype))[:, None]
+    return torch.cat([x, torch.sin(scaled).flatten(1), torch.cos(scaled).flatten(1)], 1)
+
+
+def _layers(sizes: list[int], generator: torch.Generator) -> nn.ModuleList:
+    """Linear layers that keep the size of what ReLUs pass on (He et al. 2015)."""
+    layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
+    with torch.no_grad():
+        for layer in layers:
+            bound = (6.0 / layer.in_features) ** 0.5
+            layer.weight.uniform_(-bound, bound, generator=generator)
+            layer.bias.zero_()
+    return nn.ModuleList(layers)
+
+
+def _through(layers: nn.ModuleList, x: Tensor) -> Tensor:
+    for layer in layers[:-1]:
+        x = nn.functional.leaky_relu(layer(x), LEAK)
+    return layers[-1](x)
