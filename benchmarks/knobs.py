@@ -110,8 +110,7 @@ def probe(module: Path, args: argparse.Namespace) -> dict:
 
     import torch
     from e4dgs.rasterizer import cpu_backend
-    from e4dgs.rasterizer.reference import blend
-    from e4dgs.workflows.bench import compare
+    from e4dgs.rasterizer.reference import blend, compare
     from e4dgs.workflows.bench.machine import kernels, machine
     from e4dgs.workflows.bench.raster.accuracy import COUNT, HEIGHT, SCENES, WIDTH, errors
     from e4dgs.workflows.bench.render import both, forward

@@ -8,8 +8,8 @@ import pytest
 import torch
 from e4dgs.pipeline import SettingsError
 from e4dgs.rasterizer import rasterize
+from e4dgs.rasterizer.reference.compare import relative_l2
 from e4dgs.workflows.bench import scenes
-from e4dgs.workflows.bench.compare import relative_l2
 from e4dgs.workflows.bench.rows import Bench, Check
 from e4dgs.workflows.bench.suites import SUITES
 from e4dgs.workflows.bench.timing import interleaved
@@ -126,7 +126,7 @@ def small_scene(degree):
 @pytest.mark.parametrize("degree", [None, 2])
 def test_the_torch_rasterizer_equals_the_reference(degree):
     """Also where a tile's list is longer than one block, and where pixels stop."""
-    from e4dgs.workflows.bench.compare import decided_by_threshold
+    from e4dgs.rasterizer.reference.compare import decided_by_threshold
     from e4dgs.workflows.bench.peers.rasterizer import rasterize_torch
     from e4dgs.workflows.bench.render import count_pairs
 

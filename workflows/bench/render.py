@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Camera, Convexes, Frame, Gaussians, _cpu, rasterize  # type: ignore[attr-defined]
-from .scene import Scene
+from ...rasterizer.reference.scene import Scene
 
 Rasterize = Callable[[Camera, Gaussians | None, Convexes | None, Tensor | None], Frame]
 

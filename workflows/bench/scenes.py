@@ -7,8 +7,8 @@ import torch
 
 from ...pipeline import SettingsError
 from ...rasterizer import Camera, Convexes, Gaussians
+from ...rasterizer.reference.scene import Scene
 from .rows import Bench
-from .scene import Scene
 
 GARDEN_COUNT, GARDEN_SIZE = 138_766, (648, 420)
 CONVEX_COUNT = 50_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..compare import cotangents, weigh
+from ....rasterizer.reference.compare import cotangents, weigh
 from ..render import both
 from ..rows import Bench, Check, Measured
 from ..scenes import garden, mixed

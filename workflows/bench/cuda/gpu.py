@@ -7,8 +7,8 @@ from collections.abc import Callable
 import torch
 
 from ....pipeline import SettingsError
+from ....rasterizer.reference.scene import Scene
 from ...machine.devices import why_not_cuda
-from ..scene import Scene
 
 CALLS = 10  # of what is timed, in one run
 

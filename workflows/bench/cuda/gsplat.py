@@ -7,9 +7,9 @@ from importlib.util import find_spec
 
 import torch
 
+from ....rasterizer.reference.scene import Scene
 from ..render import both, forward
 from ..rows import Bench, Check, Measured
-from ..scene import Scene
 from ..scenes import garden
 from ..timing import interleaved, ratio
 from .gpu import CALLS, ending, gpu_name, need_gpu, on_gpu, peak_mib

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from ....rasterizer.reference.compare import relative_l2
 from ....scene.training.optimiser import RowAdam
-from ..compare import relative_l2
 from ..rows import Bench, Check, Measured
 from ..timing import interleaved, ratio
 

@@ -8,9 +8,9 @@ from copy import deepcopy
 import torch
 from torch import Tensor
 
+from ....rasterizer.reference.compare import relative_l2
 from ....scene.motion.field import DeformationField
 from ....scene.motion.interface import Displacement
-from ..compare import relative_l2
 from ..peers.field import Lookup, TorchField
 from ..rows import Bench, Check, Curve, Measured
 from ..timing import Timing, interleaved, ratio

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from ....rasterizer.reference.compare import relative_l2
 from ....scene.losses.photometric import photometric_loss, ssim_reference
-from ..compare import relative_l2
 from ..peers.loss import torch_loss
 from ..rows import Bench, Check, Curve, Measured
 from ..timing import interleaved, ratio

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from ....rasterizer import Frame
-from ..compare import cotangents, decided_by_threshold, gradients, relative_l2
+from ....rasterizer.reference.compare import cotangents, decided_by_threshold, gradients, relative_l2
+from ....rasterizer.reference.scene import Scene
 from ..rows import Bench, Check, Measured
-from ..scene import Scene
 from ..scenes import cloud, convexes, mixed, reconstructed_convexes
 
 IMAGE_BAR, GRADIENT_BAR = 2e-5, 1e-4

@@ -7,9 +7,9 @@ from dataclasses import replace
 import torch
 
 from ....rasterizer import Convexes, Gaussians
+from ....rasterizer.reference.scene import Scene
 from ..render import Pairs, both, count_pairs, forward
 from ..rows import Bench, Check, Measured
-from ..scene import Scene
 from ..scenes import CONVEX_COUNT, convexes, garden, reconstructed_convexes
 from ..timing import Timing, interleaved
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..compare import cotangents, weigh
+from ....rasterizer.reference.compare import cotangents, weigh
+from ....rasterizer.reference.scene import Scene
 from ..rows import Bench, Check, Measured
-from ..scene import Scene
 from ..scenes import mixed
 
 THREADS = (1, 2, 4)

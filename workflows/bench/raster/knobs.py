@@ -11,10 +11,10 @@ from dataclasses import replace
 import torch
 
 from ....rasterizer import _cpu  # type: ignore[attr-defined]
-from ..compare import decided_by_threshold
+from ....rasterizer.reference.compare import decided_by_threshold
+from ....rasterizer.reference.scene import Scene
 from ..render import both
 from ..rows import Bench, Curve, Measured
-from ..scene import Scene
 from ..scenes import cloud
 from ..timing import interleaved
 from .accuracy import COUNT, HEIGHT, WIDTH, errors, image_error, large_gaussians

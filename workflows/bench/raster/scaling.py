@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import torch
 
+from ....rasterizer.reference.scene import Scene
 from ..render import both
 from ..rows import Bench, Curve, Measured
-from ..scene import Scene
 from ..scenes import cloud, convexes, mixed
 from ..timing import Timing, interleaved
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..compare import relative_l2
+from ....rasterizer.reference.compare import relative_l2
 from ..peers.rasterizer import rasterize_torch
 from ..render import both, forward
 from ..rows import Bench, Check, Measured

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..compare import relative_l2
+from ....rasterizer.reference.compare import relative_l2
 from ..peers.step import composed_of_torch, torch_kernels, with_torch_adam
 from ..rows import Bench, Check, Measured
 from ..timing import interleaved, ratio

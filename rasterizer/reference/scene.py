@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
+from ..rasterize import rasterize
+from ..types import Camera, Convexes, Frame, Gaussians
 
 
 @dataclass

@@ -12,12 +12,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ...rasterizer import Frame
-from ...rasterizer.rasterize import _cast, _empty_convexes, _empty_gaussians, _pad_extras
-from ...rasterizer.reference.blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, effective_alphas
-from ...rasterizer.reference.convexes import convex_alphas, project_convexes
-from ...rasterizer.reference.gaussians import gaussian_alphas, project_gaussians
-from ...rasterizer.reference.render import pixel_centres
+from ..rasterize import _cast, _empty_convexes, _empty_gaussians, _pad_extras
+from ..types import Camera, Frame
+from .blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, effective_alphas
+from .convexes import Shapes, convex_alphas, project_convexes
+from .gaussians import Splats, gaussian_alphas, project_gaussians
+from .render import pixel_centres
 from .scene import Scene
 
 ALPHA_BAND = 2e-5  # absolute
@@ -26,14 +26,20 @@ DEPTH_BAND = 1e-6  # relative
 OUTPUTS = ("color", "alpha", "depth", "extras")
 
 
+@torch.no_grad()
+def projected(scene: Scene) -> tuple[Camera, Splats, Shapes]:
+    """The scene's camera and primitives as the reference sees them, in float64, without extras."""
+    camera = _cast(scene.camera, torch.float64)
+    gaussians = _cast(scene.gaussians or _empty_gaussians(camera), torch.float64)
+    convexes = _cast(scene.convexes or _empty_convexes(camera), torch.float64)
+    gaussians, convexes = _pad_extras(replace(gaussians, extras=None), replace(convexes, extras=None))
+    return camera, project_gaussians(camera, gaussians), project_convexes(camera, convexes)
+
+
 def raw_alphas(scene: Scene) -> tuple[Tensor, Tensor]:
     """Alphas before cap and cut [H W, n] and depths [n], front to back, from the reference."""
+    camera, splats, shapes = projected(scene)
     with torch.no_grad():
-        camera = _cast(scene.camera, torch.float64)
-        gaussians = _cast(scene.gaussians or _empty_gaussians(camera), torch.float64)
-        convexes = _cast(scene.convexes or _empty_convexes(camera), torch.float64)
-        gaussians, convexes = _pad_extras(replace(gaussians, extras=None), replace(convexes, extras=None))
-        splats, shapes = project_gaussians(camera, gaussians), project_convexes(camera, convexes)
         pixels = pixel_centres(camera)
         depths = torch.cat([splats.depths, shapes.depths])
         order = torch.argsort(depths, stable=True)
