@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ....scene.losses import flow_loss
 from ....scene.model import Model
-from ....scene.training import trainer
+from ....scene.training import objective
 from ....scene.training.trainer import Trainer
 from .field import TorchField
 from .loss import torch_loss
@@ -47,16 +47,16 @@ def composed_of_torch(model: Model) -> Model:
 
 def with_torch_adam(made: Trainer) -> None:
     """Replaces a trainer's optimiser by torch's, with the same learning rates."""
-    made.optimiser = TorchAdam(made.optimiser.parameters(), made.optimiser.rates)  # type: ignore[assignment]
+    made.learned.optimiser = TorchAdam(made.learned.optimiser.parameters(), made.learned.optimiser.rates)  # type: ignore[assignment]
 
 
 @contextmanager
 def torch_kernels() -> Iterator[None]:
     """While it lasts, training renders with the torch rasterizer and judges with the torch loss."""
-    kept = trainer.rasterize, flow_loss.rasterize, trainer.photometric_loss
-    trainer.rasterize = flow_loss.rasterize = rasterize_torch  # type: ignore[assignment]
-    trainer.photometric_loss = torch_loss
+    kept = objective.rasterize, flow_loss.rasterize, objective.photometric_loss
+    objective.rasterize = flow_loss.rasterize = rasterize_torch  # type: ignore[assignment]
+    objective.photometric_loss = torch_loss
     try:
         yield
     finally:
-        trainer.rasterize, flow_loss.rasterize, trainer.photometric_loss = kept
+        objective.rasterize, flow_loss.rasterize, objective.photometric_loss = kept

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.utils.hooks import RemovableHandle
 
 from ....scene.motion.interface import Displacement
-from ....scene.training import trainer as training
+from ....scene.training import objective
 from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured
 from .clock import Clock, nodes_behind
@@ -96,15 +96,15 @@ def watched(trainer: Trainer, clock: Clock) -> Iterator[None]:
         graph.moved(output)
 
     after = field.register_forward_hook(moved)
-    kept_rasterize, kept_loss, kept_backward = training.rasterize, training.photometric_loss, Tensor.backward
-    kept_terms, kept_step, kept_accepts = trainer.motion_terms, trainer.optimiser.step, trainer.guard.accepts
-    training.rasterize = clock.wrapped(kept_rasterize, "rasterize forward", graph.rendered)
-    training.photometric_loss = clock.wrapped(kept_loss, "loss forward", graph.judged)
+    kept_rasterize, kept_loss, kept_backward = objective.rasterize, objective.photometric_loss, Tensor.backward
+    kept_terms, kept_step, kept_accepts = trainer.objective.motion_terms, trainer.learned.optimiser.step, trainer.guard.accepts
+    objective.rasterize = clock.wrapped(kept_rasterize, "rasterize forward", graph.rendered)
+    objective.photometric_loss = clock.wrapped(kept_loss, "loss forward", graph.judged)
     views.target = clock.wrapped(views.target, "data")  # type: ignore[method-assign]
     views.rasterizer_camera = clock.wrapped(views.rasterizer_camera, "data")  # type: ignore[method-assign]
     model.at = clock.wrapped(model.at, "model forward", graph.placed)  # type: ignore[method-assign]
-    trainer.motion_terms = clock.wrapped(_flat(kept_terms, clock, graph), "regularisers forward")  # type: ignore[assignment]
-    trainer.optimiser.step = clock.wrapped(kept_step, "optimiser")  # type: ignore[method-assign]
+    trainer.objective.motion_terms = clock.wrapped(_flat(kept_terms, clock, graph), "regularisers forward")  # type: ignore[assignment]
+    trainer.learned.optimiser.step = clock.wrapped(kept_step, "optimiser")  # type: ignore[method-assign]
     trainer.guard.accepts = clock.wrapped(kept_accepts, "guard")  # type: ignore[method-assign]
 
     def backward(loss: Tensor, *args: Any, **options: Any) -> None:
@@ -120,11 +120,11 @@ def watched(trainer: Trainer, clock: Clock) -> Iterator[None]:
         yield
     finally:
         Tensor.backward = kept_backward  # type: ignore[method-assign]
-        training.rasterize, training.photometric_loss = kept_rasterize, kept_loss
-        trainer.motion_terms = kept_terms
+        objective.rasterize, objective.photometric_loss = kept_rasterize, kept_loss
+        trainer.objective.motion_terms = kept_terms
         for owner, name in ((views, "target"), (views, "rasterizer_camera"), (model, "at")):
             delattr(owner, name)  # the wrapper on the object; the class has its own
-        del trainer.optimiser.step, trainer.guard.accepts
+        del trainer.learned.optimiser.step, trainer.guard.accepts
         before.remove()
         after.remove()
 

@@ -13,11 +13,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ...rasterizer import Camera, Gaussians, rasterize
-from ...rasterizer.reference.gaussians import DILATION
-from ..model import Model, inside_image
-from ..rotation import quats_to_matrices
-from ..views import Views
+from ....rasterizer import Camera, Gaussians, rasterize
+from ....rasterizer.reference.gaussians import DILATION
+from ...model import Model, inside_image
+from ...rotation import quats_to_matrices
+from ...views import Views
 
 LEAST = 0.05  # px: of a smaller footprint nothing is said
 

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..model import Model
-from ..views import Views
+from ...model import Model
+from ...views import Views
 
 TIMES = 12  # sampled over the capture to measure how far a primitive travels
 STILL_PIXELS = 0.3  # travels less than this, seen from the nearest training camera: does not move

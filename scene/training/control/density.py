@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ...rasterizer import rasterize
-from ..model import Model, inside_image
-from ..primitives import ConvexSet, GaussianSet, PrimitiveSet
-from ..rotation import quats_to_matrices
-from ..views import Views
+from ....rasterizer import rasterize
+from ...model import Model, inside_image
+from ...primitives import ConvexSet, GaussianSet, PrimitiveSet
+from ...rotation import quats_to_matrices
+from ...views import Views
 
 LEAST_LIFE = 0.5  # of probed views, within a primitive's lifetime; with less they say nothing about it
 
