@@ -13,22 +13,22 @@ EVERY = 20  # steps between two points of the curve
 
 
 class SmoothedLoss:
-    """An exponential mean over all steps so far."""
+    """An exponential mean over all steps that were taken."""
 
     def __init__(self) -> None:
-        self._mean = 0.0  # of all steps but those that wait
-        self._waiting: dict[int, Tensor] = {}  # by step, still on the device: reading one waits for all that was asked of it before
+        self._mean: float | None = None  # of all steps but those that wait
+        self._waiting: list[Tensor] = []  # still on the device: reading one waits for all that was asked of it before
 
-    def add(self, step: int, loss: Tensor) -> None:
-        """Steps count from 0."""
-        self._waiting[step] = loss
+    def add(self, loss: Tensor) -> None:
+        self._waiting.append(loss)
 
     def value(self) -> float:
+        """0 before the first step."""
         if self._waiting:
-            for step, value in zip(self._waiting, torch.stack(list(self._waiting.values())).tolist()):
-                self._mean = value if step == 0 else 0.98 * self._mean + 0.02 * value
+            for value in torch.stack(self._waiting).tolist():
+                self._mean = value if self._mean is None else 0.98 * self._mean + 0.02 * value
             self._waiting.clear()
-        return self._mean
+        return 0.0 if self._mean is None else self._mean
 
     def load(self, value: float) -> None:
         """Go on from an earlier `value`."""

@@ -116,10 +116,10 @@ class Trainer:
             optimiser.step(self.iteration / max(self.total, 1), self._frozen(phase, step))
             if len(model.convexes) and self.recipe.largest_convex < math.inf:
                 keep_small(model.convexes, self.recipe.largest_convex * self.unit)
+            self.loss.add(judged.image_loss)
         else:
             optimiser.zero_grad()
             self._event(f"step {self.iteration}: not finite, rolled back")
-        self.loss.add(self.iteration, judged.image_loss)
         if self.iteration % EVERY == 0:
             self.log.loss.append([self.iteration, self.loss.value()])
 

@@ -112,6 +112,7 @@ def test_one_bad_step_is_rolled_back_and_counted(views, monkeypatch):
     model, log, _ = train(views)
     assert 1 <= log.nonfinite_steps < MOST_IN_A_ROW
     assert all(torch.isfinite(p).all() for p in model.gaussians.parameters.values())
+    assert log.loss[-1][1] < log.loss[0][1], "and does not spoil the losses after it"
 
 
 def test_a_training_that_no_longer_improves_stops(views):
