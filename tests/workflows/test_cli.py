@@ -243,7 +243,7 @@ def test_doctor_reports_what_fails_without_failing_itself(cli, monkeypatch):
 def test_doctor_says_what_the_cuda_kernels_need(cli, monkeypatch):
     monkeypatch.setattr("e4dgs.workflows.machine.doctor.why_not_cuda", lambda: None)
     monkeypatch.setattr("e4dgs.workflows.machine.doctor.why_not_trusted", lambda: "a small render on the GPU went wrong: it is green")
-    monkeypatch.setattr("e4dgs.rasterizer.cuda.available.describe", lambda: [("CUDA driver", True, "supports CUDA 13.0")])
+    monkeypatch.setattr("e4dgs.rasterizer.cuda.runtime.describe", lambda: [("CUDA driver", True, "supports CUDA 13.0")])
     result = cli("doctor")
     assert "CUDA: --device auto takes the CPU: a small render on the GPU went wrong: it is green" in result.out
     assert "ok   CUDA driver: supports CUDA 13.0" in result.out

@@ -89,7 +89,7 @@ def _threads() -> str:
 
 def _cuda() -> list[tuple[str, bool | None, str]]:
     try:
-        from ...rasterizer.cuda.available import describe
+        from ...rasterizer.cuda.runtime import describe
 
         return describe()
     except Exception as error:  # torch may be what is broken

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-INCLUDES = (HERE.parent / "math", HERE)
+CUDA = Path(__file__).resolve().parents[1]
+INCLUDES = (CUDA.parent / "math", CUDA)  # headers that any kernel may use
 HEADERS = (".h", ".cuh")
 
 
