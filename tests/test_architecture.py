@@ -18,7 +18,7 @@ BELOW = {
     "workflows": {"stages", "scene", "vision", "pipeline", "rasterizer"},
 }
 ROOMS = ("rasterizer.cuda.runtime",)  # folders with a public face: others import what their __init__.py exports, and nothing behind it
-LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
+LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d")
 
 
 def imported_folders(path: Path) -> set[str]:
@@ -154,6 +154,14 @@ def test_python_folders_are_small(folder):
         if inner.name in ("cpu", "cuda"):  # kernels and their headers
             continue
         assert len(files) <= 15, f"{inner.relative_to(ROOT)} has {len(files)} files: give some of them a folder"
+
+
+@pytest.mark.parametrize("folder", BELOW)
+def test_files_are_short(folder):
+    texts = (".py", ".cpp", ".h", ".inl", ".cu", ".cuh", ".jinja", ".yaml")
+    for path in (path for path in (ROOT / folder).rglob("*") if path.suffix in texts):
+        lines = len(path.read_text().splitlines())
+        assert lines <= 300, f"{path.relative_to(ROOT)} has {lines} lines: give some of its ideas a file of their own"
 
 
 @pytest.mark.parametrize("folder", BELOW)
