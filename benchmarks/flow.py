@@ -21,12 +21,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+from bench_rows.curves import Curve, Plotted
 from e4dgs.vision.flow.flo import read_flo
 from e4dgs.vision.flow.method import Dis, FlowMethod, RaftFlow
 from e4dgs.vision.flow.two_way import flow_pair
 from e4dgs.workflows.bench.machine import kernels, machine
 from e4dgs.workflows.bench.output import row_json, write
-from e4dgs.workflows.bench.rows import Check, Curve, Measured, Row
+from e4dgs.workflows.bench.rows import Check, Measured, Row
 
 NETWORKS = ("small", "sintel", "kitti")
 PUBLISHED = {"sintel": (0.177, 0.005), "small": (0.320, 0.01), "kitti": (0.453, 0.01)}  # px on RubberWhale, as anchors
@@ -132,13 +133,13 @@ def factory(scenes: Path, weights: Path | None) -> Measured:
     return curves(cases, weights)
 
 
-def curves(cases: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], weights: Path | None) -> Measured:
+def curves(cases: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], weights: Path | None) -> Plotted:
     """Error against time of every method on pairs as `truths` yields them."""
     import torch
 
     height, width = cases[0][0].shape[:2]
     columns = ("method", "size", "error, visible", "at outlines", "hidden", "precision", "recall", "s a pair")
-    found = Measured(
+    found = Plotted(
         f"{len(cases)} pairs {width}x{height} with exact flow, px; outlines: visible pixels within 2 px of a jump of {JUMP} px; "
         "precision and recall of the pixels said to be hidden; seconds for both directions on one thread, pictures prepared",
         columns=columns,

@@ -1,7 +1,7 @@
 """Time and error of what can only be turned when the kernels are compiled: `python benchmarks/knobs.py [--out FILE.json] [--plot FILE]`.
 
-Each variant of the native module is built in a temporary folder with one macro changed, and loaded by a process of its own. Needs the
-sources and a compiler, and in the environment `pip install cmake ninja nanobind`. Two errors are given, both against float64:
+Each variant of the native module is built in a temporary folder from a copy of the sources with one line changed, and loaded by a
+process of its own. Needs a compiler, and in the environment `pip install cmake ninja nanobind`. Two errors are given, both against float64:
 "rules" by the same rules (its own smallest alpha), outside pixels that a threshold decides, which shows rounding and the exponential;
 "uncut" against an image in which no alpha is cut off, everywhere, which shows what the smallest alpha costs.
 """
@@ -16,22 +16,50 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
-VARIANTS: dict[str, dict[str, str]] = {
-    "default: 1/255, tiles of 16, degree 5": {},
-    "least alpha 1/1020": {"E4DGS_MIN_ALPHA": f"{1 / 1020:.9g}f"},
-    "least alpha 1/510": {"E4DGS_MIN_ALPHA": f"{1 / 510:.9g}f"},
-    "least alpha 1/128": {"E4DGS_MIN_ALPHA": f"{1 / 128:.9g}f"},
-    "least alpha 1/64": {"E4DGS_MIN_ALPHA": f"{1 / 64:.9g}f"},
-    "tiles of 8": {"E4DGS_TILE": "8"},
-    "exponential of degree 3": {"E4DGS_EXP_DEGREE": "3"},
-    "exponential of degree 4": {"E4DGS_EXP_DEGREE": "4"},
-    "exponential of degree 6": {"E4DGS_EXP_DEGREE": "6"},
+SOURCES = ("CMakeLists.txt", "__init__.py", "rasterizer", "scene", "vision")
+USUAL = "default: 1/255, tiles of 16, degree 5"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One line of a source changed. least: the smallest alpha that is blended."""
+
+    path: str
+    before: str
+    after: str
+    least: float = 1 / 255
+
+
+def least_alpha(parts: int) -> Variant:
+    return Variant("rasterizer/math/constants.h", "kMinAlpha = 1.0f / 255.0f;", f"kMinAlpha = 1.0f / {parts}.0f;", 1 / parts)
+
+
+def exponential(*coefficients: float) -> Variant:
+    """2^f = 1 + f p(f) for |f| <= 1/2, with the least largest relative error that the degree allows: 1e-4, 3e-6, 1e-7, 2e-9 for 3 to 6."""
+    usual = "(0.001326472731307149f, 0.009671512991189957f, 0.05550733581185341f, 0.24022242426872253f, 0.6931470036506653f);"
+    return Variant("rasterizer/cpu/elementary.inl", usual, f"({', '.join(f'{c!r}f' for c in coefficients)});")
+
+
+VARIANTS: dict[str, Variant | None] = {
+    USUAL: None,
+    "least alpha 1/1020": least_alpha(1020),
+    "least alpha 1/510": least_alpha(510),
+    "least alpha 1/128": least_alpha(128),
+    "least alpha 1/64": least_alpha(64),
+    "tiles of 8": Variant("rasterizer/cpu/records.h", "kTile = 16;", "kTile = 8;"),
+    "exponential of degree 3": exponential(0.055008928583013379, 0.24221096006037032, 0.69328292760180366),
+    "exponential of degree 4": exponential(0.0095828528674781963, 0.055906424924600483, 0.2402409861671134, 0.69312419335866704),
+    "exponential of degree 6": exponential(
+        *(0.00015353361813644827, 0.0013398874445386521, 0.0096184373583006345),
+        *(0.05550332471026901, 0.24022647913619644, 0.69314720285512865),
+    ),
 }
 
 
@@ -51,45 +79,59 @@ def main() -> None:
         print(json.dumps(probe(Path(args.probe), args)))
         return
     console = Console()
-    sources = "\n".join(path.read_text() for folder in ("cpu", "math") for path in sorted((ROOT / "rasterizer" / folder).iterdir()))
-    missing = {name for name in args.only if any(macro not in sources for macro in VARIANTS[name])}
-    for name in missing:
-        console.print(f"{name}: these sources have no {', '.join(VARIANTS[name])}; left out")
-    names = [name for name in args.only if name not in missing]
     with tempfile.TemporaryDirectory() as folder:
         modules = {}
-        for k, name in enumerate(names):
-            console.print(f"building {k + 1}/{len(names)}: {name}", highlight=False)
+        for k, name in enumerate(args.only):
+            console.print(f"building {k + 1}/{len(args.only)}: {name}", highlight=False)
             modules[name] = build(Path(folder) / str(k), VARIANTS[name])
         found: dict[str, dict] = {}
         for turn in range(args.rounds):
-            for name in names:
+            for name in args.only:
                 console.print(f"round {turn + 1}/{args.rounds}: {name}", highlight=False)
                 merge(found, name, measured(modules[name], VARIANTS[name], args))
     report(console, found, args)
 
 
-def build(folder: Path, macros: dict[str, str]) -> Path:
-    """The native module with these macros set, built in ``folder``."""
+def copy_sources(folder: Path, variant: Variant | None) -> None:
+    """The sources of the native modules, changed as the variant says."""
+    for name in SOURCES:
+        source, target = ROOT / name, folder / name
+        if source.is_dir():
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("*.so", "*.py", "__pycache__"))
+        else:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(source, target)
+    if variant is not None:
+        text = (folder / variant.path).read_text()
+        if text.count(variant.before) != 1:
+            raise SystemExit(f"{variant.path} does not have {variant.before!r} once: benchmarks/knobs.py is older than the kernels")
+        (folder / variant.path).write_text(text.replace(variant.before, variant.after))
+
+
+def build(folder: Path, variant: Variant | None) -> Path:
+    """The native module of this variant, built in ``folder``."""
     import nanobind
 
+    copy_sources(folder / "source", variant)
     cmake = shutil.which("cmake", path=str(Path(sys.executable).parent)) or shutil.which("cmake")
     if cmake is None:
         raise SystemExit("CMake was not found; pip install cmake ninja")
-    flags = " ".join(f"-D{name}={value}" for name, value in macros.items())
-    configure = ["-S", str(ROOT), "-B", str(folder), "-DCMAKE_BUILD_TYPE=Release", f"-DCMAKE_CXX_FLAGS={flags}"]
+    configure = ["-S", str(folder / "source"), "-B", str(folder / "build"), "-DCMAKE_BUILD_TYPE=Release"]
     configure += [f"-DPython_EXECUTABLE={sys.executable}", f"-Dnanobind_DIR={nanobind.cmake_dir()}"]
-    for command in ([cmake, *configure], [cmake, "--build", str(folder), "--target", "_cpu", "--parallel", str(os.cpu_count() or 1)]):
+    for command in (
+        [cmake, *configure],
+        [cmake, "--build", str(folder / "build"), "--target", "_cpu", "--parallel", str(os.cpu_count() or 1)],
+    ):
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise SystemExit(f"{' '.join(command)} failed:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
     return next(path for path in folder.rglob("_cpu*.so"))
 
 
-def measured(module: Path, macros: dict[str, str], args: argparse.Namespace) -> dict:
+def measured(module: Path, variant: Variant | None, args: argparse.Namespace) -> dict:
     """What `probe` finds in a process that loads this module."""
-    least = macros.get("E4DGS_MIN_ALPHA", str(1 / 255)).rstrip("f")
-    options = ["--least-alpha", least, "--repeats", str(args.repeats), "--scale", str(args.scale)]
+    least = 1 / 255 if variant is None else variant.least
+    options = ["--least-alpha", str(least), "--repeats", str(args.repeats), "--scale", str(args.scale)]
     if args.garden:
         options += ["--garden", str(args.garden)]
     done = subprocess.run([sys.executable, __file__, "--probe", str(module), *options], capture_output=True, text=True)
@@ -109,11 +151,10 @@ def probe(module: Path, args: argparse.Namespace) -> dict:
     sys.modules["e4dgs.rasterizer._cpu"] = package._cpu = native  # type: ignore[attr-defined]
 
     import torch
+    from bench_rows.raster.accuracy import COUNT, HEIGHT, SCENES, WIDTH, errors
     from e4dgs.rasterizer import cpu_backend
-    from e4dgs.rasterizer.reference import blend
-    from e4dgs.workflows.bench import compare
+    from e4dgs.rasterizer.reference import blend, compare
     from e4dgs.workflows.bench.machine import kernels, machine
-    from e4dgs.workflows.bench.raster.accuracy import COUNT, HEIGHT, SCENES, WIDTH, errors
     from e4dgs.workflows.bench.render import both, forward
     from e4dgs.workflows.bench.rows import Bench
     from e4dgs.workflows.bench.scenes import garden
@@ -146,9 +187,9 @@ def merge(found: dict[str, dict], name: str, more: dict) -> None:
 
 
 def report(console: Console, found: dict[str, dict], args: argparse.Namespace) -> None:
+    from bench_rows.curves import Curve
+    from bench_rows.plots import draw
     from e4dgs.workflows.bench.output import write
-    from e4dgs.workflows.bench.plots import draw
-    from e4dgs.workflows.bench.rows import Curve
 
     columns = ("variant", "forward ms", "forward + backward ms", "error, rules", "gradients", "error, uncut")
     table = Table(*columns, box=None)

@@ -1,8 +1,9 @@
 """Writes the tables and plots of docs/benchmarks.md from results: `python benchmarks/tables.py [--check]`.
 
 Between the lines `<!-- NAME -->` and `<!-- end -->` of the page everything is replaced by the tables of benchmarks/results/bench_NAME.json,
-as `e4dgs bench NAME --out` and `benchmarks/knobs.py --out` write it, and plots go to docs/plots/. Nothing else is touched; a result that is
-absent leaves one line that says how to make it. --check changes nothing and exits 1 where the page is not what it would write.
+as `benchmarks/bench.py NAME --out` and `benchmarks/knobs.py --out` write it, and plots go to docs/plots/. Nothing else is touched; a
+result that is absent leaves one line that says how to make it. --check changes nothing and exits 1 where the page is not what it would
+write.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from e4dgs.workflows.bench.output import number
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, RESULTS, PLOTS = ROOT / "docs" / "benchmarks.md", ROOT / "benchmarks" / "results", ROOT / "docs" / "plots"
 COMMANDS = {
-    "raster": "e4dgs bench raster --garden FILE --out benchmarks/results/bench_raster.json",
-    "field": "e4dgs bench field --out benchmarks/results/bench_field.json",
-    "step": "e4dgs bench step --capture CAPTURE --out benchmarks/results/bench_step.json",
+    "raster": "python benchmarks/bench.py raster --garden FILE --out benchmarks/results/bench_raster.json",
+    "field": "python benchmarks/bench.py field --out benchmarks/results/bench_field.json",
+    "step": "python benchmarks/bench.py step --capture CAPTURE --out benchmarks/results/bench_step.json",
     "rig": "e4dgs bench step --rows split --capture RIG --out benchmarks/results/bench_rig.json",
     "flow": "python benchmarks/flow.py SCENES --weights DIR --out benchmarks/results/bench_flow.json",
     "flow_terms": "python benchmarks/flow_terms.py SCENES --out benchmarks/results/bench_flow_terms.json",
@@ -64,7 +65,7 @@ def check_row(check: dict) -> str:
 
 
 def draw_plots(name: str, rows: dict) -> list[Path]:
-    from e4dgs.workflows.bench.plots import draw
+    from bench_rows.plots import draw
 
     return sorted(draw(PLOTS / f"{name}.svg", rows))
 

@@ -8,9 +8,10 @@ from .keys import capture_digest
 from .machine.resources import Resources
 from .machine.threads import thread_count
 from .plan import Row, make_plan
-from .progress import Progress, duration
 from .records import Records
-from .runner import Outcome, Runner, check_targets
+from .running.build import Outcome
+from .running.progress import Progress, duration
+from .running.runner import Runner, check_targets
 from .settings import Settings, build_settings, describe, split_assignment
 from .stage import Applies, Capture, Context, Given, Stage
 from .storage.artifact import Artifact

@@ -12,7 +12,7 @@ from .settings import Settings
 
 if TYPE_CHECKING:
     from .earlier import Earlier
-    from .progress import Progress
+    from .running.progress import Progress
     from .storage.artifact import Artifact
     from .storage.writer import ArtifactWriter
 

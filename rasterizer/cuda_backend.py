@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 from .cuda.backward import backward
 from .cuda.capacity import room_of, took
 from .cuda.forward import forward
-from .cuda.launcher import Launcher, launcher_for
+from .cuda.runtime import Launcher, launcher_for
 from .cuda.state import Inputs, camera_numbers
 from .types import CONVEX_FIELDS, GAUSSIAN_FIELDS, IMAGES, Camera, Convexes, Frame, Gaussians
 

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
-from ..vision.images.files import BadImageError, open_image
 from ..vision.sfm.pairs import OVERLAP, choose, image_pairs
 
 if TYPE_CHECKING:
     import numpy as np
-    from PIL import Image
 
     from ..vision.sfm.coverage import Coverage
     from .artifacts.frameset import FrameSet
@@ -88,6 +83,7 @@ class Poses(Stage):
         from ..vision.sfm.trouble import nothing_registered
         from .artifacts.frameset import FrameSet
         from .posing.bars import Bars
+        from .posing.pictures import lens_groups, write_images, write_masks
         from .posing.second_pass import second_pass
 
         settings = ctx.settings
@@ -166,106 +162,23 @@ class Poses(Stage):
         )
 
 
-def lens_groups(frames: FrameSet) -> list[int]:
-    """A number for each frame; frames of one number share a lens. Pictures of another size are taken by another camera, or zoomed."""
-    if frames.crop is None:
-        return [int(c) for c in frames.camera]
-    lenses = [(int(c), *crop) for c, crop in zip(frames.camera, frames.crop.tolist(), strict=True)]
-    number = {lens: n for n, lens in enumerate(dict.fromkeys(lenses))}
-    return [number[lens] for lens in lenses]
-
-
 def _several(ctx: Context, frames: FrameSet) -> Several:
     """What to ask for where several cameras took the capture. Writes the pictures that are looked at."""
-    from PIL import Image
-
-    from ..vision.images.pictures import composite
+    from .posing.pictures import picture_folder, write_picture
     from .posing.several import several_cameras
 
-    folder = ctx.checkpoints / "images"
-    folder.mkdir(parents=True, exist_ok=True)
-
-    def write(i: int) -> str:
-        target = folder / f"{i:06d}.png"
-        if not target.exists():
-            partial = folder / "partial.png"
-            Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1)
-            partial.replace(target)
-        return target.name
-
+    folder = picture_folder(ctx)
     with ctx.progress(ctx.facts["cameras"], "which cameras stand still") as bar:
         found = several_cameras(
-            frames, ctx.checkpoints / "colmap", ctx.settings.matcher, ctx.settings.overlap, write, lambda: bar.advance(1)
+            frames,
+            ctx.checkpoints / "colmap",
+            ctx.settings.matcher,
+            ctx.settings.overlap,
+            lambda i: write_picture(frames, i, folder),
+            lambda: bar.advance(1),
         )
     ctx.log(found.told)
     return found
-
-
-def write_images(ctx: Context, frames: FrameSet) -> list[str]:
-    """Pictures for COLMAP under plain names: links to the capture's own files, or files decoded from what the store holds."""
-    from PIL import Image
-
-    from ..vision.images.pictures import composite
-
-    folder = ctx.checkpoints / "images"
-    folder.mkdir(parents=True, exist_ok=True)
-    names = []
-    # COLMAP reads files as they are stored: neither turned nor cropped, and without alpha; masks are made for pictures of the frames' size
-    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None and frames.keep_files is None
-    with ctx.progress(len(frames), "pictures") as progress:
-        for i in range(len(frames)):
-            suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
-            names.append(f"{i:06d}{suffix}")
-            target = folder / names[-1]
-            if not target.exists():
-                target.unlink(missing_ok=True)  # a link to what has moved
-                partial = folder / f"partial{suffix}"
-                partial.unlink(missing_ok=True)
-                if linked and frames.files is not None:
-                    _link(frames.root / frames.files[i], partial)
-                else:
-                    exif = _focal_length(frames.root / frames.files[i]) if frames.files is not None and frames.crop is None else None
-                    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1, exif=exif)
-                partial.replace(target)
-            progress.advance()
-    return names
-
-
-def write_masks(ctx: Context, frames: FrameSet) -> Path:
-    """The folder of masks, black where no feature is to be found, called as COLMAP wants them: the picture's name and .png."""
-    import numpy as np
-    from PIL import Image
-
-    folder = ctx.checkpoints / "masks"
-    folder.mkdir(parents=True, exist_ok=True)
-    for i in range(len(frames)):
-        kept = frames.kept(i)
-        if kept is not None:
-            Image.fromarray(np.where(kept, 255, 0).astype(np.uint8)).save(folder / f"{i:06d}.png.png", compress_level=1)
-    return folder
-
-
-def _focal_length(file: Path) -> Image.Exif:
-    """What EXIF says of a picture's focal length, in 35 mm terms, and nothing else: COLMAP begins with it."""
-    from PIL import Image
-
-    details, tag = 0x8769, 0xA405
-    result = Image.Exif()
-    try:
-        with open_image(file) as image:
-            value = image.getexif().get_ifd(details).get(tag)
-    except BadImageError:  # EXIF data are often broken, and can be done without
-        value = None
-    if isinstance(value, int) and 1 <= value <= 10_000:
-        result[details] = {tag: value}
-    return result
-
-
-def _link(source: Path, target: Path) -> None:
-    try:
-        os.symlink(source.resolve(), target)
-    except OSError:  # a file system without links
-        shutil.copyfile(source, target)
 
 
 def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], coverage: Coverage) -> None:

@@ -44,7 +44,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Tests marked `cuda` are left out, not skipped, where the CUDA kernels cannot be used: nothing is missing there."""
     marked = [item for item in items if item.get_closest_marker("cuda")]
     if marked:
-        from e4dgs.rasterizer.cuda.available import why_not
+        from e4dgs.rasterizer.cuda.runtime.available import why_not
 
         if why_not() is not None:
             config.hook.pytest_deselected(items=marked)

@@ -49,6 +49,11 @@ class Dying(Trainer):
     _within = False
     rounds: tuple = ()
 
+    def __init__(self, *args, **options) -> None:
+        super().__init__(*args, **options)
+        self._plain_round, self.density.round = self.density.round, self._round  # type: ignore[method-assign]
+        self._plain_replace, self.learned.replace = self.learned.replace, self._replace  # type: ignore[method-assign]
+
     def die(self) -> None:
         raise Killed
 
@@ -60,20 +65,20 @@ class Dying(Trainer):
         super()._after_step(phase)
         self._at("after")
 
-    def _control(self, phase) -> None:
+    def _round(self, step, phase, bodies_alone=False) -> None:
         self._within, before = True, self._count()
-        super()._control(phase)
+        self._plain_round(step, phase, bodies_alone)
         self._within = False
-        self.rounds = (*self.rounds, (self.iteration, before, self._count()))
+        self.rounds = (*self.rounds, (step, before, self._count()))
 
     def _count(self) -> tuple[int, int]:
         return len(self.model.gaussians), len(self.model.convexes)
 
-    def _replace(self, new, source) -> None:
-        if self._within and self.dies == ("inside", self.iteration):
+    def _replace(self, new, source, step) -> None:
+        if self._within and self.dies == ("inside", step):
             self.model.gaussians = new
             self.die()
-        super()._replace(new, source)
+        self._plain_replace(new, source, step)
 
     def _save(self) -> None:
         if self.dies == ("saving", self.iteration):

@@ -77,6 +77,7 @@ RUN = {
     "e4dgs export flow CAPTURE --out DIR": TINY,
 }
 
+ROWS = "runs for minutes; tests/benchmarks/test_bench_rows.py runs every row at a tiny size"
 REAL = "measures real captures for minutes; only its words are checked"
 PARSED_ONLY = {
     "sudo apt install g++ python3-dev python3-venv": "changes the machine",
@@ -84,6 +85,10 @@ PARSED_ONLY = {
     "pip install dist/e4dgs-*.whl": "downloads; `python3 dev.py wheel --check` does it",
     "source .venv/bin/activate": "a shell's own; the environment is made by `python3 dev.py sample`, which downloads",
     "e4dgs bench cuda --garden test_garden.npz": "needs a GPU; tests/workflows/test_bench.py runs its rows on a pretended one",
+    "python benchmarks/bench.py raster --garden test_garden.npz": ROWS,
+    "python benchmarks/bench.py field": ROWS,
+    "python benchmarks/bench.py step --capture CAPTURE": ROWS,
+    "python benchmarks/bench.py cuda --garden test_garden.npz": "needs a GPU; tests/benchmarks runs its rows on a pretended one",
     "python benchmarks/knobs.py": "compiles the kernels a dozen times",
     "python benchmarks/flow.py SCENES --weights DIR": "needs weights that are downloaded",
     "python benchmarks/movers.py SCENES": REAL,

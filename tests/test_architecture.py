@@ -17,7 +17,8 @@ BELOW = {
     "stages": {"scene", "vision", "pipeline", "rasterizer"},
     "workflows": {"stages", "scene", "vision", "pipeline", "rasterizer"},
 }
-LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
+ROOMS = ("rasterizer.cuda.runtime",)  # folders with a public face: others import what their __init__.py exports, and nothing behind it
+LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d")
 
 
 def imported_folders(path: Path) -> set[str]:
@@ -55,6 +56,40 @@ def test_the_rule_sees_every_form_of_import(tmp_path, monkeypatch):
     assert imported_folders(path) == {"workflows", "stages", "rasterizer", "scene", "pipeline"}
 
 
+def helpers_imported(path: Path, root: Path) -> set[Path]:
+    """Files of the tests that a test imports by their absolute name: from ``root``, or from its own folder."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    places = [folder / name.replace(".", "/") for name in names for folder in (root, path.parent)]
+    return {file for place in places for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file()}
+
+
+@pytest.mark.parametrize("folder", [folder for folder, below in BELOW.items() if not below])
+def test_the_lowest_floor_is_tested_alone(folder):
+    waiting, seen = set((ROOT / "tests" / folder).rglob("*.py")), set()
+    while waiting:
+        path = waiting.pop()
+        seen.add(path)
+        others = imported_folders(path) & (BELOW.keys() - {folder})
+        assert not others, f"tests of {folder} reach {others} by {path.relative_to(ROOT)}"
+        waiting |= helpers_imported(path, ROOT / "tests") - seen
+
+
+def test_helpers_of_tests_are_followed(tmp_path):
+    (tmp_path / "inner").mkdir()
+    for name in ("far.py", "inner/near.py", "inner/__init__.py", "inner/test_x.py"):
+        (tmp_path / name).touch()
+    path = tmp_path / "inner" / "test_x.py"
+    path.write_text("import far\nimport json\nfrom near import x\nfrom inner import near\n")
+    assert {file.relative_to(tmp_path).as_posix() for file in helpers_imported(path, tmp_path)} == {
+        "far.py", "inner/near.py", "inner/__init__.py",
+    }  # fmt: skip
+
+
 def imported_files(path: Path, known: dict[str, Path]) -> set[str]:
     """Files of the house that a file imports when it runs, as dotted names: imports for type checkers alone do not count."""
     package = path.relative_to(ROOT).parts[:-1]
@@ -84,12 +119,27 @@ def circles(graph: dict[str, set[str]]) -> list[str]:
             del left[name]
 
 
-def test_no_file_imports_itself_through_others():
+@pytest.fixture(scope="module")
+def product() -> dict[str, Path]:
+    """Every file of the product by its dotted name."""
     known = {}
     for path in sorted(path for folder in BELOW for path in (ROOT / folder).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
         known[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    assert not circles({name: imported_files(path, known) for name, path in known.items()})
+    return known
+
+
+def test_no_file_imports_itself_through_others(product):
+    assert not circles({name: imported_files(path, product) for name, path in product.items()})
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_are_entered_by_their_face(product, room):
+    assert product[room].name == "__init__.py"
+    for name, path in product.items():
+        if not f"{name}.".startswith(f"{room}."):
+            behind = {other for other in imported_files(path, product) if other.startswith(f"{room}.")}
+            assert not behind, f"{path.relative_to(ROOT)} imports {behind}, which {room} keeps to itself"
 
 
 def test_circles_are_found():
@@ -104,6 +154,14 @@ def test_python_folders_are_small(folder):
         if inner.name in ("cpu", "cuda"):  # kernels and their headers
             continue
         assert len(files) <= 15, f"{inner.relative_to(ROOT)} has {len(files)} files: give some of them a folder"
+
+
+@pytest.mark.parametrize("folder", BELOW)
+def test_files_are_short(folder):
+    texts = (".py", ".cpp", ".h", ".inl", ".cu", ".cuh", ".jinja", ".yaml")
+    for path in (path for path in (ROOT / folder).rglob("*") if path.suffix in texts):
+        lines = len(path.read_text().splitlines())
+        assert lines <= 300, f"{path.relative_to(ROOT)} has {lines} lines: give some of its ideas a file of their own"
 
 
 @pytest.mark.parametrize("folder", BELOW)

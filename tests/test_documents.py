@@ -102,6 +102,7 @@ def test_rows_and_options_of_the_benchmarks_page_exist():
     page = (ROOT / "docs" / "benchmarks.md").read_text()
     calls = re.findall(r"^e4dgs bench (\w+)(.*?)(?:#.*)?$", page, re.MULTILINE)
     assert {suite for suite, _ in calls} == {*SUITES, "pipeline"}
+    assert set(re.findall(r"^python benchmarks/bench.py (\w+)", page, re.MULTILINE)) == set(SUITES)
     for suite, options in calls:
         for names in re.findall(r"--rows ([\w,]+)", options):
             assert set(names.split(",")) <= {row.name for row in SUITES[suite]}

@@ -10,7 +10,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from e4dgs.rasterizer import rasterize
-from e4dgs.rasterizer.cuda.launcher import launcher_for, launching
+from e4dgs.rasterizer.cuda.runtime import launcher_for, launching
 from pretend_cuda import pretending_cuda
 from rasterizer.scenes import random_scene
 from simt import Emulator, needs_compiler

@@ -9,16 +9,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from ..pipeline import SettingsError
 from ..pipeline.files import write_atomically
 from .bench import output
+from .bench.machine import machine
 from .bench.pipeline import content, measure, summaries, table
 from .options import Captures, Debug, Device, Format, Preset, Set, Static, Workspace
 from .session import DEFAULT_WORKSPACE, Options
 
-WIDTH = 180  # of the table in a file or a pipe
 NO_DATA, NO_INTERVAL = (tuple(f"{stage}.{term}=0" for stage in ("coarse", "fine")) for term in ("data_flow", "interval"))
 NO_CONVEXES = ("hulls.budget=0",)
 ROWS: Mapping[str, tuple[str, ...]] = {
@@ -76,10 +75,7 @@ def ablation(
     debug: Debug = False,
 ) -> None:
     """Run the rows of the paper's Table 3 (convexes, edge terms, strategies) on captures. Stages on which rows agree run once."""
-    from .bench.machine import machine
-
-    console = Console()
-    console = console if console.is_terminal else Console(width=WIDTH)
+    console = output.make_console()
     chosen = choose(rows)
     every = [Options(capture, workspace, preset, set or (), device, None, static, format) for capture in captures]
     jobs = [(options, name, seed) for options in every for name in chosen for seed in range(seeds)]
@@ -91,7 +87,7 @@ def ablation(
         output.write(out / "ablation.json", content(runs, machine(), every[0]))  # after each run: hours of others are not lost with one
         write(out, summaries(runs), f"Preset {preset}. {' '.join(set or ())}")
     console.print(table(summaries(runs)))
-    console.print(f"table: {out / 'ablation.html'}", markup=False, highlight=False, soft_wrap=True)
+    output.show_file(console, "table", out / "ablation.html")
 
 
 def choose(names: str | None) -> list[str]:

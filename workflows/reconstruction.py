@@ -26,16 +26,4 @@ def reconstruction() -> Graph:
 
 TRAINING = ("coarse", "hulls", "fine")  # stages whose time is the training time of metrics.json
 EVALUATION = "evaluate"
-LIBRARIES = (
-    "numpy",
-    "scipy",
-    "torch",
-    "zarr",
-    "pycolmap",
-    "opencv-contrib-python-headless",
-    "kornia",
-    "open3d-cpu",
-    "av",
-    "pillow",
-    "pydantic",
-)
+LIBRARIES = ("numpy", "scipy", "torch", "zarr", "pycolmap", "opencv-contrib-python-headless", "av", "pillow", "pydantic")

@@ -114,9 +114,4 @@ void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& sl
     }
 }
 
-void blend_limit(int64_t pairs, bool backward, int threads) {
-    const auto run = kernels().limit;
-    parallel_blocks(threads, 1, threads, [&](int64_t, int64_t, int64_t) { run(pairs / threads, backward); });
-}
-
 }  // namespace e4dgs

@@ -43,10 +43,9 @@ struct Kernels {
     const char* name;
     void (*forward)(const ForwardJob&, int tile, float* scratch);
     void (*backward)(const BackwardJob&, int tile, float* scratch);
-    void (*limit)(int64_t pairs, bool backward);
 };
 
 const Kernels& kernels();  // the best that this processor runs
-bool select_kernels(const char* name);  // for tests and benchmarks; false where the processor lacks it
+bool select_kernels(const char* name);  // for tests; false where the processor lacks it
 
 }  // namespace e4dgs

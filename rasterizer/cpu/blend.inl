@@ -16,11 +16,10 @@ using namespace e4dgs;
 #include "backward_layers.inl"
 #include "backward_convex.inl"
 #include "backward.inl"
-#include "limit.inl"
 
 }  // namespace
 
 extern const Kernels kKernels;
-const Kernels kKernels = {E4DGS_ISA_NAME, &forward_tile, &backward_tile, &blend_limit_run};
+const Kernels kKernels = {E4DGS_ISA_NAME, &forward_tile, &backward_tile};
 
 }  // namespace E4DGS_ISA

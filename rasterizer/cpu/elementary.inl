@@ -1,26 +1,13 @@
 // Exponential and logarithm of a vector of floats. Inlined by force: a call in a walk over pixels would save all its vectors. Included by blend.inl and project.inl.
 
-#if !defined(E4DGS_EXP_DEGREE)
-#define E4DGS_EXP_DEGREE 5  // largest relative errors for 3 to 6: 1e-4, 3e-6, 1e-7, 2e-9 (then rounding, 1e-7); see benchmarks/knobs.py
-#endif
-
-// 2^f = 1 + f p(f) for |f| <= 1/2, with the least largest relative error that the degree allows.
+// 2^f = 1 + f p(f) for |f| <= 1/2, with the least largest relative error of its degree: 1e-7, as large as that of rounding.
 __attribute__((always_inline)) inline Float exp2_fraction(Float f) {
     const auto polynomial = [f](auto first, auto... rest) {
         Float p = set1(first);
         ((p = fma(p, f, set1(rest))), ...);
         return fma(p, f, set1(1.0f));
     };
-#if E4DGS_EXP_DEGREE == 3
-    return polynomial(0.055008928583013379f, 0.24221096006037032f, 0.69328292760180366f);
-#elif E4DGS_EXP_DEGREE == 4
-    return polynomial(0.0095828528674781963f, 0.055906424924600483f, 0.2402409861671134f, 0.69312419335866704f);
-#elif E4DGS_EXP_DEGREE == 5
     return polynomial(0.001326472731307149f, 0.009671512991189957f, 0.05550733581185341f, 0.24022242426872253f, 0.6931470036506653f);
-#else
-    return polynomial(0.00015353361813644827f, 0.0013398874445386521f, 0.0096184373583006345f, 0.05550332471026901f, 0.24022647913619644f,
-                      0.69314720285512865f);
-#endif
 }
 
 // 2^a. Below the range of exponents 0 where SATURATE, else anything: callers mask that.

@@ -101,16 +101,11 @@ std::unique_ptr<Frame> forward(const nb::dict& camera, const nb::dict& gaussians
     state.tiles_x = (scene.camera.width + kTile - 1) / kTile, state.tiles_y = (scene.camera.height + kTile - 1) / kTile;
     {
         nb::gil_scoped_release released;
-        Clock clock;
         preprocess(state, threads);
         find_spans(state, keep, threads);
-        clock(state.seconds.preprocess);
         sort_by_depth(state, threads);
-        clock(state.seconds.sort);
         distribute(state, threads);
-        clock(state.seconds.distribute);
         blend_forward(state, out, keep, threads);
-        clock(state.seconds.blend);
     }
     return keep ? std::move(result) : nullptr;
 }
@@ -163,38 +158,10 @@ NB_MODULE(_cpu, m) {
     });
     m.attr("most_kept_memory") = most_kept_memory();
     m.def("release_memory", &release_memory, "Give back to the system what finished frames left for the next ones; bytes.");
-    nb::class_<Frame>(m, "Frame", "What a forward pass keeps for its backward pass.")
-        .def_prop_ro("entries", [](const Frame& f) { return f.state.entries.size(); }, "(tile, primitive) pairs")
-        .def_prop_ro(
-            "seconds",
-            [](const Frame& f) {
-                const Seconds& s = f.state.seconds;
-                nb::dict out;
-                out["preprocess"] = s.preprocess, out["sort"] = s.sort, out["distribute"] = s.distribute, out["blend"] = s.blend;
-                out["blend_backward"] = s.blend_backward, out["reduce"] = s.reduce;
-                return out;
-            },
-            "wall time of each step; backward's add up")
-        .def_prop_ro("primitives", [](const Frame& f) { return f.state.order.size(); }, "primitives that were not culled");
+    nb::class_<Frame>(m, "Frame", "What a forward pass keeps for its backward pass.");
     m.def("forward", &forward, nb::arg("camera"), nb::arg("gaussians"), nb::arg("convexes"), nb::arg("frame"), nb::arg("keep"), nb::arg("threads"));
     m.def("backward", &backward_frame, nb::arg("frame"), nb::arg("grad"), nb::arg("camera"), nb::arg("gaussians"), nb::arg("convexes"),
           nb::arg("threads"));
-    m.def(
-        "count_pairs",
-        [](const Frame& f, int threads) {
-            const PairCount count = count_pairs(f.state, threads);
-            return nb::make_tuple(count.visible, count.blended);
-        },
-        nb::arg("frame"), nb::arg("threads"), "(pixel, primitive) pairs of a frame: all with alpha >= 1/255, and those in front of their pixel's stop.");
-    m.def(
-        "blend_limit",
-        [](int64_t pairs, bool backward, int threads) {
-            if (pairs < 0 || threads < 1) throw std::invalid_argument("pairs must not be negative, threads at least 1");
-            nb::gil_scoped_release released;
-            blend_limit(pairs, backward, threads);
-        },
-        nb::arg("pairs"), nb::arg("backward"), nb::arg("threads"),
-        "Evaluate and blend this many (pixel, Gaussian) pairs, forward or backward, with nothing else: the yardstick of benchmarks.");
     m.def("kernels", [] { return std::string(kernels().name); }, "The instruction set in use: avx512, avx2 or baseline.");
     m.def("select_kernels", [](const std::string& name) { return select_kernels(name.c_str()); }, nb::arg("name"),
           "Use another instruction set; False where the processor or the build lacks it.");

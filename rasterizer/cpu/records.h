@@ -6,10 +6,7 @@
 
 namespace e4dgs {
 
-#if !defined(E4DGS_TILE)
-#define E4DGS_TILE 16  // or 8, to see what it costs (benchmarks/knobs.py)
-#endif
-constexpr int kTile = E4DGS_TILE;          // px, a tile's side
+constexpr int kTile = 16;                  // px, a tile's side
 constexpr int kBlock = 4;                  // px, a block's side
 constexpr int kSide = kTile / kBlock;      // blocks along a tile's side
 constexpr int kBlocks = kSide * kSide;     // of a tile, one bit each in a mask

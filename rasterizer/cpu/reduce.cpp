@@ -11,9 +11,7 @@ namespace e4dgs {
 void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, int threads) {
     Buffer<float> slots;
     Buffer<uint8_t> touched;
-    Clock clock;
     blend_backward(state, grad, slots, touched, out.background, threads);
-    clock(state.seconds.blend_backward);
 
     const int64_t n = state.scene.gaussians.n, m = state.scene.convexes.n;
     const int64_t blocks = (n + kProjectBlock - 1) / kProjectBlock, convex_blocks = (m + kProjectBlock - 1) / kProjectBlock;
@@ -31,7 +29,6 @@ void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, i
     parallel_blocks(m, kProjectBlock, threads, [&](int64_t first, int64_t last, int64_t block) {
         kernels.convexes_back(convexes, first, last, camera(blocks + block));
     });
-    clock(state.seconds.reduce);
     if (!out.camera) return;
     for (int i = 0; i < 16; ++i) out.camera[i] = 0;
     for (size_t at = 0; at < parts.size(); ++at) out.camera[at % 16] += parts[at];

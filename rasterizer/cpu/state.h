@@ -1,6 +1,5 @@
 // What a frame's forward pass computes and its backward pass needs again.
 #pragma once
-#include <chrono>
 #include <cstdint>
 #include <vector>
 
@@ -12,24 +11,6 @@ namespace e4dgs {
 
 // Floats a (tile, primitive) pair's gradients: color 3, z 1, shape, extras E; rounded up to whole units.
 inline int slot_units(int shape, int extras) { return (4 + shape + extras + 3) / 4; }
-
-// Wall time of each step of a frame, seconds.
-struct Seconds {
-    double preprocess = 0, sort = 0, distribute = 0, blend = 0, blend_backward = 0, reduce = 0;
-};
-
-// Adds the time since it was made, or since the last call, to what it is given.
-class Clock {
-public:
-    void operator()(double& seconds) {
-        const auto now = std::chrono::steady_clock::now();
-        seconds += std::chrono::duration<double>(now - last_).count();
-        last_ = now;
-    }
-
-private:
-    std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
-};
 
 struct State {
     SceneInput scene;
@@ -48,16 +29,9 @@ struct State {
     Buffer<float> transmittance;  // [H, W] behind the last layer
     Buffer<int32_t> last;         // [H, W] the last entry of its tile that may have been blended, -1 if none
 
-    mutable Seconds seconds;
-
     int tiles() const { return tiles_x * tiles_y; }
     int gaussian_units() const { return slot_units(kGaussianShape, scene.extras); }
     int convex_units() const { return slot_units(convex_shape(scene.convexes.points_each), scene.extras); }
-};
-
-struct PairCount {
-    uint64_t visible;  // (pixel, primitive) pairs with alpha >= 1/255
-    uint64_t blended;  // those in front of their pixel's stop
 };
 
 void preprocess(State& state, int threads);              // records, depth, boxes
@@ -66,8 +40,6 @@ void sort_by_depth(State& state, int threads);           // order
 void distribute(State& state, int threads);              // tile_begin, entries
 void blend_forward(State& state, const FrameOutput& out, bool keep, int threads);
 void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background, int threads);
-void blend_limit(int64_t pairs, bool backward, int threads);  // see limit.inl
-PairCount count_pairs(const State& state, int threads);
 void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, int threads);
 
 }  // namespace e4dgs

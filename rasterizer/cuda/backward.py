@@ -9,7 +9,7 @@ from torch import Tensor
 
 from . import programs
 from .forward import THREADS, primitives_of
-from .launcher import Launcher
+from .runtime import Launcher
 from .state import Inputs, State, looks_of
 
 GAUSSIAN_SUMS = 10  # as in records.cuh

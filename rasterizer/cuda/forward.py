@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from . import programs
-from .launcher import Launcher
+from .runtime import Launcher
 from .state import Inputs, State, looks_of
 
 THREADS = 128  # of a block of the kernels that take a thread a primitive

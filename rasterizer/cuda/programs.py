@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
-from .program import HERE, Program
+from .runtime import Program
 
+HERE = Path(__file__).resolve().parent
 CHANNELS = 8  # extras that one launch blends; for more there are more launches
 SHORT_KEYS = 2**15 - 1  # fewer tiles than this have numbers of 16 bits, which are sorted in half the time
 

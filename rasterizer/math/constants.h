@@ -10,11 +10,7 @@
 
 namespace e4dgs {
 
-// The contract's value unless a build asks for another, to see what it buys (benchmarks/knobs.py).
-#if !defined(E4DGS_MIN_ALPHA)
-#define E4DGS_MIN_ALPHA (1.0f / 255.0f)
-#endif
-constexpr float kMinAlpha = E4DGS_MIN_ALPHA;      // a layer below it is skipped at that pixel
+constexpr float kMinAlpha = 1.0f / 255.0f;        // a layer below it is skipped at that pixel
 constexpr float kMaxAlpha = 0.99f;                // alpha is capped here, without gradient
 constexpr float kMinTransmittance = 0.99e-4f;     // the layer that would take a pixel below it ends the pixel, not blended
 constexpr double kDilation = 0.3;                 // px^2, added to a Gaussian's 2D covariance

@@ -8,7 +8,7 @@ from ctypes import c_float, c_int32, c_int64, c_uint32
 import torch
 from torch import Tensor
 
-from ...rasterizer.cuda.launcher import Launcher
+from ...rasterizer.cuda.runtime import Launcher
 from .programs import program
 
 THREADS = 256

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ...rasterizer.cuda.launcher import Launcher
+from ...rasterizer.cuda.runtime import Launcher
 from ..motion.interface import Displacement
 from .programs import program
 

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ...rasterizer.cuda.arguments import Argument
-from ...rasterizer.cuda.launcher import Launcher
+from ...rasterizer.cuda.runtime import Argument, Launcher
 from ..motion.field_reference import lookup_reference
 from .programs import program
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from ...rasterizer.cuda.program import Program
+from ...rasterizer.cuda.runtime import Program
 
 HERE = Path(__file__).resolve().parent
 

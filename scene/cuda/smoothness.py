@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ...rasterizer.cuda.launcher import Launcher
+from ...rasterizer.cuda.runtime import Launcher
 from .programs import program
 
 PIECE = 256  # numbers of a row that a block takes, as in smoothness.cu

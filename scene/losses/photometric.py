@@ -22,7 +22,7 @@ def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float
     if image.device.type == "cpu" and image.dtype == torch.float32:
         return _Photometric.apply(image, target, l1, ssim)
     if image.device.type == "cuda" and image.dtype == torch.float32:
-        from ...rasterizer.cuda.launcher import launcher_for
+        from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda import photometric
 
         return photometric.photometric_loss(launcher_for(image.device), image, target, l1, ssim)

@@ -20,7 +20,7 @@ def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displ
     if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (heads, rest)):
         return Displacement(*_Displace.apply(heads, rest, tuple(centre.tolist()), reach))
     if all(p.is_cuda and p.dtype == torch.float32 for p in (heads, rest, centre)):
-        from ...rasterizer.cuda.launcher import launcher_for
+        from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda.displace import displace as on_gpu
 
         return on_gpu(launcher_for(rest.device), heads, rest, centre, reach)

@@ -43,7 +43,7 @@ def field_outputs(
 
 def _features(space: Sequence[Tensor], time: Sequence[Tensor], points: Tensor, box: tuple[Tensor, Tensor] | None, t: float) -> Tensor:
     if all(p.is_cuda and p.dtype == torch.float32 for p in (points, *space, *time)):
-        from ...rasterizer.cuda.launcher import launcher_for
+        from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda.field import look_up, takes
 
         if takes(space):

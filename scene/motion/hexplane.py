@@ -52,7 +52,7 @@ class HexPlanes(nn.Module):
         if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in planes):
             return _Smoothness.apply(len(self.space), *planes)
         if all(p.is_cuda and p.dtype == torch.float32 for p in planes):
-            from ...rasterizer.cuda.launcher import launcher_for
+            from ...rasterizer.cuda.runtime import launcher_for
             from ..cuda.smoothness import total_variation
 
             return total_variation(launcher_for(planes[0].device), list(self.space), list(self.time))

@@ -77,7 +77,7 @@ class RowAdam:
 def _step_rows(parameter: Tensor, grad: Tensor, first: Tensor, second: Tensor, step: int, rate: float, betas: tuple[float, float]) -> None:
     """By the kernels of the parameter's device."""
     if parameter.device.type == "cuda":
-        from ...rasterizer.cuda.launcher import launcher_for
+        from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda.adam import adam_rows
 
         adam_rows(launcher_for(parameter.device), parameter, grad, first, second, step, rate, *betas, EPSILON)

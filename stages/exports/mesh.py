@@ -96,7 +96,7 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
     try:
         import open3d
     except ModuleNotFoundError as error:
-        raise StageError("export mesh needs the package open3d-cpu (or open3d); install it with: pip install open3d-cpu") from error
+        raise StageError("export mesh needs the package open3d; install it with: pip install 'e4dgs[mesh]'") from error
     except ImportError as error:  # its wheel wants a library of the system that containers lack
         raise StageError(f"export mesh: Open3D cannot be loaded: {error}; on Debian and Ubuntu: apt-get install libusb-1.0-0") from error
     from ...scene.mesh import Mesh

@@ -141,7 +141,7 @@ def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seede
     """
     import numpy as np
 
-    from ...scene.training.dynamics import dynamic_from_masks
+    from ...scene.training.control.dynamics import dynamic_from_masks
 
     flow = ctx.inputs["flow"]
     if flow is not None and "moving" in flow:

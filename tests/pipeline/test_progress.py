@@ -4,8 +4,8 @@ import io
 
 import numpy as np
 from e4dgs.pipeline import Progress, duration
-from e4dgs.pipeline import progress as module
 from e4dgs.pipeline.machine.memory import PeakMemory
+from e4dgs.pipeline.running import progress as module
 from rich.console import Console
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import torch
 from e4dgs.rasterizer import Frame
-from e4dgs.workflows.bench.compare import OUTPUTS, cotangents, decided_by_threshold, gradients, raw_alphas, weigh
+from e4dgs.rasterizer.reference.compare import OUTPUTS, cotangents, decided_by_threshold, gradients, raw_alphas, weigh
 from torch import Tensor
 
 __all__ = [

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import torch
 from e4dgs.rasterizer import Frame
-from e4dgs.rasterizer.cuda.launcher import launching
+from e4dgs.rasterizer.cuda.runtime import launching
 from simt.compiler import needs_compiler
 from simt.emulator import Emulator
 

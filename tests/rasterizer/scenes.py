@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 from e4dgs.rasterizer import Camera, Convexes, Gaussians
-from e4dgs.workflows.bench.scene import Scene
+from e4dgs.rasterizer.reference.scene import Scene
 from torch import Tensor
 
 F64 = torch.float64

@@ -6,8 +6,8 @@ import types
 
 import pytest
 import torch
-from e4dgs.rasterizer.cuda import available, compiler
-from e4dgs.rasterizer.cuda.available import describe, why_not
+from e4dgs.rasterizer.cuda.runtime import available, compiler
+from e4dgs.rasterizer.cuda.runtime.available import describe, why_not
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_importing_the_backend_imports_nothing_of_cuda():
         import sys, torch
         before = set(sys.modules)  # torch imports cuda.bindings itself where it is installed
         import e4dgs.rasterizer
-        from e4dgs.rasterizer.cuda import available, cache, compiler, cuda_launcher, launcher, program
+        from e4dgs.rasterizer.cuda.runtime import available, cache, compiler, cuda_launcher, launcher, program
         print([name for name in set(sys.modules) - before if name.split(".")[0] == "cuda"])"""
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
 

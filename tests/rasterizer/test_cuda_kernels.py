@@ -11,7 +11,7 @@ from e4dgs.rasterizer import Frame, cuda_backend, rasterize
 from e4dgs.rasterizer.cuda import capacity, selftest
 from e4dgs.rasterizer.cuda import forward as passes
 from e4dgs.rasterizer.cuda.forward import forward
-from e4dgs.rasterizer.cuda.launcher import launching
+from e4dgs.rasterizer.cuda.runtime import launching
 from simt import CHECKED, RACES, Emulator
 from simt.compiler import needs_compiler
 

@@ -12,11 +12,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from e4dgs.rasterizer.cuda import available, cache, cuda_launcher, launcher
-from e4dgs.rasterizer.cuda.compiler import Compiled, Resources
-from e4dgs.rasterizer.cuda.cuda_launcher import CudaLauncher
-from e4dgs.rasterizer.cuda.launcher import launcher_for, launching, warm_up
-from e4dgs.rasterizer.cuda.program import Program
+from e4dgs.rasterizer.cuda.runtime import Program, available, cache, cuda_launcher, launcher, launcher_for, launching, warm_up
+from e4dgs.rasterizer.cuda.runtime.compiler import Compiled, Resources
+from e4dgs.rasterizer.cuda.runtime.cuda_launcher import CudaLauncher
 
 PROGRAM = Program(Path("blend.cu"), (("POINTS", 6),))
 

@@ -6,10 +6,9 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from e4dgs.rasterizer.cuda import cache, compiler
-from e4dgs.rasterizer.cuda.compiler import Compiled, Resources, compile_cubin, resources_in
-from e4dgs.rasterizer.cuda.program import Program
-from e4dgs.rasterizer.cuda.program import digest as digest_once
+from e4dgs.rasterizer.cuda.runtime import Program, cache, compiler
+from e4dgs.rasterizer.cuda.runtime.compiler import Compiled, Resources, compile_cubin, resources_in
+from e4dgs.rasterizer.cuda.runtime.program import digest as digest_once
 
 SOURCE = '#include "own.cuh"\nextern "C" __global__ void fill(float* out) { out[threadIdx.x] = OWN + TIMES; }\n'
 digest = digest_once.__wrapped__  # as a process sees it that starts now

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from e4dgs.rasterizer.cuda.launcher import launcher_for, launching
+from e4dgs.rasterizer.cuda.runtime import launcher_for, launching
 from e4dgs.scene import _kernels
 from e4dgs.scene.cuda.adam import CHUNK, adam_rows
 from e4dgs.scene.training.optimiser import RowAdam

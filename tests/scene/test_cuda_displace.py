@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from e4dgs.rasterizer.cuda.launcher import launching
+from e4dgs.rasterizer.cuda.runtime import launching
 from e4dgs.scene.cuda import displace as on_gpu
 from e4dgs.scene.cuda.displace import displace
 from e4dgs.scene.motion.displace import displace as anywhere
@@ -156,7 +156,7 @@ def test_the_fields_reach_follows_its_box():
 
 @pytest.mark.cuda
 def test_on_a_gpu_displacements_and_gradients_match_float64():
-    from e4dgs.rasterizer.cuda.launcher import launcher_for
+    from e4dgs.rasterizer.cuda.runtime import launcher_for
 
     heads, rest = inputs(1000)
     found = outcome(on(launcher_for(torch.device("cuda"))), heads.cuda(), rest.cuda())

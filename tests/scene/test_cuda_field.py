@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from e4dgs.rasterizer.cuda.launcher import launching
+from e4dgs.rasterizer.cuda.runtime import launching
 from e4dgs.scene.cuda import field
 from e4dgs.scene.cuda.field import look_up
 from e4dgs.scene.motion import field_kernel
@@ -268,7 +268,7 @@ def test_tensors_on_a_gpu_take_the_kernels(channels, taken, monkeypatch):
 @pytest.mark.cuda
 @pytest.mark.parametrize(("channels", "resolutions", "times", "n"), CASES)
 def test_on_a_gpu_features_and_gradients_match_float64(channels, resolutions, times, n):
-    from e4dgs.rasterizer.cuda.launcher import launcher_for
+    from e4dgs.rasterizer.cuda.runtime import launcher_for
 
     space, time = make(channels, resolutions, times)
     there = [[p.detach().cuda().requires_grad_() for p in planes] for planes in (space, time)]

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from e4dgs.rasterizer.cuda.launcher import launcher_for, launching
+from e4dgs.rasterizer.cuda.runtime import launcher_for, launching
 from e4dgs.scene.cuda.photometric import photometric_loss
 from e4dgs.scene.losses import photometric
 from e4dgs.scene.losses.photometric import ssim_reference

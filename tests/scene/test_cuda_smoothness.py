@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from e4dgs.rasterizer.cuda.launcher import launching
+from e4dgs.rasterizer.cuda.runtime import launching
 from e4dgs.scene.cuda import smoothness
 from e4dgs.scene.cuda.smoothness import total_variation
 from e4dgs.scene.motion.hexplane import HexPlanes, smoothness_reference
@@ -106,7 +106,7 @@ def test_planes_on_a_gpu_take_the_kernels(monkeypatch):
 @pytest.mark.cuda
 @pytest.mark.parametrize(("resolutions", "times", "channels"), CASES)
 def test_on_a_gpu_value_and_gradients_match_float64(resolutions, times, channels):
-    from e4dgs.rasterizer.cuda.launcher import launcher_for
+    from e4dgs.rasterizer.cuda.runtime import launcher_for
 
     planes = make(resolutions, times, channels)
     there = [[p.detach().cuda().requires_grad_() for p in some] for some in planes]

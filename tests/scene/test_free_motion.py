@@ -11,7 +11,7 @@ from e4dgs.scene.motion.free import FreeMotion, turned_by
 from e4dgs.scene.motion.interface import Rest
 from e4dgs.scene.primitives import ALWAYS, LIFE, ConvexSet, GaussianSet, Life
 from e4dgs.scene.rotation import quats_to_matrices
-from e4dgs.scene.training.density import measure_responsibility, survivors
+from e4dgs.scene.training.control.density import measure_responsibility, survivors
 from e4dgs.scene.views import Views
 
 TIMES = 11

@@ -9,7 +9,7 @@ import torch
 from e4dgs.rasterizer import Gaussians, rasterize
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.training.hidden import LEAST, footprint, seen_share
+from e4dgs.scene.training.control.hidden import LEAST, footprint, seen_share
 from e4dgs.scene.views import Views
 
 FRONT, BEHIND = 0.75, 0.9  # opacities

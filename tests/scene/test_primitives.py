@@ -6,7 +6,7 @@ import torch
 from e4dgs.scene.fibonacci import fibonacci_hulls, fibonacci_sphere, neighbour_radius
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
-from e4dgs.scene.training.density import choose_to_split, keep_small, split_along_longest_axis, survivors
+from e4dgs.scene.training.control.density import choose_to_split, keep_small, split_along_longest_axis, survivors
 from e4dgs.scene.training.optimiser import RowAdam
 from e4dgs.scene.training.rates import exponential
 

@@ -8,6 +8,7 @@ from functools import cache
 import interrupted
 import pytest
 import torch
+from e4dgs.scene.training import convergence
 from e4dgs.scene.training.checkpoint import FILE
 from e4dgs.scene.training.recipe import NODES
 from e4dgs.scene.training.schedule import Phase
@@ -82,7 +83,7 @@ CONVERGING = {  # phases, places of death, the last step
 @pytest.mark.parametrize(("phases", "deaths", "last"), CONVERGING.values(), ids=CONVERGING)
 def test_what_has_converged_stays_so_after_a_kill(phases, deaths, last, tmp_path, monkeypatch):
     """With a checkpoint of the very step at which nothing improves any more, and, where another phase follows, in that one."""
-    monkeypatch.setattr(interrupted.module, "CONVERGED", 0.99)  # as soon as there are losses to compare
+    monkeypatch.setattr(convergence, "CONVERGED", 0.99)  # as soon as there are losses to compare
     views = make_views(3, 2, 16)
     settings = QUICK.model_copy(update={"densify_until": 0.0, "checkpoint_seconds": 0.5})
 

@@ -6,8 +6,9 @@ import torch
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
+from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.schedule import Phase
-from e4dgs.scene.training.trainer import GAUSSIANS_PER_PIXEL, Trainer
+from e4dgs.scene.training.trainer import Trainer
 from e4dgs.scene.views import Views
 
 SIZE, COUNT = 24, 40
@@ -33,8 +34,8 @@ def trainer(budget: int, scale: float = 1.0) -> tuple[Trainer, Phase]:
 def test_primitive_budget_respected(budget: int) -> None:
     train, phase = trainer(budget)
     sizes = []
-    for _ in range(12):
-        train._control(phase)
+    for step in range(12):
+        train.density.round(step, phase)
         sizes.append(len(train.model.gaussians))
     assert max(sizes) <= max(budget, COUNT)  # what is there already is not thrown away
     assert budget <= COUNT or max(sizes) > 0.9 * budget  # and what is allowed is used
@@ -43,6 +44,6 @@ def test_primitive_budget_respected(budget: int) -> None:
 
 def test_small_images_have_a_budget_of_their_own() -> None:
     train, phase = trainer(10_000, scale=0.5)
-    for _ in range(12):
-        train._control(phase)
+    for step in range(12):
+        train.density.round(step, phase)
     assert COUNT < len(train.model.gaussians) <= round(GAUSSIANS_PER_PIXEL * (SIZE // 2) ** 2)

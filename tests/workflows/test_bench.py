@@ -1,4 +1,4 @@
-"""`e4dgs bench`: every row at a tiny size, what is written, and that the torch peers compute what they are compared with."""
+"""`e4dgs bench`: every row at a tiny size, and what is printed and written."""
 
 import json
 import math
@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.pipeline import SettingsError
-from e4dgs.rasterizer import rasterize
 from e4dgs.workflows.bench import scenes
-from e4dgs.workflows.bench.compare import relative_l2
 from e4dgs.workflows.bench.rows import Bench, Check
 from e4dgs.workflows.bench.suites import SUITES
+from e4dgs.workflows.bench.threads import over_threads
 from e4dgs.workflows.bench.timing import interleaved
-from pretend_cuda import pretending_cuda
+from pretended.gpu import pretended_gpu
 from simt import needs_compiler
 
 TINY = ("--scale", "0.001", "--repeats", "1", "--seconds", "0")
@@ -39,13 +38,8 @@ def cli(cli, monkeypatch):
 
 @pytest.fixture
 def gpu(monkeypatch):
-    """A pretended one, with what the benchmark asks of torch beside tensors. Its times mean nothing."""
-    asked = {"memory_allocated": 0, "max_memory_allocated": 1 << 20, "reset_peak_memory_stats": None, "mem_get_info": (1 << 27, 1 << 27)}
-    with pretending_cuda(), monkeypatch.context() as patch:
-        for name, value in asked.items():
-            patch.setattr(torch.cuda, name, lambda value=value: value)
-        patch.setattr(torch.cuda, "get_device_name", lambda index: "pretended")
-        patch.setattr("e4dgs.workflows.bench.cuda.first_use._seconds", lambda cache: 1.0)
+    monkeypatch.setattr("e4dgs.workflows.bench.cuda.first_use._seconds", lambda cache: 1.0)
+    with pretended_gpu():
         yield
 
 
@@ -54,14 +48,15 @@ def test_every_row_measures_and_writes(request, cli, tmp_path, suite, row):
     out = tmp_path / "out.json"
     if suite == "cuda":
         request.getfixturevalue("gpu")
-    result = cli("bench", suite, "--rows", row, "--out", out, "--debug", *TINY)
+    threads = 2 if suite in ("raster", "field") else 1  # these compare the two
+    result = cli("bench", suite, "--rows", row, "--out", out, "--debug", *TINY, "--threads", threads)
     assert result.code == 0, result.err
     written = json.loads(out.read_text())
     assert {"processor", "cores", "compiler", "versions", "date", "commit", "kernels", "threads"} <= written["machine"].keys()
     assert written["machine"]["versions"]["torch"] == torch.__version__
     assert written["protocol"]["scale"] == 0.001 and not written["protocol"]["judged"]
     (found,) = written["rows"].values()
-    assert found["protocol"] and (found["checks"] or found["curves"])
+    assert found["protocol"] and found["checks"]
     for check in found["checks"]:
         assert check["value"] is not None and math.isfinite(check["value"]), check
         if check["bar"] is not None:
@@ -77,29 +72,16 @@ def test_list_names_every_row_and_measures_nothing(cli):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("raster", "--rows", "garden,nope"), "--rows nope: there is no such row; rows: garden, torch"),
+        (("raster", "--rows", "garden,nope"), "--rows nope: there is no such row; rows: garden, convexes"),
         (("raster", "--garden", "nope.npz"), "--garden nope.npz: there is no such file"),
-        (("field", "--plot", "curves.bmp"), "must end in .svg or .png"),
-        (("step", "--capture", "nope", "--rows", "step"), "nope"),
-        (("cuda", "--rows", "convexes"), "there is nothing to measure on"),
+        (("field", "--rows", ","), "--rows names no row; rows: field, loss, adam"),
+        (("step", "--capture", "nope", "--rows", "split"), "nope"),
+        (("cuda", "--rows", "agreement"), "there is nothing to measure on"),
     ],
 )
 def test_a_bad_argument_is_one_message(cli, arguments, message):
     result = cli("bench", *arguments)
     assert result.code == 2 and message in result.err
-
-
-def test_plots_are_drawn_and_repeat_to_the_byte(tmp_path):
-    from e4dgs.workflows.bench.plots import draw
-
-    curves = [
-        {"plot": "over_pixels", "label": "Gaussians", "x": [1e3, 1e4], "y": [2.0, 9.0], "x_title": "pixels", "y_title": "ms", "names": []},
-        {"plot": "knobs", "label": "SH 0", "x": [3.0], "y": [1e-3], "x_title": "ms", "y_title": "error", "names": ["SH 0"]},
-    ]
-    files = draw(tmp_path / "speed.svg", {"row": {"curves": curves}})
-    assert [path.name for path in files] == ["speed-over_pixels.svg", "speed-knobs.svg"]
-    first = [path.read_bytes() for path in files]
-    assert [path.read_bytes() for path in draw(tmp_path / "speed.svg", {"row": {"curves": curves}})] == first
 
 
 def test_a_bar_holds_on_its_own_side_only():
@@ -117,102 +99,29 @@ def test_contenders_take_turns_and_one_that_is_slow_runs_less():
     assert len(interleaved(Bench(seconds=0), clock, 3)["slow"].runs) == 1
 
 
-def small_scene(degree):
-    scene = scenes.cloud(150, 48, 36, degree, size=0.2)
-    scene.background = torch.tensor([0.2, 0.5, 0.8])
-    return scene
+def test_all_threads_take_turns_with_one_and_must_not_take_longer():
+    seen = []
+    torch.set_num_threads(2)
+    found = over_threads(Bench(repeats=1), "nothing", {"a run": lambda: seen.append(torch.get_num_threads())})
+    assert seen == [2, 1, 2, 1] and torch.get_num_threads() == 2
+    times = found.numbers["times"]
+    (check,) = found.checks
+    assert check.value == times["a run, 2 threads"]["best_s"] / times["a run, 1 thread"]["best_s"] and check.bar == 1
+    torch.set_num_threads(1)
+    alone = over_threads(Bench(repeats=1), "nothing", {"a run": lambda: None})
+    assert not alone.checks and list(alone.numbers["times"]) == ["a run, 1 thread"]
 
 
-@pytest.mark.parametrize("degree", [None, 2])
-def test_the_torch_rasterizer_equals_the_reference(degree):
-    """Also where a tile's list is longer than one block, and where pixels stop."""
-    from e4dgs.workflows.bench.compare import decided_by_threshold
-    from e4dgs.workflows.bench.peers.rasterizer import rasterize_torch
-    from e4dgs.workflows.bench.render import count_pairs
-
-    scene = small_scene(degree)
-    pairs = count_pairs(scene)
-    assert pairs.blended < 0.99 * pairs.visible, "some pixels stop"
-    decided = decided_by_threshold(scene)
-    assert float(decided.double().mean()) < 0.25
-    weights = torch.randn(36, 48, 3, generator=torch.Generator().manual_seed(0)) * ~decided[..., None]
-    found = {}
-    for name, render in (("torch", rasterize_torch), ("reference", rasterize)):
-        leaves = scene.primitive_leaves()
-        attached = scene.having(leaves)
-        options = {"backend": "reference"} if name == "reference" else {"block": 16, "together": 5}
-        frame = render(attached.camera, attached.gaussians, None, attached.background, **options)
-        (frame.color * weights.to(frame.color.dtype)).sum().backward()
-        found[name] = frame, {field: leaf.grad for field, leaf in leaves.items()}
-    (ours, gradients), (want, exact) = found["torch"], found["reference"]
-    for name in ("color", "alpha", "depth"):
-        assert float((getattr(ours, name) - getattr(want, name))[~decided].abs().max()) < 1e-4, name
-    for name, value in exact.items():
-        assert relative_l2(gradients[name], value) < 1e-3, name
-
-
-@pytest.mark.parametrize("lookup", ["grid_sample", "gather"])
-def test_the_composed_field_equals_the_field(lookup):
-    from e4dgs.workflows.bench.field.field import errors_of, outcome, outer_gradients, trained_field
-    from e4dgs.workflows.bench.peers.field import TorchField
-
-    field, rest = trained_field(16), torch.rand(200, 3, generator=torch.Generator().manual_seed(1)) * 2.4 - 1.2
-    weights = outer_gradients(field, rest)
-    exact = TorchField(field.state_dict(), torch.float64, lookup)
-    assert max(errors_of(outcome(field, rest, weights), outcome(exact, rest, weights)).values()) < 1e-4
-    assert float(field.regulariser()) == pytest.approx(float(exact.regulariser()), rel=1e-5)
-    for ours, theirs in zip(field.priors(rest, rest + 0.01, 0.0, 0.1), exact.priors(rest.double(), rest.double() + 0.01, 0.0, 0.1)):
-        assert float(ours) == pytest.approx(float(theirs), rel=1e-3)
-
-
-def test_the_torch_loss_equals_the_oracle():
-    from e4dgs.workflows.bench.field.loss import images, oracle, outcome
-    from e4dgs.workflows.bench.peers.loss import torch_loss
-
-    target, image = (x.double() for x in images(40, 30))
-    for got, want in zip(outcome(torch_loss, image, target), outcome(oracle, image, target)):
-        assert relative_l2(got, want) < 1e-12
-
-
-def test_the_composed_step_computes_what_ours_computes():
-    """Two trainers from one model take a period of steps; their Gaussians end in the same place, as far as float32 allows."""
-    from e4dgs.workflows.bench.peers.step import composed_of_torch, torch_kernels, with_torch_adam
-    from e4dgs.workflows.bench.step.training import PERIOD, copy_of, make_model, make_trainer, views_of
-
-    bench = Bench(scale=0.01)
-    views, masks, _ = views_of(bench)
-    model = make_model(bench, views, masks)
-    start = model.gaussians.sh_dc.detach().clone()
-    peer = composed_of_torch(copy_of(model))
-    ours, step = make_trainer(model, views)
-    theirs, torch_step = make_trainer(peer, views)
-    with_torch_adam(theirs)
-    for _ in range(PERIOD):
-        step()
-        with torch_kernels():
-            torch_step()
-    assert ours._ema == pytest.approx(theirs._ema, rel=1e-2)
-    moved, moved_too = model.gaussians.sh_dc.detach() - start, peer.gaussians.sh_dc.detach() - start
-    assert relative_l2(moved_too, moved) < 0.1
-
-
-def test_the_parts_of_a_step_sum_to_the_whole():
+def test_the_parts_of_a_step_sum_to_the_whole_and_nothing_stays_wrapped():
+    from e4dgs.scene.training import objective
     from e4dgs.workflows.bench.step import split
 
+    before = torch.Tensor.backward, objective.rasterize, objective.photometric_loss
     found = split.measure(Bench(scale=0.02, repeats=2))
+    assert before == (torch.Tensor.backward, objective.rasterize, objective.photometric_loss)
     parts = found.numbers["parts_ms"]
     assert sum(parts.values()) == pytest.approx(found.numbers["whole_ms"], rel=0.05)
     assert all(parts[part] > 0 for part in split.PARTS)
-
-
-def test_gaussians_that_stand_for_convexes_cover_as_many_pixels():
-    from e4dgs.workflows.bench.raster.convexes import counterpart
-    from e4dgs.workflows.bench.render import count_pairs
-
-    shapes = scenes.convexes(300, 200, 140)
-    gaussians = counterpart(shapes)
-    assert count_pairs(gaussians).visible == pytest.approx(count_pairs(shapes).visible, rel=0.05)
-    assert torch.allclose(gaussians.gaussians.means, shapes.convexes.points.mean(1))
 
 
 def test_the_garden_scene_is_read_from_its_file(tmp_path):

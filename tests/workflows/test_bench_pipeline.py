@@ -1,6 +1,7 @@
 """`e4dgs bench pipeline` on the toy reconstruction, whose PSNR is 20 dB and one more for each step of `fine`."""
 
 import json
+import sys
 
 import pytest
 from e4dgs.pipeline import SettingsError
@@ -39,6 +40,13 @@ def test_points_are_presets_or_settings():
 def test_a_plot_of_another_kind_is_refused_before_anything_runs(cli, capture, tmp_path):
     result = cli("bench", "pipeline", capture, "--plot", tmp_path / "curve.gif")
     assert result.code == 2 and ".svg or .png" in result.err and not (tmp_path / "e4dgs-workspace").exists()
+
+
+def test_a_plot_without_matplotlib_is_refused_before_anything_runs(cli, capture, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    result = cli("bench", "pipeline", capture, "--plot", tmp_path / "curve.svg")
+    assert result.code == 2 and "pip install 'e4dgs[bench]'" in result.err and len(result.err.splitlines()) == 1
+    assert not (tmp_path / "e4dgs-workspace").exists()
 
 
 def test_seeds_are_averaged_and_held_out_views_come_first():

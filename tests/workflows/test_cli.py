@@ -240,10 +240,21 @@ def test_doctor_reports_what_fails_without_failing_itself(cli, monkeypatch):
     assert "ok   zarr writes and reads: with checksums" in result.out and "CUDA: " in result.out
 
 
+def test_doctor_fails_for_what_is_needed_alone(cli, monkeypatch):
+    asked = ["numpy>=1.26", 'no-such-reader>=2; platform_system == "Linux" and extra == "mesh"', 'no-such-tool; extra == "dev"']
+    monkeypatch.setattr("importlib.metadata.requires", lambda name: asked)
+    result = cli("doctor")
+    assert result.code == 0 and "ok   numpy: " in result.out
+    assert "     no-such-reader: optional: pip install 'e4dgs[mesh]'" in result.out and "no-such-tool" not in result.out
+    asked.append("no-such-library>=1")
+    result = cli("doctor")
+    assert result.code == 1 and "FAIL no-such-library: not installed" in result.out
+
+
 def test_doctor_says_what_the_cuda_kernels_need(cli, monkeypatch):
     monkeypatch.setattr("e4dgs.workflows.machine.doctor.why_not_cuda", lambda: None)
     monkeypatch.setattr("e4dgs.workflows.machine.doctor.why_not_trusted", lambda: "a small render on the GPU went wrong: it is green")
-    monkeypatch.setattr("e4dgs.rasterizer.cuda.available.describe", lambda: [("CUDA driver", True, "supports CUDA 13.0")])
+    monkeypatch.setattr("e4dgs.rasterizer.cuda.runtime.describe", lambda: [("CUDA driver", True, "supports CUDA 13.0")])
     result = cli("doctor")
     assert "CUDA: --device auto takes the CPU: a small render on the GPU went wrong: it is green" in result.out
     assert "ok   CUDA driver: supports CUDA 13.0" in result.out

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-HEAVY = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
+HEAVY = ("torch", "cv2", "scipy", "pycolmap", "open3d")
 
 
 def imported_by(*arguments: str) -> list[str]:

@@ -174,7 +174,8 @@ def _torchvisions(method: Name) -> dict[str, Any]:
         from torchvision.models import optical_flow as published
     except Exception as error:  # not installed, or built for another torch
         raise StageError(
-            f"flow.method={method} needs weights, and torchvision cannot be imported for its own ({error}); {advice}"
+            f"flow.method={method} needs weights, and torchvision cannot be imported for its own ({error}); pip install 'e4dgs[raft]', "
+            f"{advice}"
         ) from error
     chosen = published.Raft_Small_Weights if method == "raft-small" else published.Raft_Large_Weights
     try:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,13 @@ from rich.table import Table
 
 from .rows import Bench, Check, Measured, Row
 
+WIDTH = 180  # of tables in a file or a pipe
 PASSED = {True: "[green]pass[/]", False: "[red]miss[/]", None: ""}
+
+
+def make_console() -> Console:
+    console = Console()
+    return console if console.is_terminal else Console(width=WIDTH)
 
 
 def number(value: float, unit: str) -> str:
@@ -28,19 +36,13 @@ def bar(check: Check) -> str:
     return f"{'≤' if check.better == 'below' else '≥'} {number(check.bar, check.unit)}"
 
 
-def verdict(check: Check, judged: bool) -> str:
-    """pass, miss, or nothing where there is no bar or sizes are not those of the promise."""
-    if check.bar is None:
-        return ""
-    return PASSED[check.passed] if judged else "[dim]not judged[/]"
-
-
 def show_row(console: Console, row: Row, measured: Measured, judged: bool) -> None:
-    """The checks of a row, and its further numbers."""
+    """The checks of a row, and its further numbers. Without ``judged`` sizes are not those of the bars, and nothing passes or misses."""
     console.print(f"[bold]{row.name}[/]  {escape(measured.protocol)}", highlight=False, soft_wrap=True)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2), show_header=False)
     for check in measured.checks:
-        table.add_row(escape(check.what), number(check.value, check.unit), bar(check), verdict(check, judged), escape(check.note))
+        verdict = PASSED[check.passed] if judged or check.bar is None else "[dim]not judged[/]"
+        table.add_row(escape(check.what), number(check.value, check.unit), bar(check), verdict, escape(check.note))
     if measured.checks:
         console.print(table)
     if measured.table:
@@ -52,26 +54,15 @@ def show_row(console: Console, row: Row, measured: Measured, judged: bool) -> No
         console.print(more)
 
 
-def show_rows(console: Console, rows: list[Row]) -> None:
-    """What `--list` prints."""
-    for row in rows:
-        console.print(
-            f"{row.name:12} {row.what}{' (only when named)' if row.optional else ''}", markup=False, highlight=False, soft_wrap=True
-        )
+def show_file(console: Console, what: str, path: Path) -> None:
+    """That a file was written."""
+    console.print(f"{what}: {path}", markup=False, highlight=False, soft_wrap=True)
 
 
 def row_json(row: Row, measured: Measured) -> dict[str, Any]:
-    """A row of the JSON file."""
+    """A row of the JSON file: all that was measured, and whether each bar holds."""
     checks = [vars(check) | {"passed": check.passed} for check in measured.checks]
-    return {
-        "what": row.what,
-        "protocol": measured.protocol,
-        "checks": checks,
-        "numbers": measured.numbers,
-        "curves": [vars(curve) for curve in measured.curves],
-        "columns": list(measured.columns),
-        "table": [list(cells) for cells in measured.table],
-    }
+    return {"what": row.what} | asdict(measured) | {"checks": checks}
 
 
 def report(suite: str, bench: Bench, facts: dict[str, Any], rows: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -98,6 +89,6 @@ def write(path: Path, content: dict[str, Any]) -> None:
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _finite(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
+    if isinstance(value, Sequence) and not isinstance(value, str):
         return [_finite(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

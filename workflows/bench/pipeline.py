@@ -9,6 +9,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +143,14 @@ def content(runs: Sequence[Run], facts: dict[str, Any], options: Options) -> dic
         "static": options.static,
     }
     return {"machine": facts, "protocol": protocol, "points": summaries(runs), "runs": [asdict(run) for run in runs]}
+
+
+def check_plot(path: Path | None) -> None:
+    """Raises SettingsError where nothing can be drawn into this file, before hours have gone into what it would show."""
+    if path is not None and path.suffix not in (".svg", ".png"):
+        raise SettingsError(f"--plot {path}: the file must end in .svg or .png")
+    if path is not None and find_spec("matplotlib") is None:
+        raise SettingsError("--plot needs the package matplotlib; install it with: pip install 'e4dgs[bench]'")
 
 
 def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:

@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from ...rasterizer import Camera, Convexes, Frame, Gaussians, _cpu, rasterize  # type: ignore[attr-defined]
-from .scene import Scene
+from ...rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
+from ...rasterizer.reference.scene import Scene
 
 Rasterize = Callable[[Camera, Gaussians | None, Convexes | None, Tensor | None], Frame]
-
-
-@dataclass
-class Pairs:
-    """(pixel, primitive) pairs of a frame with alpha >= 1/255: all of them, and those in front of their pixel's stop; and how many
-    (tile, primitive) pairs were distributed."""
-
-    visible: int
-    blended: int
-    entries: int
 
 
 def forward(scene: Scene, with_: Rasterize = rasterize) -> Callable[[], Frame]:
@@ -45,13 +34,3 @@ def both(scene: Scene, with_: Rasterize = rasterize) -> Callable[[], tuple[Tenso
         return torch.autograd.grad(frame.color, list(leaves.values()), ones, allow_unused=True)
 
     return run
-
-
-def count_pairs(scene: Scene) -> Pairs:
-    """Pairs of ``scene`` as our rasterizer sees them."""
-    attached = scene.having(scene.primitive_leaves())
-    frame = rasterize(attached.camera, attached.gaussians, attached.convexes, attached.background, backend="cpu")
-    node = frame.color.grad_fn
-    assert node is not None
-    visible, blended = _cpu.count_pairs(node.kept, torch.get_num_threads())  # type: ignore[attr-defined]
-    return Pairs(visible, blended, node.kept.entries)  # type: ignore[attr-defined]

@@ -30,19 +30,6 @@ class Check:
 
 
 @dataclass
-class Curve:
-    """Points of a plot: ``x`` and ``y`` [n], and a name for each point where points are variants rather than sizes."""
-
-    plot: str
-    label: str
-    x: list[float]
-    y: list[float]
-    x_title: str = ""
-    y_title: str = ""
-    names: list[str] = field(default_factory=list)
-
-
-@dataclass
 class Measured:
     """What a row yields. protocol: one sentence that says what was measured, sizes included. numbers: every timing and count behind the
     checks, JSON values. table: rows of further numbers to print, under ``columns``."""
@@ -50,7 +37,6 @@ class Measured:
     protocol: str
     checks: list[Check] = field(default_factory=list)
     numbers: dict[str, Any] = field(default_factory=dict)
-    curves: list[Curve] = field(default_factory=list)
     columns: tuple[str, ...] = ()
     table: Sequence[tuple[str, ...]] = field(default_factory=list)
 
@@ -90,23 +76,19 @@ class Bench:
 
 @dataclass(frozen=True)
 class Row:
-    """A row: its name on the command line, what it is about, and how it is measured. optional: only measured when named."""
+    """A row: its name on the command line, what it is about, and how it is measured."""
 
     name: str
     what: str
     measure: Callable[[Bench], Measured]
-    optional: bool = False
 
 
-def choose(rows: list[Row], names: str | None) -> list[Row]:
-    """The rows named in a comma-separated list, in their own order; all but the optional ones for None.
-
-    Raises SettingsError where a name is not a row's.
-    """
+def choose(rows: Sequence[Row], names: str | None) -> list[Row]:
+    """The rows named in a comma-separated list, in their own order; all for None. Raises SettingsError where a name is not a row's."""
     if names is None:
-        return [row for row in rows if not row.optional]
-    wanted = [name.strip() for name in names.split(",") if name.strip()]
+        return list(rows)
     known = [row.name for row in rows]
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
     for name in wanted:
         if name not in known:
             raise SettingsError(f"--rows {name}: there is no such row; rows: {', '.join(known)}")

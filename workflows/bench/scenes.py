@@ -7,8 +7,8 @@ import torch
 
 from ...pipeline import SettingsError
 from ...rasterizer import Camera, Convexes, Gaussians
+from ...rasterizer.reference.scene import Scene
 from .rows import Bench
-from .scene import Scene
 
 GARDEN_COUNT, GARDEN_SIZE = 138_766, (648, 420)
 CONVEX_COUNT = 50_000
@@ -63,24 +63,6 @@ def convexes(m: int, width: int, height: int) -> Scene:
     points = 1.2 * rng.standard_normal((m, 1, 3)) + 0.03 * rng.standard_normal((m, 6, 3))
     tau, kappa = rng.uniform(50, 300, m), rng.uniform(100, 600, m)
     opacities, colors = rng.uniform(0.05, 1, m), rng.uniform(0, 1, (m, 3))
-    shapes = Convexes(tensor(points), tensor(tau), tensor(kappa), tensor(opacities), colors=tensor(colors))
-    return Scene(camera_of(width, height), None, shapes, torch.zeros(3))
-
-
-def reconstructed_convexes(m: int, width: int, height: int) -> Scene:
-    """``m`` convexes as a reconstruction has them: on a surface, sizes spread over a decade, a third of them sharp and opaque, the rest as
-    soft as they are when training begins (tau r = 20, kappa r = 12 for a convex of radius r)."""
-    rng = np.random.default_rng(SEED)
-    centres = rng.standard_normal((m, 1, 3))
-    centres /= np.linalg.norm(centres, axis=2, keepdims=True)
-    radius = np.exp(rng.normal(np.log(0.03), 0.6, (m, 1, 1)))
-    directions = rng.standard_normal((m, 6, 3))
-    points = centres + radius * directions / np.linalg.norm(directions, axis=2, keepdims=True) * rng.uniform(0.6, 1, (m, 6, 1))
-    sharp = rng.uniform(0, 1, m) < 1 / 3
-    tau = np.where(sharp, rng.uniform(40, 150, m), rng.uniform(10, 30, m)) / radius[:, 0, 0]
-    kappa = np.where(sharp, rng.uniform(30, 150, m), rng.uniform(6, 20, m)) / radius[:, 0, 0]
-    opacities = np.where(sharp, rng.uniform(0.6, 1, m), rng.uniform(0.05, 0.6, m))
-    colors = rng.uniform(0, 1, (m, 3))
     shapes = Convexes(tensor(points), tensor(tau), tensor(kappa), tensor(opacities), colors=tensor(colors))
     return Scene(camera_of(width, height), None, shapes, torch.zeros(3))
 

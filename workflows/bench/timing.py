@@ -29,10 +29,6 @@ class Timing:
     def json(self) -> dict[str, float | int]:
         return {"best_s": self.best, "median_s": self.median, "runs": len(self.runs)}
 
-    def cell(self) -> str:
-        """For a table: best and median in ms."""
-        return f"{1e3 * self.best:.2f} ms (median {1e3 * self.median:.2f})"
-
 
 def timed(run: Run) -> float:
     """Seconds of one run."""

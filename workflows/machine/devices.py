@@ -37,7 +37,7 @@ def resolve_device(choice: str) -> str:
 
 def why_not_cuda() -> str | None:
     """Why CUDA cannot be used here, or None when it can. Checks what can be seen without importing torch or loading NVRTC;
-    `e4dgs.rasterizer.cuda.available.why_not` checks the rest where the kernels are used."""
+    `e4dgs.rasterizer.cuda.runtime.why_not` checks the rest where the kernels are used."""
     spec = find_spec("torch")
     if spec is None or spec.origin is None:
         return "torch is not installed"

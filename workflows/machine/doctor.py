@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shutil
 import sys
 from collections.abc import Callable
@@ -11,7 +12,6 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..reconstruction import LIBRARIES
 from .devices import why_not_cuda, why_not_trusted
 
 _MIN_FREE_GB = 5.0
@@ -23,7 +23,7 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
         ("python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
         ("e4dgs", True, _installed_version()),
     ]
-    found += [(name, *_library(name)) for name in LIBRARIES]
+    found += _libraries()
     found.append(("CPU kernels", *_try(_render)))
     found.append(("threads", *_try(_threads)))
     found.append(("pycolmap loads", *_try(_pycolmap)))
@@ -39,18 +39,41 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
 
 
 _MODULES = {"opencv-contrib-python-headless": "cv2", "open3d-cpu": "open3d"}  # other distributions bring the same module
-_OPTIONAL = ("open3d-cpu",)
+_OWN_ROWS = ("cuda12", "cuda13", "dev")  # extras: the kernels have rows of their own, and who runs e4dgs needs no tools
 
 
-def _library(name: str) -> tuple[bool | None, str]:
+def _libraries() -> list[tuple[str, bool | None, str]]:
+    """What e4dgs asks for, as it was installed: what it needs first, then what its extras bring."""
     try:
-        return True, metadata.version(name)
+        asked = metadata.requires("e4dgs") or []
     except metadata.PackageNotFoundError:
-        if name in _MODULES and find_spec(_MODULES[name]) is not None:
-            return True, f"another distribution brings {_MODULES[name]}"
-        return (
-            (None, "not installed, optional") if name in _OPTIONAL else (False, "not installed; install e4dgs again with its dependencies")
-        )
+        return [("libraries", None, "e4dgs runs from its folder, so what it needs was not looked for; pip install . does that")]
+    needed: list[tuple[str, bool | None, str]] = []
+    optional: dict[str, tuple[str, bool | None, str]] = {}
+    for requirement in asked:
+        name, extra = _name_and_extra(requirement)
+        version = _version(name)
+        if extra is None:
+            needed.append((name, version is not None, version or "not installed; install e4dgs again with its dependencies"))
+        elif extra not in _OWN_ROWS:
+            optional.setdefault(name, (name, version is not None or None, version or f"optional: pip install 'e4dgs[{extra}]'"))
+    return needed + list(optional.values())
+
+
+def _name_and_extra(requirement: str) -> tuple[str, str | None]:
+    """``open3d-cpu>=0.18; platform_system == "Linux" and extra == "mesh"`` -> ("open3d-cpu", "mesh")."""
+    name = re.match(r"[\w.-]+", requirement)
+    extra = re.search(r"extra == ['\"]([\w-]+)['\"]", requirement)
+    assert name is not None
+    return name[0], None if extra is None else extra[1]
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        module = _MODULES.get(name)
+        return f"another distribution brings {module}" if module is not None and find_spec(module) is not None else None
 
 
 def _try(check: Callable[[], str]) -> tuple[bool, str]:
@@ -89,7 +112,7 @@ def _threads() -> str:
 
 def _cuda() -> list[tuple[str, bool | None, str]]:
     try:
-        from ...rasterizer.cuda.available import describe
+        from ...rasterizer.cuda.runtime import describe
 
         return describe()
     except Exception as error:  # torch may be what is broken

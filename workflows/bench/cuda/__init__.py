@@ -1,1 +1,1 @@
-"""The CUDA kernels on one GPU: against the CPU path, against gsplat, and against what we promise of them."""
+"""Rows of `e4dgs bench cuda`: one file a row, each with `measure`."""

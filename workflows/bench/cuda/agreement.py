@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..compare import cotangents, gradients, relative_l2
+from ....rasterizer.reference.compare import cotangents, gradients, relative_l2
 from ..rows import Bench, Check, Measured
 from ..scenes import garden, mixed
 from .gpu import gpu_name, need_gpu, on_gpu

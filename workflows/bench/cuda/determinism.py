@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 
-from ..compare import cotangents, weigh
-from ..render import both
+from ....rasterizer.reference.compare import cotangents, weigh
 from ..rows import Bench, Check, Measured
 from ..scenes import garden, mixed
 from ..timing import interleaved, ratio
-from .gpu import ending, gpu_name, need_gpu, on_gpu
-from .gsplat import on_device
+from .gpu import both_on_gpu, ending, gpu_name, need_gpu, on_gpu
 
 RUNS, BAR = 10, 1.5
 
@@ -20,20 +21,15 @@ def measure(bench: Bench) -> Measured:
     width, height = bench.size(400, 300)
     scene = on_gpu(mixed(bench.count(10_000, 20), width, height, extras=2))
     large, name = garden(bench)
-    large = on_gpu(large)
-    usual = on_device(both, large)
+    usual = both_on_gpu(on_gpu(large))
 
     def fixed() -> None:
-        torch.use_deterministic_algorithms(True)
-        try:
+        with in_fixed_order():
             usual()
-        finally:
-            torch.use_deterministic_algorithms(False)
 
     bench.expect(RUNS)
     differing, first = 0, None
-    torch.use_deterministic_algorithms(True)
-    try:
+    with in_fixed_order():
         for run in range(RUNS):
             leaves = scene.leaves()
             frame = scene.having(leaves).render("cuda")
@@ -43,8 +39,6 @@ def measure(bench: Bench) -> Measured:
             first = found if first is None else first
             differing += sum(int((a != b).sum()) for a, b in zip(found, first))
             bench.tick(f"run {run + 1}")
-    finally:
-        torch.use_deterministic_algorithms(False)
     times = interleaved(bench, {"usual": ending(usual), "fixed order": ending(fixed)})
     value, note = ratio(times["fixed order"], times["usual"])
     return Measured(
@@ -55,3 +49,12 @@ def measure(bench: Bench) -> Measured:
         ],
         {"times": {key: timing.json() for key, timing in times.items()}},
     )
+
+
+@contextmanager
+def in_fixed_order() -> Iterator[None]:
+    torch.use_deterministic_algorithms(True)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(False)

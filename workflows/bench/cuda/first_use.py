@@ -17,7 +17,7 @@ COMPILE_S, START_S = 20.0, 0.2
 PROBE = """
 import json, time, torch
 from e4dgs.rasterizer.cuda import programs, selftest
-from e4dgs.rasterizer.cuda.launcher import warm_up
+from e4dgs.rasterizer.cuda.runtime import warm_up
 from e4dgs.scene.cuda.programs import RECORDED
 device = torch.device("cuda", 0)
 torch.zeros(1, device=device)

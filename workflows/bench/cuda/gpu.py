@@ -7,8 +7,10 @@ from collections.abc import Callable
 import torch
 
 from ....pipeline import SettingsError
+from ....rasterizer import rasterize
+from ....rasterizer.reference.scene import Scene
 from ...machine.devices import why_not_cuda
-from ..scene import Scene
+from ..render import Rasterize, both
 
 CALLS = 10  # of what is timed, in one run
 
@@ -33,6 +35,12 @@ def ending(run: Callable[[], object], calls: int = CALLS) -> Callable[[], None]:
         torch.cuda.synchronize()
 
     return whole
+
+
+def both_on_gpu(scene: Scene, with_: Rasterize = rasterize) -> Callable[[], object]:
+    """`both` of a scene that is there."""
+    with torch.device("cuda"):
+        return both(scene, with_)
 
 
 def peak_mib(run: Callable[[], object]) -> float:

@@ -17,10 +17,10 @@ def measure(bench: Bench) -> Measured:
     views, masks, name = views_of(bench)
     model = make_model(bench, views, masks).to("cuda")
     views.device = "cuda"
-    _, step = make_trainer(model, views)
+    _, period = make_trainer(model, views)
     camera, t = views.rasterizer_camera(int(views.train[0])), float(views.time[views.train[0]])
     background = torch.tensor(views.background)
-    runs = {"step": ending(step, PERIOD), "render": ending(lambda: model.render(camera, t, background), PERIOD)}
+    runs = {"step": ending(period, 1), "render": ending(lambda: model.render(camera, t, background), PERIOD)}
     times = interleaved(bench, runs)
     step_ms, frames = 1e3 * times["step"].median / PERIOD, PERIOD / times["render"].median
     return Measured(

@@ -8,16 +8,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from torch import Tensor
 from torch.autograd.graph import Node
 from torch.utils.hooks import RemovableHandle
 
 
 class Clock:
-    """Sums seconds by the name of a part. A part that is entered within another one takes its time away from it."""
+    """Sums seconds by the name of a part. A part that is entered within another one takes its time away from it, unless the outer one
+    is named in ``whole``: all that it calls counts as its own."""
 
-    def __init__(self) -> None:
+    def __init__(self, whole: tuple[str, ...] = ()) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
+        self._whole = whole
         self._open: list[str] = []
         self._since = 0.0
 
@@ -25,7 +26,7 @@ class Clock:
         now = time.perf_counter()
         if self._open:
             self.seconds[self._open[-1]] += now - self._since
-        self._open.append(part)
+        self._open.append(self._open[-1] if self._inside_whole() else part)
         self._since = now
 
     def leave(self) -> None:
@@ -41,34 +42,22 @@ class Clock:
         finally:
             self.leave()
 
-    def wrapped(self, function: Callable[..., Any], part: str, after: Callable[[Any], None] = lambda result: None) -> Callable[..., Any]:
-        """``function`` with its time counted as ``part``; ``after`` is called with each result."""
+    def wrapped(self, function: Callable[..., Any], part: str, after: Callable[[Any], None] | None = None) -> Callable[..., Any]:
+        """``function`` with its time counted as ``part``; ``after`` is called with each result that is no part of another part's whole."""
 
         def timed(*args: Any, **options: Any) -> Any:
             with self.part(part):
                 result = function(*args, **options)
-            after(result)
+            if after is not None and not self._inside_whole():
+                after(result)
             return result
 
         return timed
 
     def watch(self, nodes: set[Node], part: str) -> list[RemovableHandle]:
         """Count the backward pass through these nodes of the graph as ``part``; the handles take the hooks away."""
-        handles: list[RemovableHandle] = []
-        for node in nodes:
-            handles.append(node.register_prehook(lambda grads: self.enter(part)))
-            handles.append(node.register_hook(lambda inputs, outputs: self.leave()))
-        return handles
+        before, after = (lambda grads: self.enter(part)), (lambda inputs, outputs: self.leave())
+        return [handle for node in nodes for handle in (node.register_prehook(before), node.register_hook(after))]
 
-
-def nodes_behind(tensors: list[Tensor], stop: set[Node] | None = None) -> set[Node]:
-    """Nodes of the autograd graph from which ``tensors`` were computed; the walk goes no further than ``stop``, which is left out."""
-    found: set[Node] = set()
-    waiting = [t.grad_fn for t in tensors if t.grad_fn is not None]
-    while waiting:
-        node = waiting.pop()
-        if node in found or (stop and node in stop):
-            continue
-        found.add(node)
-        waiting += [following for following, _ in node.next_functions if following is not None]
-    return found
+    def _inside_whole(self) -> bool:
+        return bool(self._open) and self._open[-1] in self._whole

@@ -7,74 +7,58 @@ told apart by what they lead to: the image's loss, the image, the field's output
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils.hooks import RemovableHandle
+from torch.autograd.graph import Node
 
-from ....scene.motion.interface import Displacement
-from ....scene.training import trainer as training
+from ....scene.training import objective
 from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured
-from .clock import Clock, nodes_behind
+from .clock import Clock
 from .training import PERIOD, make_model, make_trainer, views_of
 
-PARTS = (
-    "data",
-    "model forward",
-    "field forward",
-    "rasterize forward",
-    "loss forward",
-    "regularisers forward",
-    "rasterize backward",
-    "loss backward",
-    "model backward",
-    "field backward",
-    "regularisers backward",
-    "gradients into leaves",
-    "guard",
-    "optimiser",
-    "rest",
-)
+FORWARD = ("data", "model forward", "field forward", "rasterize forward", "loss forward", "regularisers forward")
+BACKWARD = ("rasterize backward", "loss backward", "model backward", "field backward", "regularisers backward", "gradients into leaves")
+PARTS = (*FORWARD, *BACKWARD, "guard", "optimiser", "rest")
 WATCHING = "watching"  # setting hooks and taking them away: no part of a step
 
 
 def measure(bench: Bench) -> Measured:
     views, masks, name = views_of(bench)
-    trainer, step = make_trainer(make_model(bench, views, masks), views)
+    trainer, run = make_trainer(make_model(bench, views, masks), views)
     periods = max(2, bench.repeats)
     bench.expect(2 * periods + 1)
-    for _ in range(PERIOD):
-        step()
+
+    def period(clock: Clock) -> float:
+        start = time.perf_counter()
+        with clock.part("rest"):
+            run()
+        return time.perf_counter() - start - clock.seconds[WATCHING]
+
+    period(Clock())
     bench.tick("warm-up")
-    plain, taken, wholes = [], [], []
+    plain, watched = [], []
     for _ in range(periods):
-        start = time.perf_counter()
-        for _ in range(PERIOD):
-            step()
-        plain.append(time.perf_counter() - start)
+        plain.append(period(Clock()))
         bench.tick("as it is")
-        clock = Clock()
-        start = time.perf_counter()
-        with watched(trainer, clock):
-            for _ in range(PERIOD):
-                with clock.part("rest"):
-                    step()
-        wholes.append(time.perf_counter() - start - clock.seconds[WATCHING])
-        taken.append(clock.seconds)
+        clock = Clock(whole=("regularisers forward",))
+        with watching(trainer, clock):
+            watched.append((period(clock), clock.seconds))
         bench.tick("watched")
-    best = min(range(periods), key=wholes.__getitem__)
-    parts = {part: 1e3 * taken[best].get(part, 0.0) / PERIOD for part in PARTS}
-    whole, unwatched = 1e3 * wholes[best] / PERIOD, 1e3 * min(plain) / PERIOD
+    seconds, taken = min(watched, key=lambda found: found[0])
+    parts = {part: 1e3 * taken.get(part, 0.0) / PERIOD for part in PARTS}
+    whole, unwatched = 1e3 * seconds / PERIOD, 1e3 * min(plain) / PERIOD
     return Measured(
         protocol=f"{name}, {len(trainer.model.gaussians):,} Gaussians, {views.width}x{views.height}; the fastest of {periods} runs of "
         f"{PERIOD} steps; {torch.get_num_threads()} threads",
         checks=[
+            Check("a step", unwatched, unit="ms"),
             Check("sum of the parts, of the whole step", 100 * sum(parts.values()) / whole, unit="%"),
-            Check("step while it is watched, of one that is not", 100 * whole / unwatched, unit="%", note=f"{unwatched:.1f} ms unwatched"),
+            Check("step while it is watched, of one that is not", 100 * whole / unwatched, unit="%"),
         ],
         numbers={"parts_ms": parts, "whole_ms": whole, "unwatched_ms": unwatched},
         columns=("part", "ms", "share"),
@@ -83,115 +67,83 @@ def measure(bench: Bench) -> Measured:
 
 
 @contextmanager
-def watched(trainer: Trainer, clock: Clock) -> Iterator[None]:
+def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
     """While it lasts, every step of ``trainer`` is taken apart by ``clock``."""
-    model, views = trainer.model, trainer.views
-    field = model.field
-    assert field is not None
-    graph = _Graph(clock)
-    before = field.register_forward_pre_hook(lambda module, inputs: clock.enter("field forward"))
+    model, views, seen, backward = trainer.model, trainer.views, _Seen(clock), Tensor.backward
 
-    def moved(module: Any, inputs: Any, output: Displacement) -> None:
-        clock.leave()
-        graph.moved(output)
-
-    after = field.register_forward_hook(moved)
-    kept_rasterize, kept_loss, kept_backward = training.rasterize, training.photometric_loss, Tensor.backward
-    kept_terms, kept_step, kept_accepts = trainer.motion_terms, trainer.optimiser.step, trainer.guard.accepts
-    training.rasterize = clock.wrapped(kept_rasterize, "rasterize forward", graph.rendered)
-    training.photometric_loss = clock.wrapped(kept_loss, "loss forward", graph.judged)
-    views.target = clock.wrapped(views.target, "data")  # type: ignore[method-assign]
-    views.rasterizer_camera = clock.wrapped(views.rasterizer_camera, "data")  # type: ignore[method-assign]
-    model.at = clock.wrapped(model.at, "model forward", graph.placed)  # type: ignore[method-assign]
-    trainer.motion_terms = clock.wrapped(_flat(kept_terms, clock, graph), "regularisers forward")  # type: ignore[assignment]
-    trainer.optimiser.step = clock.wrapped(kept_step, "optimiser")  # type: ignore[method-assign]
-    trainer.guard.accepts = clock.wrapped(kept_accepts, "guard")  # type: ignore[method-assign]
-
-    def backward(loss: Tensor, *args: Any, **options: Any) -> None:
+    def watched_backward(loss: Tensor, *args: Any, **options: Any) -> None:
         with clock.part(WATCHING):
-            handles = graph.watch(loss)
-        kept_backward(loss, *args, **options)
+            handles = seen.watch(loss)
+        backward(loss, *args, **options)
         with clock.part(WATCHING):
             for handle in handles:
                 handle.remove()
 
-    Tensor.backward = backward  # type: ignore[assignment, method-assign]
+    calls: list[tuple[Any, str, str, Callable[[Any], None] | None]] = [
+        (objective, "rasterize", "rasterize forward", seen.rendered),
+        (objective, "photometric_loss", "loss forward", seen.judged),
+        (views, "target", "data", None),
+        (views, "rasterizer_camera", "data", None),
+        (model, "at", "model forward", seen.placed),
+        (model.field, "forward", "field forward", seen.moved),
+        (trainer.objective, "motion_terms", "regularisers forward", None),
+        (trainer.learned.optimiser, "step", "optimiser", None),
+        (trainer.guard, "accepts", "guard", None),
+    ]
+    kept = [(owner, name, vars(owner).get(name)) for owner, name, _, _ in calls]  # None: the class has it, the object had none of its own
+    for owner, name, part, after in calls:
+        setattr(owner, name, clock.wrapped(getattr(owner, name), part, after))
+    Tensor.backward = watched_backward  # type: ignore[assignment, method-assign]
     try:
         yield
     finally:
-        Tensor.backward = kept_backward  # type: ignore[method-assign]
-        training.rasterize, training.photometric_loss = kept_rasterize, kept_loss
-        trainer.motion_terms = kept_terms
-        for owner, name in ((views, "target"), (views, "rasterizer_camera"), (model, "at")):
-            delattr(owner, name)  # the wrapper on the object; the class has its own
-        del trainer.optimiser.step, trainer.guard.accepts
-        before.remove()
-        after.remove()
+        Tensor.backward = backward  # type: ignore[method-assign]
+        for owner, name, own in kept:
+            delattr(owner, name) if own is None else setattr(owner, name, own)
 
 
-def _flat(terms: Any, clock: Clock, graph: _Graph) -> Any:
-    """The regularisers, with whatever of the model they call counted as theirs."""
-
-    def call(*args: Any) -> Tensor:
-        with clock_as(clock, "regularisers forward"):
-            graph.paused = True
-            try:
-                return terms(*args)
-            finally:
-                graph.paused = False
-
-    return call
-
-
-@contextmanager
-def clock_as(clock: Clock, part: str) -> Iterator[None]:
-    """While it lasts, every part that is entered counts as ``part``."""
-    enter = clock.enter
-    clock.enter = lambda part_inside: enter(part)  # type: ignore[method-assign, assignment, misc]
-    try:
-        yield
-    finally:
-        del clock.enter
-
-
-class _Graph:
+class _Seen:
     """What a step computed on its way to the loss, so that the nodes of its backward pass can be told apart."""
 
     def __init__(self, clock: Clock) -> None:
-        self.clock, self.paused = clock, False
-        self.field: list[Tensor] = []
-        self.primitives: list[Tensor] = []
-        self.image: list[Tensor] = []
-        self.loss: list[Tensor] = []
-
-    def moved(self, output: Displacement) -> None:
-        if not self.paused:
-            self.field = list(output)
-
-    def placed(self, kinds: tuple[Any, Any]) -> None:
-        if not self.paused:
-            self.primitives = [value for kind in kinds for value in vars(kind).values() if isinstance(value, Tensor)]
+        self._clock = clock
+        self._image: list[Tensor] = []
+        self._loss: list[Tensor] = []
+        self._primitives: list[Tensor] = []
+        self._field: list[Tensor] = []
 
     def rendered(self, frame: Any) -> None:
-        self.image = [frame.color]
+        self._image = [frame.color]
 
     def judged(self, loss: Tensor) -> None:
-        self.loss = [loss]
+        self._loss = [loss]
 
-    def watch(self, loss: Tensor) -> list[RemovableHandle]:
+    def placed(self, kinds: Any) -> None:
+        self._primitives = [value for kind in kinds for value in vars(kind).values() if isinstance(value, Tensor)]
+
+    def moved(self, output: Any) -> None:
+        self._field = list(output)
+
+    def watch(self, loss: Tensor) -> list[Any]:
         """Hooks on every node behind ``loss``. The time between nodes stays with the rest."""
-        everything = nodes_behind([loss])
-        leaves = {node for node in everything if "AccumulateGrad" in node.name()}
-        field = nodes_behind(self.field, leaves)
-        model = nodes_behind(self.primitives, leaves | field)
-        image = nodes_behind(self.image, leaves | field | model)
-        judged = nodes_behind(self.loss, leaves | field | model | image)
-        named = {
-            "gradients into leaves": leaves,
-            "field backward": field,
-            "model backward": model,
-            "rasterize backward": image,
-            "loss backward": judged,
-            "regularisers backward": everything - leaves - field - model - image - judged,
-        }
-        return [handle for part, nodes in named.items() for handle in self.clock.watch(nodes, part)]
+        left = _nodes_behind([loss])
+        named = {"gradients into leaves": {node for node in left if "AccumulateGrad" in node.name()}}
+        left -= named["gradients into leaves"]
+        behind = {"field": self._field, "model": self._primitives, "rasterize": self._image, "loss": self._loss}
+        for part, tensors in behind.items():  # what comes first in the step is behind all that follows, and is counted first
+            named[f"{part} backward"] = left & _nodes_behind(tensors)
+            left -= named[f"{part} backward"]
+        named["regularisers backward"] = left
+        return [handle for part, nodes in named.items() for handle in self._clock.watch(nodes, part)]
+
+
+def _nodes_behind(tensors: list[Tensor]) -> set[Node]:
+    """Nodes of the autograd graph from which ``tensors`` were computed."""
+    found: set[Node] = set()
+    waiting = [t.grad_fn for t in tensors if t.grad_fn is not None]
+    while waiting:
+        node = waiting.pop()
+        if node not in found:
+            found.add(node)
+            waiting += [following for following, _ in node.next_functions if following is not None]
+    return found

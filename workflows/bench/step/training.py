@@ -17,6 +17,7 @@ from ....scene.primitives import ConvexSet, GaussianSet
 from ....scene.seeds.carve import carve
 from ....scene.seeds.volume import common_volume
 from ....scene.settings import TrainingSettings
+from ....scene.training.recipe import PLANES, RECIPES
 from ....scene.training.schedule import Phase
 from ....scene.training.trainer import Trainer
 from ....scene.views import Views
@@ -80,20 +81,17 @@ def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None, count
     return Model(gaussians, ConvexSet.empty(6, SH_DEGREE), field, SH_DEGREE)
 
 
-def copy_of(model: Model) -> Model:
-    """The same model on memory of its own."""
-    arrays = {name: np.array(value) for name, value in model.to_arrays().items()}
-    return Model.from_arrays(arrays, model.config)
-
-
 def make_trainer(model: Model, views: Views) -> tuple[Trainer, Callable[[], None]]:
-    """A trainer in mid-course, and a function that takes one step: all of a step, without density control and checkpoints between steps."""
-    phase = Phase("deformation", STEPS)
-    trainer = Trainer(model, views, [phase], TrainingSettings.model_validate({}), budget=len(model.gaussians), grow=False)
+    """A trainer in mid-course, and a function that takes `PERIOD` steps: all of a step, without density control and checkpoints between."""
+    assert model.field is not None
+    recipe = RECIPES.get(str(model.field.config["kind"]), PLANES)
+    phase, settings = Phase("deformation", STEPS), TrainingSettings.model_validate({})
+    trainer = Trainer(model, views, [phase], settings, budget=len(model.gaussians), grow=False, recipe=recipe)
     trainer.iteration = BEGUN
 
-    def step() -> None:
-        trainer._step(phase, trainer.iteration)
-        trainer.iteration += 1
+    def period() -> None:
+        for _ in range(PERIOD):
+            trainer._step(phase, trainer.iteration)
+            trainer.iteration += 1
 
-    return trainer, step
+    return trainer, period

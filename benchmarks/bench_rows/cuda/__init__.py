@@ -1,0 +1,1 @@
+"""Rows of the suite cuda: one file a row, each with `measure`."""

@@ -1,0 +1,1 @@
+"""Rows of the suite field: one file a row, each with `measure`."""

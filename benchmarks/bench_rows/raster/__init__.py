@@ -1,0 +1,1 @@
+"""Rows of the suite raster: one file a row, each with `measure`."""

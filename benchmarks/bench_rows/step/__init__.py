@@ -1,0 +1,1 @@
+"""Rows of the suite step: one file a row, each with `measure`."""

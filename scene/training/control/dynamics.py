@@ -1,0 +1,57 @@
+"""What moves: primitives that stay where they are leave the deformation field, which is where most of a step's time goes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...model import Model
+from ...views import Views
+
+TIMES = 12  # sampled over the capture to measure how far a primitive travels
+STILL_PIXELS = 0.3  # travels less than this, seen from the nearest training camera: does not move
+
+
+def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean displacement [m, 3] and largest distance from it [m], world units, over the capture, of the Gaussians ``index``."""
+    assert model.field is not None
+    with torch.no_grad():
+        rest = model.gaussians.means[index]
+        paths = torch.stack([model.centres_at(index, float(t)) - rest for t in np.linspace(0, 1, TIMES)])
+    mean = paths.mean(0)
+    return mean, (paths - mean).norm(dim=2).amax(0)
+
+
+def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIXELS, share: float = 0.0) -> int:
+    """Take Gaussians that travel less than ``pixels`` out of the field, at their mean position, unless they are less than ``share`` of
+    those in it: picking the others out would cost more than it saves. Returns how many."""
+    index = model.gaussians.dynamic.nonzero()[:, 0]
+    if model.field is None or not len(index):
+        return 0
+    mean, travel = mean_path(model, index)
+    centres = torch.tensor(views.centres()[views.train], dtype=torch.float32, device=model.device)
+    with torch.no_grad():
+        nearest = torch.cdist(model.gaussians.means[index], centres).amin(1)
+    focal = float(views.K[views.train, 0, 0].max())
+    still = travel * focal / nearest.clamp(min=views.near) < pixels
+    if float(still.float().mean()) < share:
+        return 0
+    model.bake(mean[still], index[still])
+    return int(still.sum())
+
+
+def dynamic_from_masks(points: np.ndarray, views: Views, looks: Iterable[tuple[int, np.ndarray]], share: float) -> np.ndarray:
+    """Which of ``points`` [P, 3] may move: they project onto what moves in at least ``share`` of the looks that see them. [P] bool.
+
+    looks: frame number -> [H, W] uint8, 255 where something moves. A point that no look sees counts as moving.
+    """
+    seen = np.zeros(len(points))
+    moving = np.zeros(len(points))
+    for i, mask in looks:
+        shown, x, y, _ = views.project(i, points)
+        seen[shown] += 1
+        moving[shown] += mask[y, x] > 127
+    return (seen == 0) | (moving >= share * np.maximum(seen, 1))

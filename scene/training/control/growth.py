@@ -1,0 +1,120 @@
+"""Density control: when primitives are added and removed, and how many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from ...settings import TrainingSettings
+from ...views import Views
+from ..curriculum import Curriculum
+from ..recipe import Recipe
+from ..schedule import Phase
+from ..turning import bound_to_bodies
+from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
+from .hidden import seen_share
+from .learned_model import LearnedModel
+
+FIRST_ROUND = 200  # step before which nothing comes or goes
+DENSIFY_EVERY = 100
+PROBE_VIEWS, FINAL_VIEWS = 16, 120  # whose error says where to grow; whose blending says what to remove at the end
+MOST_FOR_ONE = 4  # Gaussians at most, for each of the budget, which counts those that are there at a time
+SMALL_SHARE = 0.6  # of the budget, on small images of a rig, whose cameras see more than one image holds
+GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
+
+
+class DensityControl:
+    """Adds primitives to ``learned`` where the error is, and removes those that add nothing.
+
+    phases: of the whole training. budget: most Gaussians. grow: whether any are added. event: told what happened.
+    """
+
+    def __init__(
+        self,
+        learned: LearnedModel,
+        views: Views,
+        curriculum: Curriculum,
+        settings: TrainingSettings,
+        recipe: Recipe,
+        phases: Sequence[Phase],
+        budget: int,
+        grow: bool,
+        event: Callable[[str], None],
+    ) -> None:
+        self.learned, self.views, self.curriculum, self.settings, self.recipe = learned, views, curriculum, settings, recipe
+        self.budget, self.grow, self._event = budget, grow, event
+        self.total = total = sum(phase.iterations for phase in phases)
+        self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until
+        self.every = settings.densify_every or max(DENSIFY_EVERY, total // recipe.rounds)
+        self._last_removal = round(recipe.prune_at * total)
+        self._ends_moving = phases[-1].move if phases else False
+        self._hidden_at = {round(share * total) for share in recipe.hidden_at} if grow and settings.hidden else set()
+
+    def after_step(self, step: int, phase: Phase, bodies_alone: bool) -> None:
+        """What is due when ``step`` steps are done. bodies_alone: only what goes with a rigid body may multiply."""
+        if step in self._hidden_at:
+            self._remove_hidden(step, phase)
+        if step == self._last_removal < self.total:
+            self._remove_hardly_seen(step)
+        if step % self.every == 0 and step >= FIRST_ROUND and step / max(self.total, 1) <= self.grow_until:
+            self.round(step, phase, bodies_alone)
+
+    def finish(self, step: int) -> None:
+        """The last removal, where the training ended before it was due."""
+        if step < self._last_removal or self._last_removal >= self.total:
+            self._remove_hardly_seen(step)
+
+    def round(self, step: int, phase: Phase, bodies_alone: bool = False) -> None:
+        """What has faded is removed; Gaussians are added where the error is."""
+        self._prune(step)
+        if not self.grow:
+            return
+        model, progress = self.learned.model, step / max(self.total, 1)
+        measured = measure_responsibility(model, self.views, self.curriculum.probe(step, PROBE_VIEWS), phase.move, phase.scale)
+        alive = round(float(measured.life_gaussians.sum()))  # what is not there at a time costs nothing then
+        room = min(self._most(phase) - alive, MOST_FOR_ONE * self.budget - len(model.gaussians))
+        if room <= 0:
+            return
+        error = torch.where(bound_to_bodies(model), measured.error_gaussians, 0.0) if bodies_alone else measured.error_gaussians
+        rounds_left = max(1, round((self.grow_until - progress) * self.total / self.every))
+        wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
+        chosen = choose_to_split(model.gaussians, error, min(room, wanted))
+        self.learned.replace(*split_along_longest_axis(model.gaussians, chosen), step)
+
+    def _most(self, phase: Phase) -> int:
+        """Gaussians that the images of ``phase`` bear."""
+        if phase.scale == 1:
+            return self.budget
+        width, height = self.views.size(phase.scale)
+        of_cameras = round(SMALL_SHARE * self.budget) if self.curriculum.several else 0
+        return min(self.budget, max(round(GAUSSIANS_PER_PIXEL * width * height), of_cameras))
+
+    def _prune(self, step: int, weights: tuple[Tensor | None, Tensor | None] = (None, None)) -> None:
+        """Remove what is all but transparent and, where ``weights`` in px a view are known, what is hardly blended."""
+        model = self.learned.model
+        for primitives, weight in zip((model.gaussians, model.convexes), weights):
+            keep = survivors(primitives, self.settings.min_opacity, weight, self.settings.min_weight)
+            if len(keep) < len(primitives):
+                self.learned.replace(primitives.select(keep), keep, step)
+
+    def _remove_hidden(self, step: int, phase: Phase) -> None:
+        """What no view sees for what stands in front of it."""
+        gaussians = self.learned.model.gaussians
+        probed = self.curriculum.probe(step, FINAL_VIEWS)
+        seen = seen_share(self.learned.model, self.views, probed, phase.move, phase.scale)
+        keep = (seen >= self.settings.hidden).nonzero()[:, 0]
+        self._event(f"step {step}: {len(gaussians) - len(keep)} of {len(gaussians)} Gaussians are hidden behind others and go")
+        self.learned.replace(gaussians.select(keep), keep, step)
+
+    def _remove_hardly_seen(self, step: int) -> None:
+        """What the training views hardly blend."""
+        model = self.learned.model
+        measured = measure_responsibility(model, self.views, self.curriculum.probe(self.total, FINAL_VIEWS), self._ends_moving, 0.5)
+        before = len(model.gaussians), len(model.convexes)
+        self._prune(step, (measured.weight_gaussians, measured.weight_convexes))
+        self._event(
+            f"step {step}: removed, hardly blended by any training view: {before[0] - len(model.gaussians)} Gaussians, "
+            f"{before[1] - len(model.convexes)} convexes"
+        )

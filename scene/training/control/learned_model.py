@@ -1,0 +1,78 @@
+"""A model and the optimiser of its parameters, which stay together while primitives and the motion come and go."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ...model import Model
+from ...primitives import ConvexSet, GaussianSet, PrimitiveSet
+from ...settings import TrainingSettings
+from ..checkpoint import restore
+from ..optimiser import RowAdam
+from ..rates import learning_rates
+
+
+class LearnedModel:
+    """``model``, whose parameters ``optimiser`` changes. ``changed``: the step at which primitives or the motion last came or went.
+
+    unit: the viewing distance, world units. lr_scale: factor on the rates of what a stage before has already trained.
+    """
+
+    def __init__(self, model: Model, settings: TrainingSettings, unit: float, lr_scale: float) -> None:
+        self.model, self._settings, self._unit, self._lr_scale = model, settings, unit, lr_scale
+        self.optimiser = self._make_optimiser()
+        self.changed = 0
+
+    def replace(self, new: PrimitiveSet, source: Tensor, step: int) -> None:
+        """Go on with other primitives of a kind; row i keeps the optimiser's moments of old row ``source[i]``, or begins anew at -1."""
+        self.changed = step
+        if isinstance(new, GaussianSet):
+            self.model.gaussians = new
+        else:
+            assert isinstance(new, ConvexSet)
+            self.model.convexes = new
+        for name, parameter in new.parameters.items():
+            self.optimiser.replace(f"{new.KIND}.{name}", parameter, source)
+
+    def renew(self, motion: Any, step: int) -> None:
+        """Go on with another motion, some of whose parameters may be those of the one before."""
+        self.changed = step
+        self.model.field = motion
+        self.model.relink()
+        known = self.optimiser.parameters()
+        for name, parameter in motion.named_parameters():
+            if known.get(f"field.{name}") is not parameter:
+                self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All of it by name, for a checkpoint."""
+        model = self.model
+        tensors = {f"parameter/{name}": p for name, p in self._named().items() if not name.startswith("field.")}
+        tensors |= {f"optimiser/{name}": value for name, value in self.optimiser.state().items()}
+        tensors |= {f"dynamic/{p.KIND}": p.dynamic for p in (model.gaussians, model.convexes)}
+        if model.field is not None:
+            tensors |= {f"motion/{name}": value for name, value in model.field.state_dict().items()}
+            links = {p.KIND: model.links(p) for p in (model.gaussians, model.convexes) if len(p)}
+            tensors |= {f"link/{kind}": link for kind, link in links.items() if link is not None}
+        return tensors
+
+    def load(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
+        """Inverse of `tensors`. ``state``: what the checkpoint says beside them, with the model's config."""
+        restore(self.model, tensors, state)
+        self.optimiser = self._make_optimiser()
+        self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
+
+    def _named(self) -> dict[str, Tensor]:
+        named = {f"{s.KIND}.{name}": p for s in (self.model.gaussians, self.model.convexes) for name, p in s.parameters.items()}
+        if self.model.field is not None:
+            named |= {f"field.{name}": p for name, p in self.model.field.named_parameters()}
+        if self.model.affine is not None:
+            named |= {f"affine.{name}": p for name, p in self.model.affine.named_parameters()}
+        return named
+
+    def _make_optimiser(self) -> RowAdam:
+        named = self._named()
+        return RowAdam(named, learning_rates(named, self._settings, self._unit, self._lr_scale))

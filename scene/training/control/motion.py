@@ -1,0 +1,105 @@
+"""What happens to the motion while it is learned: it is spread anew, parts that turn become bodies, and what does not move leaves it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from ...settings import TrainingSettings
+from ...views import Views
+from ..curriculum import Curriculum
+from ..recipe import Recipe
+from ..schedule import Phase
+from ..turning import bodies_for_turning_parts
+from .density import measure_responsibility
+from .dynamics import freeze_still_gaussians
+from .learned_model import LearnedModel
+
+# A new body's way is found on small images first, with all else at rest: steps on each size, at most this share of all steps.
+SETTLE_SCALES, SETTLE_STEPS, SETTLE_SHARE = (0.125, 0.25, 0.5), 1000, 0.03
+SOLID = 0.2  # opacity of Gaussians over which the motion is spread
+SEARCH_VIEWS = 120  # whose error says where a part may turn
+
+
+class MotionControl:
+    """Changes the motion of ``learned`` when the recipe says so.
+
+    phases: of the whole training. event: told what happened. say: told what goes on.
+
+    bodies_alone: new bodies find their way, and nothing else learns; as of the last `settling`.
+    """
+
+    def __init__(
+        self,
+        learned: LearnedModel,
+        views: Views,
+        curriculum: Curriculum,
+        settings: TrainingSettings,
+        recipe: Recipe,
+        phases: Sequence[Phase],
+        event: Callable[[str], None],
+        say: Callable[[str], None],
+    ) -> None:
+        self.learned, self.views, self.curriculum, self.settings, self.recipe = learned, views, curriculum, settings, recipe
+        self.total = sum(phase.iterations for phase in phases)
+        self._event, self._say = event, say
+        self.bodies_alone = False
+        self._spread = 0  # times that the motion has been spread anew
+        self._searched = 0  # times that parts that turn were looked for
+        self._joined: int | None = None  # step at which the last body joined
+        self._froze = False
+
+    def settling(self, phase: Phase, step: int) -> Phase:
+        """``phase``, on smaller images while new bodies find their way."""
+        each = max(1, min(SETTLE_STEPS, round(SETTLE_SHARE * self.total)))
+        turn = (step - self._joined) // each if self._joined is not None else len(SETTLE_SCALES)
+        self.bodies_alone = turn < len(SETTLE_SCALES)
+        return replace(phase, scale=min(phase.scale, SETTLE_SCALES[turn])) if self.bodies_alone else phase
+
+    def after_step(self, step: int, phase: Phase, skipped: dict[str, int]) -> None:
+        """What is due when ``step`` steps are done. ``skipped`` is told how many Gaussians left the motion."""
+        progress = step / max(self.total, 1)
+        self._spread_anew(step, progress)
+        if self._searched < len(self.recipe.bodies_at) and progress >= self.recipe.bodies_at[self._searched]:
+            self._search_bodies(step, phase)
+        if not self._froze and progress >= self.recipe.freeze_at and self.curriculum.complete(step):
+            self._froze = True
+            model = self.learned.model
+            count = freeze_still_gaussians(model, self.views, self.recipe.freeze_pixels, self.recipe.freeze_share)
+            skipped["still Gaussians taken out of the field"] = count
+            self._event(f"step {step}: {count} of {len(model.gaussians)} Gaussians do not move and left the field")
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint, as JSON."""
+        return {"froze": self._froze, "motion": [self._spread, self._searched, self._joined]}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Inverse of `state`."""
+        self._froze = state["froze"]
+        self._spread, self._searched, self._joined = state["motion"]
+
+    def _spread_anew(self, step: int, progress: float) -> None:
+        """Where the recipe says so, over what is opaque by then."""
+        model = self.learned.model
+        if model.field is None or self._spread >= len(self.recipe.spread_at) or progress < self.recipe.spread_at[self._spread]:
+            return
+        self._spread += 1
+        solid = model.gaussians.opacities.detach() > SOLID
+        renewed = model.field.spread_over(model.gaussians.means.detach()[solid].cpu().numpy()) if bool(solid.any()) else None
+        if renewed is None:
+            return
+        self.learned.renew(renewed, step)
+        self._event(f"step {step}: the motion is spread anew")
+
+    def _search_bodies(self, step: int, phase: Phase) -> None:
+        """Parts that hold much of the error and turn too fast for gradients."""
+        self._searched, model = self._searched + 1, self.learned.model
+        self._say("looking for parts that turn")
+        probed = self.curriculum.probe(step, SEARCH_VIEWS)
+        error = measure_responsibility(model, self.views, probed, True, phase.scale).error_gaussians
+        source = bodies_for_turning_parts(model, self.views, error, self.settings.seed, self._event)
+        if source is not None and model.field is not None:
+            self.learned.renew(model.field, step)
+            self.learned.replace(model.gaussians, source, step)
+            self._joined = step

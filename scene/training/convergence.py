@@ -1,0 +1,47 @@
+"""Whether training goes on to improve: the image loss, smoothed over the steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+CONVERGED = 0.002  # relative improvement over `patience` steps below which a stage has converged
+EVERY = 20  # steps between two points of the curve
+
+
+class SmoothedLoss:
+    """An exponential mean over all steps that were taken."""
+
+    def __init__(self) -> None:
+        self._mean: float | None = None  # of all steps but those that wait
+        self._waiting: list[Tensor] = []  # still on the device: reading one waits for all that was asked of it before
+
+    def add(self, loss: Tensor) -> None:
+        self._waiting.append(loss)
+
+    def value(self) -> float:
+        """0 before the first step."""
+        if self._waiting:
+            for value in torch.stack(self._waiting).tolist():
+                self._mean = value if self._mean is None else 0.98 * self._mean + 0.02 * value
+            self._waiting.clear()
+        return 0.0 if self._mean is None else self._mean
+
+    def load(self, value: float) -> None:
+        """Go on from an earlier `value`."""
+        self._mean = value
+
+
+def flat(curve: Sequence[Sequence[float]], patience: int) -> bool:
+    """The loss of the last ``patience`` steps is no better than that of the ``patience`` steps before.
+
+    curve: (step, loss), a row every `EVERY` steps."""
+    rows = patience // EVERY
+    if len(curve) < 2 * rows:
+        return False
+    values = [value for _, value in curve]
+    before, now = float(np.mean(values[-2 * rows : -rows])), float(np.mean(values[-rows:]))
+    return now > before * (1 - CONVERGED)

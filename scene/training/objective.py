@@ -1,0 +1,110 @@
+"""What one step minimises: the losses of Eq. 9 for one view, and the priors beside them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...rasterizer import rasterize
+from ..losses.depth_smoothness import depth_smoothness
+from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
+from ..losses.measured_depth import MeasuredDepth
+from ..losses.motion_terms import MeasuredFlow, MotionTerms
+from ..losses.photometric import photometric_loss
+from ..model import Model
+from ..settings import TrainingSettings
+from ..views import Views
+from .recipe import Recipe
+from .schedule import Phase
+
+WHOLE_EVERY = 8  # steps of which one looks at the whole image where the others look at the object alone
+RELINK_EVERY = 100  # steps between two searches for what carries each primitive
+
+
+@dataclass(eq=False)
+class Judged:
+    """loss: what is minimised. image_loss: its part that compares pictures, detached. color, target [h, w, 3]; kept [h, w]: what counts."""
+
+    loss: Tensor
+    image_loss: Tensor
+    color: Tensor
+    target: Tensor
+    kept: Tensor | None
+
+    def psnr(self) -> float:
+        """Of the picture, where it counts."""
+        share = 1.0 if self.kept is None else max(float(self.kept.float().mean()), 1e-6)
+        mse = float((self.color.detach() - self.target).square().mean()) / share
+        return -10 * float(np.log10(max(mse, 1e-10)))
+
+
+class Objective:
+    """unit: the viewing distance, world units. several: one time alone shows the scene from several sides. total: steps of the whole
+    training. measured_flow, measured_depth: see `Trainer`."""
+
+    def __init__(
+        self,
+        views: Views,
+        settings: TrainingSettings,
+        recipe: Recipe,
+        unit: float,
+        several: bool,
+        total: int,
+        measured_flow: MeasuredFlow | None,
+        measured_depth: MeasuredDepth | None,
+    ) -> None:
+        self.views, self.settings, self.unit, self.several, self.total = views, settings, unit, several, total
+        self.measured_depth = measured_depth if settings.depth else None
+        self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
+        self.spread = recipe.spread if settings.spread is None else settings.spread
+        self.motion_terms = MotionTerms(
+            views,
+            settings,
+            unit,
+            recipe.still if settings.still is None else settings.still,
+            recipe.inertia if settings.inertia is None else settings.inertia,
+            len(np.unique(views.time)),
+            measured_flow,
+        )
+
+    def __call__(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int) -> Judged:
+        """``model`` seen as training frame ``i`` in step ``step``, counted from 0, up to spherical harmonics of ``sh_degree``."""
+        views, s = self.views, self.settings
+        window = None if step % WHOLE_EVERY == 0 else views.window(i, phase.scale)
+        camera = views.rasterizer_camera(i, phase.scale, window)
+        background = torch.tensor(views.background)
+        if step % RELINK_EVERY == 0:
+            model.relink()
+        gaussians, convexes = model.at(float(views.time[i]), camera, phase.move, sh_degree)
+        spread = self.spread if step % EVERY == 0 and step > BEGIN * self.total else 0.0
+        seen = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
+        frame = rasterize(camera, *seen, background)
+        color = frame.color
+        if model.affine is not None:
+            color = model.affine(color, views.recorded_by(i))
+        target = views.target(i, phase.scale, window)
+        kept = views.kept(i, phase.scale, window)
+        if kept is not None:  # what does not count is as it was drawn, and pulls at nothing
+            target = torch.where(kept[..., None], target, color.detach())
+        loss = photometric_loss(color, target, s.l1, s.ssim)
+        if s.alpha and views.load_alpha is not None:
+            wrong = (frame.alpha - views.alpha(i, phase.scale, window)).abs()
+            loss = loss + s.alpha * (wrong if kept is None else wrong * kept).mean()
+        # As if the whole image had been looked at: there is nothing outside of the window.
+        share = target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale)))
+        loss = loss * share
+        image_loss = loss.detach()
+        if spread:
+            loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)
+        if s.smooth and self.several:
+            loss = loss + s.smooth * depth_smoothness(frame.depth, frame.alpha, target, self.unit)
+        if self.measured_depth is not None:
+            loss = loss + s.depth * self.measured_depth.loss(frame.depth, frame.alpha, i)
+        loss = loss + self.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
+        if phase.move and model.field is not None:
+            loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
+        return Judged(loss, image_loss, color, target, kept)

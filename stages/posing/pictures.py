@@ -1,0 +1,106 @@
+"""The pictures and masks of a capture as files for COLMAP."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+from ...pipeline import Context
+from ...vision.images.files import BadImageError, open_image
+from ...vision.images.pictures import composite
+
+if TYPE_CHECKING:
+    from ..artifacts.frameset import FrameSet
+
+
+def lens_groups(frames: FrameSet) -> list[int]:
+    """A number for each frame; frames of one number share a lens. Pictures of another size are taken by another camera, or zoomed."""
+    if frames.crop is None:
+        return [int(c) for c in frames.camera]
+    lenses = [(int(c), *crop) for c, crop in zip(frames.camera, frames.crop.tolist(), strict=True)]
+    number = {lens: n for n, lens in enumerate(dict.fromkeys(lenses))}
+    return [number[lens] for lens in lenses]
+
+
+def picture_folder(ctx: Context) -> Path:
+    """Where the pictures lie; it is made where there is none."""
+    folder = ctx.checkpoints / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def write_images(ctx: Context, frames: FrameSet) -> list[str]:
+    """Pictures for COLMAP under plain names: links to the capture's own files, or files decoded from what the store holds."""
+    folder = picture_folder(ctx)
+    names: list[str] = []
+    # COLMAP reads files as they are stored: neither turned nor cropped, and without alpha; masks are made for pictures of the frames' size
+    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None and frames.keep_files is None
+    with ctx.progress(len(frames), "pictures") as progress:
+        for i in range(len(frames)):
+            suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
+            names.append(f"{i:06d}{suffix}")
+            target = folder / names[-1]
+            if not target.exists():
+                target.unlink(missing_ok=True)  # a link to what has moved
+                if linked and frames.files is not None:
+                    _link(frames.root / frames.files[i], target)
+                else:
+                    exif = _focal_length(frames.root / frames.files[i]) if frames.files is not None and frames.crop is None else None
+                    _save(frames, i, target, exif)
+            progress.advance()
+    return names
+
+
+def write_picture(frames: FrameSet, i: int, folder: Path) -> str:
+    """The picture of frame ``i``, decoded; its name. One that is there already stays."""
+    target = folder / f"{i:06d}.png"
+    if not target.exists():
+        _save(frames, i, target)
+    return target.name
+
+
+def write_masks(ctx: Context, frames: FrameSet) -> Path:
+    """The folder of masks, black where no feature is to be found, called as COLMAP wants them: the picture's name and .png."""
+    folder = ctx.checkpoints / "masks"
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(len(frames)):
+        kept = frames.kept(i)
+        if kept is not None:
+            Image.fromarray(np.where(kept, 255, 0).astype(np.uint8)).save(folder / f"{i:06d}.png.png", compress_level=1)
+    return folder
+
+
+def _save(frames: FrameSet, i: int, target: Path, exif: Image.Exif | None = None) -> None:
+    partial = target.with_name(f"partial{target.suffix}")
+    partial.unlink(missing_ok=True)
+    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1, exif=exif)
+    partial.replace(target)
+
+
+def _focal_length(file: Path) -> Image.Exif:
+    """What EXIF says of a picture's focal length, in 35 mm terms, and nothing else: COLMAP begins with it."""
+    details, tag = 0x8769, 0xA405
+    result = Image.Exif()
+    try:
+        with open_image(file) as image:
+            value = image.getexif().get_ifd(details).get(tag)
+    except BadImageError:  # EXIF data are often broken, and can be done without
+        value = None
+    if isinstance(value, int) and 1 <= value <= 10_000:
+        result[details] = {tag: value}
+    return result
+
+
+def _link(source: Path, target: Path) -> None:
+    partial = target.with_name(f"partial{target.suffix}")
+    partial.unlink(missing_ok=True)
+    try:
+        os.symlink(source.resolve(), partial)
+    except OSError:  # a file system without links
+        shutil.copyfile(source, partial)
+    partial.replace(target)

@@ -1,0 +1,49 @@
+"""Measures the chosen rows of a suite one after another, and prints and writes each as soon as it is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from ...pipeline import Progress, SettingsError
+from . import output
+from .machine import kernels, machine
+from .rows import Bench, Row, choose
+
+
+def run(
+    suite: str, rows: Sequence[Row], bench: Bench, *, names: str | None, only_list: bool, threads: int, out: Path | None, console: Console
+) -> dict[str, Any]:
+    """The rows as in the JSON file, by name. ``names``: of the chosen ones, by commas; all for None. ``only_list``: measure nothing."""
+    if bench.garden is not None and not bench.garden.is_file():
+        raise SettingsError(f"--garden {bench.garden}: there is no such file")
+    if only_list:
+        for row in rows:
+            console.print(f"{row.name:12} {row.what}", markup=False, highlight=False, soft_wrap=True)
+        return {}
+    chosen = choose(rows, names)
+
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads or before)
+    measured: dict[str, Any] = {}
+    try:
+        facts = machine() | kernels()
+        if bench.scale != 1:
+            console.print(f"sizes are {bench.scale:g} of the full ones: bars are shown, but nothing is judged", highlight=False)
+        for row in chosen:
+            with Progress(0, row.name, console) as bench.progress:
+                found = row.measure(bench)
+            output.show_row(console, row, found, bench.scale == 1)
+            measured[row.name] = output.row_json(row, found)
+            if out is not None:
+                output.write(out, output.report(suite, bench, facts, measured))
+    finally:
+        torch.set_num_threads(before)
+    if out is not None:
+        output.show_file(console, "numbers", out)
+    return measured
