@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import Strategy, TrainingSettings
-from .seeding.seeds import is_rig
+from .captures.facts import Facts
+from .estimates import node_training_seconds, training_resources, training_seconds
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,27 +53,24 @@ class Coarse(Stage):
     device_class = True
 
     def applies(self, facts: Mapping[str, Any], settings: CoarseSettings) -> Applies:
-        if facts.get("static"):
+        known = Facts.of(facts)
+        if known.static:
             return Applies.yes("nothing moves: Gaussians without a deformation field")
-        if use_nodes(facts, settings):
+        if use_nodes(known, settings):
             return Applies.yes("Gaussians, moved by control nodes")
-        if settings.motion == "free" or (settings.motion == "auto" and facts.get("pairs", 0)):
+        if settings.motion == "free" or (settings.motion == "auto" and known.pairs):
             return Applies.yes("Gaussians; what masks show to move lives around a time of its own")
         return Applies.yes("Gaussians, moved by the six-plane field")
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
-        from .estimates import node_training_seconds, training_seconds
-
-        static = bool(facts.get("static"))
-        steps = settings.iterations or auto_iterations(facts, settings)
-        if use_nodes(facts, settings):
-            return node_training_seconds(facts, steps)
-        return training_seconds(facts, steps, static, area=1 - 0.75 * settings.full_from)
+        known = Facts.of(facts)
+        steps = settings.iterations or auto_iterations(known, settings)
+        if use_nodes(known, settings):
+            return node_training_seconds(known, steps)
+        return training_seconds(known, steps, known.static, area=1 - 0.75 * settings.full_from)
 
     def resources(self, facts: Mapping[str, Any], settings: CoarseSettings, device: str) -> Resources:
-        from .estimates import training_resources
-
-        return training_resources(facts, device)
+        return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:
         import numpy as np
@@ -91,15 +90,15 @@ class Coarse(Stage):
         from .seeding.picture import seeds_picture
         from .seeding.seeds import initial_dynamic, living, load_seeds, mover_seeds
 
-        settings = ctx.settings
+        settings, facts = ctx.settings, Facts.of(ctx.facts)
         torch.manual_seed(settings.seed)
         frames = load_frameset(ctx.inputs, ctx.capture.root)
         views = load_views(frames, ctx.inputs["flow"], ctx.device)
         static = is_static(ctx)
 
-        nodes = not static and use_nodes(ctx.facts, settings)
-        budget = settings.budget or auto_budget(ctx.facts, views, nodes)
-        seeds = settings.seeds or auto_seeds(ctx.facts, budget)
+        nodes = not static and use_nodes(facts, settings)
+        budget = settings.budget or auto_budget(facts, views, nodes)
+        seeds = settings.seeds or auto_seeds(facts, budget)
         points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, seeds)
         movers = None if static or nodes else mover_seeds(ctx, frames, views, points, budget // 2)
         free = settings.motion == "free" or (settings.motion == "auto" and movers is not None)
@@ -116,7 +115,7 @@ class Coarse(Stage):
             middle = movers.time == movers.time[np.abs(movers.time - 0.5).argmin()]
             points, colors = np.concatenate([points, movers.points[middle]]), np.concatenate([colors, movers.colors[middle]])
             dynamic = np.concatenate([dynamic, np.ones(int(middle.sum()), bool)])
-        sh_degree = auto_sh_degree(ctx.facts) if settings.sh_degree is None else settings.sh_degree
+        sh_degree = auto_sh_degree(facts) if settings.sh_degree is None else settings.sh_degree
         gaussians = GaussianSet.from_points(points, colors, sh_degree, max_scale=0.05 * unit)
         field: Any = None
         if not static:
@@ -134,7 +133,7 @@ class Coarse(Stage):
         empty = ConvexSet.empty(6, sh_degree)
         model = Model(gaussians, empty, field, sh_degree, views.near, views.background).to(ctx.device)
 
-        steps = settings.iterations or auto_iterations({**ctx.facts, "static": static}, settings)
+        steps = settings.iterations or auto_iterations(replace(facts, static=static), settings)
         small = views.width * views.height < SMALL_IMAGE
         if nodes and settings.strategy in ("two-stage", "alternating"):
             phases = node_phases(steps, 1.0 if small else HALF_RESOLUTION)
@@ -166,28 +165,28 @@ class Coarse(Stage):
 def is_static(ctx: Context) -> bool:
     """Nothing moves: the user says so, or `flow` has found it."""
     flow = ctx.inputs["flow"]
-    return bool(ctx.facts.get("static") or (flow is not None and flow.attrs.get("static")))
+    return bool(Facts.of(ctx.facts).static or (flow is not None and flow.attrs.get("static")))
 
 
-def auto_budget(facts: Mapping[str, Any], views: Views, nodes: bool) -> int:
+def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:
     """One Gaussian for eight pixels of one view, 12,000 to 120,000; for five where nodes move them, whose few parameters bear
     more; for four of a rig, which sees a whole room, 40,000 to 240,000."""
     pixels = views.width * views.height
-    if is_rig(facts):
+    if facts.rig:
         return int(min(max(pixels // 4, 40_000), 240_000))
     if nodes:
         return int(min(max(pixels // 5, 12_000), 120_000))
     return int(min(max(pixels // 8, 12_000), 120_000))
 
 
-def auto_seeds(facts: Mapping[str, Any], budget: int) -> int:
+def auto_seeds(facts: Facts, budget: int) -> int:
     """Half the budget for rigs: what growth adds goes where some primitive is, so each wall needs some to begin with. Else 8000."""
-    return budget // 2 if is_rig(facts) else 8000
+    return budget // 2 if facts.rig else 8000
 
 
-def auto_sh_degree(facts: Mapping[str, Any]) -> int:
+def auto_sh_degree(facts: Facts) -> int:
     """Few cameras of a rig see a place from few sides, and what they disagree about is not what views between them see."""
-    return 1 if is_rig(facts) else 2
+    return 1 if facts.rig else 2
 
 
 def mean_colour(views: Views) -> tuple[float, float, float]:
@@ -198,20 +197,20 @@ def mean_colour(views: Views) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def use_nodes(facts: Mapping[str, Any], settings: CoarseSettings) -> bool:
+def use_nodes(facts: Facts, settings: CoarseSettings) -> bool:
     """Control nodes move the scene where it moves and each frame is a camera of its own: one view a time says too little for planes."""
-    if facts.get("static") or settings.motion != "auto":
-        return settings.motion == "nodes" and not facts.get("static")
-    return facts.get("cameras", 1) == facts.get("frames", 0) and facts.get("pairs", 0) == 0 and facts.get("times", 1) >= NODE_TIMES
+    if facts.static or settings.motion != "auto":
+        return settings.motion == "nodes" and not facts.static
+    return facts.cameras == facts.frames and facts.pairs == 0 and facts.times >= NODE_TIMES
 
 
-def auto_iterations(facts: Mapping[str, Any], settings: CoarseSettings) -> int:
+def auto_iterations(facts: Facts, settings: CoarseSettings) -> int:
     """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; `ITERATIONS_NODES` for control nodes;
     all of them times the effort, but never below 2000."""
     steps = ITERATIONS_NODES
     if not use_nodes(facts, settings):
-        moving_rig = is_rig(facts) and not facts.get("static")
-        steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.get("times", 1) if moving_rig else 0), MOST_ITERATIONS)
+        moving_rig = facts.rig and not facts.static
+        steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.times if moving_rig else 0), MOST_ITERATIONS)
     return max(round(steps * settings.effort), min(steps, LEAST_ITERATIONS))
 
 

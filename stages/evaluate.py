@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
+from .captures.facts import Facts
+from .estimates import training_resources
 from .evaluation.spread import spread, worst_and_others
 
 if TYPE_CHECKING:
@@ -54,7 +56,7 @@ class Evaluate(Stage):
     device_class = True
 
     def applies(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> Applies:
-        counts = facts.get("splits", {})
+        counts = Facts.of(facts).splits
         chosen = [f"{counts[split]} {split} views" for split in settings.splits if counts.get(split)]
         if chosen:
             return Applies.yes(", ".join(chosen))
@@ -62,14 +64,12 @@ class Evaluate(Stage):
 
     def estimate(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> float | None:
         """Two cores: about 1.2 s a view and megapixel for render and metrics, without LPIPS."""
-        counts = facts.get("splits", {})
-        views = SAMPLE + sum(int(counts.get(split, 0)) for split in settings.splits)
-        return 3.0 + 1.2 * views * facts["width"] * facts["height"] / 1e6
+        known = Facts.of(facts)
+        views = SAMPLE + sum(known.splits.get(split, 0) for split in settings.splits)
+        return 3.0 + 1.2 * views * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: EvaluateSettings, device: str) -> Resources:
-        from .estimates import training_resources
-
-        return training_resources(facts, device)
+        return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:
         from .artifacts.frameset import FrameSet

@@ -9,6 +9,8 @@ from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import TrainingSettings
+from .captures.facts import Facts
+from .estimates import training_resources, training_seconds
 
 
 class FineSettings(TrainingSettings):
@@ -33,14 +35,11 @@ class Fine(Stage):
         return Applies.yes("Gaussians and convexes together")
 
     def estimate(self, facts: Mapping[str, Any], settings: FineSettings) -> float | None:
-        from .estimates import training_seconds
-
-        return training_seconds(facts, settings.iterations, static=bool(facts.get("static")))
+        known = Facts.of(facts)
+        return training_seconds(known, settings.iterations, known.static)
 
     def resources(self, facts: Mapping[str, Any], settings: FineSettings, device: str) -> Resources:
-        from .estimates import training_resources
-
-        return training_resources(facts, device)
+        return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:
         import torch
@@ -81,7 +80,7 @@ class Fine(Stage):
                 views,
                 phases,
                 settings,
-                budget=settings.budget or auto_budget(ctx.facts, views, kind == "nodes"),
+                budget=settings.budget or auto_budget(Facts.of(ctx.facts), views, kind == "nodes"),
                 checkpoints=ctx.checkpoints,
                 lr_scale=1.0 if strategy == "joint" else settings.lr_scale,
                 grow=strategy == "joint",

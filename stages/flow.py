@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Given, Resources, Settings, Stage
+from .captures.facts import Facts
+from .estimates import GB_OF_TORCH, picture_resources
 
 if TYPE_CHECKING:
     from .artifacts.frameset import FrameSet
@@ -52,15 +54,17 @@ class Flow(Stage):
     def applies(self, facts: Mapping[str, Any], settings: FlowSettings) -> Applies:
         from ..vision.flow.method import choice
 
-        if facts.get("static"):
+        known = Facts.of(facts)
+        if known.static:
             return Applies.no("static capture: nothing moves between its frames")
-        pairs = int(facts.get("pairs", 0))
-        if pairs == 0:
+        if known.pairs == 0:
             return Applies.no("every image has its own camera: no two frames of one camera to compare")
         means = choice(settings.method, settings.weights)[1]
-        if pairs > settings.max_pairs:
-            return Applies.yes(f"{settings.max_pairs} of {pairs} pairs of neighbouring frames of one camera (flow.max_pairs); {means}")
-        return Applies.yes(f"{pairs} pairs of neighbouring frames of one camera; {means}")
+        if known.pairs > settings.max_pairs:
+            return Applies.yes(
+                f"{settings.max_pairs} of {known.pairs} pairs of neighbouring frames of one camera (flow.max_pairs); {means}"
+            )
+        return Applies.yes(f"{known.pairs} pairs of neighbouring frames of one camera; {means}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
         """Two cores, seconds a pair and megapixel, both directions: medium and the small network fitted to the stage on 90 frames of
@@ -68,7 +72,8 @@ class Flow(Stage):
         megapixel, and masks of movers, which are made small, take the same at any size."""
         from ..vision.flow.method import choice, size_within
 
-        width, height = int(facts["width"]), int(facts["height"])
+        known = Facts.of(facts)
+        width, height = known.width, known.height
         small_width, small_height = size_within(width, height, settings.max_size)
         each = {"ultrafast": 0.22, "fast": 0.23, "medium": 0.36}[settings.preset]
         if choice(settings.method, settings.weights)[0] == "raft":
@@ -77,14 +82,14 @@ class Flow(Stage):
                 small = settings.weights.stat().st_size < SMALL_WEIGHTS
             encoding, step = (0.9, 0.22) if small else (3.3, 0.5)
             each = encoding + 2 * step * min(settings.iterations, 14 if settings.tolerance else 100)
-        pairs = min(int(facts["pairs"]), settings.max_pairs)
-        measured = min(pairs, int(facts.get("new_items", pairs)))
-        movers = (0.012 if facts.get("fixed_cameras") else 0.02) if settings.movers else 0.0
+        pairs = min(known.pairs, settings.max_pairs)
+        measured = pairs if known.new_items is None else min(pairs, known.new_items)
+        movers = (0.012 if known.fixed_cameras else 0.02) if settings.movers else 0.0
         return (
             (2.0 if settings.detect_static else 0.5)
             + (each * small_width * small_height + 0.15 * width * height) * measured / 1e6
-            + movers * facts["frames"]
-            + 0.16 * facts["frames"] * width * height / 1e6
+            + movers * known.frames
+            + 0.16 * known.frames * width * height / 1e6
         )
 
     def item_parts(self, given: Given) -> Sequence[Any]:
@@ -98,11 +103,10 @@ class Flow(Stage):
 
     def resources(self, facts: Mapping[str, Any], settings: FlowSettings, device: str) -> Resources:
         from ..vision.flow.method import choice
-        from .estimates import GB_OF_TORCH, picture_resources
 
         if choice(settings.method, settings.weights)[0] != "raft":
-            return picture_resources(facts, 0.3)
-        return picture_resources(facts, 4.0, GB_OF_TORCH, gpu=device == "cuda")
+            return picture_resources(Facts.of(facts), 0.3)
+        return picture_resources(Facts.of(facts), 4.0, GB_OF_TORCH, gpu=device == "cuda")
 
     def run(self, ctx: Context) -> None:
         import numpy as np

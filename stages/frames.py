@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, CaptureError, Context, Given, Resources, Settings, Stage, thread_count
+from .captures.facts import Facts
+from .estimates import picture_resources
 
 if TYPE_CHECKING:
     import numpy as np
@@ -63,14 +65,16 @@ class Frames(Stage):
     reads_capture = True
 
     def applies(self, facts: Mapping[str, Any], settings: FramesSettings) -> Applies:
-        action = "pictures stay in their files" if facts["images_in_files"] else "pictures are decoded from video"
-        return Applies.yes(f"{facts['frames']} frames, {action}")
+        known = Facts.of(facts)
+        action = "pictures stay in their files" if known.images_in_files else "pictures are decoded from video"
+        return Applies.yes(f"{known.frames} frames, {action}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FramesSettings) -> float | None:
         """Decoding once, two cores: about 60 megapixels a second from image files, 15 from video into the store (measured)."""
-        new = facts.get("new_items", facts["cameras"]) / facts["cameras"]
-        megapixels = new * facts["frames"] * facts["width"] * facts["height"] / 1e6
-        return 0.5 + megapixels / (60 if facts["images_in_files"] else 15)
+        known = Facts.of(facts)
+        new = (known.cameras if known.new_items is None else known.new_items) / known.cameras
+        megapixels = new * known.frames * known.width * known.height / 1e6
+        return 0.5 + megapixels / (60 if known.images_in_files else 15)
 
     def item_parts(self, given: Given) -> Sequence[Any]:
         """The videos, each of which is a camera; [] where pictures stay in their files."""
@@ -80,9 +84,7 @@ class Frames(Stage):
         return video_parts(capture, given) if capture.images is None else []
 
     def resources(self, facts: Mapping[str, Any], settings: FramesSettings, device: str) -> Resources:
-        from .estimates import picture_resources
-
-        return picture_resources(facts, 0.3)
+        return picture_resources(Facts.of(facts), 0.3)
 
     def run(self, ctx: Context) -> None:
         from .frames_videos import decode_videos
@@ -145,7 +147,8 @@ def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Cont
 
     from ..vision.images.lenses import pinholes
 
-    result, kept = pinholes(K, distortion, capture.fisheye, capture.facts["width"], capture.facts["height"])
+    facts = Facts.of(capture.facts)
+    result, kept = pinholes(K, distortion, capture.fisheye, facts.width, facts.height)
     if not kept.all():
         i = int(kept.argmin())
         raise CaptureError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ..pipeline import ArtifactError, Context, Given
+from .captures.facts import Facts
 
 if TYPE_CHECKING:
     import zarr
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
 
 def video_parts(capture: Capture, given: Given) -> list[Any]:
     """Of each video all that decides its decoded pictures, as JSON: the file's content, and which frames are shown at which size."""
-    size = [capture.facts["width"], capture.facts["height"]]
+    facts = Facts.of(capture.facts)
+    size = [facts.width, facts.height]
     crops = [None if capture.crop is None else capture.crop[video.start].tolist() for video in capture.videos]
     return [[given.digests[v.file], list(v.taken), v.total, *size, crop] for v, crop in zip(capture.videos, crops, strict=True)]
 
@@ -24,7 +26,8 @@ def decode_videos(capture: Capture, ctx: Context) -> None:
     """Every video into `images`, one chunk a frame. Info `videos`: where those of each lie, for who takes them over."""
     from .captures.formats.video import decode
 
-    frames, height, width = capture.facts["frames"], capture.facts["height"], capture.facts["width"]
+    facts = Facts.of(capture.facts)
+    frames, height, width = facts.frames, facts.height, facts.width
     shape = (frames, height, width, 3)
     images = ctx.out.create("images", shape, "uint8", (1, height, width, 3), doc="decoded RGB frames")
     taken = 0

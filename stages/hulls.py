@@ -8,6 +8,8 @@ from typing import Any
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage
+from .captures.facts import Facts
+from .estimates import training_resources
 
 
 class HullSettings(Settings):
@@ -34,12 +36,11 @@ class Hulls(Stage):
         return Applies.yes(f"up to {settings.budget} convexes where edges are dense")
 
     def estimate(self, facts: Mapping[str, Any], settings: HullSettings) -> float | None:
-        return 2.0 + 0.3 * settings.views * facts.get("width", 0) * facts.get("height", 0) / 1e6
+        known = Facts.of(facts)
+        return 2.0 + 0.3 * settings.views * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: HullSettings, device: str) -> Resources:
-        from .estimates import training_resources
-
-        return training_resources(facts, device)
+        return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:
         import numpy as np

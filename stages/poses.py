@@ -13,6 +13,8 @@ from pydantic import Field
 from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
 from ..vision.images.files import BadImageError, open_image
 from ..vision.sfm.pairs import OVERLAP, choose, image_pairs
+from .captures.facts import Facts
+from .estimates import picture_resources
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,14 +53,15 @@ class Poses(Stage):
     reads_capture = True
 
     def applies(self, facts: Mapping[str, Any], settings: PosesSettings) -> Applies:
-        if facts["poses"]:
+        known = Facts.of(facts)
+        if known.poses:
             return Applies.no("the files hold poses")
-        if facts.get("cameras", 1) > 1 and not facts["static"]:
+        if known.cameras > 1 and not known.static:
             return Applies.yes(
-                f"structure from motion on {facts['cameras']} cameras at shared times; those that stand still get one pose each"
+                f"structure from motion on {known.cameras} cameras at shared times; those that stand still get one pose each"
             )
-        again = "" if settings.movers == "off" or facts["static"] else "; a second pass where what moves could pull the cameras"
-        return Applies.yes(f"structure from motion on {facts['frames']} frames{again}")
+        again = "" if settings.movers == "off" or known.static else "; a second pass where what moves could pull the cameras"
+        return Applies.yes(f"structure from motion on {known.frames} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
         """Measured, one core: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image (half where a camera turns),
@@ -66,19 +69,18 @@ class Poses(Stage):
         which takes as long again as registering and a third of the pairs' time. Several cameras: if they stand still, as most do."""
         from ..vision.sfm.looks import look_times
 
-        frames = facts["frames"]
-        if facts.get("cameras", 1) > 1 and not facts["static"]:
-            cameras, times = facts["cameras"], look_times(facts["cameras"], facts["times"])
-            features, pairs = cameras * times * (0.1 + 1.3 * facts["width"] * facts["height"] / 1e6), times * cameras * (cameras - 1) / 2
+        known = Facts.of(facts)
+        frames = known.frames
+        if known.cameras > 1 and not known.static:
+            cameras, times = known.cameras, look_times(known.cameras, known.times)
+            features, pairs = cameras * times * (0.1 + 1.3 * known.width * known.height / 1e6), times * cameras * (cameras - 1) / 2
             return 10 + features + 0.2 * pairs + 2.0 * cameras
-        pairs = len(image_pairs(choose(settings.matcher, frames, facts["static"]), frames, settings.overlap))
-        looked = 0.15 if settings.movers == "auto" and not facts["static"] else 0.0
-        return 8 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
+        pairs = len(image_pairs(choose(settings.matcher, frames, known.static), frames, settings.overlap))
+        looked = 0.15 if settings.movers == "auto" and not known.static else 0.0
+        return 8 + frames * (1.2 + looked + 1.3 * known.width * known.height / 1e6) + 0.06 * pairs
 
     def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
-        from .estimates import picture_resources
-
-        return picture_resources(facts, 2.0)
+        return picture_resources(Facts.of(facts), 2.0)
 
     def run(self, ctx: Context) -> None:
         import numpy as np

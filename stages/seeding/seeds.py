@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ...pipeline import Context
+from ..captures.facts import Facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -52,7 +52,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
         points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
         ctx.log(f"seeds: {len(points)} points of the capture or of SfM")
         fill = len(middle_frames(views)) >= MIN_CAMERAS
-    elif ctx.facts.get("alpha"):
+    elif Facts.of(ctx.facts).alpha:
         chosen = views.train[:: max(1, len(views.train) // 60)]
         foreground = [frames.image(int(i))[..., 3] > 127 for i in chosen]
         ctx.log(f"seeds: {count} points inside the silhouettes of {len(chosen)} views")
@@ -94,7 +94,7 @@ def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray
     flow = ctx.inputs["flow"]
     if flow is None or "movers" not in flow:
         return None
-    if is_rig(ctx.facts):
+    if Facts.of(ctx.facts).rig:
         times = np.unique(views.time[views.train])
         with ctx.progress(len(key_times(times)), "seeds on what moves") as bar:
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), most, ctx.settings.seed, bar.advance)
@@ -124,13 +124,6 @@ def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: flo
         one.live(motion.frame(t), max(OVERLAP * apart, 1.0), torch.from_numpy(seeds.velocities[row]).float())
         sets.append(one)
     return sets
-
-
-def is_rig(facts: Mapping[str, Any]) -> bool:
-    """Several cameras see each time."""
-    from ...scene.training.curriculum import MIN_CAMERAS
-
-    return facts.get("frames", 0) >= MIN_CAMERAS * facts.get("times", 1)
 
 
 def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seeded: bool) -> np.ndarray:
