@@ -84,8 +84,9 @@ class Coarse(Stage):
         from ..scene.training.schedule import HALF_RESOLUTION, coarse_phases, node_phases
         from ..scene.training.trainer import Trainer
         from ..vision.images.png import encode_png
+        from .artifacts.coarse import StoredCoarse
         from .artifacts.dataset import load_frameset, load_views, measured_flow
-        from .artifacts.training import write_depth, write_training
+        from .artifacts.model import write_model
         from .seeding.fill import measured_depth
         from .seeding.picture import seeds_picture
         from .seeding.seeds import initial_dynamic, living, load_seeds, mover_seeds
@@ -155,17 +156,16 @@ class Coarse(Stage):
                 log=ctx.log,
             )
             log = trainer.run()
-        ctx.out.write("seeds_png", np.frombuffer(begin, np.uint8), doc="where training began, for the report")
-        ctx.out.attrs["strategy"] = settings.strategy
-        ctx.out.attrs["iterations"] = steps
-        write_training(ctx.out, model, log)
-        write_depth(ctx.out, inverse_depth)
+        StoredCoarse(settings.strategy, steps, inverse_depth).write(ctx.out, begin)
+        write_model(ctx.out, model, log)
 
 
 def is_static(ctx: Context) -> bool:
     """Nothing moves: the user says so, or `flow` has found it."""
-    flow = ctx.inputs["flow"]
-    return bool(Facts.of(ctx.facts).static or (flow is not None and flow.attrs.get("static")))
+    from .artifacts.flow import flow_of
+
+    flow = flow_of(ctx.inputs)
+    return Facts.of(ctx.facts).static or (flow is not None and flow.static)
 
 
 def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:

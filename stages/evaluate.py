@@ -72,8 +72,10 @@ class Evaluate(Stage):
         return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:
+        from .artifacts.evaluate import write_metrics
+        from .artifacts.flow import flow_of
         from .artifacts.frameset import FrameSet
-        from .artifacts.training import read_model
+        from .artifacts.model import read_model
         from .evaluation.flicker import measure_flicker
         from .evaluation.flow_pictures import add_flow
         from .evaluation.judge import Judge
@@ -106,17 +108,17 @@ class Evaluate(Stage):
                 if lpips is not None:
                     splits[split].pop("lpips_reason", None)
         book.add_strip(*time_strip(judge, frames, next(reversed(views.values()))))
-        if ctx.inputs["flow"] is not None:
-            add_flow(book, judge, ctx.inputs["flow"], ctx.settings.max_views)
-        book.write(ctx.out)
+        if (flow := flow_of(ctx.inputs)) is not None:
+            add_flow(book, judge, flow, ctx.settings.max_views)
+        book.stored.write(ctx.out)
         write_movies(ctx.out, judge, frames, next(reversed(views.values())), ctx.settings.movie_frames)
-        ctx.out.attrs["metrics"] = {
+        metrics = {
             "protocol": protocol(frames, sample | views, ctx.settings, lpips_facts, notes),
             "splits": splits,
             "primitives": {"gaussians": len(model.gaussians), "convexes": len(model.convexes)},
             "flicker": measure_flicker(judge, frames),
         }
-        ctx.out.info["metrics"] = {"render_fps": judge.frames_per_second(next(reversed(views.values())))}
+        write_metrics(ctx.out, metrics, {"render_fps": judge.frames_per_second(next(reversed(views.values())))})
 
 
 def choose_views(frames: FrameSet, splits: Sequence[str]) -> tuple[dict[str, list[int]], list[str]]:

@@ -112,32 +112,30 @@ class Flow(Stage):
         import numpy as np
 
         from ..vision.sequences import camera_sequences
+        from .artifacts.flow_writer import FlowWriter
         from .artifacts.frameset import FrameSet
         from .measured_flow.measure import measure
 
+        out = FlowWriter(ctx.out)
         frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs.get("poses"))  # type: ignore[arg-type]
         if ctx.settings.detect_static and nothing_moves(ctx, frames):
-            ctx.out.write("pair", np.zeros((0, 2), np.int32), doc="frame and the same camera's next frame")
+            out.write_pairs([])
             ctx.lends = False
             return
         wanted = choose_pairs(frames, ctx.settings.max_pairs)
         cameras = camera_sequences(frames.camera, frames.time, frames.train)
-        ctx.out.write(
-            "pair",
-            np.array([(i, frames.next[i]) for i in wanted], np.int32).reshape(-1, 2),
-            doc="frame and the same camera's next frame",
-        )
+        out.write_pairs([(i, int(frames.next[i])) for i in wanted])
         masks = measure(ctx, frames, cameras, wanted)
         if masks:
-            ctx.out.write("moving", np.stack(list(masks.values())), doc="255 where the pixel of a fixed camera changes over time")
-            ctx.out.attrs["moving_cameras"] = list(masks)
+            out.write_moving(masks)
             still = 100 * float(np.mean([(mask == 0).mean() for mask in masks.values()]))
             ctx.log(f"{still:.0f} % of the pixels of {len(masks)} fixed cameras never change")
 
 
 def nothing_moves(ctx: Context, frames: FrameSet) -> bool:
-    """Whether the training frames show one that is still; attrs `static`, `static_reason`, `moving_share` say what was found."""
+    """Whether the training frames show one that is still; the artifact says what was found."""
     from ..vision.moving.static_scene import static_scene
+    from .artifacts.flow_writer import FlowWriter
 
     chosen, K, poses = frames.train, frames.K, frames.cam_from_world
     with ctx.progress(1, "does anything move?") as bar:
@@ -151,7 +149,7 @@ def nothing_moves(ctx: Context, frames: FrameSet) -> bool:
             frames.untimed,
         )
         bar.advance(1)
-    ctx.out.attrs.update(static=found.static, static_reason=found.reason, moving_share=round(found.moving_share, 6))
+    FlowWriter(ctx.out).write_static(found.static, found.reason, found.moving_share)
     if found.static:
         ctx.log(f"nothing moves: {found.reason}; no flow, no deformation (flow.detect_static=false measures all the same)")
     return found.static

@@ -106,39 +106,34 @@ def _recognised(given: Given | Context) -> Capture:
 
 
 def _write(capture: Capture, ctx: Context) -> None:
-    out = ctx.out
-    out.write("camera", capture.camera, doc="index of the camera that took the frame")
-    out.write("time", capture.time, doc="time over the capture, in [0,1]")
-    out.write("seconds", capture.seconds, unit="s", doc="time since the capture's start")
-    out.write("split", capture.split, doc="0 train, 1 val, 2 test")
-    out.write("next", capture.next, doc="the same camera's train frame at its next time, -1 where none")
-    if capture.K is not None and capture.cam_from_world is not None and capture.distortion is not None:
+    from .artifacts.frames import StoredFrames
+
+    K = None
+    if capture.K is not None and capture.distortion is not None:
         K = _pinholes(capture, capture.K, capture.distortion, ctx)
-        out.write("K", K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5")
-        out.write("cam_from_world", capture.cam_from_world, unit="world", doc="OpenCV pose of the camera")
-        out.write("distortion", capture.distortion, doc="k1 k2 p1 p2 [k3 k4 k5 k6], of fisheye lenses k1 k2 k3 k4")
-        if (K != capture.K).any():
-            out.write("lens_K", capture.K, unit="px", doc="intrinsics of the pictures as the lens made them")
-        if capture.fisheye is not None:
-            out.write("fisheye", capture.fisheye, doc="1: the lens is OpenCV's fisheye model")
-    if capture.crop is not None:
-        out.write("crop", capture.crop, unit="px", doc="left, top, width, height of the part of each stored picture that is shown")
-    if capture.points is not None and capture.point_colors is not None:
-        out.write("points", capture.points, unit="world", doc="points of the capture's files")
-        out.write("point_colors", capture.point_colors, doc="RGB of points")
-    out.attrs.update(capture.facts)
-    out.attrs["names"] = list(capture.names)
-    out.attrs["background"] = capture.background
-    out.info["notes"] = list(capture.notes)
-    if capture.images is not None:
-        out.attrs["files"] = list(capture.images)
-    if capture.masks is not None:
-        out.attrs["mask_files"] = list(capture.masks)
-    if capture.keeps is not None:
-        out.attrs["keep_files"] = list(capture.keeps)
-        out.attrs["keep_turns"] = list(capture.keep_turns or ())
-    if capture.K_hint is not None:
-        out.attrs["K_hint"] = list(capture.K_hint)
+    StoredFrames(
+        facts=Facts.of(capture.facts),
+        names=capture.names,
+        background=capture.background,
+        camera=capture.camera,
+        time=capture.time,
+        seconds=capture.seconds,
+        split=capture.split,
+        next=capture.next,
+        K=K,
+        cam_from_world=capture.cam_from_world,
+        distortion=capture.distortion,
+        lens_K=capture.K if K is not None and (K != capture.K).any() else None,
+        fisheye=None if K is None else capture.fisheye,
+        crop=capture.crop,
+        points=capture.points,
+        point_colors=capture.point_colors,
+        files=capture.images,
+        mask_files=capture.masks,
+        keep_files=capture.keeps,
+        keep_turns=None if capture.keeps is None else capture.keep_turns or (),
+        K_hint=capture.K_hint,
+    ).write(ctx.out, capture.notes)
 
 
 def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Context) -> np.ndarray:

@@ -48,8 +48,10 @@ class Hulls(Stage):
         from ..scene.edge_seeds import edge_density
         from ..scene.fibonacci import fibonacci_hulls, neighbour_radius
         from ..scene.primitives import SH_C0
+        from .artifacts.coarse import required
         from .artifacts.dataset import load_frameset, load_views
-        from .artifacts.training import read_model, required
+        from .artifacts.hulls import StoredHulls
+        from .artifacts.model import read_model
 
         settings = ctx.settings
         model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)
@@ -67,8 +69,11 @@ class Hulls(Stage):
 
         reason = f"{len(order)} of {len(density)} Gaussians lie on edges (mean edge weight >= {settings.min_edge_density})"
         ctx.log(reason)
-        ctx.out.write("points", fibonacci_hulls(centres, radii, settings.k).astype(np.float32), unit="world unit")
-        ctx.out.write("colors", colors.clip(0, 1).astype(np.float32))
-        ctx.out.write("seed", order.astype(np.int32), doc="row of the Gaussian in `coarse`")
-        ctx.out.write("edge_density", density[order].astype(np.float32), doc="mean edge weight under the seed")
-        ctx.out.attrs.update(k=settings.k, reason=reason)
+        StoredHulls(
+            points=fibonacci_hulls(centres, radii, settings.k).astype(np.float32),
+            colors=colors.clip(0, 1).astype(np.float32),
+            seed=order.astype(np.int32),
+            edge_density=density[order].astype(np.float32),
+            k=settings.k,
+            reason=reason,
+        ).write(ctx.out)

@@ -89,6 +89,7 @@ class Poses(Stage):
         from ..vision.sfm.runner import WorkerError, finished, run_worker
         from ..vision.sfm.trouble import nothing_registered
         from .artifacts.frameset import FrameSet
+        from .artifacts.poses import write_account
         from .posing.bars import Bars
         from .posing.second_pass import second_pass
 
@@ -97,7 +98,7 @@ class Poses(Stage):
         assert artifact is not None
         frames = FrameSet(artifact, ctx.capture.root)
         matcher = choose(settings.matcher, len(frames), bool(ctx.facts["static"]))
-        hint = frames.attrs.get("K_hint")
+        hint = frames.K_hint
         several = _several(ctx, frames) if len(np.unique(frames.camera)) > 1 and not ctx.facts["static"] else None
         request = {
             "task": "reconstruct",
@@ -146,7 +147,7 @@ class Poses(Stage):
         # where the camera only turns, a note says so
         judged = 90.0 if facts["turning"] else angle
         if several:
-            ctx.out.attrs["fixed_cameras"] = several.looks.all_still
+            write_account(ctx.out, fixed_cameras=several.looks.all_still)
         coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged)
         ctx.log(f"{coverage.summary()}, reprojection error {mean_error:.2f} px in the mean, {median_error:.2f} px in the median")
         for sentence in facts["notes"]:
@@ -156,7 +157,8 @@ class Poses(Stage):
         for sentence in coverage.advice:
             ctx.log(sentence)
         _write(ctx, frames, arrays, coverage)
-        ctx.out.attrs.update(
+        write_account(
+            ctx.out,
             mean_reprojection_error=mean_error,
             median_reprojection_error=median_error,
             median_angle=angle,
@@ -275,6 +277,7 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
 
     from ..vision.images.lenses import pinholes
     from ..vision.sfm.world import POINT_ERROR, keep_points, normalise
+    from .artifacts.poses import StoredPoses, write_account
 
     registered = arrays["registered"]
     keep = keep_points(arrays["points"], arrays["errors"], arrays["tracks"])
@@ -293,17 +296,18 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
         raise StageError(
             f"{frames.names[int(kept.argmin())]}: the lens that was fitted folds the picture over; try another poses.camera_model"
         )
-    out = ctx.out
-    out.write("K", K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5; NaN where not registered")
-    if not np.array_equal(K, lens_K, equal_nan=True):
-        out.write("lens_K", lens_K, unit="px", doc="intrinsics of the pictures as the lens made them; NaN where not registered")
-    out.write("cam_from_world", cam_from_world, unit="world", doc="OpenCV pose of the camera; NaN where not registered")
-    out.write("distortion", arrays["distortion"], doc="k1 k2 p1 p2")
-    out.write("registered", registered, doc="the frame has a pose")
-    out.write("points", points, unit="world", doc="triangulated points")
-    out.write("point_colors", arrays["colors"][keep], doc="RGB of points")
-    out.write("point_errors", arrays["errors"][keep], unit="px", doc="mean reprojection error of each point")
-    out.attrs.update(
+    StoredPoses(
+        K=K,
+        lens_K=None if np.array_equal(K, lens_K, equal_nan=True) else lens_K,
+        cam_from_world=cam_from_world,
+        distortion=arrays["distortion"],
+        registered=registered,
+        points=points,
+        point_colors=arrays["colors"][keep],
+        point_errors=arrays["errors"][keep],
+    ).write(ctx.out)
+    write_account(
+        ctx.out,
         registered=coverage.registered,
         total=coverage.total,
         gaps=[list(gap) for gap in coverage.gaps],

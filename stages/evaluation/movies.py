@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...pipeline import Artifact, ArtifactWriter
+from ...pipeline import ArtifactWriter
 from ...vision.images.movie import encode_movie
+from ..artifacts.evaluate import write_movie
 from ..exports.camera_path import named_path
 from .pictures import scaled, to_bytes
 
@@ -20,12 +21,10 @@ SIZE = 480  # px, longest side of one picture
 SECONDS, FPS = 4.0, (2.0, 30.0)  # how long it takes, as far as its pictures a second stay in these bounds
 QUALITY = 23  # of x264, constant rate factor
 LEAST = 3  # pictures without which nothing moves
-NAMES = ("over_time", "turntable")
 
 
 def write_movies(out: ArtifactWriter, judge: Judge, frames: FrameSet, indices: Sequence[int], most: int) -> None:
-    """``movie_over_time``, where ``indices`` have several times, and ``movie_turntable``: uint8 bytes of MP4 files of at most ``most``
-    pictures."""
+    """ "over_time", where ``indices`` have several times, and "turntable": MP4 files of at most ``most`` pictures."""
     mine = in_order_of_time(frames, indices, most)
     if len(mine) >= LEAST:
         _write(
@@ -33,11 +32,6 @@ def write_movies(out: ArtifactWriter, judge: Judge, frames: FrameSet, indices: S
         )
     if most >= LEAST:
         _write(out, "turntable", _turn(judge, frames, most), most, "a turn about the scene while time goes by once")
-
-
-def read_movies(artifact: Artifact) -> dict[str, bytes]:
-    """MP4 files of an `evaluate` artifact by name of `NAMES`."""
-    return {name: artifact.read(f"movie_{name}").tobytes() for name in NAMES if f"movie_{name}" in artifact}
 
 
 def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> list[int]:
@@ -73,4 +67,4 @@ def _turn(judge: Judge, frames: FrameSet, count: int) -> Iterator[np.ndarray]:
 
 def _write(out: ArtifactWriter, name: str, pictures: Iterator[np.ndarray], count: int, doc: str) -> None:
     data = encode_movie(pictures, float(np.clip(count / SECONDS, *FPS)), QUALITY)
-    out.write(f"movie_{name}", np.frombuffer(data, np.uint8), doc=f"{doc}; MP4")
+    write_movie(out, name, data, doc)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from ...pipeline import Context
+from ..artifacts.flow import flow_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -89,7 +91,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     return Swept(found, colors, inverse)
 
 
-def measured_depth(inverse: dict[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
+def measured_depth(inverse: Mapping[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
     """`Swept.inverse` as training holds a model to it; masks of what moves are kept small."""
     import cv2
     import torch
@@ -127,12 +129,10 @@ def middle_frames(views: Views) -> np.ndarray:
 
 def moving_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
     """[H, W] bool, what the capture's own mask or `flow` says moves in frame ``i``; None where neither says anything."""
-    import numpy as np
-
     mask = frames.mask(i)
-    flow = ctx.inputs["flow"]
-    if mask is None and flow is not None and "movers" in flow:
-        mask = np.asarray(flow.array("movers")[i])
+    flow = flow_of(ctx.inputs)
+    if mask is None and flow is not None and flow.has_movers:
+        mask = flow.movers(i)
     if mask is None:
         return None
     kept = frames.kept(i)

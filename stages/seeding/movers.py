@@ -18,8 +18,8 @@ from .objects import follow_objects
 from .scene_flow import next_positions
 
 if TYPE_CHECKING:
-    from ...pipeline import Artifact
     from ...scene.views import Views
+    from ..artifacts.flow import StoredFlow
 
 KEYS = 12  # times at which seeds are placed, and more
 APART = 8  # frames, where these would lie farther apart
@@ -42,7 +42,7 @@ def key_times(times: np.ndarray) -> np.ndarray:
 
 
 def rig_seeds(
-    flow: Artifact,
+    flow: StoredFlow,
     views: Views,
     mask: Callable[[int], np.ndarray | None],
     most: int,
@@ -82,7 +82,7 @@ def rig_seeds(
 
 
 def camera_seeds(
-    flow: Artifact, views: Views, still: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
+    flow: StoredFlow, views: Views, still: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
 ) -> MoverSeeds | None:
     """Up to ``most`` seeds on the masks of moving cameras at key times; None where masks show nothing, or hide nothing that tells a depth.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from ...pipeline import Context
+from ..artifacts.flow import flow_of
 from ..captures.facts import Facts
 
 if TYPE_CHECKING:
@@ -91,14 +92,14 @@ def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray
     from .fill import moving_mask
     from .movers import camera_seeds, key_times, rig_seeds
 
-    flow = ctx.inputs["flow"]
-    if flow is None or "movers" not in flow:
+    flow = flow_of(ctx.inputs)
+    if flow is None or not flow.has_movers:
         return None
     if Facts.of(ctx.facts).rig:
         times = np.unique(views.time[views.train])
         with ctx.progress(len(key_times(times)), "seeds on what moves") as bar:
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), most, ctx.settings.seed, bar.advance)
-    elif "moving" in flow:
+    elif flow.has_moving:
         return None
     else:
         with ctx.progress(len(views.train), "seeds on what moves") as bar:
@@ -136,16 +137,15 @@ def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seede
 
     from ...scene.training.dynamics import dynamic_from_masks
 
-    flow = ctx.inputs["flow"]
-    if flow is not None and "moving" in flow:
-        moving = flow.read("moving")
+    flow = flow_of(ctx.inputs)
+    if flow is not None and flow.has_moving:
         first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}
-        looks = [(first[int(camera)], moving[k]) for k, camera in enumerate(flow.attrs["moving_cameras"])]
+        looks = [(first[camera], mask) for camera, mask in flow.moving_masks()]
         share, where = FIXED_SHARE, "no fixed camera sees a change"
-    elif flow is not None and "movers" in flow:
-        movers, train = flow.array("movers"), views.train
+    elif flow is not None and flow.has_movers:
+        train = views.train
         chosen = train[np.linspace(0, len(train) - 1, min(LOOKS, len(train))).round().astype(int)]
-        looks = [(int(i), np.asarray(movers[int(i)])) for i in chosen]
+        looks = [(int(i), flow.movers(int(i))) for i in chosen]
         share, where = MOVERS_SHARE if movers_seeded else COVERED_SHARE, "hardly anything was seen to move"
     else:
         return np.ones(len(points), bool)

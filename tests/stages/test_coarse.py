@@ -9,7 +9,7 @@ import pytest
 import torch
 from e4dgs.scene.training import schedule
 from e4dgs.stages.artifacts.dataset import load_frameset, load_views
-from e4dgs.stages.artifacts.training import read_model
+from e4dgs.stages.artifacts.model import read_model
 from e4dgs.stages.coarse import Coarse, CoarseSettings
 from factory import Cells, Motion, Object, Options, Sphere, make, optical_flow, render, write_colmap
 from run_stage import run_frames, run_stage

@@ -56,7 +56,7 @@ def open_trained(options: Options) -> Trained:
     assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
 
     from ...stages.artifacts.frameset import FrameSet
-    from ...stages.artifacts.training import read_model
+    from ...stages.artifacts.model import read_model
 
     return Trained(session, read_model(artifact), FrameSet(frames, session.job.capture.root, found.get("poses")))
 
