@@ -97,6 +97,23 @@ def test_circles_are_found():
     assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
 
 
+def imports_inside(path: Path, but: tuple[str, ...] = ()) -> list[str]:
+    """Functions of a file that import something, other than those named in ``but``."""
+    functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef) and node.name not in but]
+    return [one.name for one in functions if any(isinstance(node, ast.Import | ast.ImportFrom) for node in ast.walk(one))]
+
+
+@pytest.mark.parametrize("name", ["frames", "flow", "coarse", "hulls", "fine", "evaluate"])
+def test_a_stage_imports_its_work_in_run_alone(name):
+    assert imports_inside(ROOT / "stages" / f"{name}.py", but=("run",)) == []
+    assert imports_inside(ROOT / "stages" / f"{name}.py") == ["run"], "its work would load with the command line"
+
+
+@pytest.mark.parametrize("room", ["artifacts", "decoding", "posing", "measured_flow", "seeding", "training", "evaluation"])
+def test_rooms_import_at_the_top(room):
+    assert {path.name: found for path in (ROOT / "stages" / room).glob("*.py") if (found := imports_inside(path))} == {}
+
+
 def named_by_hand(tree: ast.AST) -> list[int]:
     """Lines that reach into an artifact by a name that they spell themselves: `.attrs`, `.info[...]`, `.read("K")`, `.write("K", K)`,
     `"K" in frames`, ..."""

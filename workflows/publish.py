@@ -10,8 +10,8 @@ from ..pipeline import Artifact, Outcome, Row
 from ..pipeline.files import read_json, write_atomically, write_json
 from ..stages.artifacts.coarse import read_seeds_png
 from ..stages.artifacts.evaluate import read_metrics
-from ..stages.artifacts.model import read_training_log
 from ..stages.artifacts.told import told
+from ..stages.artifacts.training_log import read_training_log
 from .reconstruction import EVALUATION, TRAINING
 from .results import run_command
 from .session import Session

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
+import torch
 
 from ...pipeline import Artifact, StageError
+from ...scene.model import Model
+from ...scene.views import Views
 from .flow import StoredFlow
 from .frameset import FrameSet
-
-if TYPE_CHECKING:
-    from ...scene.model import Model
-    from ...scene.views import Views
 
 STILL_WEIGHT = 0.1  # of measured flow where nothing moves
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
@@ -28,8 +28,6 @@ def load_frameset(inputs: Any, root: Path) -> FrameSet:
 def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", model: Model | None = None) -> Views:
     """Views over all frames, with their pictures on ``device``, seen as ``model`` was trained (its near plane and background) where one is
     given. ``train`` holds the registered training frames; raises StageError where there is none."""
-    from ...scene.views import Views
-
     if not len(frames.train):
         raise StageError(
             "no training frame has a pose; see the coverage report of `poses`, or use fewer held-out frames (--set frames.holdout=0)"
@@ -78,9 +76,6 @@ def measured_flow(flow: Artifact | None, views: Views):
     """
     if flow is None or not (stored := StoredFlow(flow)).measured:
         return None
-    import cv2
-    import torch
-
     pairs = {first: p for p, (first, second) in enumerate(stored.pairs) if int(views.next[first]) == second}
     trained = {int(i) for i in views.train}
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import torch
 
+from ...scene.losses.flow_loss import rendered_flow
 from ...vision.flow.colours import colour_wheel, flow_colours, typical_largest
 from ...vision.images.overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, overlay
+from ..artifacts.flow import StoredFlow
 from .judge import Judge
+from .pictures import PictureBook
 from .spread import spread
-
-if TYPE_CHECKING:
-    from ..artifacts.flow import StoredFlow
-    from .pictures import PictureBook
 
 MOST_PAIRS = 4
 FLOW_SIZE = 480  # px, longest side of these pictures
@@ -78,10 +76,6 @@ def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray, e
 
 def _rendered(judge: Judge, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
     """The model's flow float32 [H, W, 2] px from one frame to another, and alpha [H, W] of the first."""
-    import torch
-
-    from ...scene.losses.flow_loss import rendered_flow
-
     times = judge.frames.time
     with torch.no_grad():
         flow, alpha = rendered_flow(judge.model, judge.camera(first), float(times[first]), judge.camera(second), float(times[second]))

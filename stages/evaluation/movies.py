@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from ...pipeline import ArtifactWriter
+from ...rasterizer import Camera
 from ...vision.images.movie import encode_movie
 from ..artifacts.evaluate import write_movie
+from ..artifacts.frameset import FrameSet
 from ..exports.camera_path import named_path
+from .judge import Judge
 from .pictures import scaled, to_bytes
-
-if TYPE_CHECKING:
-    from ..artifacts.frameset import FrameSet
-    from .judge import Judge
 
 SIZE = 480  # px, longest side of one picture
 SECONDS, FPS = 4.0, (2.0, 30.0)  # how long it takes, as far as its pictures a second stay in these bounds
@@ -52,10 +51,6 @@ def _beside(judge: Judge, frames: FrameSet, i: int) -> np.ndarray:
 
 
 def _turn(judge: Judge, frames: FrameSet, count: int) -> Iterator[np.ndarray]:
-    import torch
-
-    from ...rasterizer import Camera
-
     way = named_path("turntable", frames, judge.model, count)
     scale = min(1.0, SIZE / max(frames.width, frames.height))
     width, height = max(round(scale * frames.width), 2), max(round(scale * frames.height), 2)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
 
+from ...rasterizer import Frame
 from ...vision.images.png import encode_png
 from ..artifacts.evaluate import StoredPictures
 from .edges_picture import edges_picture
-
-if TYPE_CHECKING:
-    from ...rasterizer import Frame
 
 ERROR_GAIN = 4.0
 STRIP_SIZE = 320  # px, longest side of a picture of the time strip
@@ -51,8 +50,6 @@ class PictureBook:
 
 def scaled(picture: np.ndarray, size: int) -> np.ndarray:
     """``picture`` scaled down to a longest side of ``size`` px."""
-    import cv2
-
     height, width = picture.shape[:2]
     if max(height, width) <= size:
         return picture
@@ -67,8 +64,6 @@ def to_bytes(color: np.ndarray) -> np.ndarray:
 
 def error_picture(color: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Mean absolute difference over channels, times 4, dark to bright: uint8 [H, W, 3] RGB."""
-    import cv2
-
     error = np.abs(color - truth.astype(np.float32) / 255.0).mean(-1)
     scaled = to_bytes(ERROR_GAIN * error)
     return np.ascontiguousarray(cv2.applyColorMap(scaled, cv2.COLORMAP_INFERNO)[..., ::-1])
@@ -76,8 +71,6 @@ def error_picture(color: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 def depth_picture(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """Depth [H, W] from the 2nd to the 98th percentile of what is opaque, near is bright, faded to black by alpha [H, W]: uint8 RGB."""
-    import cv2
-
     opaque = (alpha > 0.5) & np.isfinite(depth) & (depth > 0)
     if not opaque.any():
         return np.zeros((*depth.shape, 3), np.uint8)

@@ -8,9 +8,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from ...pipeline import Context, thread_count
+from ...scene.edges import edge_weights
 from ...vision.edges import Seen, seen_by, stable_edges
 from ...vision.flow.method import FlowMethod
 from ...vision.flow.two_way import consistency
@@ -38,20 +40,19 @@ class Matched(NamedTuple):
     flow: Source
 
 
-def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int]) -> dict[int, np.ndarray]:
+def measure(
+    ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int], out: FlowWriter
+) -> dict[int, np.ndarray]:
     """Fills the arrays of the pairs that begin at ``wanted``, edges and, where asked for, masks of movers, and says how they came about.
 
     All follows from the flow as it is stored, rounded, so that flow that is taken over gives the same as flow that is measured.
     cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras by their number.
     """
-    from ...scene.edges import edge_weights
-
     height, width, count = frames.height, frames.width, len(wanted)
     number = {first: p for p, first in enumerate(wanted)}
-    out = FlowWriter(ctx.out)
     arrays = out.create_arrays(count, len(frames), height, width, movers=ctx.settings.movers and bool(wanted))
     edges, movers = arrays.edges, arrays.movers
-    flows = PairFlows(ctx, frames, wanted)
+    flows = PairFlows(ctx, frames, wanted, out)
 
     def look(
         moving: MotionMask | None, gathered: Movers | None, k: int, i: int, both: tuple[np.ndarray, np.ndarray], paired: bool
@@ -146,8 +147,6 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
 @contextmanager
 def _pool(method: FlowMethod | None) -> Iterator[ThreadPoolExecutor]:
     """Frames run side by side here; threads inside each picture would cost half again as much processor time."""
-    import cv2
-
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

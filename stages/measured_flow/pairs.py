@@ -40,12 +40,11 @@ class PairFlows:
     Writes what measures them, and their flow between the lens's pictures where a lens bends these.
     """
 
-    def __init__(self, ctx: Context, frames: FrameSet, wanted: Sequence[int]) -> None:
+    def __init__(self, ctx: Context, frames: FrameSet, wanted: Sequence[int], out: FlowWriter) -> None:
         self._frames = frames
         self._pairs = [(first, int(frames.next[first])) for first in wanted]
         self._lens: list[zarr.Array] = []
         self.method: FlowMethod | None = None
-        out = FlowWriter(ctx.out)
         if not wanted:
             out.write_method(self.method_name)
             return

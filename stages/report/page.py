@@ -12,7 +12,7 @@ from typing import Any
 
 from ...pipeline import Artifact, duration
 from ..artifacts.evaluate import StoredPictures, read_movies
-from ..evaluation.edges_picture import KEYS
+from ..evaluation.edge_colours import KEYS
 from .curves import in_order, is_number, over_time, training_curves
 from .plot import Plot, svg
 

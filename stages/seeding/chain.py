@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from ...vision.flow.method import size_within
 from ...vision.flow.two_way import consistency
-
-if TYPE_CHECKING:
-    from ..artifacts.flow import StoredFlow
+from ..artifacts.flow import StoredFlow
 
 TRUSTED = 64  # of 255, confidence down to which a track goes on
 SIZE = 480  # px, longest side at which steps are kept: flow is smooth, and each step is then read once for all tracks
@@ -90,16 +89,12 @@ class Chain:
 
     def _small(self, values: np.ndarray) -> np.ndarray:
         """Flow or confidence [H, W, ...] at `SIZE`: float16 or uint8."""
-        import cv2
-
         height, width = values.shape[:2]
         reduced = cv2.resize(values.astype(np.float32), size_within(width, height, SIZE), interpolation=cv2.INTER_AREA)
         return np.rint(reduced).astype(np.uint8) if values.dtype == np.uint8 else reduced.astype(np.float16)
 
     def _sample(self, values: np.ndarray, places: np.ndarray, outside: float | None = None) -> np.ndarray:
         """``values`` [h, w] or [h, w, 2] float32 at ``places`` [n, 2], bilinearly; beyond the picture its border, or ``outside``."""
-        import cv2
-
         small_height, small_width = values.shape[:2]
         x = (places[:, :1] + 0.5) * np.float32(small_width / self.width) - 0.5
         y = (places[:, 1:] + 0.5) * np.float32(small_height / self.height) - 0.5

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
 
 from ...pipeline import Context
+from ...scene.losses.measured_depth import MeasuredDepth
+from ...scene.seeds.colours import median_colours
+from ...scene.seeds.rays import ray_seeds
+from ...scene.seeds.shell import shell_seeds, surrounded
+from ...scene.seeds.sweep import plane_sweep, points_of
+from ...scene.training.curriculum import MIN_CAMERAS
+from ...scene.views import Views
 from ..artifacts.flow import flow_of
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ...scene.losses.measured_depth import MeasuredDepth
-    from ...scene.views import Views
-    from ..artifacts.frameset import FrameSet
+from ..artifacts.frameset import FrameSet
+from .clean_plates import clean_plates
 
 SHELL_SHARE = 0.1
 LOOKS = 32  # frames of a moving camera from which rays start
@@ -26,13 +32,6 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
 
     Of a rig the frames of the middle time are used, at which training begins; of a moving camera frames from all of its way.
     """
-    import numpy as np
-
-    from ...scene.seeds.colours import median_colours
-    from ...scene.seeds.rays import ray_seeds
-    from ...scene.seeds.shell import shell_seeds, surrounded
-    from ...scene.training.curriculum import MIN_CAMERAS
-
     chosen = middle_frames(views)
     if len(chosen) < MIN_CAMERAS:
         chosen = views.train[np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int)]
@@ -62,12 +61,6 @@ class Swept(NamedTuple):
 
 def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> Swept | None:
     """What a plane sweep finds between the cameras of the middle time, or along the way of few. points [P, 3]: trusted ones."""
-    import cv2
-    import numpy as np
-
-    from ...scene.seeds.sweep import plane_sweep, points_of
-    from .clean_plates import clean_plates
-
     fixed = frames.fixed_cameras
     plates = clean_plates(views, lambda i: unsteady_mask(ctx, frames, i), fixed)
     with ctx.progress(len(plates.frames), "depth") as bar:
@@ -93,11 +86,6 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
 
 def measured_depth(inverse: Mapping[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
     """`Swept.inverse` as training holds a model to it; masks of what moves are kept small."""
-    import cv2
-    import torch
-
-    from ...scene.losses.measured_depth import MeasuredDepth
-
     if not inverse:
         return None
     known: dict[int, torch.Tensor | None] = {}
@@ -121,8 +109,6 @@ def measured_depth(inverse: Mapping[int, np.ndarray], unit: float, ctx: Context,
 
 def middle_frames(views: Views) -> np.ndarray:
     """[n] int: training frames of the time in the middle, where the window of times opens."""
-    import numpy as np
-
     times = np.unique(views.time[views.train])
     return views.train[views.time[views.train] == times[len(times) // 2]]
 

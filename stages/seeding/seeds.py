@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+import numpy as np
+import torch
 
 from ...pipeline import Context
+from ...scene.motion.free import FreeMotion
+from ...scene.primitives import GaussianSet
+from ...scene.seeds.carve import carve
+from ...scene.seeds.outliers import trusted
+from ...scene.seeds.volume import common_volume
+from ...scene.training.curriculum import MIN_CAMERAS
+from ...scene.training.dynamics import dynamic_from_masks
+from ...scene.views import Views
 from ..artifacts.flow import flow_of
+from ..artifacts.frameset import FrameSet
 from ..captures.facts import Facts
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ...scene.motion.free import FreeMotion
-    from ...scene.primitives import GaussianSet
-    from ...scene.views import Views
-    from ..artifacts.frameset import FrameSet
-    from .movers import MoverSeeds
+from ..posing.triangulate import triangulate
+from .fill import fill_seeds, middle_frames, moving_mask, sweep
+from .movers import MoverSeeds, camera_seeds, key_times, rig_seeds
 
 # Shares of the looks at a seed that must find something that moves there, for the seed to be one that may move.
 FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever changes before it
@@ -40,14 +46,6 @@ class Seeds(NamedTuple):
 def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seeds:
     """Where Gaussians start: points of the capture or SfM, else carved silhouettes, else triangulated points. Rigs are filled up to about
     ``count``, as are posed captures of which little was triangulated."""
-    import numpy as np
-
-    from ...scene.seeds.carve import carve
-    from ...scene.seeds.outliers import trusted
-    from ...scene.seeds.volume import common_volume
-    from ...scene.training.curriculum import MIN_CAMERAS
-    from .fill import fill_seeds, middle_frames, sweep
-
     settings = ctx.settings
     if frames.points is not None and len(frames.points) >= 50:
         points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
@@ -60,8 +58,6 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
         points, colors = carve(views, foreground, chosen, count, settings.seed)
         return Seeds(points, colors, points, {})
     else:
-        from ..posing.triangulate import triangulate
-
         ctx.log("seeds: triangulating points with the known poses")
         points, colors, _ = triangulate(frames, seed=settings.seed)
         colors = colors / 255.0
@@ -87,11 +83,6 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
 
 def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MoverSeeds | None:
     """Up to ``most`` seeds on what moves, at several times; None without masks of movers. points [P, 3]: what stands still, mostly."""
-    import numpy as np
-
-    from .fill import moving_mask
-    from .movers import camera_seeds, key_times, rig_seeds
-
     flow = flow_of(ctx.inputs)
     if flow is None or not flow.has_movers:
         return None
@@ -111,11 +102,6 @@ def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray
 
 def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
     """Gaussians on ``seeds``, a set for each of their times, whose lives overlap with those of the times before and after."""
-    import numpy as np
-    import torch
-
-    from ...scene.primitives import GaussianSet
-
     times = np.unique(seeds.time)
     apart = (motion.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
     sets = []
@@ -133,10 +119,6 @@ def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seede
 
     movers_seeded: what moves has seeds of its own, and these need not stand in for it.
     """
-    import numpy as np
-
-    from ...scene.training.dynamics import dynamic_from_masks
-
     flow = flow_of(ctx.inputs)
     if flow is not None and flow.has_moving:
         first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}

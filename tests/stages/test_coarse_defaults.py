@@ -4,7 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 from e4dgs.stages.captures.facts import Facts
-from e4dgs.stages.coarse import ITERATIONS_NODES, LEAST_ITERATIONS, CoarseSettings, auto_iterations, is_static, use_nodes
+from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.training.choices import ITERATIONS_NODES, LEAST_ITERATIONS, auto_iterations, is_static, use_nodes
 
 
 @pytest.mark.parametrize(

@@ -218,10 +218,10 @@ def test_flow_of_another_size_is_not_taken_over(tmp_path, measured, monkeypatch)
 
 def test_where_nothing_moves_there_is_no_flow_to_take_over(tmp_path, measured, monkeypatch):
     still = SimpleNamespace(static=True, reason="all of it stands still", moving_share=0.0)
-    monkeypatch.setattr("e4dgs.vision.moving.static_scene.static_scene", lambda *arguments: still)
+    monkeypatch.setattr("e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: still)
     run(job(tmp_path, posed(tmp_path / "capture", pictures(6)), flow__detect_static=True))
     monkeypatch.setattr(
-        "e4dgs.vision.moving.static_scene.static_scene", lambda *arguments: SimpleNamespace(**{**vars(still), "static": False})
+        "e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: SimpleNamespace(**{**vars(still), "static": False})
     )
     outcome = run(job(tmp_path, posed(tmp_path / "capture", pictures(8)), flow__detect_static=True))
     assert "are new" not in outcome.reason and len(measured) == 2 * 7

@@ -14,7 +14,7 @@ from ....scene.training.recipe import RECIPES
 from ....scene.training.schedule import Phase
 from ....scene.training.trainer import Trainer
 from ....scene.views import Views
-from ....stages.coarse import make_nodes
+from ....stages.training.motions import make_nodes
 from ..rows import Bench, Check, Measured
 from ..timing import interleaved
 from .training import BEGUN, PERIOD, STEPS, make_model, views_of

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from ..pipeline import ArtifactError, Context, Given
-from .artifacts.frames import create_images, pictures_of_video, write_videos
-from .captures.facts import Facts
+from ...pipeline import ArtifactError, Context, Given
+from ..artifacts.frames import create_images, pictures_of_video, write_videos
+from ..captures import Capture, Facts, Video
+from ..captures.formats.video import decode
 
 if TYPE_CHECKING:
     import zarr
-
-    from .captures import Capture
-    from .captures.capture import Video
 
 
 def video_parts(capture: Capture, given: Given) -> list[Any]:
@@ -25,8 +23,6 @@ def video_parts(capture: Capture, given: Given) -> list[Any]:
 
 def decode_videos(capture: Capture, ctx: Context) -> None:
     """The pictures of every video, and where those of each lie, for who takes them over."""
-    from .captures.formats.video import decode
-
     facts = Facts.of(capture.facts)
     images = create_images(ctx.out, facts.frames, facts.height, facts.width)
     taken = 0
