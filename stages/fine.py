@@ -8,12 +8,12 @@ from typing import Any
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Stage
-from ..scene.settings import TrainingSettings
+from ..scene.settings import RefinementSettings
 from .captures import Facts
 from .estimates import training_resources, training_seconds
 
 
-class FineSettings(TrainingSettings):
+class FineSettings(RefinementSettings):
     iterations: int = Field(1500, ge=0, le=1_000_000, description="optimiser steps of this stage")
     lr_scale: float = Field(0.3, gt=0, le=1, description="factor on the first rates of what `coarse` has already trained")
     convex_opacity: float = Field(0.3, gt=0, lt=1, description="opacity with which convexes begin")

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...pipeline import Artifact, ArtifactWriter, StageError
-
-if TYPE_CHECKING:
-    from ...scene.settings import Strategy
+from ...scene.settings import GrowthSettings, Strategy
 
 
 @dataclass(frozen=True)
@@ -21,11 +18,14 @@ class StoredCoarse:
     strategy: Strategy  # `fine` follows it
     iterations: int  # optimiser steps of the stage
     depth: Mapping[int, np.ndarray]  # by frame, [h, w] float32, 1/world unit, 0 where unknown; frames of a fixed camera share one array
+    growth: GrowthSettings  # as the stage was told; kept where the strategy is joint, else the defaults are read back
 
     def write(self, out: ArtifactWriter, seeds_png: bytes) -> None:
         """seeds_png: a picture of where training began."""
         out.write("seeds_png", np.frombuffer(seeds_png, np.uint8), doc="where training began, for the report")
         out.attrs.update(strategy=self.strategy, iterations=self.iterations)
+        if self.strategy == "joint":
+            out.attrs["growth"] = self.growth.model_dump()
         if self.depth:
             maps = {id(one): one for one in self.depth.values()}  # each once
             number = {key: k for k, key in enumerate(maps)}
@@ -40,7 +40,8 @@ class StoredCoarse:
         if "depth_maps" in artifact:
             maps = list(artifact.read("depth_maps"))
             depth = {int(frame): maps[int(k)] for frame, k in artifact.read("depth_of_frame")}
-        return cls(artifact.attrs["strategy"], artifact.attrs["iterations"], depth)
+        attrs = artifact.attrs
+        return cls(attrs["strategy"], attrs["iterations"], depth, GrowthSettings(**attrs.get("growth", {})))
 
 
 def required(coarse: Artifact | None) -> Artifact:

@@ -15,6 +15,7 @@ from ...scene.motion.free import FreeMotion
 from ...scene.motion.nodes import ControlNodes
 from ...scene.primitives import ConvexSet, GaussianSet
 from ...scene.seeds.near_plane import near_plane
+from ...scene.settings import GrowthSettings
 from ...scene.training.schedule import HALF_RESOLUTION, Phase, coarse_phases, node_phases
 from ...scene.views import Views
 from ...vision.images.png import encode_png
@@ -91,7 +92,8 @@ def train_coarse(ctx: Context) -> None:
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
     )
-    StoredCoarse(settings.strategy, steps, inverse_depth).write(ctx.out, begin)
+    growth = GrowthSettings(**settings.model_dump(include=set(GrowthSettings.model_fields)))
+    StoredCoarse(settings.strategy, steps, inverse_depth, growth).write(ctx.out, begin)
     write_model(ctx.out, model)
     write_training_log(ctx.out, log)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 
 from ...pipeline import Context
 from ...scene.model import Model
 from ...scene.primitives import LIFE, ConvexSet
+from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettings
 from ...scene.training.schedule import fine_phases
 from ..artifacts.coarse import StoredCoarse, required
 from ..artifacts.dataset import load_frameset, load_views, measured_flow
@@ -17,6 +20,9 @@ from ..captures import Facts
 from ..seeding.fill import measured_depth
 from .choices import auto_budget, is_static
 from .train import train
+
+if TYPE_CHECKING:
+    from ..fine import FineSettings
 
 
 def train_fine(ctx: Context) -> None:
@@ -43,8 +49,8 @@ def train_fine(ctx: Context) -> None:
         model,
         views,
         fine_phases(coarse.strategy, coarse.iterations, settings.iterations, is_static(ctx)),
-        settings,
-        budget=settings.budget or auto_budget(Facts.of(ctx.facts), views, nodes),
+        training_settings(settings, coarse.growth),
+        budget=coarse.growth.budget or auto_budget(Facts.of(ctx.facts), views, nodes),
         lr_scale=1.0 if joint else settings.lr_scale,
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
@@ -52,6 +58,11 @@ def train_fine(ctx: Context) -> None:
     )
     write_model(ctx.out, model)
     write_training_log(ctx.out, log)
+
+
+def training_settings(settings: FineSettings, growth: GrowthSettings) -> TrainingSettings:
+    """What the trainer reads: growth, where there is any, goes on as `coarse` was told."""
+    return TrainingSettings(**settings.model_dump(include=set(RefinementSettings.model_fields)), **growth.model_dump())
 
 
 def add_convexes(model: Model, hulls: StoredHulls, opacity: float) -> None:
