@@ -51,9 +51,9 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
     import torch
     from e4dgs.pipeline import Records, Store
     from e4dgs.scene.losses.flow_loss import rendered_flow
-    from e4dgs.stages.artifacts.flow_fields import FlowFields
+    from e4dgs.stages.artifacts.flow import StoredFlow
     from e4dgs.stages.artifacts.frameset import FrameSet
-    from e4dgs.stages.artifacts.training import read_model
+    from e4dgs.stages.artifacts.model import read_model
     from e4dgs.stages.evaluation.flow_pictures import COVERED, EDGE, TRUSTED
     from e4dgs.stages.evaluation.judge import Judge
     from e4dgs.stages.evaluation.spread import spread
@@ -66,7 +66,7 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
 
     frames = FrameSet(artifact("frames"), capture)
     judge = Judge(read_model(artifact("fine") or artifact("coarse")), frames, None, fixed=False)
-    fields = FlowFields(artifact("flow"))
+    fields = StoredFlow(artifact("flow"))
     dt = 1 / max(len(np.unique(frames.time)) - 1, 1)
     everywhere, moving, steady = [], [], []
     for p in spread(range(len(fields.pairs)), MOST_PAIRS):
@@ -138,7 +138,7 @@ def steps(capture: str, workspace: str, name: str, interval: str, data: str, eve
     from e4dgs.scene.training.trainer import Trainer
     from e4dgs.stages.artifacts.dataset import load_views, measured_flow
     from e4dgs.stages.artifacts.frameset import FrameSet
-    from e4dgs.stages.artifacts.training import read_model
+    from e4dgs.stages.artifacts.model import read_model
 
     store, records = Store(Path(workspace) / "store"), Records(Path(workspace) / "scenes" / name / "records")
     artifacts = {stage: store.open(stage, (records.read(stage) or {})["key"]) for stage in ("frames", "flow", "coarse")}

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-from e4dgs.scene.settings import TrainingSettings
+from e4dgs.scene.settings import RefinementSettings
 from e4dgs.workflows.presets import PRESETS
 from e4dgs.workflows.reconstruction import reconstruction
 from pydantic.fields import FieldInfo
@@ -31,11 +31,11 @@ SHARED = "Both training stages, `coarse` and `fine`, have these. They are set fo
 
 def page() -> str:
     stages = reconstruction().stages
-    both = TrainingSettings.model_fields
+    both = RefinementSettings.model_fields
     parts = [INTRODUCTION, "## Presets\n", "| preset | what it sets |\n|---|---|", *presets(), ""]
     for name, stage in stages.items():
         fields: dict[str, FieldInfo] = stage.settings.model_fields
-        trained = issubclass(stage.settings, TrainingSettings)
+        trained = issubclass(stage.settings, RefinementSettings)
         own = {key: field for key, field in fields.items() if not trained or key not in both or differs(field, both[key])}
         parts += [f"## {name}\n", HEAD, *(row(f"{name}.{key}", field) for key, field in own.items()), ""]
         if name == "fine":

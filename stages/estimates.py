@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from ..pipeline import Resources
+from .captures import Facts
 
 # One training step on two cores, fitted to the captures of benchmarks/results; the motion costs the same at any image size.
 SECONDS_PER_MEGAPIXEL_STEP = 0.35
@@ -21,24 +19,24 @@ MOST_GB_OF_PICTURES = 5.0  # `scene.views.CACHE_BYTES`, and what is made of them
 GB_PER_MEGAPIXEL_OF_A_VIEW = 1.0  # of the picture in work, with its gradients
 
 
-def training_resources(facts: Mapping[str, Any], device: str) -> Resources:
+def training_resources(facts: Facts, device: str) -> Resources:
     """What a stage takes that renders with gradients, or measures what was rendered."""
-    view = facts.get("width", 0) * facts.get("height", 0) / 1e6
-    pictures = min(MOST_GB_OF_PICTURES, GB_PER_MEGAPIXEL * view * facts.get("frames", 0))
+    view = facts.width * facts.height / 1e6
+    pictures = min(MOST_GB_OF_PICTURES, GB_PER_MEGAPIXEL * view * facts.frames)
     return Resources(memory_gb=GB_OF_TORCH + pictures + GB_PER_MEGAPIXEL_OF_A_VIEW * view, gpu=device == "cuda")
 
 
-def picture_resources(facts: Mapping[str, Any], gb_per_megapixel: float, gb: float = 0.3, gpu: bool = False) -> Resources:
+def picture_resources(facts: Facts, gb_per_megapixel: float, gb: float = 0.3, gpu: bool = False) -> Resources:
     """What a stage takes that works on a few pictures at a time."""
-    return Resources(memory_gb=gb + gb_per_megapixel * facts.get("width", 0) * facts.get("height", 0) / 1e6, gpu=gpu)
+    return Resources(memory_gb=gb + gb_per_megapixel * facts.width * facts.height / 1e6, gpu=gpu)
 
 
-def training_seconds(facts: Mapping[str, Any], iterations: int, static: bool, area: float = 1.0) -> float:
+def training_seconds(facts: Facts, iterations: int, static: bool, area: float = 1.0) -> float:
     """Seconds that ``iterations`` steps take on two cores. area: of the images in use, as a mean share of the full ones."""
-    megapixels = facts.get("width", 0) * facts.get("height", 0) / 1e6
+    megapixels = facts.width * facts.height / 1e6
     return iterations * ((SECONDS_PER_STATIC_STEP if static else SECONDS_PER_STEP) + SECONDS_PER_MEGAPIXEL_STEP * megapixels * area)
 
 
-def node_training_seconds(facts: Mapping[str, Any], iterations: int) -> float:
+def node_training_seconds(facts: Facts, iterations: int) -> float:
     """Seconds that ``iterations`` steps with control nodes take on two cores."""
-    return iterations * (SECONDS_PER_NODE_STEP + SECONDS_PER_MEGAPIXEL_NODE_STEP * facts.get("width", 0) * facts.get("height", 0) / 1e6)
+    return iterations * (SECONDS_PER_NODE_STEP + SECONDS_PER_MEGAPIXEL_NODE_STEP * facts.width * facts.height / 1e6)

@@ -9,6 +9,8 @@ from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
 from ..vision.sfm.pairs import OVERLAP, choose, image_pairs
+from .captures.facts import Facts
+from .estimates import picture_resources
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,14 +48,15 @@ class Poses(Stage):
     reads_capture = True
 
     def applies(self, facts: Mapping[str, Any], settings: PosesSettings) -> Applies:
-        if facts["poses"]:
+        known = Facts.of(facts)
+        if known.poses:
             return Applies.no("the files hold poses")
-        if facts.get("cameras", 1) > 1 and not facts["static"]:
+        if known.cameras > 1 and not known.static:
             return Applies.yes(
-                f"structure from motion on {facts['cameras']} cameras at shared times; those that stand still get one pose each"
+                f"structure from motion on {known.cameras} cameras at shared times; those that stand still get one pose each"
             )
-        again = "" if settings.movers == "off" or facts["static"] else "; a second pass where what moves could pull the cameras"
-        return Applies.yes(f"structure from motion on {facts['frames']} frames{again}")
+        again = "" if settings.movers == "off" or known.static else "; a second pass where what moves could pull the cameras"
+        return Applies.yes(f"structure from motion on {known.frames} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
         """Measured, one core: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image (half where a camera turns),
@@ -61,19 +64,18 @@ class Poses(Stage):
         which takes as long again as registering and a third of the pairs' time. Several cameras: if they stand still, as most do."""
         from ..vision.sfm.looks import look_times
 
-        frames = facts["frames"]
-        if facts.get("cameras", 1) > 1 and not facts["static"]:
-            cameras, times = facts["cameras"], look_times(facts["cameras"], facts["times"])
-            features, pairs = cameras * times * (0.1 + 1.3 * facts["width"] * facts["height"] / 1e6), times * cameras * (cameras - 1) / 2
+        known = Facts.of(facts)
+        frames = known.frames
+        if known.cameras > 1 and not known.static:
+            cameras, times = known.cameras, look_times(known.cameras, known.times)
+            features, pairs = cameras * times * (0.1 + 1.3 * known.width * known.height / 1e6), times * cameras * (cameras - 1) / 2
             return 10 + features + 0.2 * pairs + 2.0 * cameras
-        pairs = len(image_pairs(choose(settings.matcher, frames, facts["static"]), frames, settings.overlap))
-        looked = 0.15 if settings.movers == "auto" and not facts["static"] else 0.0
-        return 8 + frames * (1.2 + looked + 1.3 * facts["width"] * facts["height"] / 1e6) + 0.06 * pairs
+        pairs = len(image_pairs(choose(settings.matcher, frames, known.static), frames, settings.overlap))
+        looked = 0.15 if settings.movers == "auto" and not known.static else 0.0
+        return 8 + frames * (1.2 + looked + 1.3 * known.width * known.height / 1e6) + 0.06 * pairs
 
     def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
-        from .estimates import picture_resources
-
-        return picture_resources(facts, 2.0)
+        return picture_resources(Facts.of(facts), 2.0)
 
     def run(self, ctx: Context) -> None:
         import numpy as np
@@ -82,6 +84,7 @@ class Poses(Stage):
         from ..vision.sfm.runner import WorkerError, finished, run_worker
         from ..vision.sfm.trouble import nothing_registered
         from .artifacts.frameset import FrameSet
+        from .artifacts.poses import write_account
         from .posing.bars import Bars
         from .posing.pictures import lens_groups, write_images, write_masks
         from .posing.second_pass import second_pass
@@ -91,7 +94,7 @@ class Poses(Stage):
         assert artifact is not None
         frames = FrameSet(artifact, ctx.capture.root)
         matcher = choose(settings.matcher, len(frames), bool(ctx.facts["static"]))
-        hint = frames.attrs.get("K_hint")
+        hint = frames.K_hint
         several = _several(ctx, frames) if len(np.unique(frames.camera)) > 1 and not ctx.facts["static"] else None
         request = {
             "task": "reconstruct",
@@ -140,7 +143,7 @@ class Poses(Stage):
         # where the camera only turns, a note says so
         judged = 90.0 if facts["turning"] else angle
         if several:
-            ctx.out.attrs["fixed_cameras"] = several.looks.all_still
+            write_account(ctx.out, fixed_cameras=several.looks.all_still)
         coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged)
         ctx.log(f"{coverage.summary()}, reprojection error {mean_error:.2f} px in the mean, {median_error:.2f} px in the median")
         for sentence in facts["notes"]:
@@ -150,7 +153,8 @@ class Poses(Stage):
         for sentence in coverage.advice:
             ctx.log(sentence)
         _write(ctx, frames, arrays, coverage)
-        ctx.out.attrs.update(
+        write_account(
+            ctx.out,
             mean_reprojection_error=mean_error,
             median_reprojection_error=median_error,
             median_angle=angle,
@@ -186,6 +190,7 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
 
     from ..vision.images.lenses import pinholes
     from ..vision.sfm.world import POINT_ERROR, keep_points, normalise
+    from .artifacts.poses import StoredPoses, write_account
 
     registered = arrays["registered"]
     keep = keep_points(arrays["points"], arrays["errors"], arrays["tracks"])
@@ -204,17 +209,18 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
         raise StageError(
             f"{frames.names[int(kept.argmin())]}: the lens that was fitted folds the picture over; try another poses.camera_model"
         )
-    out = ctx.out
-    out.write("K", K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5; NaN where not registered")
-    if not np.array_equal(K, lens_K, equal_nan=True):
-        out.write("lens_K", lens_K, unit="px", doc="intrinsics of the pictures as the lens made them; NaN where not registered")
-    out.write("cam_from_world", cam_from_world, unit="world", doc="OpenCV pose of the camera; NaN where not registered")
-    out.write("distortion", arrays["distortion"], doc="k1 k2 p1 p2")
-    out.write("registered", registered, doc="the frame has a pose")
-    out.write("points", points, unit="world", doc="triangulated points")
-    out.write("point_colors", arrays["colors"][keep], doc="RGB of points")
-    out.write("point_errors", arrays["errors"][keep], unit="px", doc="mean reprojection error of each point")
-    out.attrs.update(
+    StoredPoses(
+        K=K,
+        lens_K=None if np.array_equal(K, lens_K, equal_nan=True) else lens_K,
+        cam_from_world=cam_from_world,
+        distortion=arrays["distortion"],
+        registered=registered,
+        points=points,
+        point_colors=arrays["colors"][keep],
+        point_errors=arrays["errors"][keep],
+    ).write(ctx.out)
+    write_account(
+        ctx.out,
         registered=coverage.registered,
         total=coverage.total,
         gaps=[list(gap) for gap in coverage.gaps],

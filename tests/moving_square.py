@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.views import Views
+from e4dgs.stages.artifacts.flow import StoredFlow
 
 WIDTH, HEIGHT, FRAMES, FOCAL = 160, 96, 9, 100.0
 WALL, NEAR = 8.0, 4.0  # world units to the wall and to the square before it
@@ -37,7 +38,7 @@ def left_edge(k: int) -> float:
     return 90 + FOCAL / NEAR * (SQUARE - CAMERA) * k
 
 
-def flow_of(folder: Path, gap: int | None = None) -> Artifact:
+def flow_of(folder: Path, gap: int | None = None) -> StoredFlow:
     """Exact flow and masks of the square before the wall; without the pair that begins at frame ``gap``."""
     masks = np.zeros((FRAMES, HEIGHT, WIDTH), np.uint8)
     for k in range(FRAMES):
@@ -57,7 +58,7 @@ def flow_of(folder: Path, gap: int | None = None) -> Artifact:
     out.write("confidence", np.full((len(pairs), HEIGHT, WIDTH), 255, np.uint8))
     out.write("movers", masks)
     out.finish({})
-    return Artifact(folder)
+    return StoredFlow(Artifact(folder))
 
 
 def wall(count: int = 4000) -> np.ndarray:

@@ -4,8 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from e4dgs.pipeline import Artifact
 from e4dgs.scene.views import Views
+from e4dgs.stages.artifacts.flow import StoredFlow
 from factory import Cells, Motion, Object, Options, Sphere, make, optical_flow, render
 from write_artifact import write_artifact
 
@@ -16,8 +16,8 @@ def place(t: float) -> np.ndarray:
     return np.array([-0.5 + t, 0.0, RADIUS])
 
 
-def sliding_ball(folder: Path) -> tuple[Artifact, Views, np.ndarray]:
-    """Flow artifact, written to ``folder``, views of the training cameras, seeds on the ball's front at the middle time."""
+def sliding_ball(folder: Path) -> tuple[StoredFlow, Views, np.ndarray]:
+    """Flow, written to ``folder``, views of the training cameras, seeds on the ball's front at the middle time."""
     options = Options(rig="arc", cameras=CAMERAS, times=TIMES, boxes=0, spheres=0, width=WIDTH, height=HEIGHT, samples=1)
     made = make(options)
     ball = Object("ball", Sphere(RADIUS), Cells(0.3, 1), Motion(tuple(place(0.5)), slide=(1.0, 0.0, 0.0)))
@@ -46,4 +46,4 @@ def sliding_ball(folder: Path) -> tuple[Artifact, Views, np.ndarray]:
     normal = rng.normal(size=(600, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     normal = normal[normal @ (views.centres().mean(0) - place(0.5)) > 0.3]
-    return write_artifact(folder, arrays), views, place(0.5) + RADIUS * normal
+    return StoredFlow(write_artifact(folder, arrays)), views, place(0.5) + RADIUS * normal

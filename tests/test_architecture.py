@@ -147,6 +147,68 @@ def test_circles_are_found():
     assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
 
 
+def imports_inside(path: Path, but: tuple[str, ...] = ()) -> list[str]:
+    """Functions of a file that import something, other than those named in ``but``."""
+    functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef) and node.name not in but]
+    return [one.name for one in functions if any(isinstance(node, ast.Import | ast.ImportFrom) for node in ast.walk(one))]
+
+
+@pytest.mark.parametrize("name", ["frames", "flow", "coarse", "hulls", "fine", "evaluate"])
+def test_a_stage_imports_its_work_in_run_alone(name):
+    assert imports_inside(ROOT / "stages" / f"{name}.py", but=("run",)) == []
+    assert imports_inside(ROOT / "stages" / f"{name}.py") == ["run"], "its work would load with the command line"
+
+
+@pytest.mark.parametrize("room", ["artifacts", "decoding", "posing", "measured_flow", "seeding", "training", "evaluation"])
+def test_rooms_import_at_the_top(room):
+    assert {path.name: found for path in (ROOT / "stages" / room).glob("*.py") if (found := imports_inside(path))} == {}
+
+
+def named_by_hand(tree: ast.AST) -> list[int]:
+    """Lines that reach into an artifact by a name that they spell themselves: `.attrs`, `.info[...]`, `.read("K")`, `.write("K", K)`,
+    `"K" in frames`, ..."""
+    lines = []
+    for node in ast.walk(tree):
+        match node:
+            case ast.Attribute(attr="attrs"):
+                found = True
+            case ast.Subscript(value=ast.Attribute(attr="info")) | ast.Attribute(value=ast.Attribute(attr="info")):
+                found = True
+            case ast.Call(func=ast.Attribute(attr="read" | "array"), args=[name, *_]):
+                found = is_text(name)
+            case ast.Call(func=ast.Attribute(attr="write" | "create"), args=[name, _, *_]):  # text that goes to a file stands alone
+                found = is_text(name)
+            case ast.Compare(left=name, ops=[ast.In() | ast.NotIn()], comparators=[ast.Name(id=of)]):
+                found = is_text(name) and of in ("artifact", "frames", "poses", "flow", "coarse", "hulls", "fine", "evaluate")
+            case _:
+                found = False
+        if found:
+            lines.append(node.lineno)
+    return sorted(set(lines))
+
+
+def is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
+
+
+def test_one_room_spells_the_names_in_artifacts():
+    """docs/artifacts.md is the contract; `stages/artifacts/` is the one place that holds the stages to it."""
+    rooms = [path for folder in ("stages", "workflows") for path in (ROOT / folder).rglob("*.py")]
+    own = (ROOT / "workflows" / "machine" / "doctor.py",)  # tries the store out, with an array of its own
+    for path in sorted(path for path in rooms if ROOT / "stages" / "artifacts" not in path.parents and path not in own):
+        lines = named_by_hand(ast.parse(path.read_text()))
+        assert not lines, (
+            f"{path.relative_to(ROOT)}:{lines[0]} spells what an artifact holds; stages/artifacts/ has typed readers and writers"
+        )
+
+
+def test_names_that_are_spelled_are_found():
+    by_hand = ['a.attrs["x"]', 'b.info["x"]', 'b.info.get("x")', 'f.read("K", 3)', 'f.array(f"movie_{k}")', 'out.write("K", K)']
+    by_hand += ['out.create("K", shape)', '"K" in frames']
+    others = ['file.write("text")', "file.read(4)", "np.array([0])", '"x" in image.info', '"x" in words']
+    assert named_by_hand(ast.parse("\n".join([*by_hand, *others]))) == [k + 1 for k in range(len(by_hand))]
+
+
 @pytest.mark.parametrize("folder", BELOW)
 def test_python_folders_are_small(folder):
     for inner in [ROOT / folder, *(path for path in (ROOT / folder).rglob("*") if path.is_dir())]:

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -59,14 +60,23 @@ def test_the_documentation_builds_without_a_warning(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_the_stage_of_the_documentation_runs(dnerf_capture, tmp_path):
-    source = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.DOTALL)[1]
-    names: dict = {}
-    exec(source.replace("from ..pipeline", "from e4dgs.pipeline"), names)
+def test_the_stage_of_the_documentation_runs(dnerf_capture, tmp_path, monkeypatch):
+    page = (ROOT / "docs" / "extending.md").read_text()
+    blocks = re.findall(r"`(stages/[\w/]+)\.py`[^\n]*:\n\n```python\n(.*?)```", page, re.DOTALL)
+    names = [".".join(["e4dgs", *path.split("/")]) for path, _ in blocks]
+    assert names == ["e4dgs.stages.artifacts.count", "e4dgs.stages.counting.count", "e4dgs.stages.count"]
+    room = ModuleType("e4dgs.stages.counting")
+    room.__path__ = []  # a package
+    monkeypatch.setitem(sys.modules, room.__name__, room)
+    for name, (_, source) in zip(names, blocks):
+        module = ModuleType(name)
+        module.__package__ = name.rpartition(".")[0]
+        monkeypatch.setitem(sys.modules, name, module)
+        exec(source, module.__dict__)
+    stage, stored = module, sys.modules[names[0]]
     frames = run_frames(dnerf_capture.root, tmp_path)
-    settings = names["CountSettings"](times=2)
-    ran = run_stage(names["Count"](), frames.context.capture, tmp_path, settings, {"frames": frames.artifact})
-    assert ran.artifact.read("count").tolist() == [2 * frames.context.capture.facts["splits"]["train"]]
+    ran = run_stage(stage.Count(), frames.context.capture, tmp_path, stage.CountSettings(times=2), {"frames": frames.artifact})
+    assert stored.StoredCount.read(ran.artifact).count == 2 * frames.context.capture.facts["splits"]["train"]
 
 
 def test_commands_of_the_readme_exist():

@@ -8,6 +8,10 @@ from typing import Any
 
 from ..pipeline import Artifact, Outcome, Row
 from ..pipeline.files import read_json, write_atomically, write_json
+from ..stages.artifacts.coarse import read_seeds_png
+from ..stages.artifacts.evaluate import read_metrics
+from ..stages.artifacts.told import told
+from ..stages.artifacts.training_log import read_training_log
 from .reconstruction import EVALUATION, TRAINING
 from .results import run_command
 from .session import Session
@@ -45,9 +49,8 @@ def metrics_json(scene: str, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
     """
     evaluate = outcomes[EVALUATION].artifact
     assert evaluate is not None
-    measured = {**evaluate.attrs["metrics"], **evaluate.info.get("metrics", {})}
     return {
-        **measured,
+        **read_metrics(evaluate),
         "scene": scene,
         "train_seconds": round(sum(_training_seconds(outcomes[name]) for name in TRAINING if name in outcomes), 1),
         "stages": {name: outcome.as_json() for name, outcome in outcomes.items()},
@@ -57,7 +60,7 @@ def metrics_json(scene: str, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
 def _training_seconds(outcome: Outcome) -> float:
     if outcome.artifact is None:
         return 0.0
-    return max(outcome.seconds, float(outcome.artifact.info.get("training", {}).get("seconds", 0.0)))
+    return max(outcome.seconds, float(read_training_log(outcome.artifact).get("seconds", 0.0)))
 
 
 def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) -> tuple[dict[str, Any], Path]:
@@ -85,12 +88,8 @@ def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) 
 def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcome], evaluate: Artifact, metrics: Mapping[str, Any]) -> str:
     from ..stages.report.page import render_report
 
-    infos = {
-        name: {**outcomes[name].artifact.attrs, **outcomes[name].artifact.info, "log": outcomes[name].artifact.provenance["log"]}  # type: ignore[union-attr]
-        for name in outcomes
-        if outcomes[name].artifact is not None
-    }
+    infos = {name: told(outcome.artifact) for name, outcome in outcomes.items() if outcome.artifact is not None}
     plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
     coarse = outcomes["coarse"].artifact if "coarse" in outcomes else None
-    seeds = coarse.read("seeds_png").tobytes() if coarse is not None and "seeds_png" in coarse else None
+    seeds = None if coarse is None else read_seeds_png(coarse)
     return render_report(session.scene.name, evaluate, infos, plan_rows, metrics, seeds, run_command(session.options, "all"))

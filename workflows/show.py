@@ -12,6 +12,7 @@ from rich.table import Table
 
 from ..pipeline import Row, duration
 from ..pipeline.errors import one_line
+from ..stages.captures.facts import Facts
 from .session import Session
 
 _COLOURS = {"cached": "green", "run": "yellow", "skip": "dim"}
@@ -19,11 +20,11 @@ _COLOURS = {"cached": "green", "run": "yellow", "skip": "dim"}
 
 def show_capture(console: Console, session: Session) -> None:
     """What was recognised and why, and what of the capture is left out or was assumed."""
-    facts = session.job.capture.facts
-    splits = ", ".join(f"{count} {name}" for name, count in facts["splits"].items() if count)
-    console.print(f"[bold]{escape(session.scene.name)}[/]: {facts['format']} ({escape(facts['why'])})", soft_wrap=True, highlight=False)
+    facts = Facts.of(session.job.capture.facts)
+    splits = ", ".join(f"{count} {name}" for name, count in facts.splits.items() if count)
+    console.print(f"[bold]{escape(session.scene.name)}[/]: {facts.format} ({escape(facts.why)})", soft_wrap=True, highlight=False)
     console.print(
-        f"  {facts['frames']} frames {facts['width']}x{facts['height']}, {facts['cameras']} cameras, {facts['times']} times; {splits}",
+        f"  {facts.frames} frames {facts.width}x{facts.height}, {facts.cameras} cameras, {facts.times} times; {splits}",
         soft_wrap=True,
         highlight=False,
     )

@@ -31,10 +31,11 @@ class SharedCourses(nn.Module):
     def __init__(self, seed: int = 0) -> None:
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
-        self.place = _layers([3 * (1 + 2 * PLACE_BANDS), *[WIDTH] * DEPTH, OUTPUTS * RANK], generator)
-        self.time = _layers([1 + 2 * TIME_BANDS, *[TIME_WIDTH] * TIME_DEPTH, RANK], generator)
+        place = _layers([3 * (1 + 2 * PLACE_BANDS), *[WIDTH] * DEPTH, OUTPUTS * RANK], generator)
+        time = _layers([1 + 2 * TIME_BANDS, *[TIME_WIDTH] * TIME_DEPTH, RANK], generator)
         with torch.no_grad():
-            self.place[-1].weight.normal_(0.0, HEADS, generator=generator)
+            place[-1].weight.normal_(0.0, HEADS, generator=generator)
+        self.place, self.time = nn.ModuleList(place), nn.ModuleList(time)
 
     def weights(self, encoded: Tensor) -> Tensor:
         """[B, 7, RANK] of places [B, ...] as `encode_places` gives them."""
@@ -42,7 +43,7 @@ class SharedCourses(nn.Module):
 
     def courses(self, times: Sequence[float]) -> Tensor:
         """[T, RANK] at ``times``, each clamped to [0, 1]."""
-        clamped = self.time[0].weight.new_tensor([[min(max(float(t), 0.0), 1.0)] for t in times])
+        clamped = next(self.parameters()).new_tensor([[min(max(float(t), 0.0), 1.0)] for t in times])
         return _through(self.time, encode(clamped, TIME_BANDS))
 
 
@@ -57,7 +58,7 @@ def encode(x: Tensor, bands: int) -> Tensor:
     return torch.cat([x, torch.sin(scaled).flatten(1), torch.cos(scaled).flatten(1)], 1)
 
 
-def _layers(sizes: list[int], generator: torch.Generator) -> nn.ModuleList:
+def _layers(sizes: list[int], generator: torch.Generator) -> list[nn.Linear]:
     """Linear layers that keep the size of what ReLUs pass on (He et al. 2015)."""
     layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
     with torch.no_grad():
@@ -65,7 +66,7 @@ def _layers(sizes: list[int], generator: torch.Generator) -> nn.ModuleList:
             bound = (6.0 / layer.in_features) ** 0.5
             layer.weight.uniform_(-bound, bound, generator=generator)
             layer.bias.zero_()
-    return nn.ModuleList(layers)
+    return layers
 
 
 def _through(layers: nn.ModuleList, x: Tensor) -> Tensor:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
+import torch
 
 from ...pipeline import Artifact, StageError
+from ...scene.model import Model
+from ...scene.views import Views
+from .flow import StoredFlow
 from .frameset import FrameSet
-
-if TYPE_CHECKING:
-    from ...scene.model import Model
-    from ...scene.views import Views
 
 STILL_WEIGHT = 0.1  # of measured flow where nothing moves
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
@@ -27,16 +28,11 @@ def load_frameset(inputs: Any, root: Path) -> FrameSet:
 def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", model: Model | None = None) -> Views:
     """Views over all frames, with their pictures on ``device``, seen as ``model`` was trained (its near plane and background) where one is
     given. ``train`` holds the registered training frames; raises StageError where there is none."""
-    from ...scene.views import Views
-
     if not len(frames.train):
         raise StageError(
             "no training frame has a pose; see the coverage report of `poses`, or use fewer held-out frames (--set frames.holdout=0)"
         )
-    edges = None
-    if flow is not None and "edges" in flow:
-        array = flow.array("edges")
-        edges = lambda i: np.asarray(array[int(i)])  # noqa: E731
+    stored = None if flow is None else StoredFlow(flow)
     return Views(
         K=np.asarray(frames.K),
         cam_from_world=np.asarray(frames.cam_from_world),
@@ -50,7 +46,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
         background=BACKGROUNDS[frames.background] if model is None else model.background,
         load_alpha=(lambda i: np.ascontiguousarray(frames.image(i)[..., 3])) if frames.alpha else None,
         load_kept=None if frames.keep_files is None else kept_pixels(frames),
-        stored_edges=edges,
+        stored_edges=stored.edges if stored is not None and stored.has_edges else None,
         recorder=np.arange(len(frames.time)) if are_photos(frames) else None,
         device=device,
         near=Views.near if model is None else model.near,
@@ -78,15 +74,10 @@ def measured_flow(flow: Artifact | None, views: Views):
     The weight is the flow's confidence, and a tenth of it where nothing moves: there the cameras alone make the flow, and the little that
     these pixels can teach, that a primitive before them must not move, would drown what moves.
     """
-    if flow is None or "forward" not in flow:
+    if flow is None or not (stored := StoredFlow(flow)).measured:
         return None
-    import cv2
-    import torch
-
-    pairs = {int(first): p for p, (first, second) in enumerate(flow.read("pair")) if int(views.next[first]) == int(second)}
+    pairs = {first: p for p, (first, second) in enumerate(stored.pairs) if int(views.next[first]) == second}
     trained = {int(i) for i in views.train}
-    forward, confidence = flow.array("forward"), flow.array("confidence")
-    movers = flow.array("movers") if "movers" in flow else None
 
     def of_frame(i: int):
         p = pairs.get(int(i))
@@ -94,10 +85,10 @@ def measured_flow(flow: Artifact | None, views: Views):
             return None
         size = views.size(0.5)
         shrink = np.array([size[0] / views.width, size[1] / views.height], np.float32)
-        field = cv2.resize(np.asarray(forward[p]).astype(np.float32), size, interpolation=cv2.INTER_AREA) * shrink
-        weight = cv2.resize(np.asarray(confidence[p]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
-        if movers is not None:
-            moves = cv2.resize(np.asarray(movers[int(i)]), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+        field = cv2.resize(stored.forward(p).astype(np.float32), size, interpolation=cv2.INTER_AREA) * shrink
+        weight = cv2.resize(stored.confidence(p), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+        if stored.has_movers:
+            moves = cv2.resize(stored.movers(int(i)), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
             weight = weight * (STILL_WEIGHT + (1 - STILL_WEIGHT) * moves)
         kept = views.kept(int(i), 0.5)
         if kept is not None:

@@ -11,6 +11,8 @@ import numpy as np
 
 from ...pipeline import Artifact
 from ...vision.images import lenses, pictures
+from .frames import StoredFrames
+from .poses import StoredPoses
 
 WHOLLY = 254  # of 255: of a mask that was scaled or bent, a pixel that lies inside
 _MAPS_KEPT = 4  # they take 8 bytes a pixel; one camera needs two, there and back
@@ -33,43 +35,31 @@ class FrameSet:
     """
 
     def __init__(self, frames: Artifact, root: Path, poses: Artifact | None = None) -> None:
+        stored, solved = StoredFrames.read(frames), None if poses is None else StoredPoses.read(poses)
+        source, facts = solved or stored, stored.facts
         self.root = Path(root)
-        self.attrs = frames.attrs
-        self._files = frames.manifest["files"]
-        self.width = int(frames.attrs["width"])
-        self.height = int(frames.attrs["height"])
-        self.background: str | None = frames.attrs["background"]
-        self.alpha = bool(frames.attrs["alpha"])
-        self.upright = bool(frames.attrs.get("upright"))
-        self.untimed = bool(frames.attrs.get("untimed"))
-        self.names: list[str] = frames.attrs["names"]
-        self.files: list[str] | None = frames.attrs.get("files")
-        self.mask_files: list[str | None] | None = frames.attrs.get("mask_files")
-        self.keep_files: list[str | None] | None = frames.attrs.get("keep_files")
-        self.keep_turns: list[int] = frames.attrs.get("keep_turns") or [1] * len(self.names)
-        self.camera = frames.read("camera")
-        self.time = frames.read("time")
-        self.seconds = frames.read("seconds")
-        self.split = frames.read("split")
-        self.next = frames.read("next")
-        self.crop = frames.read("crop") if "crop" in frames else None
-        self._images = frames.array("images") if "images" in frames else None
-        source = poses if poses is not None else frames
-        self.fixed_cameras = any(bool(one.attrs.get("fixed_cameras")) for one in (frames, poses) if one is not None)
-        posed = "cam_from_world" in source
-        self.K = source.read("K") if posed else None
-        self.cam_from_world = source.read("cam_from_world") if posed else None
-        self._distortion = source.read("distortion") if posed else np.zeros((len(self), 4))
-        self._lens_K = source.read("lens_K") if "lens_K" in source else self.K
-        self._fisheye = source.read("fisheye") if "fisheye" in source else np.zeros(len(self), np.uint8)
-        self.points = source.read("points") if "points" in source else None
-        self.point_colors = source.read("point_colors") if "point_colors" in source else None
+        self.width, self.height = facts.width, facts.height
+        self.background, self.alpha = stored.background, facts.alpha
+        self.upright, self.untimed = facts.upright, facts.untimed
+        self.names, self.files = stored.names, stored.files
+        self.mask_files, self.keep_files = stored.mask_files, stored.keep_files
+        self.keep_turns = stored.keep_turns or [1] * len(self.names)
+        self.K_hint = stored.K_hint
+        self.camera, self.time, self.seconds = stored.camera, stored.time, stored.seconds
+        self.split, self.next, self.crop = stored.split, stored.next, stored.crop
+        self._images = stored.images
+        self.fixed_cameras = facts.fixed_cameras or (solved is not None and bool(solved.fixed_cameras))
+        self.K, self.cam_from_world = source.K, source.cam_from_world
+        self._distortion = np.zeros((len(self), 4)) if source.distortion is None else source.distortion
+        self._lens_K = self.K if source.lens_K is None else source.lens_K
+        self._fisheye = np.zeros(len(self), np.uint8) if source.fisheye is None else source.fisheye
+        self.points, self.point_colors = source.points, source.point_colors
         if self.K is None or self.cam_from_world is None:
             self.registered = np.zeros(len(self), bool)
         else:
             finite = np.isfinite(self.cam_from_world).all((1, 2)) & np.isfinite(self.K).all((1, 2))
-            self.registered = finite & source.read("registered") if "registered" in source else finite
-        usable = self.registered if posed else np.ones(len(self), bool)
+            self.registered = finite if source.registered is None else finite & source.registered
+        usable = np.ones(len(self), bool) if self.cam_from_world is None else self.registered
         self.train, self.val, self.test = (np.flatnonzero(usable & (self.split == s)) for s in range(3))
         self._maps: dict[bytes, tuple[np.ndarray, ...]] = {}
         self._lock = threading.Lock()
@@ -86,7 +76,7 @@ class FrameSet:
     def original(self, i: int) -> np.ndarray:
         """Frame i at the capture's size, still with its lens distortion (what structure from motion matches on)."""
         if self._images is not None:
-            return np.asarray(self._images[i])
+            return self._images[i]
         assert self.files is not None
         stored = pictures.read_picture(self.root, self.files[i], self.upright)
         picture = pictures.resize(stored, self.width, self.height, None if self.crop is None else self.crop[i])
@@ -107,7 +97,7 @@ class FrameSet:
     def picture_parts(self, i: int, digests: Mapping[str, str]) -> list[Any]:
         """All that decides frame i as the lens made it, as JSON, without reading it. digests: of the capture's files by name (BLAKE3)."""
         if self._images is not None:
-            return [self._files[f"images/c/{i}/0/0/0"][1], self.width, self.height]  # one chunk a frame
+            return [self._images.digest(i), self.width, self.height]
         assert self.files is not None
         part = None if self.crop is None else self.crop[i].tolist()
         shown = [self.width, self.height, part, self.upright, self.alpha, self.background]

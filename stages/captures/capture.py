@@ -13,6 +13,7 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks
 from .common_size import Crop, common_size, crop, told
+from .facts import Facts
 
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")
@@ -160,27 +161,25 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     scale = _scaled((0, 0, *common), width, height)
     hint = None if reading.K_hint is None else tuple(float(v) for v in (scale @ reading.K_hint).reshape(-1))
     background = options.background or ("white" if reading.alpha else None)
-    facts: dict[str, Any] = {
-        "format": kind,
-        "why": reading.why,
-        "frames": len(shots),
-        "cameras": len(keys),
-        "times": len(distinct),
-        "width": width,
-        "height": height,
-        "poses": posed,
-        "points": reading.points is not None,
-        "alpha": reading.alpha,
-        "static": static,
-        "pairs": int((following >= 0).sum()),
-        "fixed_cameras": reading.fixed_cameras,
-        "splits": {name: int((split == i).sum()) for i, name in enumerate(SPLITS)},
-        "images_in_files": not reading.videos,
-    }
-    if reading.upright:
-        facts["upright"] = True
-    if reading.untimed and not static:
-        facts["untimed"] = True
+    facts = Facts(
+        format=kind,
+        why=reading.why,
+        frames=len(shots),
+        cameras=len(keys),
+        times=len(distinct),
+        width=width,
+        height=height,
+        poses=posed,
+        points=reading.points is not None,
+        alpha=reading.alpha,
+        static=static,
+        pairs=int((following >= 0).sum()),
+        fixed_cameras=reading.fixed_cameras,
+        splits={name: int((split == i).sum()) for i, name in enumerate(SPLITS)},
+        images_in_files=not reading.videos,
+        upright=reading.upright,
+        untimed=reading.untimed and not static,
+    )
     images = None if reading.videos else tuple(str(s.file) for s in shots)
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
     keeps = tuple(s.keep for s in shots) if any(s.keep for s in shots) else None
@@ -197,7 +196,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         root=root,
         name=name,
         files=tuple(sorted(files)),
-        facts=facts,
+        facts=facts.as_json(),
         options=options,
         names=tuple(s.name for s in shots),
         images=images,

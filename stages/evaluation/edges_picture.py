@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...scene.edges import edge_mask_canny, near_edges
+from .edge_colours import ADDED, BOTH, MISSING
+
 SAME = 1.0  # px between an edge of the one and an edge of the other that count as one
 GROUND = (20, 23, 26)
-BOTH, MISSING, ADDED = (205, 210, 215), (77, 163, 255), (255, 140, 46)  # told apart by eyes that see no red or green, too
-KEYS = ((BOTH, "in both"), (MISSING, "only in the ground truth"), (ADDED, "only in the render"))
 
 
 def edges_picture(render: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Contours in the colours of `KEYS`: uint8 [H, W, 3] RGB.
+    """Contours in the colours of `edge_colours.py`: uint8 [H, W, 3] RGB.
 
     render, truth: uint8 [H, W, 3] RGB of the size in which they are shown, so that contours stay one pixel wide. Canny's thresholds are
     those of `edge_psnr`. An edge at most `SAME` px from one of the other picture is in both, and drawn where the truth has it.
     """
-    from ...scene.edges import edge_mask_canny, near_edges
-
     there, drawn = edge_mask_canny(truth), edge_mask_canny(render)
     picture = np.full(truth.shape, GROUND, np.uint8)
     picture[drawn & ~near_edges(there, SAME)] = ADDED

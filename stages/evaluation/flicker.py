@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from ..artifacts.frameset import FrameSet
-    from .judge import Judge
+import numpy as np
+
+from ...scene.metrics.flicker import Flicker, steady_pixels
+from ..artifacts.frameset import FrameSet
+from .judge import Judge
 
 CAMERAS, TIMES = 3, 60  # looked at, at most: cameras of the capture, neighbouring times of each
 FEWEST = 3  # times of a camera
@@ -17,10 +19,6 @@ def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
     """`static` and `edges` in levels of 8 bits, `flow` in px, how many `cameras` and `pairs` of times they are means of, and in `per_pair`
     the three of each pair with its `camera` and both `times`; None for captures without a fixed camera that saw several times. Held-out
     cameras are taken where there are any, from the first time on."""
-    import numpy as np
-
-    from ...scene.metrics.flicker import Flicker, steady_pixels
-
     if not judge.fixed or judge.model.field is None:
         return None
     seen: dict[int, list[int]] = {}

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import torch
 
+from ...scene.losses.flow_loss import rendered_flow
 from ...vision.flow.colours import colour_wheel, flow_colours, typical_largest
 from ...vision.images.overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, overlay
-from ..artifacts.flow_fields import FlowFields
+from ..artifacts.flow import StoredFlow
 from .judge import Judge
+from .pictures import PictureBook
 from .spread import spread
-
-if TYPE_CHECKING:
-    from ...pipeline import Artifact
-    from .pictures import PictureBook
 
 MOST_PAIRS = 4
 FLOW_SIZE = 480  # px, longest side of these pictures
@@ -24,24 +21,23 @@ TRUSTED = 128  # of 255, confidence from which a pixel counts in the difference
 COVERED = 0.5  # alpha from which a pixel counts in the difference, as in the flow loss
 
 
-def add_flow(book: PictureBook, judge: Judge, flow: Artifact, most: int) -> None:
+def add_flow(book: PictureBook, judge: Judge, flow: StoredFlow, most: int) -> None:
     """Adds up to ``most`` pairs of frames to the book, evenly spread over cameras and times: names "flow/<k>/frame|measured|rendered|
-    edges|moving" and "flow/wheel", and what they show to `book.flow`.
+    edges|moving" and "flow/wheel", and what they show to `book.stored`.
 
     One `largest` colours all of them. Only pairs of training frames with poses are shown.
     """
-    fields = FlowFields(flow)
     frames = judge.frames
     posed = {int(i) for i in frames.train}
-    chosen = spread([p for p, pair in enumerate(fields.pairs) if posed.issuperset(pair)], min(most, MOST_PAIRS))
+    chosen = spread([p for p, pair in enumerate(flow.pairs) if posed.issuperset(pair)], min(most, MOST_PAIRS))
     if not chosen:
         return
-    measured = {p: fields.forward(p).astype(np.float32) for p in chosen}
+    measured = {p: flow.forward(p).astype(np.float32) for p in chosen}
     largest = typical_largest(*measured.values())
     size = min(book.size, FLOW_SIZE)
     rows = []
     for k, p in enumerate(chosen):
-        first, second = fields.pairs[p]
+        first, second = flow.pairs[p]
         rendered, alpha = _rendered(judge, first, second)
         picture = frames.composited(first)
         book.add(f"flow/{k}/frame", picture, size)
@@ -49,8 +45,8 @@ def add_flow(book: PictureBook, judge: Judge, flow: Artifact, most: int) -> None
         # Where the background shows through, which does not move, flow fades like the colour does.
         shown = rendered * np.minimum(alpha / COVERED, 1)[..., None]
         book.add(f"flow/{k}/rendered", flow_colours(shown, largest), size)
-        book.add(f"flow/{k}/edges", overlay(picture, fields.edges(first), EDGE_COLOUR), size)
-        moving = fields.moving(first, int(frames.camera[first]))
+        book.add(f"flow/{k}/edges", overlay(picture, flow.edges(first), EDGE_COLOUR), size)
+        moving = flow.moving(first, int(frames.camera[first]))
         if moving is not None:
             book.add(f"flow/{k}/moving", overlay(picture, moving, MOVING_COLOUR, MASK_STRENGTH), size)
         rows.append(
@@ -58,11 +54,11 @@ def add_flow(book: PictureBook, judge: Judge, flow: Artifact, most: int) -> None
                 "stem": f"flow/{k}",
                 "frames": [frames.names[first], frames.names[second]],
                 "times": [float(frames.time[first]), float(frames.time[second])],
-                **difference(measured[p], rendered, (fields.confidence(p) >= TRUSTED) & (alpha > COVERED), fields.edges(first) >= EDGE),
+                **difference(measured[p], rendered, (flow.confidence(p) >= TRUSTED) & (alpha > COVERED), flow.edges(first) >= EDGE),
             }
         )
     book.add("flow/wheel", colour_wheel(WHEEL_SIZE), WHEEL_SIZE)
-    book.flow = {"largest": largest, "method": str(flow.attrs.get("method", "")), "pairs": rows}
+    book.stored.flow = {"largest": largest, "method": flow.method, "pairs": rows}
 
 
 def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray, edges: np.ndarray) -> dict[str, float | None]:
@@ -80,10 +76,6 @@ def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray, e
 
 def _rendered(judge: Judge, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
     """The model's flow float32 [H, W, 2] px from one frame to another, and alpha [H, W] of the first."""
-    import torch
-
-    from ...scene.losses.flow_loss import rendered_flow
-
     times = judge.frames.time
     with torch.no_grad():
         flow, alpha = rendered_flow(judge.model, judge.camera(first), float(times[first]), judge.camera(second), float(times[second]))

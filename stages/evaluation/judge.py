@@ -5,17 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
 
 from ...pipeline import StageError
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ...rasterizer import Camera, Frame
-    from ...scene.metrics.lpips import Lpips
-    from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+from ...rasterizer import Camera, Frame
+from ...scene.metrics.edge_psnr import edge_psnr
+from ...scene.metrics.lpips import Lpips
+from ...scene.metrics.psnr import affine_fit, psnr
+from ...scene.metrics.ssim import ssim
+from ...scene.model import Model
+from ...vision.images.pictures import composite
+from ..artifacts.frameset import FrameSet
 
 OTHER = {"white": "black", "black": "white"}
 FPS_RENDERS, FPS_SECONDS = 20, 10.0
@@ -31,18 +35,12 @@ class Judge:
         self._medians: dict[int, np.ndarray] = {}  # by camera, of a few of its pictures
 
     def camera(self, i: int) -> Camera:
-        import torch
-
-        from ...rasterizer import Camera
-
         assert self.frames.K is not None and self.frames.cam_from_world is not None
         K, pose = (torch.tensor(a[i], dtype=torch.float32) for a in (self.frames.K, self.frames.cam_from_world))
         return Camera(K, pose, self.frames.width, self.frames.height, self.model.near)
 
     def render(self, i: int, at: float | None = None) -> tuple[np.ndarray, Frame]:
         """Colour float32 [H, W, 3] clamped to [0, 1] of frame i's camera at its own time or ``at``, and the whole frame."""
-        import torch
-
         frame = self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at)
         if not torch.isfinite(frame.color).all():
             raise StageError(
@@ -54,12 +52,6 @@ class Judge:
 
     def view(self, i: int) -> tuple[dict[str, Any], Frame, np.ndarray]:
         """Row of metrics, the rendered frame, and the ground truth uint8 [H, W, 3] of frame i."""
-        import numpy as np
-
-        from ...scene.metrics.edge_psnr import edge_psnr
-        from ...scene.metrics.psnr import affine_fit, psnr
-        from ...scene.metrics.ssim import ssim
-
         picture = self.frames.composited(i)
         truth = picture.astype(np.float64) / 255.0
         color, frame = self.render(i)
@@ -87,11 +79,6 @@ class Judge:
 
     def _of_motion(self, i: int, color: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
         """PSNR of the pixels that show something that moves and of the others, where a fixed camera saw enough times to tell."""
-        import cv2
-        import numpy as np
-
-        from ...scene.metrics.psnr import psnr
-
         camera = int(self.frames.camera[i])
         if camera not in self._medians:
             same = np.flatnonzero((self.frames.camera == camera) & self.frames.registered)
@@ -109,9 +96,6 @@ class Judge:
     def _of_alpha(self, i: int, color: np.ndarray, truth: np.ndarray, frame: Frame) -> dict[str, float | None]:
         """What only captures with alpha tell: PSNR where they are not empty, and on the background that was not trained on, which a model
         fails that shows dark or bright surfaces as holes."""
-        from ...scene.metrics.psnr import psnr
-        from ...vision.images.pictures import composite
-
         assert self.frames.background is not None
         picture = self.frames.image(i)
         filled = picture[..., 3] > 0
@@ -132,9 +116,6 @@ class Judge:
 
     def frames_per_second(self, indices: Sequence[int]) -> float:
         """1 / median time of up to `FPS_RENDERS` renders (deformation included) of held-out views, after one that is not counted."""
-        import numpy as np
-        import torch
-
         seconds: list[float] = []
         begin = time.perf_counter()
         for k in range(FPS_RENDERS + 1):

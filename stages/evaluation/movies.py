@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
-from ...pipeline import Artifact, ArtifactWriter
+from ...pipeline import ArtifactWriter
+from ...rasterizer import Camera
 from ...vision.images.movie import encode_movie
+from ..artifacts.evaluate import write_movie
+from ..artifacts.frameset import FrameSet
 from ..exports.camera_path import named_path
+from .judge import Judge
 from .pictures import scaled, to_bytes
-
-if TYPE_CHECKING:
-    from ..artifacts.frameset import FrameSet
-    from .judge import Judge
 
 SIZE = 480  # px, longest side of one picture
 SECONDS, FPS = 4.0, (2.0, 30.0)  # how long it takes, as far as its pictures a second stay in these bounds
 QUALITY = 23  # of x264, constant rate factor
 LEAST = 3  # pictures without which nothing moves
-NAMES = ("over_time", "turntable")
 
 
 def write_movies(out: ArtifactWriter, judge: Judge, frames: FrameSet, indices: Sequence[int], most: int) -> None:
-    """``movie_over_time``, where ``indices`` have several times, and ``movie_turntable``: uint8 bytes of MP4 files of at most ``most``
-    pictures."""
+    """ "over_time", where ``indices`` have several times, and "turntable": MP4 files of at most ``most`` pictures."""
     mine = in_order_of_time(frames, indices, most)
     if len(mine) >= LEAST:
         _write(
@@ -33,11 +31,6 @@ def write_movies(out: ArtifactWriter, judge: Judge, frames: FrameSet, indices: S
         )
     if most >= LEAST:
         _write(out, "turntable", _turn(judge, frames, most), most, "a turn about the scene while time goes by once")
-
-
-def read_movies(artifact: Artifact) -> dict[str, bytes]:
-    """MP4 files of an `evaluate` artifact by name of `NAMES`."""
-    return {name: artifact.read(f"movie_{name}").tobytes() for name in NAMES if f"movie_{name}" in artifact}
 
 
 def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> list[int]:
@@ -58,10 +51,6 @@ def _beside(judge: Judge, frames: FrameSet, i: int) -> np.ndarray:
 
 
 def _turn(judge: Judge, frames: FrameSet, count: int) -> Iterator[np.ndarray]:
-    import torch
-
-    from ...rasterizer import Camera
-
     way = named_path("turntable", frames, judge.model, count)
     scale = min(1.0, SIZE / max(frames.width, frames.height))
     width, height = max(round(scale * frames.width), 2), max(round(scale * frames.height), 2)
@@ -73,4 +62,4 @@ def _turn(judge: Judge, frames: FrameSet, count: int) -> Iterator[np.ndarray]:
 
 def _write(out: ArtifactWriter, name: str, pictures: Iterator[np.ndarray], count: int, doc: str) -> None:
     data = encode_movie(pictures, float(np.clip(count / SECONDS, *FPS)), QUALITY)
-    out.write(f"movie_{name}", np.frombuffer(data, np.uint8), doc=f"{doc}; MP4")
+    write_movie(out, name, data, doc)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+SAMPLE = 16  # training views beside the held-out ones: far better ones mean a model that has learned views, not the scene
+
 
 def spread(items: Sequence[int], count: int) -> list[int]:
     """Up to ``count`` items, evenly spread, ends included."""

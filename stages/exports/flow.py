@@ -13,7 +13,7 @@ from ...vision.flow.colours import colour_wheel, flow_colours, typical_largest
 from ...vision.flow.flo import write_flo
 from ...vision.images.overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, overlay
 from ...vision.images.png import encode_png
-from ..artifacts.flow_fields import FlowFields
+from ..artifacts.flow import StoredFlow
 from ..artifacts.frameset import FrameSet
 
 SUFFIXES = (".flo", ".png", "_backward.flo", "_backward.png", "_edges.png", "_moving.png")
@@ -22,7 +22,7 @@ WHEEL_SIZE = 256  # px
 SAMPLED_PAIRS = 32  # that many pairs tell which length gets full colour
 
 
-def export_flow(fields: FlowFields, frames: FrameSet, out: Path, largest: float, advance: Callable[[], None] = lambda: None) -> int:
+def export_flow(fields: StoredFlow, frames: FrameSet, out: Path, largest: float, advance: Callable[[], None] = lambda: None) -> int:
     """Writes the files of every pair, named <stem> of `pair_stems` + one of `SUFFIXES`, and the legend `WHEEL`; returns their number.
 
     .flo holds px as measured, .png its colours with full colour at ``largest`` px; edges, and what moves where that is known, lie over the
@@ -58,7 +58,7 @@ def export_flow(fields: FlowFields, frames: FrameSet, out: Path, largest: float,
     return written
 
 
-def common_largest(fields: FlowFields) -> float:
+def common_largest(fields: StoredFlow) -> float:
     """The px that get full colour in all pictures: `typical_largest` over up to `SAMPLED_PAIRS` pairs, a sixteenth of their pixels."""
     every = max(1, -(-len(fields.pairs) // SAMPLED_PAIRS))
     return typical_largest(*(fields.forward(p)[::4, ::4] for p in range(0, len(fields.pairs), every)))

@@ -6,6 +6,7 @@ little differently, with ten more frames, leave it as it was.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from ..artifacts.frameset import FrameSet
@@ -17,8 +18,6 @@ def straightened(frames: FrameSet, i: int, j: int, flow: np.ndarray) -> np.ndarr
     A pixel of the pinhole picture goes to the lens's picture, along the flow, and back from the other lens's picture. Where the flow leaves
     that, the lens is taken to bend as at its border.
     """
-    import cv2
-
     maps, places = frames.undistortion(i), frames.straight_places(j)
     if maps is None and places is None:
         return flow

@@ -8,18 +8,20 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from ...pipeline import Context, thread_count
+from ...scene.edges import edge_weights
 from ...vision.edges import Seen, seen_by, stable_edges
 from ...vision.flow.method import FlowMethod
 from ...vision.flow.two_way import consistency
 from ...vision.moving.motion_mask import MotionMask, sample
+from ..artifacts.flow_writer import FlowWriter
 from ..artifacts.frameset import FrameSet
 from .movers import Movers
 from .pairs import PairFlows, Shown, Source
 
-MOVERS = "255 = shows something that moves in the world; 0 outside training frames"
 FOLLOWED = 0.5  # of the pixels of what moves, those where flow forward and backward agrees: with fewer its motion is not known
 
 
@@ -38,28 +40,19 @@ class Matched(NamedTuple):
     flow: Source
 
 
-def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int]) -> dict[int, np.ndarray]:
-    """Fills `forward`, `backward`, `confidence` for the pairs that begin at ``wanted``, `edges` and, where asked for, `movers`; attrs
-    `method`, `still_pairs`, `working_size` and `movers_share`; info `pairs`, how many were measured and how many taken over.
+def measure(
+    ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int], out: FlowWriter
+) -> dict[int, np.ndarray]:
+    """Fills the arrays of the pairs that begin at ``wanted``, edges and, where asked for, masks of movers, and says how they came about.
 
     All follows from the flow as it is stored, rounded, so that flow that is taken over gives the same as flow that is measured.
     cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras by their number.
     """
-    from ...scene.edges import edge_weights
-
     height, width, count = frames.height, frames.width, len(wanted)
     number = {first: p for p, first in enumerate(wanted)}
-    shape, chunk = (count, height, width, 2), (1, height, width, 2)
-    forward = ctx.out.create("forward", shape, "float16", chunk, unit="px", doc="flow to the second frame, u right, v down")
-    backward = ctx.out.create("backward", shape, "float16", chunk, unit="px", doc="flow from the second frame to the first")
-    confidence = ctx.out.create(
-        "confidence", shape[:3], "uint8", chunk[:3], doc="255 = consistent forward and backward and not hidden, in the first frame"
-    )
-    edges = ctx.out.create("edges", (len(frames), height, width), "uint8", (1, height, width), doc="255 = edge; 0 outside training frames")
-    movers = None
-    if ctx.settings.movers and wanted:
-        movers = ctx.out.create("movers", (len(frames), height, width), "uint8", (1, height, width), doc=MOVERS)
-    flows = PairFlows(ctx, frames, wanted)
+    arrays = out.create_arrays(count, len(frames), height, width, movers=ctx.settings.movers and bool(wanted))
+    edges, movers = arrays.edges, arrays.movers
+    flows = PairFlows(ctx, frames, wanted, out)
 
     def look(
         moving: MotionMask | None, gathered: Movers | None, k: int, i: int, both: tuple[np.ndarray, np.ndarray], paired: bool
@@ -77,7 +70,7 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
         pair, source = flows.between(p, a.shown, b.shown)
         if gathered is not None:
             gathered.add_pair(k, pair)
-        forward[p], backward[p], confidence[p] = pair.forward, pair.backward, pair.confidence
+        arrays.forward[p], arrays.backward[p], arrays.confidence[p] = pair.forward, pair.backward, pair.confidence
         back = consistency(pair.backward, pair.forward)
         return Matched(seen_by(b.edges, pair.forward, pair.confidence), seen_by(a.edges, pair.backward, back), source)
 
@@ -96,7 +89,7 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
     came, moved, followed, threads = Counter[str](), 0.0, list[float](), thread_count(8)
     fixed = frames.fixed_cameras
     with (
-        ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {ctx.out.attrs['method']}") as bar,
+        ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {flows.method_name}") as bar,
         _pool(flows.method) as pool,
     ):
         for camera, mine in cameras.items():
@@ -133,18 +126,17 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
                     movers[i] = mask
                     moved += np.count_nonzero(mask) / mask.size
                     if i in number and mask.any():
-                        followed.append(float((np.asarray(confidence[number[i]])[mask > 0] > 0).mean()))
+                        followed.append(float((np.asarray(arrays.confidence[number[i]])[mask > 0] > 0).mean()))
                     bar.advance(1, frames.names[i])
     if movers is not None:
-        ctx.out.attrs["movers_share"] = round(moved / max(len(trained), 1), 6)
+        out.write_movers_share(moved / max(len(trained), 1))
         ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
         if followed and (share := float(np.median(followed))) < FOLLOWED:
             ctx.log(
                 "what moves goes too far from frame to frame to be followed: flow forward and backward agrees at "
                 f"{100 * share:.0f} % of its pixels; expect it blurred or torn between frames; more frames a second help"
             )
-    ctx.out.attrs["still_pairs"] = came["still"]
-    ctx.out.info["pairs"] = {"measured": came["measured"], "taken_over": came["taken"]}
+    out.write_counts(still=came["still"], measured=came["measured"], taken_over=came["taken"])
     if came["still"]:
         ctx.log(f"nothing moves between the frames of {came['still']} of {count} pairs: their flow is zero and was not measured")
     if came["taken"]:
@@ -155,8 +147,6 @@ def measure(ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wa
 @contextmanager
 def _pool(method: FlowMethod | None) -> Iterator[ThreadPoolExecutor]:
     """Frames run side by side here; threads inside each picture would cost half again as much processor time."""
-    import cv2
-
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

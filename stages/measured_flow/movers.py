@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from ...vision.flow.method import size_within
 from ...vision.flow.two_way import FlowPair
 from ...vision.moving.foreground import frame_foregrounds
 from ...vision.moving.objects import moving_masks
-
-if TYPE_CHECKING:
-    from ..artifacts.frameset import FrameSet
+from ..artifacts.frameset import FrameSet
 
 # px, longest side at which movers are looked for. On `room_mono` (480x270, true poses) masks made at 240 and 160 px agree with the truth
 # by 0.866 and 0.862 (intersection over union), in time that goes with the area. The background of a fixed camera costs less.
@@ -49,14 +47,10 @@ class Movers:
 
     def add_picture(self, k: int, picture: np.ndarray) -> None:
         """Frame ``k``, uint8 [H, W, 3]."""
-        import cv2
-
         self._pictures[k] = cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA)
 
     def add_pair(self, k: int, pair: FlowPair) -> None:
         """Flow between frames ``k`` and ``k`` + 1, of full pictures; a camera that stands still needs none."""
-        import cv2
-
         if self._fixed:
             return
         forward, backward = (
@@ -79,7 +73,5 @@ class Movers:
         return [pool.submit(make, range(start, min(start + STRETCH, count))) for start in range(0, count, STRETCH)]
 
     def _grown(self, mask: np.ndarray) -> np.ndarray:
-        import cv2
-
         grown = cv2.resize(mask, self._full, interpolation=cv2.INTER_LINEAR)
         return np.where(grown > 127, 255, 0).astype(np.uint8)

@@ -10,6 +10,7 @@ import numpy as np
 from ...pipeline import Context
 from ...vision.flow.method import FlowMethod, Prepared, open_method
 from ...vision.flow.two_way import FlowPair, both_ways, trusted
+from ..artifacts.flow_writer import FlowWriter
 from ..artifacts.frameset import FrameSet
 from .lens import straightened
 from .scout import glance, no_motion, working_size
@@ -36,30 +37,32 @@ class Shown(NamedTuple):
 class PairFlows:
     """Flow of the pairs that begin at the frames ``wanted``, each asked for once, from any thread. ``method``: None without pairs.
 
-    Writes attrs `method` and `working_size`, and the arrays `lens_forward` and `lens_backward` where a lens bends its pictures.
+    Writes what measures them, and their flow between the lens's pictures where a lens bends these.
     """
 
-    def __init__(self, ctx: Context, frames: FrameSet, wanted: Sequence[int]) -> None:
+    def __init__(self, ctx: Context, frames: FrameSet, wanted: Sequence[int], out: FlowWriter) -> None:
         self._frames = frames
         self._pairs = [(first, int(frames.next[first])) for first in wanted]
         self._lens: list[zarr.Array] = []
         self.method: FlowMethod | None = None
         if not wanted:
-            ctx.out.attrs["method"] = "none"
+            out.write_method(self.method_name)
             return
         size, motion = working_size(frames, wanted, ctx.settings.max_size)
         if size < min(max(frames.width, frames.height), ctx.settings.max_size or 1 << 30):
             ctx.log(f"motion of {motion:.1f} px at most: flow is measured at {size} px, the longest side")
         given = ctx.settings
         self.method = open_method(given.method, given.weights, given.preset, given.iterations, given.tolerance, ctx.device, size)
-        ctx.out.attrs["method"], ctx.out.attrs["working_size"] = self.method.name, size
+        out.write_method(self.method_name, size)
         self._taken = TakenFlow(ctx, self.method.name, size)
         self._new = {i for p, pair in enumerate(self._pairs) if p not in self._taken for i in pair}
         if any(frames.bent(i) for pair in self._pairs for i in pair):
-            shape = (len(wanted), frames.height, frames.width, 2)
-            for way in ("forward", "backward"):
-                doc = f"flow between the pictures as the lens made them, from which {way} follows"
-                self._lens.append(ctx.out.create(f"lens_{way}", shape, "float16", (1, *shape[1:]), unit="px", doc=doc))
+            self._lens = out.create_lens_arrays(len(wanted), frames.height, frames.width)
+
+    @property
+    def method_name(self) -> str:
+        """ "none" without pairs."""
+        return "none" if self.method is None else self.method.name
 
     def shown(self, i: int, picture: np.ndarray) -> Shown:
         """Frame i of a pair, ``picture`` being what the lens made."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from ...vision.flow.method import Dis, size_within
 from ...vision.moving.motion_mask import FLOOR, smoothed
-
-if TYPE_CHECKING:
-    from ..artifacts.frameset import FrameSet
+from ..artifacts.frameset import FrameSet
 
 SAMPLES = 8  # pairs that tell how much moves in a capture
 GLANCE = 320  # px, longest side of the pictures that tell
@@ -22,8 +20,6 @@ FAST = 99.0  # percentile of the lengths of a pair's flow that counts as its mot
 
 def glance(picture: np.ndarray) -> np.ndarray:
     """``picture``, uint8 [H, W, 3], without its noise: float32 [H/2, W/2, 3], smoothed as `MotionMask` does before it compares."""
-    import cv2
-
     height, width = picture.shape[:2]
     return smoothed(cv2.resize(picture, (max(1, width // 2), max(1, height // 2)), interpolation=cv2.INTER_AREA))
 

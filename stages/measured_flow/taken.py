@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...pipeline import ArtifactError, Context
+from ..artifacts.flow import StoredFlow
 
 
 class TakenFlow:
@@ -15,27 +16,27 @@ class TakenFlow:
     """
 
     def __init__(self, ctx: Context, method: str, size: int) -> None:
-        self._earlier = None
-        if ctx.earlier is None or "forward" not in ctx.earlier.artifact:
+        self._flow: StoredFlow | None = None
+        if ctx.earlier is None:
             return
-        before = ctx.earlier.artifact.attrs
-        if (before["method"], before["working_size"]) == (method, size):
-            self._earlier = ctx.earlier
-            self._prefix = "lens_" if "lens_forward" in ctx.earlier.artifact else ""
+        before, self._rows = StoredFlow(ctx.earlier.artifact), ctx.earlier.rows
+        if not before.measured:
+            return
+        if (before.method, before.working_size) == (method, size):
+            self._flow = before
         else:
-            was = f"{before['method']} at {before['working_size']} px"
+            was = f"{before.method} at {before.working_size} px"
             ctx.log(f"the earlier result is of {was}, the longest side, and this one of {method} at {size} px: nothing is taken over")
 
     def __contains__(self, p: int) -> bool:
-        return self._earlier is not None and p in self._earlier.rows
+        return self._flow is not None and p in self._rows
 
     def flow(self, p: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Forward and backward, float32 [H, W, 2] px; None where the pair is new, or its chunks cannot be read any more."""
-        if self._earlier is None or p not in self._earlier.rows:
+        if self._flow is None or p not in self._rows:
             return None
-        row = self._earlier.rows[p]
         try:
-            forward, backward = (self._earlier.artifact.read(self._prefix + way, row) for way in ("forward", "backward"))
+            forward, backward = self._flow.between_lens_pictures(self._rows[p])
         except ArtifactError:  # all of it was sound a moment ago; measuring is right in any case
             return None
         return forward.astype(np.float32), backward.astype(np.float32)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
+from ...vision.flow.method import Dis, size_within
+from ...vision.flow.two_way import FlowPair, consistency
+from ...vision.images.lenses import undistort_maps
+from ...vision.images.pictures import composite, resize, undistort
+from ...vision.moving.objects import moving_masks
 from ...vision.sequences import camera_sequences
-
-if TYPE_CHECKING:
-    from ...vision.flow.two_way import FlowPair
-    from ..artifacts.frameset import FrameSet
+from ..artifacts.frameset import FrameSet
 
 SIZE = 320  # px, longest side at which flow and masks are computed: a feature is a place, not an outline
 FEWEST = 6  # frames of one camera; a frame is judged by up to four to either side
@@ -29,9 +31,6 @@ def mover_masks(
     Frames are followed in order of time by DIS; pairs that cannot be followed are left out. Nothing is masked in frames
     without a pose, without neighbours that have one, or of cameras with fewer than `FEWEST` frames. `advance()` is called once a frame.
     """
-    from ...vision.flow.method import size_within
-    from ...vision.moving.objects import moving_masks
-
     width, height = size_within(frames.width, frames.height, SIZE)
     small = np.array(K, np.float64)
     small[:, 0] *= width / np.maximum(size[:, :1], 1)
@@ -52,12 +51,10 @@ def mover_masks(
     return masks
 
 
-class _Pairs(Sequence["FlowPair | None"]):
+class _Pairs(Sequence[FlowPair | None]):
     """Flow between pictures k and k + 1, measured when it is asked for; None where it cannot be believed."""
 
     def __init__(self, picture: Callable[[int], np.ndarray], count: int) -> None:
-        from ...vision.flow.method import Dis
-
         self._picture, self._count, self._dis = picture, count, Dis("medium")
         self._measured = lru_cache(maxsize=2 * REACH)(self._measure)
 
@@ -68,8 +65,6 @@ class _Pairs(Sequence["FlowPair | None"]):
         return self._measured(k)
 
     def _measure(self, k: int) -> FlowPair | None:
-        from ...vision.flow.two_way import FlowPair, consistency
-
         first, second = (self._dis.prepare(self._picture(i)) for i in (k, k + 1))
         forward, backward = self._dis.flow(first, second), self._dis.flow(second, first)
         confidence = consistency(forward, backward)
@@ -83,10 +78,6 @@ class _Lens:
     """
 
     def __init__(self, K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> None:
-        import cv2
-
-        from ...vision.images.lenses import undistort_maps
-
         self._to: tuple[np.ndarray, np.ndarray] | None = None
         known = np.flatnonzero(np.isfinite(K).all((1, 2)))
         if not len(known) or not distortion[known[0]].any():
@@ -98,17 +89,11 @@ class _Lens:
         self._back = np.ascontiguousarray(places[..., 0], np.float32), np.ascontiguousarray(places[..., 1], np.float32)
 
     def pinhole(self, picture: np.ndarray) -> np.ndarray:
-        from ...vision.images.pictures import undistort
-
         return picture if self._to is None else undistort(picture, self._to)
 
     def seen(self, mask: np.ndarray) -> np.ndarray:
-        import cv2
-
         return mask if self._to is None else cv2.remap(mask, *self._back, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
 
 
 def _small(frames: FrameSet, i: int, width: int, height: int) -> np.ndarray:
-    from ...vision.images.pictures import composite, resize
-
     return resize(composite(frames.original(i), frames.background), width, height)

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
 
 from ...vision.moving.motion_mask import motion_mask, sample
 from ...vision.sequences import camera_sequences
 from ...vision.sfm.looks import Looks, choose_looks, expand
 from ...vision.sfm.still_cameras import stands_still
-
-if TYPE_CHECKING:
-    from ..artifacts.frameset import FrameSet
+from ..artifacts.frameset import FrameSet
 
 MASK_SIZE = 480  # px of the longest side at which what moves is looked for
 GROW = 3  # px of these around it: features lie on outlines and see beyond
@@ -82,8 +81,6 @@ def several_cameras(
 
 
 def _write_masks(frames: FrameSet, sequences: Mapping[int, Sequence[int]], looks: Looks, file: Path) -> None:
-    import cv2
-
     scale = min(1.0, MASK_SIZE / max(frames.width, frames.height))
     width, height = max(1, round(frames.width * scale)), max(1, round(frames.height * scale))
     masks = np.zeros((max(looks.image) + 1, height, width), bool)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
 from ...pipeline import StageError
 from ...vision.sfm.alignment import camera_centres
 from ...vision.sfm.runner import Progress, WorkerError, run_worker
-
-if TYPE_CHECKING:
-    from ..artifacts.frameset import FrameSet
+from ..artifacts.frameset import FrameSet
 
 MAX_ERROR = 2.0  # px, in every view of a point
 MIN_ANGLE = 1.0  # degrees between the outermost rays of a point
@@ -125,8 +123,6 @@ def _even(count: int, most: int) -> np.ndarray:
 
 
 def _write_images(frameset: FrameSet, frames: np.ndarray, folder: Path, progress: Progress | None) -> list[str]:
-    from PIL import Image
-
     folder.mkdir()
     names = [f"{n:06d}.png" for n in range(len(frames))]
     for n, i in enumerate(frames):

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ...pipeline import Artifact, duration
-from ..evaluation.edges_picture import KEYS
+from ..artifacts.evaluate import StoredPictures, read_movies
+from ..evaluation.edge_colours import KEYS
 from .curves import in_order, is_number, over_time, training_curves
 from .plot import Plot, svg
 
@@ -68,10 +69,11 @@ def render_report(
 
     flat = {name: flatten(info) for name, info in infos.items()}
     training = {name: flat[name].get("training") or {} for name in TRAINED if name in flat}
-    pictures = {name: DATA + base64.b64encode(data).decode() for name, data in _pictures(evaluate).items()}
+    stored = StoredPictures.read(evaluate)
+    pictures = {name: DATA + base64.b64encode(data).decode() for name, data in stored.files.items()}
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"number": number, "duration": lambda s: duration(float(s)) if is_number(s) else "–"}
-    attrs, protocol = evaluate.attrs, metrics.get("protocol") or {}
+    protocol = metrics.get("protocol") or {}
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         scene=scene_name,
         protocol={key: value for key, value in protocol.items() if key not in ("notes", *MEASURED_AS)},
@@ -79,15 +81,15 @@ def render_report(
         notes=protocol.get("notes") or [],
         headlines=headlines(metrics),
         facts=facts(metrics),
-        views=[v for v in worst_first(attrs.get("views", [])) if f"{v['stem']}/render" in pictures],
+        views=[v for v in worst_first(stored.views) if f"{v['stem']}/render" in pictures],
         views_open=VIEWS_OPEN,
         columns=[column for column in VIEW_COLUMNS if any(name.endswith(f"/{column[0]}") for name in pictures)],
         edge_keys=KEYS,
         command=command,
         over_time=drawn(over_time(metrics)),
         no_flicker="flicker" in metrics and metrics["flicker"] is None,
-        strip=_strip(attrs.get("strip") or {}, pictures),
-        flow=_flow(attrs.get("flow") or {}, pictures),
+        strip=_strip(stored.strip, pictures),
+        flow=_flow(stored.flow, pictures),
         pictures=pictures,
         movies=_movies(evaluate),
         seeds=None if seeds is None else DATA + base64.b64encode(seeds).decode(),
@@ -179,12 +181,6 @@ def _provenance(evaluate: Artifact) -> dict[str, Any]:
     return dict(getattr(evaluate, "provenance", None) or {})
 
 
-def _pictures(evaluate: Artifact) -> dict[str, bytes]:
-    from ..evaluation.pictures import read_pictures
-
-    return read_pictures(evaluate)
-
-
 def _strip(strip: Mapping[str, Any], pictures: Mapping[str, str]) -> dict[str, Any]:
     items = [
         {"time": time, "render": pictures.get(f"strip/{k}/render"), "truth": pictures.get(f"strip/{k}/truth")}
@@ -205,7 +201,5 @@ def _flow(flow: Mapping[str, Any], pictures: Mapping[str, str]) -> dict[str, Any
 
 def _movies(evaluate: Artifact) -> list[tuple[str, str]]:
     """(title, source) of each movie that there is."""
-    from ..evaluation.movies import read_movies
-
     found = read_movies(evaluate)
     return [(title, MOVIE + base64.b64encode(found[name]).decode()) for name, title in MOVIES if name in found]

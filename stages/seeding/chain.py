@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from ...vision.flow.method import size_within
 from ...vision.flow.two_way import consistency
-
-if TYPE_CHECKING:
-    from ...pipeline import Artifact
+from ..artifacts.flow import StoredFlow
 
 TRUSTED = 64  # of 255, confidence down to which a track goes on
 SIZE = 480  # px, longest side at which steps are kept: flow is smooth, and each step is then read once for all tracks
@@ -30,17 +29,17 @@ class Chain:
     """Flow of one camera from frame to frame of ``frames``, and its masks of movers, read as needed. Places are pixels of the full
     pictures, whose centres lie at whole numbers here."""
 
-    def __init__(self, flow: Artifact, frames: list[int]) -> None:
-        pairs = {(int(a), int(b)): p for p, (a, b) in enumerate(flow.read("pair"))}
+    def __init__(self, flow: StoredFlow, frames: list[int]) -> None:
+        pairs = {pair: p for p, pair in enumerate(flow.pairs)}
         self._pair = [pairs.get((a, b)) for a, b in pairwise(frames)]
         self._flow, self._frames = flow, frames
-        self.height, self.width = flow.array("movers").shape[1:]
+        self.height, self.width = flow.size
         self._step = lru_cache(maxsize=KEPT)(self._read_step)
         self._small_mask = lru_cache(maxsize=KEPT)(self._read_small_mask)
 
     def mask(self, k: int) -> np.ndarray:
         """bool [H, W]: what moves in frame ``k`` of the sequence."""
-        return np.asarray(self._flow.array("movers")[self._frames[k]]) > 127
+        return self._flow.movers(self._frames[k]) > 127
 
     def small_mask(self, k: int) -> np.ndarray:
         """`mask` at `SIZE` px: bool [h, w]."""
@@ -81,25 +80,21 @@ class Chain:
         if p is None:
             return None
         if direction > 0:
-            return Step(self._small(np.asarray(self._flow.array("forward")[p])), self._small(np.asarray(self._flow.array("confidence")[p])))
-        back, forth = (np.asarray(self._flow.array(name)[p]).astype(np.float32) for name in ("backward", "forward"))
+            return Step(self._small(self._flow.forward(p)), self._small(self._flow.confidence(p)))
+        back, forth = self._flow.backward(p).astype(np.float32), self._flow.forward(p).astype(np.float32)
         return Step(self._small(back), self._small(consistency(back, forth)))
 
     def _read_small_mask(self, k: int) -> np.ndarray:
-        return self._small(np.asarray(self._flow.array("movers")[self._frames[k]]))
+        return self._small(self._flow.movers(self._frames[k]))
 
     def _small(self, values: np.ndarray) -> np.ndarray:
         """Flow or confidence [H, W, ...] at `SIZE`: float16 or uint8."""
-        import cv2
-
         height, width = values.shape[:2]
         reduced = cv2.resize(values.astype(np.float32), size_within(width, height, SIZE), interpolation=cv2.INTER_AREA)
         return np.rint(reduced).astype(np.uint8) if values.dtype == np.uint8 else reduced.astype(np.float16)
 
     def _sample(self, values: np.ndarray, places: np.ndarray, outside: float | None = None) -> np.ndarray:
         """``values`` [h, w] or [h, w, 2] float32 at ``places`` [n, 2], bilinearly; beyond the picture its border, or ``outside``."""
-        import cv2
-
         small_height, small_width = values.shape[:2]
         x = (places[:, :1] + 0.5) * np.float32(small_width / self.width) - 0.5
         y = (places[:, 1:] + 0.5) * np.float32(small_height / self.height) - 0.5

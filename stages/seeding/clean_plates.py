@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+import numpy as np
 
-    import numpy as np
-
-    from ...scene.views import Views
+from ...scene.training.curriculum import MIN_CAMERAS
+from ...scene.views import Views
 
 FRAMES = 32  # of moving cameras
 LOOKS = 9  # times that the median is taken over
@@ -29,10 +28,6 @@ def clean_plates(views: Views, mask: Callable[[int], np.ndarray | None], fixed: 
 
     mask(i): [H, W] bool, what moves in frame i, or None where that is not known.
     """
-    import numpy as np
-
-    from ...scene.training.curriculum import MIN_CAMERAS
-
     times = np.unique(views.time[views.train])
     frames = views.train[views.time[views.train] == times[len(times) // 2]]
     if len(frames) < MIN_CAMERAS:

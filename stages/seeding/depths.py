@@ -6,13 +6,13 @@ what it hides tells that it is nearer. An object keeps its size, so that what on
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
-if TYPE_CHECKING:
-    from ...scene.views import Views
-    from .objects import Objects
+from ...scene.views import Views
+from .objects import Objects
 
 NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest: single points may be wrong
 FEWEST = 5  # hidden points, or points of the floor, that tell a depth
@@ -108,8 +108,6 @@ def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z
 
 def _inner(labels: np.ndarray) -> np.ndarray:
     """``labels`` [H, W] without the rim of each part."""
-    import cv2
-
     inset = max(1, round(INSET * labels.shape[1]))
     return np.where(cv2.erode((labels > 0).astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
 
@@ -117,8 +115,6 @@ def _inner(labels: np.ndarray) -> np.ndarray:
 def depth_at(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, places: np.ndarray, usual: float) -> np.ndarray:
     """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` where their part tells none.
     A part is as thick as it is wide: its surface comes nearer away from its outline."""
-    import cv2
-
     where = objects.at(k, *places.T)
     z = depths[objects.labels[k][where]]
     inside = cv2.distanceTransform((objects.labels[k] > 0).astype(np.uint8), cv2.DIST_L2, 5)

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
 
 from ...pipeline import Context
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ...scene.losses.measured_depth import MeasuredDepth
-    from ...scene.views import Views
-    from ..artifacts.frameset import FrameSet
+from ...scene.losses.measured_depth import MeasuredDepth
+from ...scene.seeds.colours import median_colours
+from ...scene.seeds.rays import ray_seeds
+from ...scene.seeds.shell import shell_seeds, surrounded
+from ...scene.seeds.sweep import plane_sweep, points_of
+from ...scene.training.curriculum import MIN_CAMERAS
+from ...scene.views import Views
+from ..artifacts.flow import flow_of
+from ..artifacts.frameset import FrameSet
+from .clean_plates import clean_plates
 
 SHELL_SHARE = 0.1
 LOOKS = 32  # frames of a moving camera from which rays start
@@ -24,13 +32,6 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
 
     Of a rig the frames of the middle time are used, at which training begins; of a moving camera frames from all of its way.
     """
-    import numpy as np
-
-    from ...scene.seeds.colours import median_colours
-    from ...scene.seeds.rays import ray_seeds
-    from ...scene.seeds.shell import shell_seeds, surrounded
-    from ...scene.training.curriculum import MIN_CAMERAS
-
     chosen = middle_frames(views)
     if len(chosen) < MIN_CAMERAS:
         chosen = views.train[np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int)]
@@ -60,12 +61,6 @@ class Swept(NamedTuple):
 
 def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> Swept | None:
     """What a plane sweep finds between the cameras of the middle time, or along the way of few. points [P, 3]: trusted ones."""
-    import cv2
-    import numpy as np
-
-    from ...scene.seeds.sweep import plane_sweep, points_of
-    from .clean_plates import clean_plates
-
     fixed = frames.fixed_cameras
     plates = clean_plates(views, lambda i: unsteady_mask(ctx, frames, i), fixed)
     with ctx.progress(len(plates.frames), "depth") as bar:
@@ -89,13 +84,8 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     return Swept(found, colors, inverse)
 
 
-def measured_depth(inverse: dict[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
+def measured_depth(inverse: Mapping[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
     """`Swept.inverse` as training holds a model to it; masks of what moves are kept small."""
-    import cv2
-    import torch
-
-    from ...scene.losses.measured_depth import MeasuredDepth
-
     if not inverse:
         return None
     known: dict[int, torch.Tensor | None] = {}
@@ -119,20 +109,16 @@ def measured_depth(inverse: dict[int, np.ndarray], unit: float, ctx: Context, fr
 
 def middle_frames(views: Views) -> np.ndarray:
     """[n] int: training frames of the time in the middle, where the window of times opens."""
-    import numpy as np
-
     times = np.unique(views.time[views.train])
     return views.train[views.time[views.train] == times[len(times) // 2]]
 
 
 def moving_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
     """[H, W] bool, what the capture's own mask or `flow` says moves in frame ``i``; None where neither says anything."""
-    import numpy as np
-
     mask = frames.mask(i)
-    flow = ctx.inputs["flow"]
-    if mask is None and flow is not None and "movers" in flow:
-        mask = np.asarray(flow.array("movers")[i])
+    flow = flow_of(ctx.inputs)
+    if mask is None and flow is not None and flow.has_movers:
+        mask = flow.movers(i)
     if mask is None:
         return None
     kept = frames.kept(i)

@@ -7,19 +7,19 @@ far away as `depths.py` finds. Velocities are measured over the frames beside.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from ...scene.seeds.colours import median_colours
+from ...scene.seeds.hull import visual_hull
+from ...scene.views import Views
 from ...vision.sequences import camera_sequences
+from ..artifacts.flow import StoredFlow
 from .chain import Chain
 from .depths import depth_at, object_depths, steady
 from .objects import follow_objects
 from .scene_flow import next_positions
-
-if TYPE_CHECKING:
-    from ...pipeline import Artifact
-    from ...scene.views import Views
 
 KEYS = 12  # times at which seeds are placed, and more
 APART = 8  # frames, where these would lie farther apart
@@ -42,7 +42,7 @@ def key_times(times: np.ndarray) -> np.ndarray:
 
 
 def rig_seeds(
-    flow: Artifact,
+    flow: StoredFlow,
     views: Views,
     mask: Callable[[int], np.ndarray | None],
     most: int,
@@ -53,9 +53,6 @@ def rig_seeds(
 
     mask(i): [H, W] bool, what moves in frame i, or None. advance: called with the number of key times that are done.
     """
-    from ...scene.seeds.colours import median_colours
-    from ...scene.seeds.hull import visual_hull
-
     times = np.unique(views.time[views.train])
     sequences = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) == len(times)]
     chains = [(Chain(flow, frames), frames) for frames in sequences]
@@ -82,7 +79,7 @@ def rig_seeds(
 
 
 def camera_seeds(
-    flow: Artifact, views: Views, still: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
+    flow: StoredFlow, views: Views, still: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
 ) -> MoverSeeds | None:
     """Up to ``most`` seeds on the masks of moving cameras at key times; None where masks show nothing, or hide nothing that tells a depth.
 

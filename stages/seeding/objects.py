@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from .chain import Chain
@@ -58,8 +59,6 @@ def follow_objects(chain: Chain, frames: int, seed: int = 0) -> Objects:
 
 def _parts(mask: np.ndarray) -> np.ndarray:
     """[h, w] uint8: 1, 2, ... for connected parts of ``mask`` [h, w] bool that are no noise, at most 255, 0 elsewhere."""
-    import cv2
-
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     area = stats[1:, cv2.CC_STAT_AREA]
     large = 1 + np.argsort(-area, kind="stable")[: min(255, int((area >= LEAST_AREA * mask.size).sum()))]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+import cv2
 import numpy as np
 
-if TYPE_CHECKING:
-    from ...scene.views import Views
-    from .movers import MoverSeeds
+from ...scene.views import Views
+from .movers import MoverSeeds
 
 SIZE = 720  # px, longest side
 DIMMED = 0.35  # of the picture's brightness, in grey, below the seeds
@@ -18,8 +16,6 @@ MOVING = (255, 120, 0)
 def seeds_picture(views: Views, points: np.ndarray, colors: np.ndarray, movers: MoverSeeds | None) -> np.ndarray:
     """uint8 [h, w, 3]: ``points`` [P, 3] (world units) as dots of their ``colors`` [P, 3] in [0, 1] over the middle training picture, in
     grey; above them, with an orange rim, the seeds on what moves that belong to the time nearest to the picture's."""
-    import cv2
-
     i = int(views.train[len(views.train) // 2])
     grey = cv2.cvtColor(views.load(i), cv2.COLOR_RGB2GRAY)
     factor = min(1.0, SIZE / max(views.width, views.height))

@@ -6,14 +6,11 @@ sees, and what rays disagree about, goes with its neighbours. Scene flow from ma
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from scipy.spatial import cKDTree
 
+from ...scene.views import Views
 from .chain import Chain
-
-if TYPE_CHECKING:
-    from ...scene.views import Views
 
 FEWEST_CAMERAS = 2  # that see a seed and agree where it goes
 AGREE = 3.0  # px of a picture 640 px wide between a ray's own pixel and where all rays meet
@@ -85,8 +82,6 @@ def _first_in_line(views: Views, i: int, points: np.ndarray) -> np.ndarray:
 
 def _with_neighbours(points: np.ndarray, step: np.ndarray, known: np.ndarray, alive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each of ``points`` [N, 3] moved by the median ``step`` [N, 3] of the nearest ``known`` [N]; no longer alive where these are far."""
-    from scipy.spatial import cKDTree
-
     if known.sum() < NEIGHBOURS:
         return points, np.zeros(len(points), bool)
     distance, near = cKDTree(points[known]).query(points, k=NEIGHBOURS)

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
+
+import numpy as np
+import torch
 
 from ...pipeline import Context
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ...scene.motion.free import FreeMotion
-    from ...scene.primitives import GaussianSet
-    from ...scene.views import Views
-    from ..artifacts.frameset import FrameSet
-    from .movers import MoverSeeds
+from ...scene.motion.free import FreeMotion
+from ...scene.primitives import GaussianSet
+from ...scene.seeds.carve import carve
+from ...scene.seeds.outliers import trusted
+from ...scene.seeds.volume import common_volume
+from ...scene.training.curriculum import MIN_CAMERAS
+from ...scene.training.control.dynamics import dynamic_from_masks
+from ...scene.views import Views
+from ..artifacts.flow import flow_of
+from ..artifacts.frameset import FrameSet
+from ..captures.facts import Facts
+from ..posing.triangulate import triangulate
+from .fill import fill_seeds, middle_frames, moving_mask, sweep
+from .movers import MoverSeeds, camera_seeds, key_times, rig_seeds
 
 # Shares of the looks at a seed that must find something that moves there, for the seed to be one that may move.
 FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever changes before it
@@ -39,28 +46,18 @@ class Seeds(NamedTuple):
 def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seeds:
     """Where Gaussians start: points of the capture or SfM, else carved silhouettes, else triangulated points. Rigs are filled up to about
     ``count``, as are posed captures of which little was triangulated."""
-    import numpy as np
-
-    from ...scene.seeds.carve import carve
-    from ...scene.seeds.outliers import trusted
-    from ...scene.seeds.volume import common_volume
-    from ...scene.training.curriculum import MIN_CAMERAS
-    from .fill import fill_seeds, middle_frames, sweep
-
     settings = ctx.settings
     if frames.points is not None and len(frames.points) >= 50:
         points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
         ctx.log(f"seeds: {len(points)} points of the capture or of SfM")
         fill = len(middle_frames(views)) >= MIN_CAMERAS
-    elif ctx.facts.get("alpha"):
+    elif Facts.of(ctx.facts).alpha:
         chosen = views.train[:: max(1, len(views.train) // 60)]
         foreground = [frames.image(int(i))[..., 3] > 127 for i in chosen]
         ctx.log(f"seeds: {count} points inside the silhouettes of {len(chosen)} views")
         points, colors = carve(views, foreground, chosen, count, settings.seed)
         return Seeds(points, colors, points, {})
     else:
-        from ..posing.triangulate import triangulate
-
         ctx.log("seeds: triangulating points with the known poses")
         points, colors, _ = triangulate(frames, seed=settings.seed)
         colors = colors / 255.0
@@ -86,19 +83,14 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
 
 def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MoverSeeds | None:
     """Up to ``most`` seeds on what moves, at several times; None without masks of movers. points [P, 3]: what stands still, mostly."""
-    import numpy as np
-
-    from .fill import moving_mask
-    from .movers import camera_seeds, key_times, rig_seeds
-
-    flow = ctx.inputs["flow"]
-    if flow is None or "movers" not in flow:
+    flow = flow_of(ctx.inputs)
+    if flow is None or not flow.has_movers:
         return None
-    if is_rig(ctx.facts):
+    if Facts.of(ctx.facts).rig:
         times = np.unique(views.time[views.train])
         with ctx.progress(len(key_times(times)), "seeds on what moves") as bar:
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), most, ctx.settings.seed, bar.advance)
-    elif "moving" in flow:
+    elif flow.has_moving:
         return None
     else:
         with ctx.progress(len(views.train), "seeds on what moves") as bar:
@@ -110,11 +102,6 @@ def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray
 
 def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
     """Gaussians on ``seeds``, a set for each of their times, whose lives overlap with those of the times before and after."""
-    import numpy as np
-    import torch
-
-    from ...scene.primitives import GaussianSet
-
     times = np.unique(seeds.time)
     apart = (motion.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
     sets = []
@@ -126,33 +113,21 @@ def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: flo
     return sets
 
 
-def is_rig(facts: Mapping[str, Any]) -> bool:
-    """Several cameras see each time."""
-    from ...scene.training.curriculum import MIN_CAMERAS
-
-    return facts.get("frames", 0) >= MIN_CAMERAS * facts.get("times", 1)
-
-
 def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seeded: bool) -> np.ndarray:
     """[N] bool. Fixed cameras show which pixels ever change, masks of movers what a moving camera saw move; elsewhere everything may move
     until the field has shown otherwise.
 
     movers_seeded: what moves has seeds of its own, and these need not stand in for it.
     """
-    import numpy as np
-
-    from ...scene.training.control.dynamics import dynamic_from_masks
-
-    flow = ctx.inputs["flow"]
-    if flow is not None and "moving" in flow:
-        moving = flow.read("moving")
+    flow = flow_of(ctx.inputs)
+    if flow is not None and flow.has_moving:
         first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}
-        looks = [(first[int(camera)], moving[k]) for k, camera in enumerate(flow.attrs["moving_cameras"])]
+        looks = [(first[camera], mask) for camera, mask in flow.moving_masks()]
         share, where = FIXED_SHARE, "no fixed camera sees a change"
-    elif flow is not None and "movers" in flow:
-        movers, train = flow.array("movers"), views.train
+    elif flow is not None and flow.has_movers:
+        train = views.train
         chosen = train[np.linspace(0, len(train) - 1, min(LOOKS, len(train))).round().astype(int)]
-        looks = [(int(i), np.asarray(movers[int(i)])) for i in chosen]
+        looks = [(int(i), flow.movers(int(i))) for i in chosen]
         share, where = MOVERS_SHARE if movers_seeded else COVERED_SHARE, "hardly anything was seen to move"
     else:
         return np.ones(len(points), bool)

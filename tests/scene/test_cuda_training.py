@@ -11,7 +11,7 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.coarse import make_nodes
+from e4dgs.stages.training.motions import make_nodes
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views

@@ -12,7 +12,7 @@ from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.recipe import NODES, PLANES
 from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.coarse import make_nodes
+from e4dgs.stages.training.motions import make_nodes
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, wandering_views
 
 

@@ -9,8 +9,9 @@ import pytest
 import torch
 from e4dgs.scene.training import schedule
 from e4dgs.stages.artifacts.dataset import load_frameset, load_views
-from e4dgs.stages.artifacts.training import read_model
+from e4dgs.stages.artifacts.model import read_model
 from e4dgs.stages.coarse import Coarse, CoarseSettings
+from e4dgs.stages.training import coarse as work
 from factory import Cells, Motion, Object, Options, Sphere, make, optical_flow, render, write_colmap
 from run_stage import run_frames, run_stage
 from write_artifact import write_artifact
@@ -61,7 +62,7 @@ def train(ball, inputs, folder):
         return phases
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(schedule, "coarse_phases", plan)
+        patch.setattr(work, "coarse_phases", plan)
         ran = run_stage(Coarse(), ball.capture, folder, CoarseSettings(iterations=ITERATIONS), inputs)
     return ran, phases
 

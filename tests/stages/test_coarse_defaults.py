@@ -3,7 +3,9 @@
 from types import SimpleNamespace
 
 import pytest
-from e4dgs.stages.coarse import ITERATIONS_NODES, LEAST_ITERATIONS, CoarseSettings, auto_iterations, is_static, use_nodes
+from e4dgs.stages.captures.facts import Facts
+from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.training.choices import ITERATIONS_NODES, LEAST_ITERATIONS, auto_iterations, is_static, use_nodes
 
 
 @pytest.mark.parametrize(
@@ -19,7 +21,7 @@ from e4dgs.stages.coarse import ITERATIONS_NODES, LEAST_ITERATIONS, CoarseSettin
     ],
 )
 def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, times, cameras, static, expected):
-    facts = {"frames": frames, "times": times, "cameras": cameras, "static": static, "pairs": 0}
+    facts = Facts(frames=frames, times=times, cameras=cameras, static=static)
     assert auto_iterations(facts, CoarseSettings()) == expected
     assert auto_iterations(facts, CoarseSettings(effort=0.5)) == round(0.5 * expected)
     assert auto_iterations(facts, CoarseSettings(effort=0.01)) == LEAST_ITERATIONS
@@ -39,7 +41,7 @@ def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, 
     ],
 )
 def test_nodes_move_captures_of_which_each_frame_is_from_another_side(facts, motion, nodes):
-    assert use_nodes(facts, CoarseSettings(motion=motion)) is nodes
+    assert use_nodes(Facts.of(facts), CoarseSettings(motion=motion)) is nodes
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.evaluation.edges_picture import ADDED, BOTH, GROUND, MISSING, edges_picture
+from e4dgs.stages.evaluation.edge_colours import ADDED, BOTH, MISSING
+from e4dgs.stages.evaluation.edges_picture import GROUND, edges_picture
 
 
 def squares(*corners: tuple[int, int]) -> np.ndarray:

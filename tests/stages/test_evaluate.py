@@ -18,12 +18,14 @@ from e4dgs.scene.metrics.lpips import expected_shapes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.evaluate import Evaluate, EvaluateSettings, choose_views, means
+from e4dgs.stages.artifacts.evaluate import StoredPictures, read_movies
+from e4dgs.stages.evaluate import Evaluate, EvaluateSettings
+from e4dgs.stages.evaluation.evaluate import means
 from e4dgs.stages.evaluation.flicker import measure_flicker
 from e4dgs.stages.evaluation.judge import LEAST_TIMES, Judge
-from e4dgs.stages.evaluation.movies import read_movies
-from e4dgs.stages.evaluation.pictures import depth_picture, error_picture, read_pictures
+from e4dgs.stages.evaluation.pictures import depth_picture, error_picture
 from e4dgs.stages.evaluation.spread import spread, worst_and_others
+from e4dgs.stages.evaluation.views import choose_views
 from run_stage import run_stage
 from safetensors.torch import save_file
 
@@ -163,7 +165,7 @@ def test_timings_are_not_content(result):
 
 def test_pictures_are_png_files_of_what_they_are_called(result):
     artifact, _ = result
-    pictures = read_pictures(artifact)
+    pictures = StoredPictures.read(artifact).files
     assert {f"test/1/{kind}" for kind in ("truth", "render", "error", "edges", "depth")} <= set(pictures)
     truth, render = (cv2.imdecode(np.frombuffer(pictures[f"test/1/{k}"], np.uint8), cv2.IMREAD_COLOR) for k in ("truth", "render"))
     assert truth.shape == (40, 48, 3)
@@ -210,7 +212,7 @@ def test_a_perfect_model_reaches_the_limit_of_eight_bits(tmp_path):
     artifact, _ = evaluate(tmp_path, scene(tmp_path, [0, 2], model), coarse=trained(tmp_path / "coarse", model), max_views=0)
     test = artifact.attrs["metrics"]["splits"]["test"]
     assert test["psnr"] > 55 and test["ssim"] > 0.999
-    assert read_pictures(artifact) == {} and artifact.attrs["views"] == []
+    assert StoredPictures.read(artifact).files == {} and artifact.attrs["views"] == []
 
 
 def test_fine_wins_over_coarse_and_one_of_them_is_needed(tmp_path):
@@ -251,18 +253,19 @@ def test_fixed_cameras_are_also_measured_after_an_affine_fit(tmp_path):
     test = artifact.attrs["metrics"]["splits"]["test"]
     assert test["psnr_affine"] > test["psnr"] + 10 and test["ssim_affine"] >= test["ssim"]
     assert artifact.attrs["strip"]["times"] == [0.25, 0.5, 0.75]
-    assert "strip/0/truth" in read_pictures(artifact)
+    assert "strip/0/truth" in StoredPictures.read(artifact).files
 
 
 def test_a_moving_model_gets_a_strip_from_one_standing_camera(tmp_path):
     model = small_model(moving=True)
     artifact, _ = evaluate(tmp_path, scene(tmp_path, [0, 2], model), fine=trained(tmp_path / "fine", model))
     assert len(artifact.attrs["strip"]["times"]) == 8
-    assert "strip/7/render" in read_pictures(artifact) and "strip/7/truth" not in read_pictures(artifact)
+    files = StoredPictures.read(artifact).files
+    assert "strip/7/render" in files and "strip/7/truth" not in files
 
 
 def test_flow_is_shown_where_it_was_measured_and_only_there(result, tmp_path):
-    assert "flow" not in result[0].attrs and not any(name.startswith("flow") for name in read_pictures(result[0]))
+    assert "flow" not in result[0].attrs and not any(name.startswith("flow") for name in StoredPictures.read(result[0]).files)
     model = small_model()
     (tmp_path / "flow").mkdir()
     out = ArtifactWriter(tmp_path / "flow")
@@ -278,7 +281,7 @@ def test_flow_is_shown_where_it_was_measured_and_only_there(result, tmp_path):
     frames = scene(tmp_path, [0, 2, 0], model)
     artifact, _ = evaluate(tmp_path, frames, fine=trained(tmp_path / "fine", model), flow=Artifact(tmp_path / "flow"))
     assert [pair["frames"] for pair in artifact.attrs["flow"]["pairs"]] == [["frame 0", "frame 2"]]
-    assert {"flow/0/frame", "flow/0/measured", "flow/0/rendered", "flow/0/edges", "flow/wheel"} <= set(read_pictures(artifact))
+    assert {"flow/0/frame", "flow/0/measured", "flow/0/rendered", "flow/0/edges", "flow/wheel"} <= set(StoredPictures.read(artifact).files)
     assert "flow" in Evaluate.inputs, "other flow is another key"
 
 

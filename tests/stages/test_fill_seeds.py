@@ -7,9 +7,12 @@ import pytest
 from e4dgs.pipeline import Context
 from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.stages.artifacts.dataset import load_frameset, load_views
-from e4dgs.stages.coarse import CoarseSettings, auto_budget, auto_seeds, is_rig, mean_colour
+from e4dgs.stages.captures.facts import Facts
+from e4dgs.stages.coarse import CoarseSettings
 from e4dgs.stages.seeding.fill import middle_frames
 from e4dgs.stages.seeding.seeds import load_seeds
+from e4dgs.stages.training.choices import auto_budget, auto_seeds
+from e4dgs.stages.training.coarse import mean_colour
 from factory import Options, make, render, write_panoptic
 from run_stage import run_frames
 
@@ -58,8 +61,8 @@ def test_near_plane_and_background_follow_from_the_capture(rig):
 
 def test_a_rig_gets_a_budget_for_a_room(rig):
     views = rig[2]
-    facts = {"frames": 4 * 12, "times": 12}
-    assert is_rig(facts) and not is_rig({"frames": 90, "times": 90}) and not is_rig({"frames": 3 * 12, "times": 12})
-    assert auto_budget(facts, views, nodes=False) == 40_000
-    assert auto_budget({"frames": 90, "times": 90}, views, nodes=False) == 12_000
-    assert auto_seeds(facts, 40_000) == 20_000 and auto_seeds({"frames": 90, "times": 90}, 12_000) == 8000
+    rig, walk = Facts(frames=4 * 12, times=12), Facts(frames=90, times=90)
+    assert rig.rig and not walk.rig and not Facts(frames=3 * 12, times=12).rig
+    assert auto_budget(rig, views, nodes=False) == 40_000
+    assert auto_budget(walk, views, nodes=False) == 12_000
+    assert auto_seeds(rig, 40_000) == 20_000 and auto_seeds(walk, 12_000) == 8000

@@ -12,7 +12,8 @@ from e4dgs.pipeline import Artifact, StageError
 from e4dgs.scene.edges import edge_weights
 from e4dgs.stages.artifacts.dataset import measured_flow
 from e4dgs.stages.artifacts.frameset import FrameSet
-from e4dgs.stages.flow import Flow, FlowSettings, choose_pairs
+from e4dgs.stages.flow import Flow, FlowSettings
+from e4dgs.stages.measured_flow.choose_pairs import choose_pairs
 from e4dgs.vision.flow.method import Dis, FlowMethod
 from e4dgs.vision.flow.raft.architecture import SMALL
 from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow, flow_pair

@@ -11,9 +11,11 @@ from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.stages.artifacts.evaluate import StoredPictures
+from e4dgs.stages.artifacts.flow import StoredFlow
 from e4dgs.stages.evaluation.flow_pictures import add_flow, difference
 from e4dgs.stages.evaluation.judge import Judge
-from e4dgs.stages.evaluation.pictures import PictureBook, read_pictures
+from e4dgs.stages.evaluation.pictures import PictureBook
 from e4dgs.vision.flow.colours import flow_colours
 
 WIDTH, HEIGHT, COUNT = 48, 40, 8
@@ -81,15 +83,14 @@ def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: fl
 def strip(judge: Judge, flow: Artifact, folder: Path, most: int = 8) -> tuple[dict, dict[str, np.ndarray]]:
     """attrs `flow` and the decoded pictures, RGB."""
     book = PictureBook(640)
-    add_flow(book, judge, flow, most)
+    add_flow(book, judge, StoredFlow(flow), most)
     folder.mkdir()
     out = ArtifactWriter(folder)
-    book.write(out)
+    book.stored.write(out)
     out.finish({})
     artifact = Artifact(folder)
-    pictures = {
-        name: cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1] for name, data in read_pictures(artifact).items()
-    }
+    files = StoredPictures.read(artifact).files
+    pictures = {name: cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1] for name, data in files.items()}
     return artifact.attrs.get("flow", {}), pictures
 
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from e4dgs.pipeline import Applies, Graph, Job, Outcome, Records, Runner, Settings, Stage, Store, build_settings, make_plan
+from e4dgs.stages.artifacts.poses import StoredPoses
 from e4dgs.stages.flow import Flow
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from e4dgs.stages.measured_flow import scout as flow_scout
@@ -35,11 +36,16 @@ class Cameras(Stage):
         K = np.array([[90.0 + 0.1 * count, 0, WIDTH / 2], [0, 90.0 + 0.1 * count, HEIGHT / 2], [0, 0, 1]])
         poses = np.tile(np.eye(4), (count, 1, 1))
         poses[:, 0, 3] = -0.02 * np.arange(count) * (1 + 0.001 * count)
-        ctx.out.write("K", np.tile(K, (count, 1, 1)))
-        ctx.out.write("lens_K", np.tile(K * np.array([0.95, 0.95, 1])[:, None], (count, 1, 1)))
-        ctx.out.write("cam_from_world", poses)
-        ctx.out.write("distortion", np.tile([-0.05 - 1e-4 * count, 0, 0, 0], (count, 1)))
-        ctx.out.write("registered", np.ones(count, bool))
+        StoredPoses(
+            K=np.tile(K, (count, 1, 1)),
+            lens_K=np.tile(K * np.array([0.95, 0.95, 1])[:, None], (count, 1, 1)),
+            cam_from_world=poses,
+            distortion=np.tile([-0.05 - 1e-4 * count, 0, 0, 0], (count, 1)),
+            registered=np.ones(count, bool),
+            points=np.zeros((1, 3)),
+            point_colors=np.zeros((1, 3), np.uint8),
+            point_errors=np.zeros(1),
+        ).write(ctx.out)
 
 
 def pictures(count: int, first: int = 0) -> list[np.ndarray]:
@@ -212,10 +218,10 @@ def test_flow_of_another_size_is_not_taken_over(tmp_path, measured, monkeypatch)
 
 def test_where_nothing_moves_there_is_no_flow_to_take_over(tmp_path, measured, monkeypatch):
     still = SimpleNamespace(static=True, reason="all of it stands still", moving_share=0.0)
-    monkeypatch.setattr("e4dgs.vision.moving.static_scene.static_scene", lambda *arguments: still)
+    monkeypatch.setattr("e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: still)
     run(job(tmp_path, posed(tmp_path / "capture", pictures(6)), flow__detect_static=True))
     monkeypatch.setattr(
-        "e4dgs.vision.moving.static_scene.static_scene", lambda *arguments: SimpleNamespace(**{**vars(still), "static": False})
+        "e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: SimpleNamespace(**{**vars(still), "static": False})
     )
     outcome = run(job(tmp_path, posed(tmp_path / "capture", pictures(8)), flow__detect_static=True))
     assert "are new" not in outcome.reason and len(measured) == 2 * 7

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from e4dgs.pipeline import Graph, Job, Outcome, Records, Runner, Store, build_settings, make_plan
-from e4dgs.stages.captures.formats import video
+from e4dgs.stages.decoding import videos
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from PIL import Image
 
@@ -16,8 +16,8 @@ from PIL import Image
 def decoded(monkeypatch) -> list[str]:
     """The files that were decoded to the end, in order."""
     found: list[str] = []
-    original = video.decode
-    monkeypatch.setattr(video, "decode", lambda root, one, *rest: found.append(one.file) or original(root, one, *rest))
+    original = videos.decode
+    monkeypatch.setattr(videos, "decode", lambda root, one, *rest: found.append(one.file) or original(root, one, *rest))
     return found
 
 

@@ -17,6 +17,7 @@ from e4dgs.stages.seeding.fill import moving_mask, unsteady_mask
 from factory import Options, make, write_images
 from PIL import Image
 from run_stage import run_frames, run_poses
+from write_artifact import write_artifact
 
 BLACK = (slice(10, 40), slice(0, 30))  # rows, columns
 
@@ -177,15 +178,8 @@ def test_what_does_not_count_neither_moves_nor_stands_still(masked, tmp_path):
     movers = np.zeros((10, 64, 80), np.uint8)
     movers[:, 20:50, 10:60] = 255
 
-    class Flow:
-        def __contains__(self, name):
-            return name == "movers"
-
-        def array(self, name):
-            return movers
-
     kept, moves = frames.kept(0), movers[0] > 0
-    with_flow, without = (SimpleNamespace(inputs={"flow": flow}) for flow in (Flow(), None))
+    with_flow, without = (SimpleNamespace(inputs={"flow": flow}) for flow in (write_artifact(tmp_path / "flow", {"movers": movers}), None))
     np.testing.assert_array_equal(moving_mask(with_flow, frames, 0), moves & kept)
     np.testing.assert_array_equal(unsteady_mask(with_flow, frames, 0), moves | ~kept)
     np.testing.assert_array_equal(unsteady_mask(without, frames, 0), ~kept)

@@ -37,7 +37,7 @@ def test_masks_of_the_stored_size_turn_with_their_photos(tmp_path):
         mask = read_mask(root, f"masks/{i}.png", i + 1)
         np.testing.assert_array_equal(mask == 0, picture[..., 0] == 200, err_msg=f"orientation {i + 1}")
     frames = frameset(photos(tmp_path / "lying", [5, 6, 7, 8]), tmp_path / "out")
-    assert frames.attrs["keep_turns"] == [5, 6, 7, 8] and (frames.width, frames.height) == (12, 16)
+    assert frames.keep_turns == [5, 6, 7, 8] and (frames.width, frames.height) == (12, 16)
     for i in range(4):
         np.testing.assert_array_equal(frames.kept(i), frames.image(i)[..., 0] == 0)
 
@@ -49,7 +49,7 @@ def test_masks_that_lie_as_their_photos_are_shown_stay(tmp_path):
         mask.getexif()[0x0112] = orientation
         ImageOps.exif_transpose(mask).save(root / f"masks/{i}.png", exif=Image.Exif())
     frames = frameset(root, tmp_path / "out")
-    assert frames.attrs["keep_turns"] == [1, 1, 1]
+    assert frames.keep_turns == [1, 1, 1]
     for i in range(3):
         np.testing.assert_array_equal(frames.kept(i), frames.image(i)[..., 0] == 0)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
+from e4dgs.stages.artifacts.flow import StoredFlow
 from e4dgs.stages.seeding.chain import Chain
 from e4dgs.stages.seeding.depths import (
     ANYWHERE,
@@ -45,7 +46,7 @@ def growing(folder, frames=6, beside=True):
     out.write("confidence", np.full((frames - 1, HEIGHT, WIDTH), 255, np.uint8))
     out.write("movers", masks)
     out.finish({})
-    return Chain(Artifact(folder), list(range(frames)))
+    return Chain(StoredFlow(Artifact(folder)), list(range(frames)))
 
 
 def test_an_object_is_followed_and_its_size_measured(tmp_path):

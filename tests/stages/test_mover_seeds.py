@@ -36,7 +36,7 @@ def test_before_one_camera_nothing_hidden_means_no_seeds(tmp_path):
 
 def test_before_a_rig_seeds_lie_on_the_ball_at_each_time(rig):
     flow, seen, _ = rig
-    seeds = rig_seeds(flow, seen, lambda i: np.asarray(flow.array("movers")[i]) > 127, 2000, 0)
+    seeds = rig_seeds(flow, seen, lambda i: flow.movers(i) > 127, 2000, 0)
     assert seeds is not None and len(np.unique(seeds.time)) == TIMES
     speed = 1.0 / (TIMES - 1)  # it slides by one unit over the capture
     for t in np.unique(seeds.time):

@@ -8,7 +8,7 @@ import pytest
 from e4dgs.pipeline import Artifact, Progress
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.views import Views
-from e4dgs.stages.seeding import movers as mover_seeds_room
+from e4dgs.stages.seeding import seeds as room
 from e4dgs.stages.seeding.movers import MoverSeeds
 from e4dgs.stages.seeding.seeds import initial_dynamic, living, mover_seeds
 from write_artifact import write_artifact
@@ -102,7 +102,7 @@ def test_without_masks_every_seed_may_move(tmp_path):
 def test_one_camera_seeds_what_moves_when_it_moves_itself(fixed, movers, expected, tmp_path, monkeypatch):
     """No seeds without masks of movers, nor where the camera stands: nothing tells a depth."""
     found = MoverSeeds(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]))
-    monkeypatch.setattr(mover_seeds_room, "camera_seeds", lambda *given: found)
+    monkeypatch.setattr(room, "camera_seeds", lambda *given: found)
     ctx = context(flow(tmp_path / "flow", fixed, movers))
     ctx.facts = {"frames": LOOKS, "times": LOOKS}
     assert mover_seeds(ctx, None, views(fixed), points(), 100) is (found if expected else None)

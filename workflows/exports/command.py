@@ -58,14 +58,14 @@ def flow(
             session.scene.claim()
         folder = session.scene.folder / "export" / "flow"
 
-    from ...stages.artifacts.flow_fields import FlowFields
+    from ...stages.artifacts.flow import StoredFlow
     from ...stages.artifacts.frameset import FrameSet
     from ...stages.exports.flow import common_largest, export_flow
 
     console = Console()
-    fields = FlowFields(artifact)
+    fields = StoredFlow(artifact)
     if not fields.pairs:
-        why = artifact.attrs.get("static_reason", "no two training frames of one camera")
+        why = fields.static_reason or "no two training frames of one camera"
         raise CaptureError(f"{capture}: no flow was measured, so there is none to export: {why}")
     largest = largest or common_largest(fields)
     pictures = FrameSet(frames, session.job.capture.root, found.get("poses"))

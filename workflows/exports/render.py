@@ -47,7 +47,7 @@ def render(
 
     from ...rasterizer import Camera
     from ...stages.artifacts.frameset import FrameSet
-    from ...stages.artifacts.training import read_model
+    from ...stages.artifacts.model import read_model
     from ...vision.images.movie import Movie, Pictures
     from .camera_path import resolve
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...pipeline import SettingsError, StageError
+from ...stages.captures.facts import Facts
 from ..machine.writable import writing_to
 from ..results import results, trained_stage
 from ..session import Options, Session, open_session
@@ -31,7 +32,7 @@ class Trained:
     @property
     def times(self) -> int:
         """Times of the capture; 1 where nothing moves."""
-        return 1 if self.model.field is None else int(self.session.job.capture.facts["times"])
+        return 1 if self.model.field is None else Facts.of(self.session.job.capture.facts).times
 
     def moments(self, asked: int | None) -> int:
         """How many times are exported: ``asked``, or each of the capture's, at most `MOST_TIMES`; one where nothing moves."""
@@ -55,7 +56,7 @@ def open_trained(options: Options) -> Trained:
     assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
 
     from ...stages.artifacts.frameset import FrameSet
-    from ...stages.artifacts.training import read_model
+    from ...stages.artifacts.model import read_model
 
     return Trained(session, read_model(artifact), FrameSet(frames, session.job.capture.root, found.get("poses")))
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from ...pipeline import Artifact, ArtifactError, Row, make_plan
 from ...scene.model import Model
 from ...scene.training.checkpoint import FILE, model_of
-from ...stages.artifacts.training import read_model
+from ...stages.artifacts.model import read_model
 from ..results import run_command
 from ..session import Session
 

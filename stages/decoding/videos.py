@@ -4,54 +4,50 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from ..pipeline import ArtifactError, Context, Given
+from ...pipeline import ArtifactError, Context, Given
+from ..artifacts.frames import create_images, pictures_of_video, write_videos
+from ..captures import Capture, Facts, Video
+from ..captures.formats.video import decode
 
 if TYPE_CHECKING:
     import zarr
 
-    from .captures import Capture
-    from .captures.capture import Video
-
 
 def video_parts(capture: Capture, given: Given) -> list[Any]:
     """Of each video all that decides its decoded pictures, as JSON: the file's content, and which frames are shown at which size."""
-    size = [capture.facts["width"], capture.facts["height"]]
+    facts = Facts.of(capture.facts)
+    size = [facts.width, facts.height]
     crops = [None if capture.crop is None else capture.crop[video.start].tolist() for video in capture.videos]
     return [[given.digests[v.file], list(v.taken), v.total, *size, crop] for v, crop in zip(capture.videos, crops, strict=True)]
 
 
 def decode_videos(capture: Capture, ctx: Context) -> None:
-    """Every video into `images`, one chunk a frame. Info `videos`: where those of each lie, for who takes them over."""
-    from .captures.formats.video import decode
-
-    frames, height, width = capture.facts["frames"], capture.facts["height"], capture.facts["width"]
-    shape = (frames, height, width, 3)
-    images = ctx.out.create("images", shape, "uint8", (1, height, width, 3), doc="decoded RGB frames")
+    """The pictures of every video, and where those of each lie, for who takes them over."""
+    facts = Facts.of(capture.facts)
+    images = create_images(ctx.out, facts.frames, facts.height, facts.width)
     taken = 0
-    with ctx.progress(frames, "decode") as progress:
+    with ctx.progress(facts.frames, "decode") as progress:
         for number, video in enumerate(capture.videos):
             if _taken_over(ctx, number, video, images):
                 taken += 1
                 progress.advance(len(video.taken), video.file)
                 continue
             part = None if capture.crop is None else capture.crop[video.start]
-            for offset, picture in enumerate(decode(capture.root, video, width, height, part)):
+            for offset, picture in enumerate(decode(capture.root, video, facts.width, facts.height, part)):
                 images[video.start + offset] = picture
                 progress.advance(1, video.file)
     if taken:
         ctx.log(f"{taken} of {len(capture.videos)} cameras as decoded before")
-    ctx.out.info["videos"] = [[video.start, len(video.taken)] for video in capture.videos]
+    write_videos(ctx.out, [(video.start, len(video.taken)) for video in capture.videos])
 
 
 def _taken_over(ctx: Context, number: int, video: Video, images: zarr.Array) -> bool:
     """Copies the pictures of a video from ``ctx.earlier``. False where they are new, or cannot be read any more."""
     if ctx.earlier is None or number not in ctx.earlier.rows:
         return False
-    before = ctx.earlier.artifact
     try:
-        start, count = before.info["videos"][ctx.earlier.rows[number]]
-        for offset in range(count):
-            images[video.start + offset] = before.read("images", start + offset)
+        for offset, picture in enumerate(pictures_of_video(ctx.earlier.artifact, ctx.earlier.rows[number])):
+            images[video.start + offset] = picture
     except ArtifactError:  # all of it was sound a moment ago; decoding is right in any case
         return False
     return True

@@ -1,0 +1,56 @@
+"""What the `coarse` artifact holds beside its model: how it was trained, the depth that was seen, and a picture of the seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...pipeline import Artifact, ArtifactWriter, StageError
+from ...scene.settings import GrowthSettings, Strategy
+
+
+@dataclass(frozen=True)
+class StoredCoarse:
+    """What the stages after `coarse` go on with, beside the model (`model.py`)."""
+
+    strategy: Strategy  # `fine` follows it
+    iterations: int  # optimiser steps of the stage
+    depth: Mapping[int, np.ndarray]  # by frame, [h, w] float32, 1/world unit, 0 where unknown; frames of a fixed camera share one array
+    growth: GrowthSettings  # as the stage was told; kept where the strategy is joint, else the defaults are read back
+
+    def write(self, out: ArtifactWriter, seeds_png: bytes) -> None:
+        """seeds_png: a picture of where training began."""
+        out.write("seeds_png", np.frombuffer(seeds_png, np.uint8), doc="where training began, for the report")
+        out.attrs.update(strategy=self.strategy, iterations=self.iterations)
+        if self.strategy == "joint":
+            out.attrs["growth"] = self.growth.model_dump()
+        if self.depth:
+            maps = {id(one): one for one in self.depth.values()}  # each once
+            number = {key: k for k, key in enumerate(maps)}
+            doc = "inverse depth of what stands still, 0 where unknown"
+            out.write("depth_maps", np.stack(list(maps.values())), unit="1/world unit", doc=doc)
+            of_frame = np.array([(frame, number[id(one)]) for frame, one in sorted(self.depth.items())], np.int32)
+            out.write("depth_of_frame", of_frame, doc="frame, and its row of depth_maps")
+
+    @classmethod
+    def read(cls, artifact: Artifact) -> StoredCoarse:
+        depth: dict[int, np.ndarray] = {}
+        if "depth_maps" in artifact:
+            maps = list(artifact.read("depth_maps"))
+            depth = {int(frame): maps[int(k)] for frame, k in artifact.read("depth_of_frame")}
+        attrs = artifact.attrs
+        return cls(attrs["strategy"], attrs["iterations"], depth, GrowthSettings(**attrs.get("growth", {})))
+
+
+def required(coarse: Artifact | None) -> Artifact:
+    """The artifact of `coarse`; raises StageError where that was skipped."""
+    if coarse is None:
+        raise StageError("there is no coarse model to build on; run the stage `coarse` first")
+    return coarse
+
+
+def read_seeds_png(artifact: Artifact) -> bytes | None:
+    """The picture of where training began, a PNG file; None where there is none."""
+    return artifact.read("seeds_png").tobytes() if "seeds_png" in artifact else None

@@ -1,0 +1,145 @@
+"""The `flow` artifact, read a pair or a frame at a time. `flow_writer.py` fills it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from ...pipeline import Artifact, ArtifactError
+
+if TYPE_CHECKING:
+    import zarr
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class StoredFlow:
+    """Flow of P pairs of frames of H x W px, edge weights, and masks of what moves. Any thread may read.
+
+    Raises ArtifactError where an array is missing or damaged.
+    """
+
+    artifact: Artifact
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, int]]:
+        """P pairs: a frame, and the same camera's next frame."""
+        return [(int(a), int(b)) for a, b in self.artifact.read("pair")]
+
+    @property
+    def static(self) -> bool:
+        """The stage has found that nothing moves, and has measured nothing."""
+        return bool(self.artifact.attrs.get("static"))
+
+    @property
+    def static_reason(self) -> str | None:
+        """Why it is `static`, or why not, for people; None where it was not looked at."""
+        return self.artifact.attrs.get("static_reason")
+
+    @property
+    def method(self) -> str:
+        """What measured the flow: "dis-medium", "raft", ...; "none" where there are no pairs, empty where the scene is `static`."""
+        return str(self.artifact.attrs.get("method", ""))
+
+    @property
+    def working_size(self) -> int:
+        """px, longest side of the pictures at which flow was measured; there where `measured`."""
+        return self.artifact.attrs["working_size"]
+
+    @property
+    def measured(self) -> bool:
+        """There are arrays of flow, which may hold no pair."""
+        return "forward" in self.artifact
+
+    def forward(self, p: int) -> np.ndarray:
+        """Measured flow of pair ``p``, float16 [H, W, 2] px: u right, v down."""
+        return self._row("forward", p)
+
+    def backward(self, p: int) -> np.ndarray:
+        """Flow from the second frame of pair ``p`` to its first, float16 [H, W, 2] px, seen from the second."""
+        return self._row("backward", p)
+
+    def between_lens_pictures(self, p: int) -> tuple[np.ndarray, np.ndarray]:
+        """Forward and backward of pair ``p``, float16 [H, W, 2] px, between the pictures as the lens made them."""
+        prefix = "lens_" if "lens_forward" in self.artifact else ""
+        return self.artifact.read(f"{prefix}forward", p), self.artifact.read(f"{prefix}backward", p)
+
+    def confidence(self, p: int) -> np.ndarray:
+        """uint8 [H, W], 255 where both directions of pair ``p`` agree and the second frame shows the pixel; seen from the first."""
+        return self._row("confidence", p)
+
+    @property
+    def has_edges(self) -> bool:
+        return "edges" in self.artifact
+
+    def edges(self, frame: int) -> np.ndarray:
+        """Edge weight of a training frame, uint8 [H, W]; 0 in other frames."""
+        return self._row("edges", frame)
+
+    @property
+    def has_movers(self) -> bool:
+        """Each training frame has a mask of what moves in it."""
+        return "movers" in self.artifact
+
+    def movers(self, frame: int) -> np.ndarray:
+        """uint8 [H, W], 255 where a training frame shows something that moves in the world; 0 in other frames."""
+        return self._row("movers", frame)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W) of what `has_movers`."""
+        height, width = self._array("movers").shape[1:]
+        return height, width
+
+    @property
+    def has_moving(self) -> bool:
+        """Each fixed camera has a mask of what ever changes before it."""
+        return "moving" in self.artifact
+
+    @cached_property
+    def moving_cameras(self) -> list[int]:
+        """Numbers of the fixed cameras, in the order of their masks."""
+        return [int(camera) for camera in self.artifact.attrs.get("moving_cameras", [])] if self.has_moving else []
+
+    def moving_masks(self) -> list[tuple[int, np.ndarray]]:
+        """(number of a fixed camera, uint8 [H, W], 255 = this pixel changes over time), for each of them."""
+        return list(zip(self.moving_cameras, self.artifact.read("moving"), strict=True))
+
+    def moving(self, frame: int, camera: int) -> np.ndarray | None:
+        """What moves in a training frame of a camera, uint8 [H, W]; where frames have no masks, what ever changes before a fixed camera,
+        None before others."""
+        if self.has_movers:
+            return self.movers(frame)
+        return self._row("moving", self.moving_cameras.index(camera)) if camera in self.moving_cameras else None
+
+    @cached_property
+    def _opened(self) -> dict[str, zarr.Array]:
+        return {}
+
+    def _array(self, name: str) -> zarr.Array:
+        if name not in self._opened:
+            self._opened[name] = self.artifact.array(name)
+        return self._opened[name]
+
+    def _row(self, name: str, k: int) -> np.ndarray:
+        array = self._array(name)
+        return checked(lambda: np.asarray(array[k]), f"{self.artifact.path}: array {name!r}, row {k}")
+
+
+def flow_of(inputs: Mapping[str, Artifact | None]) -> StoredFlow | None:
+    """The flow among the inputs of a stage; None where it was skipped."""
+    artifact = inputs["flow"]
+    return None if artifact is None else StoredFlow(artifact)
+
+
+def checked(read: Callable[[], Result], what: str) -> Result:
+    """``read()``; a chunk that is damaged raises ArtifactError that says ``what`` and what to do."""
+    try:
+        return read()
+    except (ValueError, RuntimeError, OSError) as error:
+        raise ArtifactError(f"{what} is damaged ({error}); make it again with `e4dgs run flow CAPTURE --force`") from error

@@ -1,0 +1,140 @@
+"""The `frames` artifact: what every frame is, and the decoded pictures of videos."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...pipeline import Artifact, ArtifactWriter
+from ..captures.facts import Facts
+
+if TYPE_CHECKING:
+    import zarr
+
+_IMAGES = "images"
+
+
+@dataclass(frozen=True)
+class DecodedPictures:
+    """Pictures of videos, uint8 [H, W, 3] RGB as the lens made them, by number of the frame. Any thread may read."""
+
+    artifact: Artifact
+
+    def __getitem__(self, i: int) -> np.ndarray:
+        return np.asarray(self._array[i])
+
+    def digest(self, i: int) -> str:
+        """Of the stored picture of frame i, which is one chunk; nothing is read."""
+        return self.artifact.manifest["files"][f"{_IMAGES}/c/{i}/0/0/0"][1]
+
+    @cached_property
+    def _array(self) -> zarr.Array:
+        return self.artifact.array(_IMAGES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredFrames:
+    """F frames in the order that all stages use, and P points. What the capture does not have is None."""
+
+    facts: Facts
+    names: Sequence[str]  # [F], for people
+    background: str | None  # "white" | "black": what alpha is composited on
+    camera: np.ndarray  # [F] int32, number of the camera that took the frame
+    time: np.ndarray  # [F] float64 in [0, 1] over the capture
+    seconds: np.ndarray  # [F] float64, since the capture's start
+    split: np.ndarray  # [F] uint8: 0 train, 1 val, 2 test
+    next: np.ndarray  # [F] int32, the same camera's training frame at its next time, -1 where none
+    K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the undistorted pictures
+    cam_from_world: np.ndarray | None = None  # [F, 4, 4] float64, OpenCV; there where K is
+    distortion: np.ndarray | None = None  # [F, 4 or 8] float64, OpenCV's terms; there where K is
+    lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the pictures as the lens made them; None where equal to K
+    fisheye: np.ndarray | None = None  # [F] uint8, 1: OpenCV's fisheye model; None where no lens is one
+    crop: np.ndarray | None = None  # [F, 4] int32 px: left, top, width, height of what is shown of each; None where all have one size
+    points: np.ndarray | None = None  # [P, 3] float64, world units
+    point_colors: np.ndarray | None = None  # [P, 3] uint8; there where points are
+    files: Sequence[str] | None = None  # [F], relative to the capture; None where pictures are decoded
+    mask_files: Sequence[str | None] | None = None  # [F]: white is what moves
+    keep_files: Sequence[str | None] | None = None  # [F]: black is what counts for nothing
+    keep_turns: Sequence[int] | None = None  # [F] orientations of EXIF by which keep_files are turned; there where those are
+    K_hint: Sequence[float] | None = None  # the 9 numbers of an intrinsic matrix to begin with, px, by rows
+    images: DecodedPictures | None = None  # read only; `create_images` makes them
+
+    registered = None  # all poses that files hold count
+
+    def write(self, out: ArtifactWriter, notes: Sequence[str]) -> None:
+        """notes: what the reader of the capture says, for people."""
+        out.write("camera", self.camera, doc="index of the camera that took the frame")
+        out.write("time", self.time, doc="time over the capture, in [0,1]")
+        out.write("seconds", self.seconds, unit="s", doc="time since the capture's start")
+        out.write("split", self.split, doc="0 train, 1 val, 2 test")
+        out.write("next", self.next, doc="the same camera's train frame at its next time, -1 where none")
+        if self.K is not None and self.cam_from_world is not None and self.distortion is not None:
+            out.write("K", self.K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5")
+            out.write("cam_from_world", self.cam_from_world, unit="world", doc="OpenCV pose of the camera")
+            out.write("distortion", self.distortion, doc="k1 k2 p1 p2 [k3 k4 k5 k6], of fisheye lenses k1 k2 k3 k4")
+        if self.lens_K is not None:
+            out.write("lens_K", self.lens_K, unit="px", doc="intrinsics of the pictures as the lens made them")
+        if self.fisheye is not None:
+            out.write("fisheye", self.fisheye, doc="1: the lens is OpenCV's fisheye model")
+        if self.crop is not None:
+            out.write("crop", self.crop, unit="px", doc="left, top, width, height of the part of each stored picture that is shown")
+        if self.points is not None and self.point_colors is not None:
+            out.write("points", self.points, unit="world", doc="points of the capture's files")
+            out.write("point_colors", self.point_colors, doc="RGB of points")
+        out.attrs.update(self.facts.as_json(), names=list(self.names), background=self.background)
+        lists = {name: getattr(self, name) for name in ("files", "mask_files", "keep_files", "keep_turns", "K_hint")}
+        out.attrs.update({name: list(values) for name, values in lists.items() if values is not None})
+        out.info["notes"] = list(notes)
+
+    @classmethod
+    def read(cls, artifact: Artifact) -> StoredFrames:
+        attrs, read = artifact.attrs, artifact.read
+
+        def there(name: str) -> np.ndarray | None:
+            return read(name) if name in artifact else None
+
+        return cls(
+            facts=Facts.among(attrs),
+            names=attrs["names"],
+            background=attrs["background"],
+            camera=read("camera"),
+            time=read("time"),
+            seconds=read("seconds"),
+            split=read("split"),
+            next=read("next"),
+            K=there("K"),
+            cam_from_world=there("cam_from_world"),
+            distortion=there("distortion"),
+            lens_K=there("lens_K"),
+            fisheye=there("fisheye"),
+            crop=there("crop"),
+            points=there("points"),
+            point_colors=there("point_colors"),
+            files=attrs.get("files"),
+            mask_files=attrs.get("mask_files"),
+            keep_files=attrs.get("keep_files"),
+            keep_turns=attrs.get("keep_turns"),
+            K_hint=attrs.get("K_hint"),
+            images=DecodedPictures(artifact) if _IMAGES in artifact else None,
+        )
+
+
+def create_images(out: ArtifactWriter, frames: int, height: int, width: int) -> zarr.Array:
+    """[F, H, W, 3] uint8, to be filled a frame at a time: `StoredFrames.images`."""
+    return out.create(_IMAGES, (frames, height, width, 3), "uint8", (1, height, width, 3), doc="decoded RGB frames")
+
+
+def write_videos(out: ArtifactWriter, spans: Sequence[tuple[int, int]]) -> None:
+    """The first frame and the number of frames of each video, for `pictures_of_video`."""
+    out.info["videos"] = [list(span) for span in spans]
+
+
+def pictures_of_video(artifact: Artifact, number: int) -> Iterator[np.ndarray]:
+    """The decoded pictures of the video of that ``number``, uint8 [H, W, 3]. Raises ArtifactError where one cannot be read."""
+    start, count = artifact.info["videos"][number]
+    for i in range(start, start + count):
+        yield artifact.read(_IMAGES, i)

@@ -1,0 +1,81 @@
+"""The `poses` artifact: cameras and points that structure from motion found, and an account of how."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypedDict, Unpack
+
+import numpy as np
+
+from ...pipeline import Artifact, ArtifactWriter
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredPoses:
+    """Cameras of F frames, NaN where a frame is not registered, and P points. The median distance of the registered cameras to the median
+    point is 4 world units."""
+
+    K: np.ndarray  # [F, 3, 3] float64 px, of the undistorted pictures
+    cam_from_world: np.ndarray  # [F, 4, 4] float64, OpenCV
+    distortion: np.ndarray  # [F, 4] float64: k1 k2 p1 p2
+    registered: np.ndarray  # [F] bool
+    points: np.ndarray  # [P, 3] float64, world units
+    point_colors: np.ndarray  # [P, 3] uint8
+    lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the pictures as the lens made them; None where equal to K
+    fixed_cameras: bool | None = None  # several cameras: whether all stand still; read only, `write_account` has it
+    point_errors: np.ndarray | None = None  # [P] float64 px, mean reprojection error; for people, so not read back
+
+    fisheye = None  # none is fitted
+
+    def write(self, out: ArtifactWriter) -> None:
+        assert self.point_errors is not None
+        out.write("K", self.K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5; NaN where not registered")
+        if self.lens_K is not None:
+            out.write("lens_K", self.lens_K, unit="px", doc="intrinsics of the pictures as the lens made them; NaN where not registered")
+        out.write("cam_from_world", self.cam_from_world, unit="world", doc="OpenCV pose of the camera; NaN where not registered")
+        out.write("distortion", self.distortion, doc="k1 k2 p1 p2")
+        out.write("registered", self.registered, doc="the frame has a pose")
+        out.write("points", self.points, unit="world", doc="triangulated points")
+        out.write("point_colors", self.point_colors, doc="RGB of points")
+        out.write("point_errors", self.point_errors, unit="px", doc="mean reprojection error of each point")
+
+    @classmethod
+    def read(cls, artifact: Artifact) -> StoredPoses:
+        read = artifact.read
+        return cls(
+            K=read("K"),
+            cam_from_world=read("cam_from_world"),
+            distortion=read("distortion"),
+            registered=read("registered"),
+            points=read("points"),
+            point_colors=read("point_colors"),
+            lens_K=read("lens_K") if "lens_K" in artifact else None,
+            fixed_cameras=artifact.attrs.get("fixed_cameras"),
+        )
+
+
+class Account(TypedDict, total=False):
+    """What structure from motion went through, as the attributes of the artifact."""
+
+    registered: int  # frames with a pose
+    total: int  # frames
+    gaps: Sequence[Sequence[int]]  # runs of frames without a pose: first and last
+    mean_reprojection_error: float  # px, over observations of the points that are kept
+    median_reprojection_error: float
+    mean_track_length: float  # images of a point
+    median_angle: float  # degrees between the outermost rays of a point
+    parts: Sequence[Sequence[int]]  # images of each part of the reconstruction, the kept one first
+    notes: Sequence[str]  # what was taken out, undone, joined or assumed
+    advice: Sequence[str]  # what is not good
+    camera_model: str
+    mapper: str
+    matcher: str
+    fixed_cameras: bool  # several cameras: whether all stand still
+    movers_share: float | None  # of the features that made points in the first pass, those on what moves
+    second_pass: str  # which pass was kept and why
+
+
+def write_account(out: ArtifactWriter, **account: Unpack[Account]) -> None:
+    """Some of the account; the rest may be written before or after."""
+    out.attrs.update(account)

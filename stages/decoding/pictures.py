@@ -1,0 +1,37 @@
+"""Pictures and masks that already are files: each is decoded once and not copied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from threading import Lock
+from typing import Any
+
+from ...pipeline import Context, thread_count
+from ...vision.images.pictures import read_keep, read_mask, read_picture
+from ..captures import Capture
+from ..captures.checks import image_header
+
+DECODE_THREADS = 4  # at most
+LARGE = 40_000_000  # px of pictures that are decoded one at a time: such a one takes half a gigabyte, the largest 2 GB
+
+
+def check_pictures(capture: Capture, ctx: Context) -> None:
+    """Decode every picture and mask once, so that a file that is cut short is found now and not hours later in training."""
+    jobs: list[tuple[str, Callable[..., Any]]] = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
+    jobs += [(name, read_mask) for name in dict.fromkeys(m for m in capture.masks or () if m)]
+    jobs += [(name, read_keep) for name in dict.fromkeys(m for m in capture.keeps or () if m)]
+
+    one_at_a_time = Lock()
+
+    def decode(job: tuple[str, Any]) -> str:
+        name, read = job
+        width, height, _ = image_header(capture.root, name)
+        with one_at_a_time if width * height > LARGE else nullcontext():
+            read(capture.root, name)
+        return name
+
+    with ctx.progress(len(jobs), "check pictures") as progress, ThreadPoolExecutor(thread_count(DECODE_THREADS)) as pool:
+        for name in pool.map(decode, jobs):
+            progress.advance(1, name)

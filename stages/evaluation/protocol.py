@@ -1,0 +1,49 @@
+"""What a number of an evaluation needs beside it to be compared with another, and the network behind LPIPS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from blake3 import blake3
+
+from ...pipeline import StageError
+from ...scene.metrics.lpips import MINIMUM_SIZE, Lpips
+from ..artifacts.frameset import FrameSet
+
+if TYPE_CHECKING:
+    from ..evaluate import EvaluateSettings
+
+
+def load_lpips(settings: EvaluateSettings, frames: FrameSet) -> tuple[Lpips | None, dict[str, str]]:
+    """The network, or None with `lpips_reason`. Raises StageError where the weights file is not one."""
+    if settings.lpips_weights is None:
+        return None, {"lpips_reason": "no weights given; --set evaluate.lpips_weights=FILE measures it"}
+    if min(frames.width, frames.height) < MINIMUM_SIZE:
+        return None, {"lpips_reason": f"pictures of {frames.width}x{frames.height} are smaller than the {MINIMUM_SIZE} px that LPIPS needs"}
+    try:
+        return Lpips.load(settings.lpips_weights, settings.lpips_net), {}
+    except ValueError as error:
+        raise StageError(f"evaluate.lpips_weights: {error}") from error
+
+
+def protocol(
+    frames: FrameSet, views: Mapping[str, Sequence[int]], settings: EvaluateSettings, lpips_facts: Mapping[str, str], notes: Sequence[str]
+) -> dict[str, Any]:
+    """Everything that a number needs beside it to be compared with another."""
+    measured = not lpips_facts
+    result: dict[str, Any] = {
+        "resolution": f"{frames.width}x{frames.height}",
+        "split": ", ".join(f"{split} ({len(indices)} views)" for split, indices in views.items()),
+        "background": frames.background,
+        "lpips_net": settings.lpips_net if measured else None,
+        "colours": "of the mean training camera; psnr_affine after one affine a channel and view",
+        "moving": "of fixed cameras: pixels within 2 px of one that is more than 0.1 from the camera's median over time",
+        "metrics": "float64 on clamped float renders; SSIM 11x11 Gaussian, sigma 1.5, zero padding; edges: Canny 50/100, within 2 px",
+        "flicker": "fixed cameras, neighbouring times; excess change of the render, in levels of 8 bits; flow: tOF in px",
+        "notes": list(notes),
+    }
+    if measured and settings.lpips_weights is not None:
+        result["lpips_weights_blake3"] = blake3(Path(settings.lpips_weights).read_bytes()).hexdigest()
+    return result

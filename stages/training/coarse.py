@@ -1,0 +1,137 @@
+"""The work of `coarse`: seeds become Gaussians, which learn the scene's shape and motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+import torch
+
+from ...pipeline import Context
+from ...scene.model import Model
+from ...scene.motion.field import DeformationField
+from ...scene.motion.free import FreeMotion
+from ...scene.motion.nodes import ControlNodes
+from ...scene.primitives import ConvexSet, GaussianSet
+from ...scene.seeds.near_plane import near_plane
+from ...scene.settings import GrowthSettings
+from ...scene.training.schedule import HALF_RESOLUTION, Phase, coarse_phases, node_phases
+from ...scene.views import Views
+from ...vision.images.png import encode_png
+from ..artifacts.coarse import StoredCoarse
+from ..artifacts.dataset import load_frameset, load_views, measured_flow
+from ..artifacts.model import write_model
+from ..artifacts.training_log import write_training_log
+from ..captures import Facts
+from ..seeding.fill import measured_depth
+from ..seeding.movers import MoverSeeds
+from ..seeding.picture import seeds_picture
+from ..seeding.seeds import initial_dynamic, living, load_seeds, mover_seeds
+from .choices import auto_budget, auto_iterations, auto_seeds, auto_sh_degree, is_static, use_nodes
+from .motions import make_field, make_nodes
+from .train import train
+
+if TYPE_CHECKING:
+    from ..coarse import CoarseSettings
+
+SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
+NODE_SEEDS = 2500  # few seeds that multiply where the error is come out better than many
+MOST_SCALE = 0.05  # of the viewing distance, standard deviation of a Gaussian at first
+LEAST_DYNAMIC = 50  # seeds that may move, from which on the field spans these alone
+
+Kind = Literal["static", "planes", "nodes", "free"]
+
+
+class Start(NamedTuple):
+    """Where Gaussians begin. points [N, 3] world units; colors [N, 3] in [0, 1]; dynamic [N] bool, those that may move. movers: others on
+    what moves, at several times. max_scale: world units."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    dynamic: np.ndarray
+    movers: MoverSeeds | None
+    max_scale: float
+
+
+def train_coarse(ctx: Context) -> None:
+    """Seeds, static warm-up, deformation; writes a model without convexes."""
+    settings, facts = ctx.settings, Facts.of(ctx.facts)
+    torch.manual_seed(settings.seed)
+    frames = load_frameset(ctx.inputs, ctx.capture.root)
+    views = load_views(frames, ctx.inputs["flow"], ctx.device)
+    static = is_static(ctx)
+    nodes = not static and use_nodes(facts, settings)
+    budget = settings.budget or auto_budget(facts, views, nodes)
+    points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, settings.seeds or auto_seeds(facts, budget))
+    movers = None if static or nodes else mover_seeds(ctx, frames, views, points, budget // 2)
+    views.near = near_plane(views, trusted if movers is None else np.concatenate([trusted, movers.points]))
+    if frames.background is None:
+        views.background = mean_colour(views)
+    if nodes:
+        chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
+        points, colors = points[chosen], colors[chosen]
+    unit = views.viewing_distance(points)
+    begin = encode_png(seeds_picture(views, points, colors, movers))
+    dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, movers is not None)
+    free = settings.motion == "free" or (settings.motion == "auto" and movers is not None)
+    kind: Kind = "static" if static else "nodes" if nodes else "free" if free else "planes"
+    sh_degree = auto_sh_degree(facts) if settings.sh_degree is None else settings.sh_degree
+    start = Start(points, colors, dynamic, movers, MOST_SCALE * unit)
+    model = first_model(kind, start, views, sh_degree, settings).to(ctx.device)
+
+    steps = settings.iterations or auto_iterations(replace(facts, static=static), settings)
+    log = train(
+        ctx,
+        "coarse",
+        model,
+        views,
+        phases(kind, steps, views, settings),
+        settings,
+        budget=budget,
+        measured_flow=measured_flow(ctx.inputs["flow"], views),
+        measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
+    )
+    growth = GrowthSettings(**settings.model_dump(include=set(GrowthSettings.model_fields)))
+    StoredCoarse(settings.strategy, steps, inverse_depth, growth).write(ctx.out, begin)
+    write_model(ctx.out, model)
+    write_training_log(ctx.out, log)
+
+
+def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings: CoarseSettings) -> Model:
+    """Gaussians on the seeds, and the motion that is to move them."""
+    points, colors, dynamic, movers, max_scale = start
+    if movers is not None and kind != "free":  # at rest is where it is at the middle time
+        middle = movers.time == movers.time[np.abs(movers.time - 0.5).argmin()]
+        points, colors = np.concatenate([points, movers.points[middle]]), np.concatenate([colors, movers.colors[middle]])
+        dynamic = np.concatenate([dynamic, np.ones(int(middle.sum()), bool)])
+    gaussians = GaussianSet.from_points(points, colors, sh_degree, max_scale=max_scale)
+    field: DeformationField | ControlNodes | FreeMotion | None = None
+    if kind != "static":
+        gaussians.dynamic = torch.from_numpy(dynamic)
+    if kind == "free":
+        field = FreeMotion(len(np.unique(views.time)))
+        gaussians.live(0.5 * (field.times - 1), field.times)
+        if movers is not None:
+            gaussians = GaussianSet.joined([gaussians, *living(movers, field, sh_degree, max_scale)])
+    elif kind == "nodes":
+        field = make_nodes(points, settings)
+    elif kind == "planes":
+        field = make_field(points[dynamic] if dynamic.sum() >= LEAST_DYNAMIC else points, views, settings)
+    return Model(gaussians, ConvexSet.empty(6, sh_degree), field, sh_degree, views.near, views.background)
+
+
+def phases(kind: Kind, steps: int, views: Views, settings: CoarseSettings) -> list[Phase]:
+    """What the steps are spent on, small images first where they show enough."""
+    small = views.width * views.height < SMALL_IMAGE
+    if kind == "nodes" and settings.strategy in ("two-stage", "alternating"):
+        return node_phases(steps, 1.0 if small else HALF_RESOLUTION)
+    return coarse_phases(settings.strategy, steps, kind == "static", 0.0 if small else settings.full_from, kind != "free")
+
+
+def mean_colour(views: Views) -> tuple[float, float, float]:
+    """RGB in [0, 1] of the training views: what shows through an opaque scene's holes should not shine nor be black."""
+    few = views.train[:: max(1, len(views.train) // 60)]
+    means = [views.target(int(i), 0.25).double().mean((0, 1)).tolist() for i in few]
+    red, green, blue = (sum(channel) / len(few) for channel in zip(*means))
+    return red, green, blue

@@ -1,0 +1,74 @@
+"""The work of `fine`: convexes join the Gaussians, and both are refined."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from ...pipeline import Context
+from ...scene.model import Model
+from ...scene.primitives import LIFE, ConvexSet
+from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettings
+from ...scene.training.schedule import fine_phases
+from ..artifacts.coarse import StoredCoarse, required
+from ..artifacts.dataset import load_frameset, load_views, measured_flow
+from ..artifacts.hulls import StoredHulls
+from ..artifacts.model import read_model, write_model
+from ..artifacts.training_log import write_training_log
+from ..captures import Facts
+from ..seeding.fill import measured_depth
+from .choices import auto_budget, is_static
+from .train import train
+
+if TYPE_CHECKING:
+    from ..fine import FineSettings
+
+
+def train_fine(ctx: Context) -> None:
+    """The model of `coarse` together with the convexes of `hulls`."""
+    settings = ctx.settings
+    torch.manual_seed(settings.seed)
+    artifact = required(ctx.inputs["coarse"])
+    coarse, model = StoredCoarse.read(artifact), read_model(artifact)
+    frames = load_frameset(ctx.inputs, ctx.capture.root)
+    views = load_views(frames, ctx.inputs["flow"], ctx.device, model)
+    hulls = None if ctx.inputs["hulls"] is None else StoredHulls.read(ctx.inputs["hulls"])
+    if hulls is not None and len(hulls):
+        add_convexes(model, hulls, settings.convex_opacity)
+    else:
+        ctx.log("no convexes: no seed lies on enough edges; Gaussians alone are refined")
+    model.to(ctx.device)
+
+    joint = coarse.strategy == "joint"
+    nodes = model.field is not None and model.field.config["kind"] == "nodes"
+    unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
+    log = train(
+        ctx,
+        "fine",
+        model,
+        views,
+        fine_phases(coarse.strategy, coarse.iterations, settings.iterations, is_static(ctx)),
+        training_settings(settings, coarse.growth),
+        budget=coarse.growth.budget or auto_budget(Facts.of(ctx.facts), views, nodes),
+        lr_scale=1.0 if joint else settings.lr_scale,
+        grow=joint,
+        measured_flow=measured_flow(ctx.inputs["flow"], views),
+        measured_depth=measured_depth(coarse.depth, unit, ctx, frames),
+    )
+    write_model(ctx.out, model)
+    write_training_log(ctx.out, log)
+
+
+def training_settings(settings: FineSettings, growth: GrowthSettings) -> TrainingSettings:
+    """What the trainer reads: growth, where there is any, goes on as `coarse` was told."""
+    return TrainingSettings(**settings.model_dump(include=set(RefinementSettings.model_fields)), **growth.model_dump())
+
+
+def add_convexes(model: Model, hulls: StoredHulls, opacity: float) -> None:
+    """Convexes in the shape of ``hulls``, each of which moves and lives as the Gaussian that it came from."""
+    model.convexes = ConvexSet.from_hulls(hulls.points, hulls.colors, model.sh_degree, opacity)
+    seeds = torch.from_numpy(hulls.seed).long()
+    for name in ("hyper", *LIFE):
+        model.convexes.parameters[name].data.copy_(model.gaussians.parameters[name][seeds])
+    model.convexes.dynamic = model.gaussians.dynamic[seeds]

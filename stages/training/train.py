@@ -1,0 +1,34 @@
+"""One training run of a stage, with its bar, its checkpoints and its lines for people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...pipeline import Context
+from ...scene.model import Model
+from ...scene.settings import TrainingSettings
+from ...scene.training.log import TrainingLog
+from ...scene.training.recipe import RECIPES
+from ...scene.training.schedule import Phase
+from ...scene.training.trainer import Trainer
+from ...scene.views import Views
+
+
+def train(
+    ctx: Context, name: str, model: Model, views: Views, phases: list[Phase], settings: TrainingSettings, **options: Any
+) -> TrainingLog:
+    """Trains ``model`` in place through ``phases``, by the recipe of its motion. options: of `Trainer`, beside these."""
+    recipe = RECIPES["planes" if model.field is None else str(model.field.config["kind"])]
+    with ctx.progress(sum(phase.iterations for phase in phases), name) as bar:
+        trainer = Trainer(
+            model,
+            views,
+            phases,
+            settings,
+            checkpoints=ctx.checkpoints,
+            recipe=recipe,
+            advance=lambda n, note: bar.advance(n, note),
+            log=ctx.log,
+            **options,
+        )
+        return trainer.run()
