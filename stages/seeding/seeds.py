@@ -13,8 +13,8 @@ from ...scene.primitives import GaussianSet
 from ...scene.seeds.carve import carve
 from ...scene.seeds.outliers import trusted
 from ...scene.seeds.volume import common_volume
-from ...scene.training.curriculum import MIN_CAMERAS
 from ...scene.training.control.dynamics import dynamic_from_masks
+from ...scene.training.curriculum import MIN_CAMERAS
 from ...scene.views import Views
 from ..artifacts.flow import flow_of
 from ..artifacts.frameset import FrameSet
