@@ -2,7 +2,7 @@
 
 from .earlier import Earlier
 from .errors import ArtifactError, CaptureError, DamagedError, PipelineError, SettingsError, StageError
-from .graph import Graph
+from .graph import Graph, check_targets
 from .job import Job
 from .keys import capture_digest
 from .machine.resources import Resources
@@ -10,7 +10,7 @@ from .machine.threads import thread_count
 from .plan import Row, make_plan
 from .progress import Progress, duration
 from .records import Records
-from .runner import Outcome, Runner, check_targets
+from .runner import Outcome, Runner
 from .settings import Settings, build_settings, describe, split_assignment
 from .stage import Applies, Capture, Context, Given, Stage
 from .storage.artifact import Artifact

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
+from .code.edited import refuse_edited
 from .earlier import item_digests
-from .errors import ArtifactError, DamagedError, PipelineError, SettingsError, StageError
+from .errors import ArtifactError, DamagedError, PipelineError, StageError
 from .job import Job
 from .machine.memory import PeakMemory
 from .plan import Row, assess
@@ -246,6 +247,7 @@ class Runner:
         return Outcome(stage.name, "ran", row.reason, seconds, peak.mb, artifact)
 
     def _call(self, stage: Stage, context: Context) -> None:
+        refuse_edited(stage, context.device)
         try:
             stage.run(context)
         except PipelineError:
@@ -289,13 +291,3 @@ def _versions(names: Sequence[str]) -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return found
-
-
-def check_targets(graph_names: Iterable[str], target: str) -> list[str] | None:
-    """``"all"`` -> None (every stage), a stage's name -> that name alone; raises SettingsError for anything else."""
-    names = list(graph_names)
-    if target == "all":
-        return None
-    if target not in names:
-        raise SettingsError(f"there is no stage {target!r}; give one of: all, {', '.join(names)}")
-    return [target]
