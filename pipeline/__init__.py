@@ -2,7 +2,7 @@
 
 from .earlier import Earlier
 from .errors import ArtifactError, CaptureError, DamagedError, PipelineError, SettingsError, StageError
-from .graph import Graph
+from .graph import Graph, check_targets
 from .job import Job
 from .keys import capture_digest
 from .machine.resources import Resources
@@ -11,7 +11,7 @@ from .plan import Row, make_plan
 from .records import Records
 from .running.build import Outcome
 from .running.progress import Progress, duration
-from .running.runner import Runner, check_targets
+from .running.runner import Runner
 from .settings import Settings, build_settings, describe, split_assignment
 from .stage import Applies, Capture, Context, Given, Stage
 from .storage.artifact import Artifact

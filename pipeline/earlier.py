@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from .errors import ArtifactError
 from .files import canonical_json, digest_bytes
 from .job import Job
+from .keys import deciding
 from .stage import Given, Stage
 from .storage.artifact import Artifact
 
@@ -20,7 +21,7 @@ RECENT = 8  # results of other captures that are looked at, those used last; mor
 
 @dataclass(frozen=True)
 class Earlier:
-    """A result of the same version and settings, held as long as this lives. ``rows``: number of an item in the result that is to be made
+    """A result of the same code and settings, held as long as this lives. ``rows``: number of an item in the result that is to be made
     -> its number in this one; ``total``: items of the result that is to be made."""
 
     artifact: Artifact
@@ -76,7 +77,7 @@ def find_earlier(job: Job, stage: Stage, parts: Mapping[str, Any], key: str, inp
 
 
 def made_before(job: Job, stage: Stage, parts: Mapping[str, Any]) -> int:
-    """How many items the scene's last result has that could be taken over, as far as version and settings tell."""
+    """How many items the scene's last result has that could be taken over, as far as code and settings tell."""
     record = job.records.read(stage.name) if stage.items else None
     made = job.store.manifest(stage.name, record["key"]) if record is not None else None
     return len(_items(made, parts)) if made is not None else 0
@@ -92,7 +93,7 @@ def _candidates(job: Job, stage: Stage, key: str) -> Iterator[tuple[Store, str]]
 
 
 def _items(manifest: Mapping[str, Any], parts: Mapping[str, Any]) -> list[str]:
-    """The items of a result, [] where it was made by another version, with other settings, or on another class of devices."""
+    """The items of a result, [] where it was made by other code, with other settings, or on another class of devices."""
     provenance = manifest["provenance"]
     alike = _own(provenance.get("parts", {})) == _own(parts)
     return provenance.get("items", []) if alike else []
@@ -100,4 +101,4 @@ def _items(manifest: Mapping[str, Any], parts: Mapping[str, Any]) -> list[str]:
 
 def _own(parts: Mapping[str, Any]) -> dict[str, Any]:
     """Key parts without what the items' digests stand for."""
-    return {name: value for name, value in parts.items() if name not in ("inputs", "capture")}
+    return {name: value for name, value in deciding(parts).items() if name not in ("inputs", "capture")}

@@ -42,3 +42,13 @@ class Graph:
                 wanted.add(name)
                 pending.extend(self[name].inputs)
         return [stage for stage in self if stage.name in wanted]
+
+
+def check_targets(graph_names: Iterable[str], target: str) -> list[str] | None:
+    """``"all"`` -> None (every stage), a stage's name -> that name alone; raises SettingsError for anything else."""
+    names = list(graph_names)
+    if target == "all":
+        return None
+    if target not in names:
+        raise SettingsError(f"there is no stage {target!r}; give one of: all, {', '.join(names)}")
+    return [target]

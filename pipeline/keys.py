@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from .code.reach import code_of
 from .errors import CaptureError, SettingsError
 from .files import canonical_json, digest_bytes, digest_file, digest_files
 from .settings import Settings
@@ -56,11 +57,12 @@ def key_parts(stage: Stage, settings: Settings, inputs: Mapping[str, str | None]
     """What a stage's result depends on, as JSON.
 
     ``inputs`` maps input stages to the content digests of their artifacts (None: skipped). Content, not keys: an input that was
-    made again and came out equal leaves this key as it was, and the rerun stops there.
+    made again and came out equal leaves this key as it was, and the rerun stops there. ``code`` also has the digest of each source file,
+    for people. Raises StageError for a stage whose source cannot be found.
     """
     parts: dict[str, Any] = {
         "stage": stage.name,
-        "version": stage.version,
+        "code": code_of(type(stage), stage.device_class and device == "cuda"),
         "settings": settings_parts(settings),
         "inputs": {name: inputs[name] for name in stage.inputs},
     }
@@ -73,4 +75,9 @@ def key_parts(stage: Stage, settings: Settings, inputs: Mapping[str, str | None]
 
 def key_of(parts: Mapping[str, Any]) -> str:
     """32 hex digits that name a result in the store."""
-    return digest_bytes(canonical_json(parts))[:32]
+    return digest_bytes(canonical_json(deciding(parts)))[:32]
+
+
+def deciding(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Key parts without the names of source files: one that merely moves changes no key."""
+    return {**parts, "code": parts["code"]["digest"]} if "code" in parts else dict(parts)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from .files import read_json, write_json
 
+SHOWN = 4  # source files that are named where several have changed
 _ABSENT = "(absent)"  # a field that only the other version of a stage has
 
 
@@ -40,11 +41,41 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
             for name in sorted({*before, *after}):
                 if name not in before or name not in after or before[name] != after[name]:
                     lines.append(_line(field, name, before.get(name, _ABSENT), after.get(name, _ABSENT)))
+        elif field == "code":
+            lines += changed_files(before, after)
+        elif field == "version":  # of a result that has no code in its key
+            continue
         elif field == "capture":
             lines.append("the capture's files have another content")
         else:
             lines.append(f"{field}: {before} -> {after}")
     return lines
+
+
+def changed_files(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> list[str]:
+    """Which source files differ: ``scene/training/rates.py has changed``. Files that have moved do not."""
+    if before is None or after is None:
+        return ["made by an earlier version, whose keys did not hold the code"]
+    if before["digest"] == after["digest"]:
+        return []
+    old, new = before["files"], after["files"]
+    changed = [file for file in old if file in new and old[file] != new[file]]
+    gone, added = [[file for file in one if file not in other] for one, other in ((old, new), (new, old))]
+    for file in list(gone):
+        if twin := next((other for other in added if new[other] == old[file]), None):
+            gone.remove(file)
+            added.remove(twin)
+    found = (changed, "has", "have", "changed"), (added, "is", "are", "new"), (gone, "is", "are", "gone")
+    lines = [f"{_listed(files)} {many if len(files) > 1 else one} {what}" for files, one, many, what in found if files]
+    return lines or ["source files import one another in another way"]
+
+
+def _listed(files: Sequence[str]) -> str:
+    """At most `SHOWN` names, and how many more there are."""
+    shown, more = list(files[:SHOWN]), len(files) - SHOWN
+    if more > 0:
+        return f"{', '.join(shown)} and {more} more"
+    return " and ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)
 
 
 def _line(field: str, name: str, before: Any, after: Any) -> str:

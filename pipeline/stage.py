@@ -61,11 +61,11 @@ class Given:
 class Stage:
     """One step of a workflow: reads artifacts, writes one artifact. Subclasses set the class attributes and write ``run``.
 
+    Its key holds the source that `run` reaches by import statements; what is imported under a computed name is not seen.
     A stage must give the same arrays and attrs for the same key; what varies from run to run (timings) goes to ``ctx.out.info``.
     """
 
     name: ClassVar[str]  # CLI name and settings prefix
-    version: ClassVar[int] = 1  # raised when the output's meaning changes
     inputs: ClassVar[tuple[str, ...]] = ()  # names of stages; a skipped one arrives as None
     settings: ClassVar[type[Settings]] = Settings
     reads_capture: ClassVar[bool] = False  # the capture's content digest enters the key
@@ -82,7 +82,7 @@ class Stage:
         return None
 
     def item_parts(self, given: Given) -> Sequence[Any]:
-        """For each item, in their order, all that decides it beside version, settings and device class, as JSON. Quick, like `applies`: a
+        """For each item, in their order, all that decides it beside code, settings and device class, as JSON. Quick, like `applies`: a
         plan asks for it as soon as the inputs are known."""
         return ()
 

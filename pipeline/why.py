@@ -1,4 +1,4 @@
-"""Which field of a stage's key changed since the stage last ran for a scene."""
+"""Which setting, input or source file of a stage changed since the stage last ran for a scene."""
 
 from __future__ import annotations
 

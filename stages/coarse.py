@@ -31,7 +31,6 @@ class Coarse(Stage):
     """Seeds, static warm-up, deformation; writes a model without convexes."""
 
     name = "coarse"
-    version = 16  # 16: nodes are held steadier and their network's units cannot die; numbers below the normal ones are zero
     inputs = ("frames", "poses", "flow")
     settings = CoarseSettings
     reads_capture = True

@@ -36,7 +36,6 @@ class Evaluate(Stage):
     """
 
     name = "evaluate"
-    version = 8  # 8: pictures of edges, flicker of each pair of times, the same movies in every run
     inputs = ("frames", "poses", "flow", "coarse", "fine")
     settings = EvaluateSettings
     reads_capture = True

@@ -23,7 +23,6 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    version = 15  # 15: nodes are held steadier and their network's units cannot die; numbers below the normal ones are zero
     inputs = ("frames", "poses", "flow", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True

@@ -44,7 +44,6 @@ class Flow(Stage):
     """Flow forward and backward with its consistency, edge weights, and masks of what moves."""
 
     name = "flow"
-    version = 4  # 4: all else follows from the flow as it is stored, and that is measured between the lens's pictures
     items = "pairs"
     inputs = ("frames", "poses")
     settings = FlowSettings

@@ -46,7 +46,6 @@ def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None
 
 class Frames(Stage):
     name = "frames"
-    version = 5  # 5: `untimed` is told
     items = "cameras"
     inputs = ()
     settings = FramesSettings

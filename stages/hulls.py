@@ -24,7 +24,6 @@ class Hulls(Stage):
     """Edge density is attributed to the Gaussians of `coarse` that are blended at edge pixels; the densest become seeds."""
 
     name = "hulls"
-    version = 2  # 2: the near plane of the model
     inputs = ("frames", "poses", "flow", "coarse")
     settings = HullSettings
     reads_capture = True

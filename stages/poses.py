@@ -42,7 +42,6 @@ class Poses(Stage):
     """Intrinsics and a pose for every frame that registers, sparse points, and a report of what did not register and why."""
 
     name = "poses"
-    version = 4  # 4: no pixel of an undistorted picture is without data
     inputs = ("frames",)
     settings = PosesSettings
     reads_capture = True

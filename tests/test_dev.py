@@ -70,6 +70,7 @@ def test_pins_native_sources_and_packages_decide_about_a_new_install_and_the_tex
     checkout = tmp_path / "checkout"
     (checkout / "rasterizer" / "cpu").mkdir(parents=True)
     for name in dev.BUILD_INPUTS:
+        (checkout / name).parent.mkdir(parents=True, exist_ok=True)
         (checkout / name).write_text("x")
     kernel, module = checkout / "rasterizer" / "cpu" / "blend.cpp", checkout / "rasterizer" / "types.py"
     kernel.write_text("1")

@@ -143,7 +143,7 @@ def why(
     format: Format = None,
     debug: Debug = False,
 ) -> None:
-    """Say which field changed since a stage last ran for this capture."""
+    """Say which setting, input or source file changed since a stage last ran for this capture."""
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
     for line in explain(session.job, stage):
         _say(line)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
+from ..code.edited import refuse_edited
 from ..earlier import item_digests
 from ..errors import PipelineError, StageError
 from ..job import Job
@@ -102,6 +103,7 @@ class Builder:
         return Outcome(stage.name, "ran", row.reason, seconds, peak.mb, artifact)
 
     def _call(self, stage: Stage, context: Context) -> None:
+        refuse_edited(stage, context.device)
         try:
             stage.run(context)
         except PipelineError:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..errors import DamagedError, SettingsError
+from ..errors import DamagedError
 from ..job import Job
 from ..plan import assess
 from ..stage import Stage
@@ -109,13 +109,3 @@ class Runner:
         self.job.store.touch(stage.name, row.key)
         made = row.artifact.provenance
         return Outcome(stage.name, "cached", row.reason, made["seconds"], made["peak_rss_mb"], row.artifact)
-
-
-def check_targets(graph_names: Iterable[str], target: str) -> list[str] | None:
-    """``"all"`` -> None (every stage), a stage's name -> that name alone; raises SettingsError for anything else."""
-    names = list(graph_names)
-    if target == "all":
-        return None
-    if target not in names:
-        raise SettingsError(f"there is no stage {target!r}; give one of: all, {', '.join(names)}")
-    return [target]

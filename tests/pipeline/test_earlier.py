@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Applies, ArtifactError, Given, Runner, Settings, Stage, StageError, Store, collect, explain, make_plan
 from failing import Crash, FailNth
+from other_code import edit
 from toy_stages import Bench, Numbers, note
 
 
@@ -113,7 +114,7 @@ def test_what_is_forced_is_made_as_a_whole(bench):
     assert bench.runs() == ["numbers", "1", "2", "3", "4"]
 
 
-@pytest.mark.parametrize("what", ["setting", "version", "device"])
+@pytest.mark.parametrize("what", ["setting", "code", "device"])
 def test_a_result_made_otherwise_lends_nothing(bench, monkeypatch, what):
     run(bench)
     bench.numbers.write_text("1 2 3 4")
@@ -121,8 +122,8 @@ def test_a_result_made_otherwise_lends_nothing(bench, monkeypatch, what):
     options = {}
     if what == "setting":
         options = {"squares__plus": 1}
-    elif what == "version":
-        monkeypatch.setattr(Squares, "version", 2)
+    elif what == "code":
+        edit(monkeypatch, Squares, "pipeline/test_earlier.py")
     else:
         monkeypatch.setattr(Squares, "device_class", True)
     assert "are new" not in reason(bench, **options)

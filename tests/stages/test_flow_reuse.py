@@ -17,6 +17,7 @@ from e4dgs.stages.measured_flow import scout as flow_scout
 from e4dgs.vision.flow.method import Dis
 from factory import Options, make, write_n3v
 from factory.writers import write_mp4
+from other_code import edit
 
 HEIGHT, WIDTH = 64, 96
 
@@ -191,14 +192,14 @@ def test_a_chunk_that_spoils_while_it_is_used_is_measured(tmp_path, measured, mo
     assert outcome.artifact.digest == fresh(tmp_path, path)
 
 
-@pytest.mark.parametrize("what", ["setting", "version"])
-def test_another_setting_or_version_measures_everything(tmp_path, measured, monkeypatch, what):
+@pytest.mark.parametrize("what", ["setting", "code"])
+def test_another_setting_or_other_code_measures_everything(tmp_path, measured, monkeypatch, what):
     run(job(tmp_path, posed(tmp_path / "capture", pictures(6))))
     path, settings = posed(tmp_path / "capture", pictures(8)), {}
     if what == "setting":
         settings = {"flow__preset": "fast"}
     else:
-        monkeypatch.setattr(Flow, "version", Flow.version + 1)
+        edit(monkeypatch, Flow, "vision/flow/method.py")
     measured.clear()
     outcome = run(job(tmp_path, path, **settings))
     assert len(measured) == 2 * 7 and "are new" not in outcome.reason

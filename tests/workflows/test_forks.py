@@ -102,6 +102,13 @@ def test_what_has_opened_a_gpu_teaches_nothing(commands, tmp_path):
     assert [commands.says("import", "colorsys", device) for _ in range(2)] == ["new", "new"]
 
 
+def test_a_server_that_has_imported_code_which_was_edited_is_replaced(commands, tmp_path):
+    """Its forks would compute with the old code under the key of the new one."""
+    assert [commands.says("import", "colorsys") for _ in range(2)] == ["new", "there"]
+    (tmp_path / "commands.py").write_text(COMMANDS.replace('"there"', '"edited, and there"').replace('"new"', '"edited, and new"'))
+    assert [commands.says("import", "colorsys") for _ in range(2)] == ["edited, and new", "edited, and there"]
+
+
 def test_libraries_get_the_threads_that_a_stage_may_take(commands):
     assert [commands.says("threads", OMP_NUM_THREADS=number) for number in ("1", "3", "1")] == ["1", "3", "1"]
 

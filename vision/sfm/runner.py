@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from . import worker
+
 Progress = Callable[[str, int, int], None]  # phase ("features", "matches", "mapping", "points"), done, total
 
 LOG_LINES = 12  # of COLMAP's log that go into an error
@@ -32,7 +34,7 @@ def run_worker(request: Mapping[str, Any], folder: Path, progress: Progress | No
         (folder / name).unlink(missing_ok=True)
     file, log = folder / "request.json", folder / "colmap.log"
     file.write_text(json.dumps(_document(request, folder)), encoding="utf-8")
-    command = [sys.executable, "-m", __name__.rpartition(".")[0] + ".worker", str(file)]
+    command = [sys.executable, "-m", worker.__name__, str(file)]
     # the worker runs threads of its own; BLAS threads on top of them spin, and cost four times the processor time
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with log.open("wb") as stderr:

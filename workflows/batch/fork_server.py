@@ -4,7 +4,8 @@ A new Python takes 2 to 3 s of a core to import what a stage needs. A fork has i
 may crash, hang or run out of memory alone. What a stage had to import, the server imports after it, for the stages that follow.
 
 Reads a line of JSON for each stage, ``[arguments of e4dgs, path of the log]``, and answers with two: process id, and exit code (negative
-for a signal). One stage at a time. It ends, and ends its stage, when its standard input ends.
+for a signal). One stage at a time. It ends, and ends its stage, when its standard input ends. It also ends when source of ours that it has
+imported was edited: a fork would compute with the old code and take its result for the new one's.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ import shlex
 import signal
 import sys
 import time
+from pathlib import Path
 from typing import NoReturn
 
 from setproctitle import setproctitle
 
+from ...pipeline.files import digest_file
 from ..machine.orphan import STARTER
 from .process import GRACE
 
@@ -35,7 +38,10 @@ def serve() -> int:
     os.environ[STARTER] = str(os.getpid())  # stages end with this process
     answers = os.dup(1)
     os.dup2(2, 1)  # what an import prints is no answer
+    imported = _sources()
     while line := sys.stdin.buffer.readline():
+        if any(_digest(file) != digest for file, digest in imported.items()):
+            break  # without an answer: who asks starts another server
         arguments, log = json.loads(line)
         reading, writing = os.pipe()
         gc.freeze()  # what the fork's garbage collector looks at it would have to copy
@@ -54,7 +60,22 @@ def serve() -> int:
         for name in names:
             with contextlib.suppress(Exception):  # some names in sys.modules cannot be imported, and need not be
                 importlib.import_module(name)
+        imported = _sources() | imported
     return 0
+
+
+def _sources() -> dict[str, str]:
+    """Path -> digest of each source file of this package that has been imported."""
+    ours = f"{__package__.partition('.')[0]}."
+    files = {getattr(module, "__file__", None) for name, module in list(sys.modules.items()) if f"{name}.".startswith(ours)}
+    return {file: _digest(file) for file in files if file is not None}
+
+
+def _digest(file: str) -> str:
+    try:
+        return digest_file(Path(file))
+    except OSError:  # it has gone
+        return ""
 
 
 def _stage(arguments: list[str], log: str, writing: int) -> NoReturn:

@@ -57,7 +57,7 @@ def show_result(
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Show how a result was made: stage, settings, inputs, versions; time, memory and size; its arrays, and what the stage said."""
+    """Show how a result was made: code, settings, inputs, versions; time, memory and size; its arrays, and what the stage said."""
     stored = find(workspace.resolve(), *words)
     if as_json:
         print(json.dumps(_facts(stored) | {"provenance": stored.manifest["provenance"]}, indent=2, ensure_ascii=False))
@@ -70,7 +70,7 @@ def show_result(
         ("scenes", ", ".join(stored.scenes) or "none: no scene's last run used it"),
         ("made", f"{facts['made'] or 'at an unknown time'} in {took}"),
         ("size", f"{megabytes(stored.size)} in {len(stored.manifest['files'])} files, content {facts['digest'][:SHORT]}"),
-        ("version", f"{stored.stage} {parts.get('version')}, e4dgs {stored.made('code_version') or 'unknown'}; {libraries}"),
+        ("made by", f"{_code(parts)}, e4dgs {stored.made('code_version') or 'unknown'}; {libraries}"),
     ]
     try:
         Artifact(stored.path)
@@ -96,7 +96,7 @@ def diff(
     workspace: Workspace = DEFAULT_WORKSPACE,
     debug: Debug = False,
 ) -> None:
-    """Say in which settings, inputs and versions two results of one stage differ, and whether their content does."""
+    """Say in which code, settings, inputs and versions two results of one stage differ, and whether their content does."""
     one, two = find(workspace.resolve(), a), find(workspace.resolve(), b)
     if one.stage != two.stage:
         raise SettingsError(f"{a} and {b}: these are results of {one.stage} and of {two.stage}; give two of one stage")
@@ -167,6 +167,13 @@ def _sources(workspace: Path, inputs: Mapping[str, str | None]) -> dict[str, str
         name: "skipped" if digest is None else stored.get((name, digest), f"content {digest[:SHORT]}, no longer in the store")
         for name, digest in inputs.items()
     }
+
+
+def _code(parts: Mapping[str, Any]) -> str:
+    """The code that made a result, or its number where keys did not hold the code yet."""
+    if "code" not in parts:
+        return f"version {parts.get('version')}"
+    return f"code {parts['code']['digest'][:SHORT]} of {len(parts['code']['files'])} files"
 
 
 def _facts(stored: Stored) -> dict[str, Any]:
