@@ -9,8 +9,7 @@ from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import Strategy, TrainingSettings
-from .captures import Facts
-from .estimates import node_training_seconds, training_resources, training_seconds
+from .facts import Facts
 from .training.choices import auto_iterations, use_nodes
 
 
@@ -47,6 +46,8 @@ class Coarse(Stage):
         return Applies.yes("Gaussians, moved by the six-plane field")
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
+        from .estimates import node_training_seconds, training_seconds
+
         known = Facts.of(facts)
         steps = settings.iterations or auto_iterations(known, settings)
         if use_nodes(known, settings):
@@ -54,6 +55,8 @@ class Coarse(Stage):
         return training_seconds(known, steps, known.static, area=1 - 0.75 * settings.full_from)
 
     def resources(self, facts: Mapping[str, Any], settings: CoarseSettings, device: str) -> Resources:
+        from .estimates import training_resources
+
         return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:

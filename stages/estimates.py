@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..pipeline import Resources
-from .captures import Facts
+from .facts import Facts
 
 # One training step on two cores, fitted to the captures of benchmarks/results; the motion costs the same at any image size.
 SECONDS_PER_MEGAPIXEL_STEP = 0.35

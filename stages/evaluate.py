@@ -13,9 +13,8 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage
-from .captures import Facts
-from .estimates import training_resources
 from .evaluation.spread import SAMPLE
+from .facts import Facts
 
 Split = Literal["train", "val", "test"]
 
@@ -55,6 +54,8 @@ class Evaluate(Stage):
         return 3.0 + 1.2 * views * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: EvaluateSettings, device: str) -> Resources:
+        from .estimates import training_resources
+
         return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:

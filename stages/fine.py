@@ -9,8 +9,7 @@ from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import RefinementSettings
-from .captures import Facts
-from .estimates import training_resources, training_seconds
+from .facts import Facts
 
 
 class FineSettings(RefinementSettings):
@@ -34,10 +33,14 @@ class Fine(Stage):
         return Applies.yes("Gaussians and convexes together")
 
     def estimate(self, facts: Mapping[str, Any], settings: FineSettings) -> float | None:
+        from .estimates import training_seconds
+
         known = Facts.of(facts)
         return training_seconds(known, settings.iterations, known.static)
 
     def resources(self, facts: Mapping[str, Any], settings: FineSettings, device: str) -> Resources:
+        from .estimates import training_resources
+
         return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:

@@ -15,8 +15,7 @@ from pydantic import Field
 from ..pipeline import Applies, Context, Given, Resources, Settings, Stage
 from ..vision.flow.method import choice, size_within
 from .artifacts.frameset import FrameSet
-from .captures import Facts
-from .estimates import GB_OF_TORCH, picture_resources
+from .facts import Facts
 from .measured_flow.choose_pairs import choose_pairs
 
 SMALL_WEIGHTS = 10_000_000  # bytes; the small network's file has 4 MB, the basic one's 21 MB
@@ -95,6 +94,8 @@ class Flow(Stage):
         return [[frames.picture_parts(i, given.digests) for i in (first, int(frames.next[first]))] for first in wanted]
 
     def resources(self, facts: Mapping[str, Any], settings: FlowSettings, device: str) -> Resources:
+        from .estimates import GB_OF_TORCH, picture_resources
+
         if choice(settings.method, settings.weights)[0] != "raft":
             return picture_resources(Facts.of(facts), 0.3)
         return picture_resources(Facts.of(facts), 4.0, GB_OF_TORCH, gpu=device == "cuda")

@@ -13,9 +13,9 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Given, Resources, Settings, Stage
-from .captures import Capture, Facts, recognise
+from .captures import Capture, recognise
 from .decoding.videos import video_parts
-from .estimates import picture_resources
+from .facts import Facts
 
 
 class FramesSettings(Settings):
@@ -69,6 +69,8 @@ class Frames(Stage):
         return video_parts(capture, given) if capture.images is None else []
 
     def resources(self, facts: Mapping[str, Any], settings: FramesSettings, device: str) -> Resources:
+        from .estimates import picture_resources
+
         return picture_resources(Facts.of(facts), 0.3)
 
     def run(self, ctx: Context) -> None:

@@ -8,8 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage
-from .captures import Facts
-from .estimates import training_resources
+from .facts import Facts
 
 
 class HullSettings(Settings):
@@ -39,6 +38,8 @@ class Hulls(Stage):
         return 2.0 + 0.3 * settings.views * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: HullSettings, device: str) -> Resources:
+        from .estimates import training_resources
+
         return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage, StageError
 from ..vision.sfm.pairs import OVERLAP, choose, image_pairs
-from .captures.facts import Facts
-from .estimates import picture_resources
+from .facts import Facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -74,6 +73,8 @@ class Poses(Stage):
         return 8 + frames * (1.2 + looked + 1.3 * known.width * known.height / 1e6) + 0.06 * pairs
 
     def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
+        from .estimates import picture_resources
+
         return picture_resources(Facts.of(facts), 2.0)
 
     def run(self, ctx: Context) -> None:

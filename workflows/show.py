@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ..pipeline import Row, duration
 from ..pipeline.errors import one_line
-from ..stages.captures.facts import Facts
+from ..stages.facts import Facts
 from .session import Session
 
 _COLOURS = {"cached": "green", "run": "yellow", "skip": "dim"}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...pipeline import Artifact, ArtifactWriter
-from ..captures.facts import Facts
+from ..facts import Facts
 
 if TYPE_CHECKING:
     import zarr

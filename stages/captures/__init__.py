@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from .capture import Capture, Options, Shot, Video
-from .facts import Facts
 from .recognise import FORMATS, recognise
 
-__all__ = ["FORMATS", "Capture", "Facts", "Options", "Shot", "Video", "recognise"]
+__all__ = ["FORMATS", "Capture", "Options", "Shot", "Video", "recognise"]

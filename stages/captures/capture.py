@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ...pipeline import CaptureError
+from ..facts import Facts
 from . import checks
 from .common_size import Crop, common_size, crop, told
-from .facts import Facts
 
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")

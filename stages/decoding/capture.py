@@ -7,7 +7,8 @@ import numpy as np
 from ...pipeline import CaptureError, Context
 from ...vision.images.lenses import pinholes
 from ..artifacts.frames import StoredFrames
-from ..captures import Capture, Facts
+from ..captures import Capture
+from ..facts import Facts
 from .pictures import check_pictures
 from .videos import decode_videos
 

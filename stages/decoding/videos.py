@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 from ...pipeline import ArtifactError, Context, Given
 from ..artifacts.frames import create_images, pictures_of_video, write_videos
-from ..captures import Capture, Facts, Video
+from ..captures import Capture, Video
 from ..captures.formats.video import decode
+from ..facts import Facts
 
 if TYPE_CHECKING:
     import zarr

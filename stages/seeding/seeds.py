@@ -18,7 +18,7 @@ from ...scene.training.curriculum import MIN_CAMERAS
 from ...scene.views import Views
 from ..artifacts.flow import flow_of
 from ..artifacts.frameset import FrameSet
-from ..captures.facts import Facts
+from ..facts import Facts
 from ..posing.triangulate import triangulate
 from .fill import fill_seeds, middle_frames, moving_mask, sweep
 from .movers import MoverSeeds, camera_seeds, key_times, rig_seeds

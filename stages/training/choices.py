@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from ...pipeline import Context
 from ..artifacts.flow import flow_of
-from ..captures import Facts
+from ..facts import Facts
 
 if TYPE_CHECKING:
     from ...scene.views import Views

@@ -23,7 +23,7 @@ from ..artifacts.coarse import StoredCoarse
 from ..artifacts.dataset import load_frameset, load_views, measured_flow
 from ..artifacts.model import write_model
 from ..artifacts.training_log import write_training_log
-from ..captures import Facts
+from ..facts import Facts
 from ..seeding.fill import measured_depth
 from ..seeding.movers import MoverSeeds
 from ..seeding.picture import seeds_picture

@@ -16,7 +16,7 @@ from ..artifacts.dataset import load_frameset, load_views, measured_flow
 from ..artifacts.hulls import StoredHulls
 from ..artifacts.model import read_model, write_model
 from ..artifacts.training_log import write_training_log
-from ..captures import Facts
+from ..facts import Facts
 from ..seeding.fill import measured_depth
 from .choices import auto_budget, is_static
 from .train import train

@@ -3,8 +3,8 @@
 from types import SimpleNamespace
 
 import pytest
-from e4dgs.stages.captures.facts import Facts
 from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.facts import Facts
 from e4dgs.stages.training.choices import ITERATIONS_NODES, LEAST_ITERATIONS, auto_iterations, is_static, use_nodes
 
 

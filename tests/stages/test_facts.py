@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import pytest
-from e4dgs.stages.captures import Facts, recognise
+from e4dgs.stages.captures import recognise
+from e4dgs.stages.facts import Facts
 
 
 @pytest.mark.parametrize("name", ["dnerf", "n3v", "nerfstudio", "video"])

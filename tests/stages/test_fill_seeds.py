@@ -7,8 +7,8 @@ import pytest
 from e4dgs.pipeline import Context
 from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.stages.artifacts.dataset import load_frameset, load_views
-from e4dgs.stages.captures.facts import Facts
 from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.facts import Facts
 from e4dgs.stages.seeding.fill import middle_frames
 from e4dgs.stages.seeding.seeds import load_seeds
 from e4dgs.stages.training.choices import auto_budget, auto_seeds

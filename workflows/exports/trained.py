@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...pipeline import SettingsError, StageError
-from ...stages.captures.facts import Facts
+from ...stages.facts import Facts
 from ..machine.writable import writing_to
 from ..results import results, trained_stage
 from ..session import Options, Session, open_session

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
-from ...scene.training.curriculum import MIN_CAMERAS
+from ..scene.training.curriculum import MIN_CAMERAS
 
 _ONLY_WHERE_TRUE = ("upright", "untimed")  # absent from the JSON where they are not
 
