@@ -58,9 +58,9 @@ class Poses(Stage):
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
         """Measured on one core: features 0.1 s + 1.3 s per megapixel, 0.06 s per pair, 0.9 s to register an image (half if the camera
-        only turns), 0.2 s to adjust it, 0.15 s to find moving objects, 8 s for the start and the test whether the camera only turns. Not
-        counted is a second pass, which takes the time of registering once more and a third of the pairs' time. Several cameras are
-        assumed to stand still, as most do."""
+        only turns), 0.2 s to adjust it, 0.15 s to find moving objects, 8 s for the start and the test whether the camera only turns. A
+        second pass is not counted; it takes the time of registering once more and a third of the pairs' time. Several cameras are assumed
+        to stand still, as most do."""
         from ..vision.sfm.looks import look_times
 
         known = Facts.of(facts)

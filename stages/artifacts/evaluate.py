@@ -56,7 +56,7 @@ def read_movies(artifact: Artifact) -> dict[str, bytes]:
 
 
 def write_metrics(out: ArtifactWriter, metrics: Mapping[str, Any], speed: Mapping[str, Any]) -> None:
-    """The part of metrics.json that belongs to evaluation. speed: its timings, which are no content."""
+    """The part of metrics.json that belongs to evaluation. speed: timings, stored apart from the content."""
     out.attrs["metrics"] = metrics
     out.info["metrics"] = speed
 

@@ -71,7 +71,7 @@ class FlowWriter:
         self.out.attrs["movers_share"] = round(share, 6)
 
     def write_counts(self, still: int, measured: int, taken_over: int) -> None:
-        """still: number of pairs between which nothing changes, so that their flow is zero. The others were measured or taken over."""
+        """still: number of pairs between which nothing changes, so that their flow is zero. The others were measured or reused."""
         self.out.attrs["still_pairs"] = still
         self.out.info["pairs"] = {"measured": measured, "taken_over": taken_over}
 

@@ -31,7 +31,7 @@ def turn_masks(root: Path, shots: Sequence[Shot]) -> None:
     """Rotates masks of photos that EXIF data rotate, by setting `Shot.keep_turn`, if they have the size of the photo as stored.
 
     For a square photo, or one rotated by 180 degrees, the size does not tell the orientation of the mask. It is then taken to match the
-    stored photo, as for COLMAP, which ignores EXIF, unless all masks whose size does tell match their photos as shown."""
+    stored photo, as for COLMAP, which ignores EXIF. If other masks have a telling size and all match their photos as shown, so does it."""
     told_by_size: list[bool] = []
     unclear: list[tuple[Shot, int]] = []
     for shot in shots:

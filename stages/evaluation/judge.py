@@ -23,7 +23,7 @@ from ..artifacts.frameset import FrameSet
 
 OTHER = {"white": "black", "black": "white"}
 FPS_RENDERS, FPS_SECONDS = 20, 10.0
-MEDIAN_OF, LEAST_TIMES = 15, 5  # about as many pictures of a fixed camera in its median, and the least with which moving pixels are told
+MEDIAN_OF, LEAST_TIMES = 15, 5  # about 15 pictures of a fixed camera give its median, and at least 5 are needed to find moving pixels
 MOVING_DIFFERENCE = 0.1  # in [0, 1], difference from the median in some channel above which a pixel is moving
 
 
@@ -133,5 +133,5 @@ class Judge:
 
 
 def on_the_cpu(frame: Frame) -> Frame:
-    """The same frame, wherever it was rendered."""
+    """The same frame, with its tensors on the CPU."""
     return replace(frame, **{field.name: getattr(frame, field.name).cpu() for field in fields(frame)})

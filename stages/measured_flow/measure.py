@@ -99,7 +99,7 @@ def measure(
             busy = deque[Future[str]]()
             waiting = deque[tuple[int, Future[Looked], Future[Matched] | None, Future[Matched] | None]]()
             own: Future[Looked] | None = None
-            before: Future[Matched] | None = None  # the pair that ends at the frame before
+            before: Future[Matched] | None = None  # the pair that ends at the previous frame
             for k, i in enumerate(mine):
                 # Every job is submitted after the jobs that it waits for, so it never waits for one behind it in the queue.
                 last, joined = own, k > 0 and mine[k - 1] in number and int(frames.next[mine[k - 1]]) == i
@@ -108,7 +108,7 @@ def measure(
                     after = pool.submit(match, number[mine[k - 1]], gathered, k - 1, last, own) if joined else None
                     waiting.append((mine[k - 1], last, before, after))
                     before = after
-                # A frame is finished some frames after its last pair was submitted, so that no thread idles while it waits for the pair.
+                # A frame is finished only some frames after its last pair was submitted, so that no thread idles waiting for the pair.
                 if len(waiting) > threads:
                     busy.append(pool.submit(finish, *waiting.popleft()))
                 if len(busy) > 2 * threads:  # bounds the pictures in memory

@@ -128,7 +128,7 @@ def steady(depth: np.ndarray, alive: np.ndarray) -> np.ndarray:
     half = STEADY // 2
     padded = np.pad(values, ((half, half), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, STEADY, axis=0)
-    order = np.sort(windows, axis=-1)  # NaN goes last
+    order = np.sort(windows, axis=-1)  # NaN sorts last
     count = np.isfinite(order).sum(-1)
     middle = np.take_along_axis(order, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
     return np.where(count > 0, middle, depth)
