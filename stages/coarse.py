@@ -1,4 +1,4 @@
-"""`coarse`: Gaussians learn the scene's shape and motion."""
+"""`coarse`: trains Gaussians to represent the scene's shape and motion."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class CoarseSettings(TrainingSettings):
 
 
 class Coarse(Stage):
-    """Seeds, static warm-up, deformation; writes a model without convexes."""
+    """Places seeds, trains a static warm-up and then the deformation, and writes a model without convexes."""
 
     name = "coarse"
     inputs = ("frames", "poses", "flow")

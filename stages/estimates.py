@@ -1,38 +1,38 @@
-"""Rough times for the plan, and memory for batches, from what is known before anything runs."""
+"""Rough run times for the plan and memory needs for batches, estimated before anything runs."""
 
 from __future__ import annotations
 
 from ..pipeline import Resources
 from .facts import Facts
 
-# One training step on two cores, fitted to the captures of benchmarks/results; the motion costs the same at any image size.
+# One training step on two cores, fitted to the captures in benchmarks/results. The motion model costs the same at any image size.
 SECONDS_PER_MEGAPIXEL_STEP = 0.35
 SECONDS_PER_STEP = 0.03
 SECONDS_PER_STATIC_STEP = 0.01
 SECONDS_PER_NODE_STEP = 0.014
-SECONDS_PER_MEGAPIXEL_NODE_STEP = 0.1  # of which a window around the object is looked at
+SECONDS_PER_MEGAPIXEL_NODE_STEP = 0.1  # of the full image, although most steps render only a window around the object
 
-# GB of 1e9 bytes; what the captures of benchmarks/results took at their peak, none of which is above by more than a fifth.
+# In GB of 1e9 bytes, fitted to the peak memory of the captures in benchmarks/results. None exceeds the estimate by more than a fifth.
 GB_OF_TORCH = 0.7
-GB_PER_MEGAPIXEL = 0.008  # of all frames, whose pictures are kept
-MOST_GB_OF_PICTURES = 5.0  # `scene.views.CACHE_BYTES`, and what is made of them
-GB_PER_MEGAPIXEL_OF_A_VIEW = 1.0  # of the picture in work, with its gradients
+GB_PER_MEGAPIXEL = 0.008  # summed over all frames, whose pictures are cached
+MOST_GB_OF_PICTURES = 5.0  # `scene.views.CACHE_BYTES`, and what is derived from the pictures
+GB_PER_MEGAPIXEL_OF_A_VIEW = 1.0  # of the view being rendered, with its gradients
 
 
 def training_resources(facts: Facts, device: str) -> Resources:
-    """What a stage takes that renders with gradients, or measures what was rendered."""
+    """Needs of a stage that renders with gradients or measures renders."""
     view = facts.width * facts.height / 1e6
     pictures = min(MOST_GB_OF_PICTURES, GB_PER_MEGAPIXEL * view * facts.frames)
     return Resources(memory_gb=GB_OF_TORCH + pictures + GB_PER_MEGAPIXEL_OF_A_VIEW * view, gpu=device == "cuda")
 
 
 def picture_resources(facts: Facts, gb_per_megapixel: float, gb: float = 0.3, gpu: bool = False) -> Resources:
-    """What a stage takes that works on a few pictures at a time."""
+    """Needs of a stage that works on a few pictures at a time."""
     return Resources(memory_gb=gb + gb_per_megapixel * facts.width * facts.height / 1e6, gpu=gpu)
 
 
 def training_seconds(facts: Facts, iterations: int, static: bool, area: float = 1.0) -> float:
-    """Seconds that ``iterations`` steps take on two cores. area: of the images in use, as a mean share of the full ones."""
+    """Seconds that ``iterations`` steps take on two cores. area: mean area of the training images, as a share of the full images."""
     megapixels = facts.width * facts.height / 1e6
     return iterations * ((SECONDS_PER_STATIC_STEP if static else SECONDS_PER_STEP) + SECONDS_PER_MEGAPIXEL_STEP * megapixels * area)
 

@@ -1,7 +1,7 @@
-"""Stage `evaluate`: metrics of held-out views against the capture's own pictures, frames per second, and pictures for the report.
+"""Stage `evaluate`: metrics of held-out views against the captured pictures, frames per second, and pictures for the report.
 
-Renders are clamped to [0, 1] and compared as floats, not quantised. Ground truth is the frame on the capture's background, 8 bits,
-undistorted. Frames without a pose are counted and left out.
+Renders are clamped to [0, 1] and compared as floats, not quantised. The ground truth is the undistorted 8-bit frame, composited on the
+capture's background. Frames without a pose are counted but not measured.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class EvaluateSettings(Settings):
 
 
 class Evaluate(Stage):
-    """PSNR, SSIM, PSNR near edges, LPIPS of every held-out view, and of some training views beside them.
+    """PSNR, SSIM, PSNR near edges and LPIPS of every held-out view, and of some training views for comparison.
 
-    Measured is the model of `fine`, or of `coarse` where `fine` was skipped.
+    The model of `fine` is measured, or that of `coarse` if `fine` was skipped.
     """
 
     name = "evaluate"
@@ -48,7 +48,7 @@ class Evaluate(Stage):
         return Applies.yes(f"no views in {', '.join(settings.splits)}: training views are measured instead")
 
     def estimate(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> float | None:
-        """Two cores: about 1.2 s a view and megapixel for render and metrics, without LPIPS."""
+        """On two cores: about 1.2 s per view and megapixel for rendering and metrics, without LPIPS."""
         known = Facts.of(facts)
         views = SAMPLE + sum(known.splits.get(split, 0) for split in settings.splits)
         return 3.0 + 1.2 * views * known.width * known.height / 1e6

@@ -1,4 +1,4 @@
-"""What is known of a capture before anything runs, as a typed object."""
+"""Facts about a capture that are known before anything runs, as a typed object."""
 
 from __future__ import annotations
 
@@ -8,43 +8,43 @@ from typing import Any, Self
 
 from ..scene.training.curriculum import MIN_CAMERAS
 
-_ONLY_WHERE_TRUE = ("upright", "untimed")  # absent from the JSON where they are not
+_ONLY_WHERE_TRUE = ("upright", "untimed")  # left out of the JSON if false
 
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """From file names, JSON and image headers alone; no picture is decoded for it. docs/artifacts.md has the table.
+    """Facts from file names, JSON and image headers alone; no picture is decoded. docs/artifacts.md lists them all.
 
-    The pipeline hands facts around as plain JSON, since it knows nothing of captures; stages begin with `Facts.of`.
+    The pipeline knows nothing of captures and passes facts on as plain JSON, so stages convert them with `Facts.of` first.
     """
 
     format: str = ""  # the reader: "dnerf", "n3v", ...
-    why: str = ""  # why it was recognised, for people
+    why: str = ""  # why this format was recognised, for people
     frames: int = 0
-    cameras: int = 1  # distinct ones
-    times: int = 1  # distinct ones
-    width: int = 0  # px, one size for the capture
+    cameras: int = 1  # number of distinct cameras
+    times: int = 1  # number of distinct times
+    width: int = 0  # px, the same for all frames
     height: int = 0
-    poses: bool = False  # the files hold poses
-    points: bool = False  # the files hold points
+    poses: bool = False  # the files contain poses
+    points: bool = False  # the files contain points
     alpha: bool = False  # pictures have an alpha channel
     static: bool = False  # --static, or only one time
     pairs: int = 0  # frames for which the same camera also saw the next time
-    fixed_cameras: bool = False  # several synchronised cameras that do not move, as the files say
-    splits: Mapping[str, int] = field(default_factory=dict)  # frames of "train", "val", "test"
-    images_in_files: bool = True  # no extraction needed
-    upright: bool = False  # images are turned as their EXIF data ask for
+    fixed_cameras: bool = False  # several synchronised cameras that do not move, according to the files
+    splits: Mapping[str, int] = field(default_factory=dict)  # number of "train", "val" and "test" frames
+    images_in_files: bool = True  # pictures are image files; nothing is extracted from videos
+    upright: bool = False  # images are rotated as their EXIF data ask
     untimed: bool = False  # the files give no times: frames are in the order of their names
-    new_items: int | None = None  # in an estimate: how many of the stage's items are made; the others are taken over
+    new_items: int | None = None  # in an estimate: how many of the stage's items are computed; the others are reused
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> Self:
-        """From the mapping that the pipeline hands to stages. Raises TypeError where it has a name that is none of a fact."""
+        """From the mapping that the pipeline passes to stages. Raises TypeError for a name that is not a fact."""
         return cls(**facts)
 
     @classmethod
     def among(cls, attrs: Mapping[str, Any]) -> Self:
-        """From the attributes of a `frames` artifact, which holds other things beside."""
+        """From the attributes of a `frames` artifact, which has other attributes too."""
         known = {one.name for one in fields(cls)}
         return cls(**{name: value for name, value in attrs.items() if name in known})
 
@@ -56,5 +56,5 @@ class Facts:
 
     @property
     def rig(self) -> bool:
-        """Several cameras see each time."""
+        """Whether several cameras see each time."""
         return self.frames >= MIN_CAMERAS * self.times

@@ -1,4 +1,4 @@
-"""`fine`: convexes join the Gaussians where edges are dense, and both are refined."""
+"""`fine`: adds convexes to the Gaussians where edges are dense, and refines both."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Stage `flow`: measured optical flow between neighbouring times of one camera, edge weights, and what fixed cameras see change.
+"""Stage `flow`: optical flow measured between neighbouring times of one camera, edge weights, and masks of moving pixels.
 
-Only training frames are ever looked at: a held-out picture must not steer training. Pictures are streamed camera by camera, so memory
-does not grow with the capture. Arrays and attrs: docs/artifacts.md.
+Only training frames are read, because a held-out picture must not influence training. Pictures are streamed camera by camera, so memory
+use does not grow with the capture. docs/artifacts.md documents the arrays and attributes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .artifacts.frameset import FrameSet
 from .facts import Facts
 from .measured_flow.choose_pairs import choose_pairs
 
-SMALL_WEIGHTS = 10_000_000  # bytes; the small network's file has 4 MB, the basic one's 21 MB
+SMALL_WEIGHTS = 10_000_000  # bytes; the weights file of the small network has 4 MB, that of the basic one 21 MB
 
 
 class FlowSettings(Settings):
@@ -40,7 +40,7 @@ class FlowSettings(Settings):
 
 
 class Flow(Stage):
-    """Flow forward and backward with its consistency, edge weights, and masks of what moves."""
+    """Forward and backward flow with its consistency, edge weights, and masks of moving pixels."""
 
     name = "flow"
     items = "pairs"
@@ -63,9 +63,9 @@ class Flow(Stage):
         return Applies.yes(f"{known.pairs} pairs of neighbouring frames of one camera; {means}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
-        """Two cores, seconds a pair and megapixel, both directions: medium and the small network fitted to the stage on 90 frames of
-        480x270, the others to what their pairs take beside these; putting outlines right takes 0.15 s. The rest takes 0.16 s a frame and
-        megapixel, and masks of movers, which are made small, take the same at any size."""
+        """Seconds per pair and megapixel on two cores, for both directions. DIS medium and the small network are fitted to runs of the
+        stage on 90 frames of 480x270; the others are scaled by the time of their pairs relative to these. Correcting outlines takes
+        0.15 s. The rest takes 0.16 s per frame and megapixel; masks of movers, computed at a small size, take the same at any size."""
         known = Facts.of(facts)
         width, height = known.width, known.height
         small_width, small_height = size_within(width, height, settings.max_size)
@@ -87,8 +87,8 @@ class Flow(Stage):
         )
 
     def item_parts(self, given: Given) -> Sequence[Any]:
-        """The two pictures of each pair, as the lens made them: flow does not depend on poses. The size at which it is measured follows
-        from the whole capture, and `TakenFlow` looks at it."""
+        """The two distorted pictures of each pair, since flow does not depend on poses. The size at which flow is measured depends on the
+        whole capture, so `TakenFlow` checks it."""
         frames = FrameSet(given.inputs["frames"], given.capture.root, given.inputs.get("poses"))  # type: ignore[arg-type]
         wanted = choose_pairs(frames, given.settings.max_pairs)
         return [[frames.picture_parts(i, given.digests) for i in (first, int(frames.next[first]))] for first in wanted]

@@ -1,7 +1,7 @@
-"""Stage `frames`: what every frame is (time, camera, split, pose), and the decoded pictures of videos.
+"""Stage `frames`: metadata of every frame (time, camera, split, pose), and the decoded pictures of videos.
 
-Pictures that already are files are checked by decoding each once and are not copied; videos are decoded frame by frame into the
-artifact, so memory stays bounded. Arrays and attrs: docs/artifacts.md.
+Image files are checked by decoding each one once, and are not copied. Videos are decoded frame by frame into the artifact, so memory
+stays bounded. docs/artifacts.md documents the arrays and attributes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .facts import Facts
 
 
 class FramesSettings(Settings):
-    """How the capture is read; the same names as the arguments of `captures.recognise`."""
+    """How the capture is read. The names match the arguments of `captures.recognise`."""
 
     format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "images", "video", "videos"] | None = Field(
         None, description="reader to use; recognised from the files when not set"
@@ -40,7 +40,7 @@ class FramesSettings(Settings):
 
 
 def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None = None) -> Capture:
-    """`captures.recognise` with these settings; heard: a folder in which what was heard of long videos is kept. Raises `CaptureError`."""
+    """`captures.recognise` with these settings. heard: folder that caches the sound envelopes of long videos. Raises `CaptureError`."""
     return recognise(path, **settings.model_dump(), heard=heard)
 
 
@@ -57,14 +57,14 @@ class Frames(Stage):
         return Applies.yes(f"{known.frames} frames, {action}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FramesSettings) -> float | None:
-        """Decoding once, two cores: about 60 megapixels a second from image files, 15 from video into the store (measured)."""
+        """Decoding once on two cores: about 60 megapixels per second from image files, 15 from video into the store (measured)."""
         known = Facts.of(facts)
         new = (known.cameras if known.new_items is None else known.new_items) / known.cameras
         megapixels = new * known.frames * known.width * known.height / 1e6
         return 0.5 + megapixels / (60 if known.images_in_files else 15)
 
     def item_parts(self, given: Given) -> Sequence[Any]:
-        """The videos, each of which is a camera; [] where pictures stay in their files."""
+        """The videos, each of which is a camera; [] if the pictures are image files."""
         capture = _recognised(given)
         return video_parts(capture, given) if capture.images is None else []
 

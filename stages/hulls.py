@@ -1,4 +1,4 @@
-"""`hulls`: where convexes begin. Fibonacci spheres at edge-dense seeds, sized by their neighbours."""
+"""`hulls`: initial convexes. Fibonacci spheres around seeds where edges are dense, sized by the distance to their neighbours."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class HullSettings(Settings):
 
 
 class Hulls(Stage):
-    """Edge density is attributed to the Gaussians of `coarse` that are blended at edge pixels; the densest become seeds."""
+    """Attributes edge density to the Gaussians of `coarse` that are blended at edge pixels. Those with the most become seeds."""
 
     name = "hulls"
     inputs = ("frames", "poses", "flow", "coarse")

@@ -1,4 +1,4 @@
-"""Stage `poses`: structure from motion for captures that bring no cameras. Arrays and attrs: docs/artifacts.md."""
+"""Stage `poses`: structure from motion for captures without camera poses. docs/artifacts.md documents the arrays and attributes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .artifacts.frameset import FrameSet
     from .posing.several import Several
 
-INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees that the first pair of images must see its points under, from good to desperate
+INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees, least triangulation angle of the initial image pair; tried in order, from good to last resort
 
 
 class PosesSettings(Settings):
@@ -38,7 +38,7 @@ class PosesSettings(Settings):
 
 
 class Poses(Stage):
-    """Intrinsics and a pose for every frame that registers, sparse points, and a report of what did not register and why."""
+    """Intrinsics and a pose for every frame that registers, sparse points, and a report of which frames did not register and why."""
 
     name = "poses"
     inputs = ("frames",)
@@ -57,9 +57,10 @@ class Poses(Stage):
         return Applies.yes(f"structure from motion on {known.frames} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
-        """Measured, one core: features 0.1 s + 1.3 s a megapixel, 0.06 s a pair, 0.9 s to register an image (half where a camera turns),
-        0.2 s to adjust it, 0.15 s to look for what moves, 8 s for the start and a look at how the camera turns. Without a second pass,
-        which takes as long again as registering and a third of the pairs' time. Several cameras: if they stand still, as most do."""
+        """Measured on one core: features 0.1 s + 1.3 s per megapixel, 0.06 s per pair, 0.9 s to register an image (half if the camera
+        only turns), 0.2 s to adjust it, 0.15 s to find moving objects, 8 s for the start and the test whether the camera only turns. A
+        second pass is not counted; it takes the time of registering once more and a third of the pairs' time. Several cameras are assumed
+        to stand still, as most do."""
         from ..vision.sfm.looks import look_times
 
         known = Facts.of(facts)
@@ -126,7 +127,7 @@ class Poses(Stage):
                 if passes.trouble:
                     ctx.log(passes.trouble)
         except WorkerError as error:
-            # not gone on with next time: a database may be what it failed on
+            # The next run must not resume from these databases: one of them may be the cause of the failure.
             for database in folder.glob("*.db"):
                 database.unlink(missing_ok=True)
             raise StageError(str(error)) from error
@@ -140,7 +141,7 @@ class Poses(Stage):
             raise StageError(nothing_registered(len(frames), facts["features"], facts["pairs"], matcher))
         mean_error, median_error = float(residuals.mean()), float(np.median(residuals))
         angle = float(np.median(arrays["angles"]))
-        # where the camera only turns, a note says so
+        # If the camera only turns, a note already says so, and small angles need no further advice.
         judged = 90.0 if facts["turning"] else angle
         if several:
             write_account(ctx.out, fixed_cameras=several.looks.all_still)
@@ -167,7 +168,7 @@ class Poses(Stage):
 
 
 def _several(ctx: Context, frames: FrameSet) -> Several:
-    """What to ask for where several cameras took the capture. Writes the pictures that are looked at."""
+    """The worker's request for a capture with several cameras. Writes the pictures that it uses."""
     from .posing.pictures import picture_folder, write_picture
     from .posing.several import several_cameras
 
@@ -197,7 +198,7 @@ def _write(ctx: Context, frames: FrameSet, arrays: dict[str, np.ndarray], covera
     if not keep.any():
         raise StageError(f"every triangulated point has a reprojection error above {POINT_ERROR} px; try another poses.camera_model")
     K, cam_from_world = arrays["K"], arrays["cam_from_world"]
-    # COLMAP saw the files, which may be larger than the frames; pixel centres lie at +0.5 in both, so K scales without an offset
+    # COLMAP read the files, which may be larger than the frames. Pixel centres lie at +0.5 in both, so K scales without an offset.
     size = np.array([frames.width, frames.height]) / np.maximum(arrays["size"], 1)
     K[:, 0] *= size[:, :1]
     K[:, 1] *= size[:, 1:]

@@ -1,1 +1,1 @@
-"""What stages exchange, as typed readers and writers."""
+"""Typed readers and writers of the artifacts that stages exchange."""

@@ -1,4 +1,4 @@
-"""What the `coarse` artifact holds beside its model: how it was trained, the depth that was seen, and a picture of the seeds."""
+"""The `coarse` artifact apart from its model: how it was trained, depth maps, and a picture of the seeds."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from ...scene.settings import GrowthSettings, Strategy
 
 @dataclass(frozen=True)
 class StoredCoarse:
-    """What the stages after `coarse` go on with, beside the model (`model.py`)."""
+    """What later stages need from `coarse`, apart from the model (`model.py`)."""
 
     strategy: Strategy  # `fine` follows it
     iterations: int  # optimiser steps of the stage
-    depth: Mapping[int, np.ndarray]  # by frame, [h, w] float32, 1/world unit, 0 where unknown; frames of a fixed camera share one array
-    growth: GrowthSettings  # as the stage was told; kept where the strategy is joint, else the defaults are read back
+    depth: Mapping[int, np.ndarray]  # inverse depth by frame, [h, w] float32, 1/world unit, 0: unknown; a fixed camera's frames share one
+    growth: GrowthSettings  # the stage's own; stored only for the joint strategy, otherwise defaults are read back
 
     def write(self, out: ArtifactWriter, seeds_png: bytes) -> None:
-        """seeds_png: a picture of where training began."""
+        """seeds_png: a picture of the seeds."""
         out.write("seeds_png", np.frombuffer(seeds_png, np.uint8), doc="where training began, for the report")
         out.attrs.update(strategy=self.strategy, iterations=self.iterations)
         if self.strategy == "joint":
             out.attrs["growth"] = self.growth.model_dump()
         if self.depth:
-            maps = {id(one): one for one in self.depth.values()}  # each once
+            maps = {id(one): one for one in self.depth.values()}  # store each map once
             number = {key: k for k, key in enumerate(maps)}
             doc = "inverse depth of what stands still, 0 where unknown"
             out.write("depth_maps", np.stack(list(maps.values())), unit="1/world unit", doc=doc)
@@ -45,12 +45,12 @@ class StoredCoarse:
 
 
 def required(coarse: Artifact | None) -> Artifact:
-    """The artifact of `coarse`; raises StageError where that was skipped."""
+    """The artifact of `coarse`. Raises StageError if that stage was skipped."""
     if coarse is None:
         raise StageError("there is no coarse model to build on; run the stage `coarse` first")
     return coarse
 
 
 def read_seeds_png(artifact: Artifact) -> bytes | None:
-    """The picture of where training began, a PNG file; None where there is none."""
+    """The picture of the seeds as a PNG file; None if there is none."""
     return artifact.read("seeds_png").tobytes() if "seeds_png" in artifact else None

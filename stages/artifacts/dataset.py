@@ -1,4 +1,4 @@
-"""From artifacts to what training reads: posed views, measured flow, seeds."""
+"""Converts artifacts to the inputs of training: posed views and measured flow."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from ...scene.views import Views
 from .flow import StoredFlow
 from .frameset import FrameSet
 
-STILL_WEIGHT = 0.1  # of measured flow where nothing moves
+STILL_WEIGHT = 0.1  # factor on the weight of measured flow where nothing moves
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
 
 
 def load_frameset(inputs: Any, root: Path) -> FrameSet:
-    """The capture's frames with poses from the files or from SfM."""
+    """The capture's frames, with poses from the files or from structure from motion."""
     return FrameSet(inputs["frames"], root, inputs.get("poses"))
 
 
 def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", model: Model | None = None) -> Views:
-    """Views over all frames, with their pictures on ``device``, seen as ``model`` was trained (its near plane and background) where one is
-    given. ``train`` holds the registered training frames; raises StageError where there is none."""
+    """Views of all frames, with their pictures on ``device``. If ``model`` is given, its near plane and background are used.
+
+    ``train`` holds the registered training frames. Raises StageError if there are none."""
     if not len(frames.train):
         raise StageError(
             "no training frame has a pose; see the coverage report of `poses`, or use fewer held-out frames (--set frames.holdout=0)"
@@ -54,7 +55,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
 
 
 def kept_pixels(frames: FrameSet) -> Callable[[int], np.ndarray]:
-    """uint8 [H, W] of a frame: 255 where its pixels count, 0 where the capture's masks say that they do not."""
+    """A function that returns a frame's mask, uint8 [H, W]: 255 where pixels count, 0 where the capture's masks exclude them."""
 
     def of_frame(i: int) -> np.ndarray:
         kept = frames.kept(i)
@@ -64,15 +65,15 @@ def kept_pixels(frames: FrameSet) -> Callable[[int], np.ndarray]:
 
 
 def are_photos(frames: FrameSet) -> bool:
-    """One camera went around something that stands still: every picture may have an exposure and a white balance of its own."""
+    """Whether one camera photographed a static scene, so that each picture may have its own exposure and white balance."""
     return len(np.unique(frames.camera)) == 1 and len(np.unique(frames.time)) == 1 and not frames.alpha
 
 
 def measured_flow(flow: Artifact | None, views: Views):
-    """``frame -> (flow [h, w, 2] px, weight [h, w] in [0, 1])`` at half resolution, or None where nothing was measured.
+    """``frame -> (flow [h, w, 2] px, weight [h, w] in [0, 1])`` at half resolution, or None if nothing was measured.
 
-    The weight is the flow's confidence, and a tenth of it where nothing moves: there the cameras alone make the flow, and the little that
-    these pixels can teach, that a primitive before them must not move, would drown what moves.
+    The weight is the flow's confidence, reduced to a tenth where nothing moves. There the flow comes from the cameras alone and teaches
+    little (primitives in front of these pixels must not move), yet these many pixels would outweigh the moving ones.
     """
     if flow is None or not (stored := StoredFlow(flow)).measured:
         return None

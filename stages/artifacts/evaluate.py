@@ -22,9 +22,9 @@ class StoredPictures:
     """
 
     files: dict[str, bytes] = field(default_factory=dict)
-    views: list[dict[str, Any]] = field(default_factory=list)  # of each shown view: stem, split, name, time, psnr, ssim
+    views: list[dict[str, Any]] = field(default_factory=list)  # for each view shown: stem, split, name, time, psnr, ssim
     strip: dict[str, Any] = field(default_factory=lambda: {"camera": "", "times": []})  # one held-out camera over time
-    flow: dict[str, Any] = field(default_factory=dict)  # largest (px), method, pairs; empty where no flow is shown
+    flow: dict[str, Any] = field(default_factory=dict)  # largest (px), method, pairs; empty if no flow is shown
 
     def write(self, out: ArtifactWriter) -> None:
         encoded = list(self.files.values())
@@ -37,7 +37,7 @@ class StoredPictures:
 
     @classmethod
     def read(cls, artifact: Artifact) -> StoredPictures:
-        """What there is; empty without pictures."""
+        """The stored pictures; empty if there are none."""
         attrs, files = artifact.attrs, {}
         if "png" in artifact:
             data, offsets = artifact.read("png").tobytes(), artifact.read("png_offsets")
@@ -51,12 +51,12 @@ def write_movie(out: ArtifactWriter, name: str, data: bytes, doc: str) -> None:
 
 
 def read_movies(artifact: Artifact) -> dict[str, bytes]:
-    """MP4 files by name of `MOVIES`."""
+    """MP4 files by name (see `MOVIES`); missing ones are left out."""
     return {name: artifact.read(f"movie_{name}").tobytes() for name in MOVIES if f"movie_{name}" in artifact}
 
 
 def write_metrics(out: ArtifactWriter, metrics: Mapping[str, Any], speed: Mapping[str, Any]) -> None:
-    """The part of metrics.json that belongs to evaluation. speed: its timings, which are no content."""
+    """The part of metrics.json that belongs to evaluation. speed: timings, stored apart from the content."""
     out.attrs["metrics"] = metrics
     out.info["metrics"] = speed
 

@@ -1,4 +1,4 @@
-"""The `flow` artifact, read a pair or a frame at a time. `flow_writer.py` fills it."""
+"""Reads the `flow` artifact, one pair or frame at a time. `flow_writer.py` writes it."""
 
 from __future__ import annotations
 
@@ -19,58 +19,59 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class StoredFlow:
-    """Flow of P pairs of frames of H x W px, edge weights, and masks of what moves. Any thread may read.
+    """Flow of P pairs of frames of H x W px, edge weights, and masks of moving pixels. Any thread may read.
 
-    Raises ArtifactError where an array is missing or damaged.
+    Raises ArtifactError if an array is missing or damaged.
     """
 
     artifact: Artifact
 
     @cached_property
     def pairs(self) -> list[tuple[int, int]]:
-        """P pairs: a frame, and the same camera's next frame."""
+        """P pairs: a frame and the same camera's next frame."""
         return [(int(a), int(b)) for a, b in self.artifact.read("pair")]
 
     @property
     def static(self) -> bool:
-        """The stage has found that nothing moves, and has measured nothing."""
+        """The stage found that nothing moves, and measured no flow."""
         return bool(self.artifact.attrs.get("static"))
 
     @property
     def static_reason(self) -> str | None:
-        """Why it is `static`, or why not, for people; None where it was not looked at."""
+        """Why the scene is `static` or why it is not, for people; None if this was not checked."""
         return self.artifact.attrs.get("static_reason")
 
     @property
     def method(self) -> str:
-        """What measured the flow: "dis-medium", "raft", ...; "none" where there are no pairs, empty where the scene is `static`."""
+        """The method that measured the flow: "dis-medium", "raft", ...; "none" if there are no pairs, empty if the scene is `static`."""
         return str(self.artifact.attrs.get("method", ""))
 
     @property
     def working_size(self) -> int:
-        """px, longest side of the pictures at which flow was measured; there where `measured`."""
+        """px, longest side of the pictures on which flow was measured. Only available if `measured`."""
         return self.artifact.attrs["working_size"]
 
     @property
     def measured(self) -> bool:
-        """There are arrays of flow, which may hold no pair."""
+        """Whether there are flow arrays. They may have no rows."""
         return "forward" in self.artifact
 
     def forward(self, p: int) -> np.ndarray:
-        """Measured flow of pair ``p``, float16 [H, W, 2] px: u right, v down."""
+        """Measured flow of pair ``p``, float16 [H, W, 2] px: u to the right, v down."""
         return self._row("forward", p)
 
     def backward(self, p: int) -> np.ndarray:
-        """Flow from the second frame of pair ``p`` to its first, float16 [H, W, 2] px, seen from the second."""
+        """Flow from the second frame of pair ``p`` to the first, float16 [H, W, 2] px, on the pixels of the second."""
         return self._row("backward", p)
 
     def between_lens_pictures(self, p: int) -> tuple[np.ndarray, np.ndarray]:
-        """Forward and backward of pair ``p``, float16 [H, W, 2] px, between the pictures as the lens made them."""
+        """Forward and backward flow of pair ``p``, float16 [H, W, 2] px, between the distorted pictures."""
         prefix = "lens_" if "lens_forward" in self.artifact else ""
         return self.artifact.read(f"{prefix}forward", p), self.artifact.read(f"{prefix}backward", p)
 
     def confidence(self, p: int) -> np.ndarray:
-        """uint8 [H, W], 255 where both directions of pair ``p`` agree and the second frame shows the pixel; seen from the first."""
+        """uint8 [H, W], on the pixels of the first frame: 255 where both directions of pair ``p`` agree and the second frame shows the
+        pixel."""
         return self._row("confidence", p)
 
     @property
@@ -78,41 +79,41 @@ class StoredFlow:
         return "edges" in self.artifact
 
     def edges(self, frame: int) -> np.ndarray:
-        """Edge weight of a training frame, uint8 [H, W]; 0 in other frames."""
+        """Edge weights of a training frame, uint8 [H, W]; 0 for other frames."""
         return self._row("edges", frame)
 
     @property
     def has_movers(self) -> bool:
-        """Each training frame has a mask of what moves in it."""
+        """Whether each training frame has a mask of moving pixels."""
         return "movers" in self.artifact
 
     def movers(self, frame: int) -> np.ndarray:
-        """uint8 [H, W], 255 where a training frame shows something that moves in the world; 0 in other frames."""
+        """uint8 [H, W], 255 where a training frame shows something that moves in the world; 0 for other frames."""
         return self._row("movers", frame)
 
     @property
     def size(self) -> tuple[int, int]:
-        """(H, W) of what `has_movers`."""
+        """(H, W) of the masks; requires `has_movers`."""
         height, width = self._array("movers").shape[1:]
         return height, width
 
     @property
     def has_moving(self) -> bool:
-        """Each fixed camera has a mask of what ever changes before it."""
+        """Whether each fixed camera has a mask of all pixels that ever change."""
         return "moving" in self.artifact
 
     @cached_property
     def moving_cameras(self) -> list[int]:
-        """Numbers of the fixed cameras, in the order of their masks."""
+        """Indices of the fixed cameras, in the order of their masks."""
         return [int(camera) for camera in self.artifact.attrs.get("moving_cameras", [])] if self.has_moving else []
 
     def moving_masks(self) -> list[tuple[int, np.ndarray]]:
-        """(number of a fixed camera, uint8 [H, W], 255 = this pixel changes over time), for each of them."""
+        """For each fixed camera its index and mask, uint8 [H, W], 255 = this pixel changes over time."""
         return list(zip(self.moving_cameras, self.artifact.read("moving"), strict=True))
 
     def moving(self, frame: int, camera: int) -> np.ndarray | None:
-        """What moves in a training frame of a camera, uint8 [H, W]; where frames have no masks, what ever changes before a fixed camera,
-        None before others."""
+        """Moving pixels of a training frame of a camera, uint8 [H, W]. If frames have no masks: the pixels of a fixed camera that ever
+        change, or None for a camera that moves."""
         if self.has_movers:
             return self.movers(frame)
         return self._row("moving", self.moving_cameras.index(camera)) if camera in self.moving_cameras else None
@@ -132,13 +133,13 @@ class StoredFlow:
 
 
 def flow_of(inputs: Mapping[str, Artifact | None]) -> StoredFlow | None:
-    """The flow among the inputs of a stage; None where it was skipped."""
+    """The flow among a stage's inputs; None if the stage `flow` was skipped."""
     artifact = inputs["flow"]
     return None if artifact is None else StoredFlow(artifact)
 
 
 def checked(read: Callable[[], Result], what: str) -> Result:
-    """``read()``; a chunk that is damaged raises ArtifactError that says ``what`` and what to do."""
+    """``read()``. A damaged chunk raises ArtifactError, which names ``what`` is damaged and says what to do."""
     try:
         return read()
     except (ValueError, RuntimeError, OSError) as error:

@@ -1,4 +1,4 @@
-"""The `frames` artifact: what every frame is, and the decoded pictures of videos."""
+"""The `frames` artifact: metadata of every frame, and the decoded pictures of videos."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _IMAGES = "images"
 
 @dataclass(frozen=True)
 class DecodedPictures:
-    """Pictures of videos, uint8 [H, W, 3] RGB as the lens made them, by number of the frame. Any thread may read."""
+    """Pictures of videos by frame index, uint8 [H, W, 3] RGB, not undistorted. Any thread may read."""
 
     artifact: Artifact
 
@@ -28,7 +28,7 @@ class DecodedPictures:
         return np.asarray(self._array[i])
 
     def digest(self, i: int) -> str:
-        """Of the stored picture of frame i, which is one chunk; nothing is read."""
+        """Digest of the stored picture of frame i, which is one chunk. The picture itself is not read."""
         return self.artifact.manifest["files"][f"{_IMAGES}/c/{i}/0/0/0"][1]
 
     @cached_property
@@ -38,35 +38,35 @@ class DecodedPictures:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredFrames:
-    """F frames in the order that all stages use, and P points. What the capture does not have is None."""
+    """F frames in the order that all stages use, and P points. Fields that the capture lacks are None."""
 
     facts: Facts
     names: Sequence[str]  # [F], for people
     background: str | None  # "white" | "black": what alpha is composited on
-    camera: np.ndarray  # [F] int32, number of the camera that took the frame
+    camera: np.ndarray  # [F] int32, index of the camera that took the frame
     time: np.ndarray  # [F] float64 in [0, 1] over the capture
-    seconds: np.ndarray  # [F] float64, since the capture's start
+    seconds: np.ndarray  # [F] float64, since the start of the capture
     split: np.ndarray  # [F] uint8: 0 train, 1 val, 2 test
-    next: np.ndarray  # [F] int32, the same camera's training frame at its next time, -1 where none
+    next: np.ndarray  # [F] int32, the same camera's training frame at its next time, -1 if none
     K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the undistorted pictures
-    cam_from_world: np.ndarray | None = None  # [F, 4, 4] float64, OpenCV; there where K is
-    distortion: np.ndarray | None = None  # [F, 4 or 8] float64, OpenCV's terms; there where K is
-    lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the pictures as the lens made them; None where equal to K
-    fisheye: np.ndarray | None = None  # [F] uint8, 1: OpenCV's fisheye model; None where no lens is one
-    crop: np.ndarray | None = None  # [F, 4] int32 px: left, top, width, height of what is shown of each; None where all have one size
+    cam_from_world: np.ndarray | None = None  # [F, 4, 4] float64, OpenCV; present if K is
+    distortion: np.ndarray | None = None  # [F, 4 or 8] float64, OpenCV's terms; present if K is
+    lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the distorted pictures; None if equal to K
+    fisheye: np.ndarray | None = None  # [F] uint8, 1: OpenCV's fisheye model; None if no lens is a fisheye
+    crop: np.ndarray | None = None  # [F, 4] int32 px: left, top, width, height of the part shown of each; None if all have one size
     points: np.ndarray | None = None  # [P, 3] float64, world units
-    point_colors: np.ndarray | None = None  # [P, 3] uint8; there where points are
-    files: Sequence[str] | None = None  # [F], relative to the capture; None where pictures are decoded
-    mask_files: Sequence[str | None] | None = None  # [F]: white is what moves
-    keep_files: Sequence[str | None] | None = None  # [F]: black is what counts for nothing
-    keep_turns: Sequence[int] | None = None  # [F] orientations of EXIF by which keep_files are turned; there where those are
-    K_hint: Sequence[float] | None = None  # the 9 numbers of an intrinsic matrix to begin with, px, by rows
-    images: DecodedPictures | None = None  # read only; `create_images` makes them
+    point_colors: np.ndarray | None = None  # [P, 3] uint8; present if points are
+    files: Sequence[str] | None = None  # [F], relative to the capture; None if pictures are decoded from videos
+    mask_files: Sequence[str | None] | None = None  # [F]: white marks moving pixels
+    keep_files: Sequence[str | None] | None = None  # [F]: black marks pixels to ignore
+    keep_turns: Sequence[int] | None = None  # [F] EXIF orientations by which keep_files are rotated; present if those are
+    K_hint: Sequence[float] | None = None  # 9 numbers of an initial intrinsic matrix, px, row by row
+    images: DecodedPictures | None = None  # for reading only; `create_images` makes them
 
-    registered = None  # all poses that files hold count
+    registered = None  # every pose in the files counts
 
     def write(self, out: ArtifactWriter, notes: Sequence[str]) -> None:
-        """notes: what the reader of the capture says, for people."""
+        """notes: remarks of the capture reader, for people."""
         out.write("camera", self.camera, doc="index of the camera that took the frame")
         out.write("time", self.time, doc="time over the capture, in [0,1]")
         out.write("seconds", self.seconds, unit="s", doc="time since the capture's start")
@@ -124,7 +124,7 @@ class StoredFrames:
 
 
 def create_images(out: ArtifactWriter, frames: int, height: int, width: int) -> zarr.Array:
-    """[F, H, W, 3] uint8, to be filled a frame at a time: `StoredFrames.images`."""
+    """The array behind `StoredFrames.images`, [F, H, W, 3] uint8, to be filled one frame at a time."""
     return out.create(_IMAGES, (frames, height, width, 3), "uint8", (1, height, width, 3), doc="decoded RGB frames")
 
 
@@ -134,7 +134,7 @@ def write_videos(out: ArtifactWriter, spans: Sequence[tuple[int, int]]) -> None:
 
 
 def pictures_of_video(artifact: Artifact, number: int) -> Iterator[np.ndarray]:
-    """The decoded pictures of the video of that ``number``, uint8 [H, W, 3]. Raises ArtifactError where one cannot be read."""
+    """The decoded pictures of video ``number``, uint8 [H, W, 3]. Raises ArtifactError if one cannot be read."""
     start, count = artifact.info["videos"][number]
     for i in range(start, start + count):
         yield artifact.read(_IMAGES, i)

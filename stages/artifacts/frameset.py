@@ -1,4 +1,4 @@
-"""`FrameSet`: the frames of a capture as numpy, poses from the files or from structure from motion. Imports no torch."""
+"""`FrameSet`: the frames of a capture as numpy arrays, with poses from the files or from structure from motion. Imports no torch."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from ...vision.images import lenses, pictures
 from .frames import StoredFrames
 from .poses import StoredPoses
 
-WHOLLY = 254  # of 255: of a mask that was scaled or bent, a pixel that lies inside
-_MAPS_KEPT = 4  # they take 8 bytes a pixel; one camera needs two, there and back
+WHOLLY = 254  # of 255: value from which a pixel of a scaled or undistorted mask lies wholly inside
+_MAPS_KEPT = 4  # cached maps take 8 bytes per pixel; one camera needs two, one for each direction
 
 
 class FrameSet:
-    """Frames of a capture: fields of the `frames` artifact, and pictures that fit the pinhole camera K.
+    """Frames of a capture: fields of the `frames` artifact, and pictures undistorted to the pinhole camera K.
 
     frames: the `frames` artifact. root: the capture's folder, for pictures in files. poses: the `poses` artifact, whose K,
-    cam_from_world, distortion, points replace the capture's.
+    cam_from_world, distortion and points replace the capture's.
 
-    camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 where none); K [F,3,3] float64 px and
+    camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 if none); K [F,3,3] float64 px and
     cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
-    files, upright: the stored pictures, and whether these are turned as their EXIF data ask for; crop [F,4] px or None where all are shown
+    files, upright: the image files, and whether they are rotated as their EXIF data ask; crop [F,4] px, or None if all pictures are shown
     whole.
-    fixed_cameras: several cameras that do not move, as the files or structure from motion say.
+    fixed_cameras: several cameras that do not move, according to the files or structure from motion.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
-    Pictures may be read from several threads at once; nothing is cached here.
+    Pictures may be read from several threads at once; they are not cached here.
     """
 
     def __init__(self, frames: Artifact, root: Path, poses: Artifact | None = None) -> None:
@@ -68,13 +68,13 @@ class FrameSet:
         return len(self.camera)
 
     def image(self, i: int) -> np.ndarray:
-        """Frame i: uint8 [H,W,3], or [H,W,4] with straight alpha for captures with alpha; undistorted to the pinhole K."""
+        """Frame i, undistorted to the pinhole camera K: uint8 [H,W,3], or [H,W,4] with straight alpha for captures with alpha."""
         picture = self.original(i)
         maps = self.undistortion(i)
         return picture if maps is None else pictures.undistort(picture, maps)
 
     def original(self, i: int) -> np.ndarray:
-        """Frame i at the capture's size, still with its lens distortion (what structure from motion matches on)."""
+        """Frame i at the capture's size, still with its lens distortion. Structure from motion matches these pictures."""
         if self._images is not None:
             return self._images[i]
         assert self.files is not None
@@ -89,13 +89,14 @@ class FrameSet:
         return pictures.composite(self.image(i), self.background)
 
     def both(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """Frame i on the capture's background as the lens made it, and as `composited` gives it; the same array without distortion."""
+        """Frame i on the capture's background, distorted and as `composited` returns it; the same array twice if there is no distortion."""
         stored, maps = self.original(i), self.undistortion(i)
         seen = pictures.composite(stored, self.background)
         return seen, seen if maps is None else pictures.composite(pictures.undistort(stored, maps), self.background)
 
     def picture_parts(self, i: int, digests: Mapping[str, str]) -> list[Any]:
-        """All that decides frame i as the lens made it, as JSON, without reading it. digests: of the capture's files by name (BLAKE3)."""
+        """Everything that determines the distorted picture of frame i, as JSON, without reading it. digests: BLAKE3 digest of each of the
+        capture's files by name."""
         if self._images is not None:
             return [self._images.digest(i), self.width, self.height]
         assert self.files is not None
@@ -104,37 +105,38 @@ class FrameSet:
         return [digests[Path(self.files[i]).as_posix()], *shown]
 
     def mask(self, i: int) -> np.ndarray | None:
-        """Foreground of frame i, uint8 [H,W] (255 foreground), undistorted like the image; None where the capture has none."""
+        """Foreground mask of frame i, uint8 [H,W] (255 = foreground), undistorted like the image; None if the capture has none."""
         name = self.mask_files[i] if self.mask_files is not None else None
         return None if name is None else self._fitted(i, pictures.read_mask(self.root, name))
 
     def kept(self, i: int) -> np.ndarray | None:
-        """Pixels of frame i that count, bool [H,W], undistorted like the image; None where the capture says nothing: all do. Pixels that
-        show some of what does not count do not, either."""
+        """Pixels of frame i that count, bool [H,W], undistorted like the image; None if the capture has no mask, so that all count. A pixel
+        that is partly excluded does not count."""
         name = self.keep_files[i] if self.keep_files is not None else None
         return None if name is None else self._fitted(i, pictures.read_keep(self.root, name, self.keep_turns[i])) >= WHOLLY
 
     def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
-        """A stored mask of frame i at the size of its image, cropped and undistorted as that is."""
+        """A mask of frame i, scaled, cropped and undistorted like its image."""
         mask = pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i])
         maps = self.undistortion(i)
         return mask if maps is None else pictures.undistort(mask, maps)
 
     def bent(self, i: int) -> bool:
-        """Whether the lens bends frame i, so that the pinhole picture differs from the lens's; never so without a pose."""
+        """Whether the lens distorts frame i, so that the pinhole picture differs from the original; always False without a pose."""
         return self._lens_K is not None and bool(self.registered[i] and (self._distortion[i].any() or self._fisheye[i]))
 
     def straight_places(self, i: int) -> np.ndarray | None:
-        """Where each pixel of frame i as the lens made it lies in the pinhole picture: float32 [H,W,2] px from 0; None where not `bent`."""
+        """Position in the pinhole picture of each pixel of the distorted frame i: float32 [H,W,2] px, pixel centres at whole numbers; None
+        if the frame is not `bent`."""
         places = self._of_lens(i, b"back", lambda *lens: (lenses.straight_places(*lens),))
         return None if places is None else places[0]
 
     def undistortion(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Maps for `pictures.undistort`: where each pixel of the pinhole picture lies in the lens's; None where not `bent`."""
+        """Maps for `pictures.undistort`: position in the distorted picture of each pixel of the pinhole picture; None if not `bent`."""
         return self._of_lens(i, b"there", lenses.undistort_maps)  # type: ignore[return-value]
 
     def _of_lens(self, i: int, what: bytes, make: Callable[..., tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...] | None:
-        """What ``make`` gives for the lens of frame i, which other frames share; None where not `bent`."""
+        """Result of ``make`` for the lens of frame i, cached since other frames share the lens; None if the frame is not `bent`."""
         if self.K is None or self._lens_K is None or not self.bent(i):
             return None
         lens_K, terms, fisheye = self._lens_K[i], self._distortion[i], bool(self._fisheye[i])

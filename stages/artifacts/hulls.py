@@ -1,4 +1,4 @@
-"""The `hulls` artifact: where convexes begin."""
+"""The `hulls` artifact: initial shapes of the convexes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ...pipeline import Artifact, ArtifactWriter
 class StoredHulls:
     """M hulls of K points each."""
 
-    points: np.ndarray  # [M, K, 3] float32, world units, at rest
+    points: np.ndarray  # [M, K, 3] float32, world units, in the rest pose
     colors: np.ndarray  # [M, 3] float32 in [0, 1]
-    seed: np.ndarray  # [M] int32, row of the Gaussian in `coarse` it came from
+    seed: np.ndarray  # [M] int32, row in `coarse` of the Gaussian that each came from
     edge_density: np.ndarray  # [M] float32, mean edge weight under that Gaussian
     k: int  # K
     reason: str  # how many there are and why, for people

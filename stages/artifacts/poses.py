@@ -1,4 +1,4 @@
-"""The `poses` artifact: cameras and points that structure from motion found, and an account of how."""
+"""The `poses` artifact: cameras and points from structure from motion, and statistics of the reconstruction."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ...pipeline import Artifact, ArtifactWriter
 
 @dataclass(frozen=True, kw_only=True)
 class StoredPoses:
-    """Cameras of F frames, NaN where a frame is not registered, and P points. The median distance of the registered cameras to the median
-    point is 4 world units."""
+    """Cameras of F frames, NaN for frames that are not registered, and P points. The scale is set so that the median distance of the
+    registered cameras to the median point is 4 world units."""
 
     K: np.ndarray  # [F, 3, 3] float64 px, of the undistorted pictures
     cam_from_world: np.ndarray  # [F, 4, 4] float64, OpenCV
@@ -22,11 +22,11 @@ class StoredPoses:
     registered: np.ndarray  # [F] bool
     points: np.ndarray  # [P, 3] float64, world units
     point_colors: np.ndarray  # [P, 3] uint8
-    lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the pictures as the lens made them; None where equal to K
-    fixed_cameras: bool | None = None  # several cameras: whether all stand still; read only, `write_account` has it
-    point_errors: np.ndarray | None = None  # [P] float64 px, mean reprojection error; for people, so not read back
+    lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the distorted pictures; None if equal to K
+    fixed_cameras: bool | None = None  # several cameras: whether all stand still; for reading only, `write_account` writes it
+    point_errors: np.ndarray | None = None  # [P] float64 px, mean reprojection error; for people, so it is not read back
 
-    fisheye = None  # none is fitted
+    fisheye = None  # no fisheye model is fitted
 
     def write(self, out: ArtifactWriter) -> None:
         assert self.point_errors is not None
@@ -56,26 +56,26 @@ class StoredPoses:
 
 
 class Account(TypedDict, total=False):
-    """What structure from motion went through, as the attributes of the artifact."""
+    """Statistics and notes of the reconstruction, stored as attributes of the artifact."""
 
     registered: int  # frames with a pose
     total: int  # frames
-    gaps: Sequence[Sequence[int]]  # runs of frames without a pose: first and last
+    gaps: Sequence[Sequence[int]]  # first and last frame of each run of frames without a pose
     mean_reprojection_error: float  # px, over observations of the points that are kept
     median_reprojection_error: float
-    mean_track_length: float  # images of a point
+    mean_track_length: float  # images per point
     median_angle: float  # degrees between the outermost rays of a point
-    parts: Sequence[Sequence[int]]  # images of each part of the reconstruction, the kept one first
-    notes: Sequence[str]  # what was taken out, undone, joined or assumed
-    advice: Sequence[str]  # what is not good
+    parts: Sequence[Sequence[int]]  # images of each part of the reconstruction, the kept part first
+    notes: Sequence[str]  # what was removed, undone, joined or assumed
+    advice: Sequence[str]  # problems, and what to do about them
     camera_model: str
     mapper: str
     matcher: str
     fixed_cameras: bool  # several cameras: whether all stand still
-    movers_share: float | None  # of the features that made points in the first pass, those on what moves
-    second_pass: str  # which pass was kept and why
+    movers_share: float | None  # share of the features triangulated in the first pass that lie on moving objects
+    second_pass: str  # which pass was kept, and why
 
 
 def write_account(out: ArtifactWriter, **account: Unpack[Account]) -> None:
-    """Some of the account; the rest may be written before or after."""
+    """Writes some of the attributes of `Account`; others may be written before or after."""
     out.attrs.update(account)

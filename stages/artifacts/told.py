@@ -1,4 +1,4 @@
-"""What an artifact of any stage says about itself beside its arrays."""
+"""Attributes, info and log lines of an artifact of any stage."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from ...pipeline import Artifact
 
 
 def told(artifact: Artifact) -> dict[str, Any]:
-    """Attributes and info in one dict, and under `log` the lines that the stage wrote for people."""
+    """Attributes and info in one dict; `log` holds the lines that the stage logged for people."""
     return {**artifact.attrs, **artifact.info, "log": artifact.provenance["log"]}

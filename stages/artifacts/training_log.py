@@ -1,4 +1,4 @@
-"""What training did, beside the model of a `coarse` or `fine` artifact. It holds timings, so it is no content."""
+"""The training log in a `coarse` or `fine` artifact. It contains timings, so it is not part of the content digest."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ def write_training_log(out: ArtifactWriter, log: TrainingLog) -> None:
 
 
 def read_training_log(artifact: Artifact) -> dict[str, Any]:
-    """The fields of `TrainingLog`; empty where nothing was trained."""
+    """The fields of `TrainingLog`; empty if nothing was trained."""
     return artifact.info.get("training", {})

@@ -1,4 +1,5 @@
-"""Captures: recognising what a folder or file holds. `recognise(path) -> Capture`; one reader a file. See DESIGN.md of `stages`."""
+"""Captures: recognises the format of a folder or file. `recognise(path) -> Capture`; each reader has its own file. See the DESIGN.md of
+`stages`."""
 
 from __future__ import annotations
 

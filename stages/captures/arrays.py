@@ -1,4 +1,4 @@
-"""Arrays of `.npy` and `.npz` files that nobody has vouched for: what the header promises is held against the file first."""
+"""Loads arrays from untrusted `.npy` and `.npz` files. The claims of the header are checked against the file first."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 from ...pipeline import CaptureError
 from . import checks
 
-MOST_POINTS = 10_000_000  # rows that a cloud may have
+MOST_POINTS = 10_000_000  # most rows of a point cloud
 
 
 def load_array(root: Path, name: str, columns: tuple[int, ...], member: str | None = None, most: int = MOST_POINTS) -> np.ndarray:
-    """[N, one of `columns`] float64 of `root/name`, or of the array `member` of an .npz file; N may be 0.
+    """The array in `root/name`, or the array `member` of an .npz file, as float64 [N, one of `columns`]; N may be 0.
 
-    Raises CaptureError for what is no such array, is cut short, holds pickled objects, or has more than `most` rows.
+    Raises CaptureError if it is not such an array, is truncated, holds pickled objects, or has more than `most` rows.
     """
     path = checks.resolve_inside(root, name, name)
     where = name if member is None else f"{name}: {member}"
@@ -31,7 +31,7 @@ def load_array(root: Path, name: str, columns: tuple[int, ...], member: str | No
                 table = _read(part, archive.getinfo(f"{member}.npy").file_size, where, columns, most)
     except CaptureError:
         raise
-    except Exception as error:  # of zip files and numpy's headers, whatever is wrong with them
+    except Exception as error:  # broken zip files and numpy headers raise many kinds of errors
         raise CaptureError(f"{where}: not a readable numpy array ({error or type(error).__name__}); copy it again or remove it") from error
     return table.astype(np.float64, copy=False)
 

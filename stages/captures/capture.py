@@ -1,4 +1,4 @@
-"""`Capture`: what the frames of a recording are, known from names, JSON and image headers alone."""
+"""`Capture`: the frames of a recording, known from names, JSON and image headers alone."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .common_size import Crop, common_size, crop, told
 
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")
-DEFAULT_FPS = 30.0  # for numbered images and cameras whose files give no rate
-LEAST_SPAN = 0.5  # of [0, 1]; a few frames cut from a longer video say 0 to 0.06
+DEFAULT_FPS = 30.0  # for numbered images, and for cameras whose files give no frame rate
+LEAST_SPAN = 0.5  # of [0, 1]; times of a few frames cut from a longer video may span only 0 to 0.06
 
 
 @dataclass(frozen=True)
 class Options:
-    """How a capture is to be read; the same fields as the settings of the `frames` stage, and `heard`, a folder in which what was heard of
-    long videos is kept."""
+    """How a capture is to be read. The fields are the settings of the `frames` stage, and `heard`, a folder that caches the sound
+    envelopes of long videos."""
 
     format: str | None = None
     static: bool = False
@@ -40,8 +40,8 @@ class Options:
 
 @dataclass
 class Shot:
-    """One frame as a reader found it. `camera` is any sortable id; `time` is in the file's own unit; `size` is width and height, px, of its
-    picture, for which K holds."""
+    """One frame as a reader found it. `camera` is any sortable id; `time` is in the file's own unit; `size` is the width and height in px
+    of the picture to which K applies."""
 
     name: str
     camera: Any
@@ -49,11 +49,11 @@ class Shot:
     size: tuple[int, int]
     split: int = TRAIN
     file: str | None = None
-    mask: str | None = None  # white: what moves
-    keep: str | None = None  # black: what counts for nothing
-    keep_turn: int = 1  # EXIF orientation by which `keep` is turned as its photo is
+    mask: str | None = None  # file; white marks moving pixels
+    keep: str | None = None  # file; black marks pixels to ignore
+    keep_turn: int = 1  # EXIF orientation by which `keep` is rotated, like its photo
     seconds: float | None = None
-    linked: bool = True  # may be paired with the same camera's next frame
+    linked: bool = True  # whether it may form a pair with the same camera's next frame
     K: np.ndarray | None = None
     cam_from_world: np.ndarray | None = None
     distortion: np.ndarray | None = None
@@ -62,7 +62,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class Video:
-    """A video file of the capture and which of its frames are taken; they are consecutive in the capture from `start` on."""
+    """A video file of the capture, and which of its frames are taken. In the capture these are consecutive, starting at `start`."""
 
     file: str
     start: int
@@ -72,7 +72,7 @@ class Video:
 
 @dataclass
 class Reading:
-    """What a reader hands to `assemble`."""
+    """The result of a reader, from which `assemble` makes a `Capture`."""
 
     why: str
     shots: list[Shot]
@@ -81,12 +81,12 @@ class Reading:
     fps: float | None = None
     fixed_cameras: bool = False
     videos: tuple[Video, ...] = ()
-    sources: tuple[str, ...] = ()  # files beside images and videos that the result depends on
+    sources: tuple[str, ...] = ()  # further files, besides images and videos, that the result depends on
     points: np.ndarray | None = None
     point_colors: np.ndarray | None = None
     K_hint: np.ndarray | None = None
     notes: tuple[str, ...] = ()
-    upright: bool = False  # pictures are turned as their EXIF data ask for
+    upright: bool = False  # pictures are rotated as their EXIF data ask
     untimed: bool = False  # the files give no times: frames are in the order of their names
 
 
@@ -94,11 +94,11 @@ class Reading:
 class Capture:
     """A recognised capture. F frames in a fixed order that every stage uses.
 
-    `files` are the paths, relative to `root`, whose content decides the result (the digest of the capture); `facts` is the
-    mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`); K is that of the
-    pictures as the lens made them (`captures/lens.py` has the meaning of distortion and fisheye). crop [F,4]: left, top, width and
-    height, px, of the part of each stored picture that is scaled to the output size; None where all are taken whole. keep_turns: the
-    EXIF orientation by which each mask of `keeps` is turned; 1 where it lies as its picture is shown.
+    `files` are the paths, relative to `root`, whose content determines the result (the digest of the capture); `facts` is the
+    mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`); K applies to the
+    distorted pictures (`captures/lens.py` explains distortion and fisheye). crop [F,4]: left, top, width and
+    height, px, of the part of each stored picture that is scaled to the output size; None if all are used whole. keep_turns: the
+    EXIF orientation by which each mask of `keeps` is rotated; 1 if it already has the orientation of its picture as shown.
     """
 
     root: Path
@@ -130,7 +130,8 @@ class Capture:
 
 
 def assemble(root: Path, name: str, kind: str, reading: Reading, options: Options) -> Capture:
-    """Reader's frames -> `Capture`: times in [0,1], splits, pairs, facts; refuses captures that nothing can be trained on."""
+    """Converts a reader's frames to a `Capture`: times in [0,1], splits, pairs, facts. Raises CaptureError for captures that cannot be used
+    for training."""
     shots = reading.shots
     _refuse_duplicates(shots)
     split = np.array([s.split for s in shots], dtype=np.uint8)
@@ -225,7 +226,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
 
 
 def _distortions(shots: Sequence[Shot]) -> np.ndarray:
-    """[F,4], or [F,8] where any lens has so many terms."""
+    """[F,4], or [F,8] if any lens has that many terms."""
     terms = [np.zeros(4) if s.distortion is None else s.distortion for s in shots]
     result = np.zeros((len(shots), max(map(len, terms))))
     for row, own in zip(result, terms, strict=True):
@@ -234,7 +235,7 @@ def _distortions(shots: Sequence[Shot]) -> np.ndarray:
 
 
 def _unit_times(raw: np.ndarray) -> np.ndarray:
-    """Times in [0,1] that span at least `LEAST_SPAN` are kept as they are (D-NeRF's convention); others are stretched over the capture."""
+    """Times in [0,1] that span at least `LEAST_SPAN` are kept as they are (the convention of D-NeRF); others are rescaled to [0,1]."""
     span = raw.max() - raw.min()
     if raw.min() >= 0 and raw.max() <= 1 and span >= LEAST_SPAN:
         return raw
@@ -249,16 +250,17 @@ def _output_size(width: int, height: int, max_size: int | None) -> tuple[int, in
 
 
 def _scaled(part: Crop, width: int, height: int) -> np.ndarray:
-    """[3,3]: pixels of a picture to those of its `part` scaled to width x height. Pixel centres lie at +0.5, so scaling has no offset."""
+    """[3,3], maps pixels of a picture to those of its `part` scaled to width x height. Pixel centres lie at +0.5, so scaling needs no
+    offset."""
     left, top, across, down = part
     return np.diag([width / across, height / down, 1.0]) @ np.array([[1.0, 0, -left], [0, 1.0, -top], [0, 0, 1.0]])
 
 
 def _next_frames(shots: Sequence[Shot], camera: np.ndarray, time: np.ndarray, split: np.ndarray) -> np.ndarray:
-    """Index of the same camera's train frame at its next time, -1 where none.
+    """Index of the same camera's train frame at its next time, -1 if none.
 
-    Held-out frames have no next and are stepped over, so that measured flow never looks at a picture that is evaluated. Pictures of two
-    sizes are no pair: scaled to one, they would seem to move.
+    Held-out frames have no next frame and are skipped, so that flow is never measured on a picture that is used for evaluation. Pictures
+    of different sizes form no pair: scaled to a common size, they would seem to move.
     """
     result = np.full(len(shots), -1, np.int32)
     for key in np.unique(camera):
@@ -271,7 +273,7 @@ def _next_frames(shots: Sequence[Shot], camera: np.ndarray, time: np.ndarray, sp
 
 
 def _refuse_duplicates(shots: Sequence[Shot]) -> None:
-    """The same picture twice in one split, or in training and in a held-out split, makes scores meaningless."""
+    """Refuses a picture that appears twice in one split, or in training and in a held-out split: scores would be meaningless."""
     seen: dict[str, Shot] = {}
     for shot in shots:
         if shot.file is None:

@@ -1,4 +1,4 @@
-"""What every reader asks of a capture's files before it believes them: paths stay inside, numbers are finite, poses are rigid.
+"""Checks that every reader applies to a capture's files before it trusts them: paths stay inside, numbers are finite, poses are rigid.
 
 Each function raises `CaptureError` with a message that names the file, the frame and the field, and says what to do.
 """
@@ -23,28 +23,28 @@ from ...vision.images.files import BadImageError, open_image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".mpg", ".mpeg", ".ts", ".gif")
-_JSON_LIMIT = 64 * 2**20  # 1 kB a frame is usual; millions of empty lists take seconds and gigabytes
-_MOST_BYTES = 64 * 2**30  # COLMAP's file of ten thousand photos with all of their features has half of it
+_JSON_LIMIT = 64 * 2**20  # 1 kB per frame is usual; millions of empty lists take seconds and gigabytes to parse
+_MOST_BYTES = 64 * 2**30  # COLMAP's images file for ten thousand photos with all their features has half of this
 _FARTHEST = 1e12  # world units from the origin
 _RIGID_TOLERANCE = 1e-3
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sort key under which `2.png` stands before `10.png`."""
+    """Sort key by which `2.png` comes before `10.png`."""
     parts = re.findall(r"\d+|\D+", name)
     return tuple((0, int(p), "") if p.isdecimal() and p.isascii() and len(p) < 4000 else (1, 0, p) for p in parts)
 
 
 def refuse_odd_names(names: Iterable[str]) -> None:
-    """Refuses names that are no plain text: line breaks, control characters, bytes that are not UTF-8. They could neither be shown on one
-    line nor be written into a result."""
+    """Refuses names that are not plain text: with line breaks, control characters, or bytes that are not UTF-8. They could neither be shown
+    on one line nor be written into a result."""
     for name in names:
         if any(map(is_odd, name)):
             raise CaptureError(f"{name!r}: a name with control characters or bytes that are not UTF-8; rename the file")
 
 
 def refuse_huge_files(root: Path, names: Iterable[str]) -> None:
-    """Refuses what no camera, model or cloud file is: every command reads all of a capture, to know whether it has changed."""
+    """Refuses files larger than any camera, model or point cloud file. Every command reads the whole capture to see whether it changed."""
     for name in names:
         try:
             size = (root / name).stat().st_size
@@ -64,8 +64,7 @@ def list_folder(folder: Path) -> list[str]:
 
 
 def read_json(root: Path, name: str) -> dict[str, Any]:
-    """The JSON object in `root/name`; refuses other top-level types, broken text, names that stand twice in an object, and files over
-    64 MiB."""
+    """The JSON object in `root/name`. Refuses other top-level types, broken text, duplicate names in an object, and files over 64 MiB."""
     path = root / name
     resolve_inside(root, name, name)
     try:
@@ -84,7 +83,7 @@ def read_json(root: Path, name: str) -> dict[str, Any]:
 
 
 def _parsed(text: str) -> Any:
-    """The JSON in `text`. Raises ValueError, also for a name that stands twice in an object: the last would win without a word."""
+    """The JSON in `text`. Raises ValueError, also for a duplicate name in an object, of which the last would silently win."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
@@ -94,7 +93,7 @@ def _parsed(text: str) -> Any:
         return found
 
     collecting = gc.isenabled()
-    gc.disable()  # else it looks through all that was parsed again and again: 20 times as long for millions of small lists
+    gc.disable()  # else it scans everything parsed so far again and again, which takes 20 times as long for millions of small lists
     try:
         return json.loads(text, object_pairs_hook=unique)
     finally:
@@ -137,7 +136,7 @@ def items(value: Any, where: str) -> list[Any]:
 
 
 def matrix(value: Any, where: str, shapes: Sequence[tuple[int, int]]) -> np.ndarray:
-    """`value` (nested lists) as float64 of one of `shapes`, every entry finite."""
+    """`value` (nested lists) as a float64 array with one of `shapes`, every entry finite."""
     expected = " or ".join(f"{r}x{c}" for r, c in shapes)
     if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
         raise CaptureError(f"{where}: expected a {expected} matrix, found {_kind(value)}; correct the file")
@@ -148,7 +147,7 @@ def matrix(value: Any, where: str, shapes: Sequence[tuple[int, int]]) -> np.ndar
 
 
 def rigid(pose: np.ndarray, where: str) -> np.ndarray:
-    """[3,4] or [4,4] rigid transform -> [4,4] float64 with an exactly orthonormal rotation. Refuses scale, shear and mirrors."""
+    """A rigid transform [3,4] or [4,4] as [4,4] float64 with an exactly orthonormal rotation. Refuses scale, shear and mirroring."""
     result = np.eye(4)
     result[:3, :4] = pose[:3, :4]
     if not np.isfinite(result).all():
@@ -162,7 +161,7 @@ def rigid(pose: np.ndarray, where: str) -> np.ndarray:
     if error > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         reason = "mirrors" if error <= _RIGID_TOLERANCE else f"is {error:.2g} away from a rotation"
         raise CaptureError(f"{where}: the 3x3 part {reason}, so the pose is not rigid; remove scale, shear and mirroring from the export")
-    # Files carry six or seven digits; the nearest rotation restores the rest, so that inverse and transpose agree downstream.
+    # Files store six or seven digits. The nearest rotation restores full precision, so that inverse and transpose agree later on.
     u, _, vt = np.linalg.svd(rotation)
     result[:3, :3] = u @ vt
     return result
@@ -178,7 +177,7 @@ def inverse(rigid_transform: np.ndarray) -> np.ndarray:
 
 
 def intrinsics(fx: float, fy: float, cx: float, cy: float, where: str, skew: float = 0.0) -> np.ndarray:
-    """[3,3] float64 K in pixels, pixel centres at +0.5. Refuses singular matrices and skew."""
+    """K, [3,3] float64 px, pixel centres at +0.5. Refuses singular matrices and skew."""
     values = np.array([fx, fy, cx, cy, skew])
     if not np.isfinite(values).all():
         raise CaptureError(f"{where}: intrinsics hold NaN or Inf; correct the file")
@@ -190,8 +189,8 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float, where: str, skew: flo
 
 
 def resolve_inside(root: Path, name: str, where: str) -> Path:
-    """`root/name` with links resolved; refuses absolute paths and `..` that leaves the capture. Links are followed wherever they lead: a
-    capture is only read, and people link what is too big to copy."""
+    """`root/name` with links resolved. Refuses absolute paths, and `..` that leaves the capture. Links may lead anywhere, since a capture
+    is only read and people link to files that are too big to copy."""
     normal = posixpath.normpath(name)
     absolute = name.startswith(("/", "~")) or re.match(r"^[A-Za-z]:", name)
     if absolute or normal == ".." or normal.startswith("../") or "\0" in name:
@@ -203,7 +202,7 @@ def resolve_inside(root: Path, name: str, where: str) -> Path:
 
 
 def find_image(root: Path, name: str, where: str) -> str:
-    """Path relative to `root` of the image that `name` means; the extension may be missing, `\\` counts as `/`."""
+    """Path relative to `root` of the image called `name`. Its extension may be missing, and `\\` counts as `/`."""
     found = seek_image(root, name, where)
     if found is None:
         raise CaptureError(f"{where}: no image {name[:200]!r} in {root}; add the file or remove the frame")
@@ -211,7 +210,7 @@ def find_image(root: Path, name: str, where: str) -> str:
 
 
 def seek_image(root: Path, name: str, where: str) -> str | None:
-    """As `find_image`, None where there is no such image. Raises CaptureError where the path leaves the capture."""
+    """Like `find_image`, but returns None if there is no such image. Raises CaptureError if the path leaves the capture."""
     name = name.replace("\\", "/")
     resolve_inside(root, name, where)
     normal = posixpath.normpath(name)
@@ -226,12 +225,12 @@ def seek_image(root: Path, name: str, where: str) -> str | None:
     return None
 
 
-ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # the EXIF field, and its values for a quarter turn
-PIXELS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I;16", "I;16B", "I;16L")  # of Pillow, that `read_picture` takes
+ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # the EXIF field, and its values that include a quarter turn
+PIXELS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I;16", "I;16B", "I;16L")  # Pillow modes that `read_picture` takes
 
 
 def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int, bool]:
-    """(width, height, has alpha) from the header of one image; nothing is decoded. upright: after the turn that its EXIF data ask for."""
+    """(width, height, has alpha) from the header of one image; nothing is decoded. upright: after the rotation that EXIF data ask for."""
     try:
         with open_image(root / name) as image:
             width, height = image.size
@@ -247,22 +246,22 @@ def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int
 
 
 def orientation(root: Path, name: str) -> int:
-    """How the EXIF data of an image ask for it to be turned: 2 to 8, or 1 for not at all."""
+    """EXIF orientation of an image, 2 to 8; 1 if it is not to be rotated or mirrored."""
     try:
         with open_image(root / name) as image:
             found = image.getexif().get(ORIENTATION, 1)
     except BadImageError:
-        return 1  # `image_header` says what is wrong with it
+        return 1  # `image_header` reports what is wrong with it
     return found if found in range(2, 9) else 1
 
 
 def turned(root: Path, names: Iterable[str]) -> bool:
-    """Whether the EXIF data of any image ask for a turn, as those of a phone that was held upright do."""
+    """Whether the EXIF data of any image ask for a rotation, as those from a phone held upright do."""
     return any(orientation(root, name) != 1 for name in names)
 
 
 def image_headers(root: Path, names: Iterable[str], upright: bool = False) -> tuple[list[tuple[int, int]], bool]:
-    """((width, height) of each of `names`, whether any has alpha). upright: see `image_header`."""
+    """((width, height) of each of `names`, whether any has alpha). upright: as for `image_header`."""
     headers = [image_header(root, name, upright) for name in names]
     if not headers:
         raise CaptureError(f"{root}: holds no image")

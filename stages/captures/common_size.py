@@ -1,4 +1,4 @@
-"""One size for pictures of several: the commonest. The others are scaled until they cover it, and what hangs over is cropped."""
+"""A common size for pictures of different sizes: the most frequent one. The others are scaled to cover it, and the excess is cropped."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ Crop = tuple[int, int, int, int]
 
 
 def common_size(sizes: Sequence[Size]) -> Size:
-    """Width and height that most pictures have; of equally common ones the smallest, so that less is enlarged."""
+    """The most frequent width and height; among equally frequent ones the smallest, so that less is enlarged."""
     counts = Counter(sizes)
     return min(counts, key=lambda size: (-counts[size], size[0] * size[1], size))
 
 
 def crop(size: Size, common: Size) -> Crop:
-    """Left, top, width, height, px, of the largest part in the middle of a picture of `size` that has the shape of `common`, to a pixel."""
+    """Left, top, width, height, px, of the largest centred part of a picture of `size` with the aspect ratio of `common`, to a pixel."""
     (width, height), (w, h) = size, common
     scale = min(width / w, height / h)
     across, down = min(width, max(1, round(w * scale))), min(height, max(1, round(h * scale)))
@@ -24,7 +24,7 @@ def crop(size: Size, common: Size) -> Crop:
 
 
 def told(sizes: Sequence[Size], names: Sequence[str], common: Size) -> str | None:
-    """What happens to the pictures that differ, for people; None where all have the common size."""
+    """A sentence about what happens to pictures of other sizes; None if all have the common size."""
     others = [i for i, size in enumerate(sizes) if size != common]
     if not others:
         return None

@@ -1,4 +1,5 @@
-"""What was heard of videos before: every command about a capture asks for its clocks, and twenty minutes of sound take seconds."""
+"""Caches the sound envelopes of long videos. Every command on a capture needs its clocks, and analysing twenty minutes of sound takes
+seconds."""
 
 from __future__ import annotations
 
@@ -16,15 +17,15 @@ from ...pipeline import thread_count
 from ...pipeline.files import digest_bytes, digest_file
 from . import sound
 
-KEPT_FROM = 60.0  # s of sound; less is heard again in a tenth of a second
-_TOGETHER = 2  # videos at most; one of twenty minutes takes 0.3 GB
-_VERSION = 1  # of what `sound.onsets` yields
-_DIGEST = 64  # characters of BLAKE3 before the values
+KEPT_FROM = 60.0  # s of sound from which the result is cached; shorter sound is analysed again in a tenth of a second
+_TOGETHER = 2  # most videos at a time; one of twenty minutes takes 0.3 GB
+_VERSION = 1  # of the result of `sound.onsets`
+_DIGEST = 64  # characters of the BLAKE3 digest in front of the values
 
 
 def onsets_of(root: Path, names: Sequence[str], folder: Path | None) -> Iterator[tuple[np.ndarray, float] | None]:
-    """`sound.onsets` of every name, in order. folder: where the long ones are kept, each under the digest of the video's content; one that
-    cannot be written is done without, and one that is not as it was written is heard again."""
+    """`sound.onsets` of every name, in order. folder: cache for long ones, each stored under the digest of the video's content. Failing to
+    write the cache is not an error, and a damaged entry is ignored and computed again."""
     with ThreadPoolExecutor(thread_count(_TOGETHER)) as pool:
         yield from pool.map(lambda name: _onsets(root, name, folder), names)
 
@@ -41,12 +42,12 @@ def _onsets(root: Path, name: str, folder: Path | None) -> tuple[np.ndarray, flo
 
 
 def _key(path: Path) -> str:
-    """Reading all of a video is quick beside hearing it, and a time of change may lie."""
+    """Cache key from the whole content: reading a video is fast compared with analysing its sound, and modification times may be wrong."""
     return digest_bytes(f"{_VERSION} {digest_file(path)}".encode())[:32]
 
 
 def _read(place: Path) -> tuple[np.ndarray, float] | None:
-    """None where there is nothing, or not what was written there. Its time of change says when it was last used, for `gc`."""
+    """A cache entry; None if it is missing or damaged. Its modification time is set to the time of last use, for `gc`."""
     try:
         content = place.read_bytes()
         if content[:_DIGEST] != _digest(place, content[_DIGEST:]):
@@ -74,5 +75,5 @@ def _write(place: Path, found: tuple[np.ndarray, float]) -> None:
 
 
 def _digest(place: Path, values: bytes) -> bytes:
-    """Of the key and the values, so that a file under another's name does not count either."""
+    """Digest of the key and the values, so that a file renamed to another key is rejected too."""
     return digest_bytes(place.stem.encode() + values).encode()

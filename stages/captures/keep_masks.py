@@ -1,5 +1,5 @@
-"""Masks of what counts, `masks/` beside `images/` or beside the photos of a flat folder: what is black is left out of features, training
-and metrics. Names are COLMAP's."""
+"""Masks of pixels that count, in `masks/` next to `images/` or inside a flat folder of photos. Black pixels are left out of features,
+training and metrics. Masks are named as in COLMAP."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _FOLDER = "masks"
 
 
 def add_masks(root: Path, shots: Sequence[Shot], beside: str = "images/") -> tuple[str, ...]:
-    """Gives each shot of `images/NAME` the mask in `masks/`: NAME.png, as COLMAP calls it (`a.jpg.png`), or NAME with the suffix of any
-    image. beside: what stands before NAME, empty for photos in `root` itself. A note for people, where there is such a folder."""
+    """Assigns to each shot with file `images/NAME` its mask in `masks/`: NAME.png, as in COLMAP (`a.jpg.png`), or NAME with any image
+    suffix. beside: the prefix of NAME, empty for photos in `root` itself. Returns a note for people if the folder exists."""
     if not (root / _FOLDER).is_dir():
         return ()
     for shot in shots:
@@ -28,10 +28,10 @@ def add_masks(root: Path, shots: Sequence[Shot], beside: str = "images/") -> tup
 
 
 def turn_masks(root: Path, shots: Sequence[Shot]) -> None:
-    """Masks of photos that EXIF data turn are turned along, `Shot.keep_turn`, where they have the photo's size as stored.
+    """Rotates masks of photos that EXIF data rotate, by setting `Shot.keep_turn`, if they have the size of the photo as stored.
 
-    Of a square photo, or one turned by 180 degrees, no size says how its mask lies: then it is as COLMAP's are, which knows no EXIF,
-    unless every mask that tells lies as its photo is shown."""
+    For a square photo, or one rotated by 180 degrees, the size does not tell the orientation of the mask. It is then taken to match the
+    stored photo, as for COLMAP, which ignores EXIF. If other masks have a telling size and all match their photos as shown, so does it."""
     told_by_size: list[bool] = []
     unclear: list[tuple[Shot, int]] = []
     for shot in shots:
@@ -54,7 +54,7 @@ def told(shots: Sequence[Shot], where: str) -> str | None:
 
 
 def unread(folder: Path, layout: str) -> tuple[str, ...]:
-    """A note where `folder` has masks that nothing looks at."""
+    """A note for people if `folder` has masks that this layout does not use."""
     if not (folder / _FOLDER).is_dir():
         return ()
     known = (

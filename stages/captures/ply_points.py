@@ -1,4 +1,5 @@
-"""Points and colours of a PLY file, ascii or binary, as COLMAP, nerfstudio and scanners write it. Faces and other elements are not read."""
+"""Reads points and colours from a PLY file, ASCII or binary, as written by COLMAP, nerfstudio and scanners. Faces and other elements are
+ignored."""
 
 from __future__ import annotations
 
@@ -31,14 +32,15 @@ _TYPES = {
 }
 _ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_LIMIT = 64 * 2**10
-_BLOCK = 2**24  # bytes of an ascii file that are split into words at a time
-_GREY = 128  # of points without a colour
+_BLOCK = 2**24  # bytes of an ASCII file that are split into words at a time
+_GREY = 128  # colour of points without one
 
 
 def read_points(root: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """points [P,3] float64 in the file's own world and colours [P,3] uint8 of `root/name`; P may be 0. Colours of type float are in [0,1].
+    """Points [P,3] float64 in the file's own world, and colours [P,3] uint8, of `root/name`; P may be 0. Float colours in the file are
+    taken to be in [0,1].
 
-    Raises CaptureError for broken or cut files, for vertices without x, y, z, and for values that are not finite.
+    Raises CaptureError for broken or truncated files, for vertices without x, y, z, and for values that are not finite.
     """
     path = checks.resolve_inside(root, name, name)
     try:
@@ -71,7 +73,7 @@ def _colours(table: dict[str, np.ndarray], types: dict[str, str], count: int, na
 
 
 def _header(data: bytes, name: str) -> tuple[str, int, list[tuple[str, str]], int]:
-    """(format, vertices, [(field, type)], where the body begins)."""
+    """(format, number of vertices, [(field, type)], offset of the body)."""
     end = data.find(b"end_header", 0, _HEADER_LIMIT)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
@@ -98,7 +100,7 @@ def _header(data: bytes, name: str) -> tuple[str, int, list[tuple[str, str]], in
 
 
 def _binary(file: IO[bytes], rest: int, count: int, fields: list[tuple[str, str]], order: str) -> dict[str, np.ndarray]:
-    """What follows in `file`, of which `rest` bytes are left."""
+    """Reads `count` vertices from `file`, which has `rest` bytes left."""
     kind = np.dtype([(field, order + code) for field, code in fields])
     if count * kind.itemsize > rest:
         raise ValueError(f"{rest} bytes")
@@ -108,7 +110,7 @@ def _binary(file: IO[bytes], rest: int, count: int, fields: list[tuple[str, str]
 
 def _ascii(file: IO[bytes], rest: int, count: int, fields: list[tuple[str, str]]) -> dict[str, np.ndarray]:
     wanted = count * len(fields)
-    if 2 * wanted - 1 > rest:  # a digit and a space each
+    if 2 * wanted - 1 > rest:  # each number takes at least a digit and a space
         raise ValueError(f"{rest} bytes")
     parts, got, tail = [np.zeros(0)], 0, b""
     while got < wanted:

@@ -1,4 +1,4 @@
-"""`recognise(path)`: which format a capture has, from its files alone, and why."""
+"""`recognise(path)`: determines the format of a capture from its files, and why."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .capture import Capture, Options, assemble
 from .formats import colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
 from .keep_masks import unread
 
-# Formats with poses first: a bare folder of images or a lone video is what remains when no file says more.
+# Formats with poses are tried first. A plain folder of images or a lone video is the fallback if no other file says more.
 _POSED: dict[str, ModuleType] = {
     "dnerf": dnerf,
     "n3v": n3v,
@@ -22,7 +22,7 @@ _POSED: dict[str, ModuleType] = {
 }
 _BARE: dict[str, ModuleType] = {"images": images, "video": video, "videos": videos}
 FORMATS = (*_POSED, *_BARE)
-_MASKED = ("nerfstudio", "colmap", "images")  # whose readers look for masks/
+_MASKED = ("nerfstudio", "colmap", "images")  # formats whose readers look for masks/
 _STEPPED = ("n3v", "images", "video", "videos")
 
 
@@ -40,14 +40,14 @@ def recognise(
     sync: str = "auto",
     heard: Path | None = None,
 ) -> Capture:
-    """Read a capture's names, JSON and image headers; decode no pixels (of a video, the first frame alone).
+    """Reads a capture's names, JSON and image headers. Decodes no pixels, except for the first frame of a video.
 
-    `format` forces a reader; `static` collapses all times to 0; every `holdout`-th frame is test where files carry no split
-    (0 none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px bounds the longer
-    side of what later stages see; `max_frames`, `every` thin video, images and synchronised videos; `fps` gives numbered images
-    their seconds; `sync` ("auto" | "sound" | "frames") says what aligns the clocks of several videos, and `heard`
-    is a folder in which what was heard of long ones is kept. Raises `CaptureError` when the
-    capture is unreadable, inconsistent, or fits two formats.
+    `format` forces a reader; `static` sets all times to 0; every `holdout`-th frame is test if the files carry no split
+    (0: none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px limits the longer
+    side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; `fps` gives
+    numbered images their times in seconds; `sync` ("auto" | "sound" | "frames") chooses how the clocks of several videos are aligned,
+    and `heard` is a folder that caches the sound envelopes of long ones. Raises `CaptureError` if the capture is unreadable or
+    inconsistent, or fits two formats.
     """
     options = Options(format, static, holdout, background, max_size, max_frames, every, fps, sync, heard)
     root = _existing(Path(path))
@@ -64,7 +64,7 @@ def recognise(
 
 
 def _name(root: Path) -> str:
-    """Name of the scene: the folder's or the file's; `room/images` is called `room-images`, since every capture has an `images`."""
+    """Name of the scene: that of the folder or file. `room/images` is called `room-images`, since many captures have a folder `images`."""
     name = root.stem if root.is_file() else root.name
     return f"{root.parent.name}-{name}" if name == "images" and root.parent.name else name or "capture"
 
@@ -106,7 +106,7 @@ def _candidates(root: Path, readers: dict[str, ModuleType]) -> dict[str, str]:
 
 
 def _advice(root: Path) -> str:
-    """The likeliest reason why a folder was not recognised."""
+    """The most likely reason why a folder was not recognised."""
     names = checks.list_folder(root)
     for part in ("", "sparse/0/", "sparse/"):
         for name in checks.list_folder(root / part) if (root / part).is_dir() else ():

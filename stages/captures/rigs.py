@@ -1,4 +1,4 @@
-"""Several cameras of one capture: which folders of images are cameras of a rig, and whether cameras stand still."""
+"""Several cameras of one capture: whether folders of images are the cameras of a rig, and whether cameras stand still."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from .capture import Shot
 
 
 def cameras_of(root: Path, images: Sequence[str]) -> tuple[list[tuple[str, int]] | None, str | None]:
-    """(camera, number of its time) of each of `images`, paths relative to `root`, where they lie in several folders that hold files of the
-    same names: `cam0/0001.jpg` and `cam1/0001.jpg` show one time. Otherwise None, and a note for people where there are several folders.
+    """(camera, index of its time) for each of `images`, paths relative to `root`, if they lie in several folders that contain files of the
+    same names: `cam0/0001.jpg` and `cam1/0001.jpg` show the same time. Otherwise None, with a note for people if there are several folders.
 
-    The folders are asked and not the list, in which structure from motion may have left out some frames of some cameras."""
+    The folders are compared rather than `images`, from which structure from motion may have dropped some frames of some cameras."""
     folders = folders_of(images)
     if len(folders) < 2:
         return None, None
@@ -34,7 +34,7 @@ def cameras_of(root: Path, images: Sequence[str]) -> tuple[list[tuple[str, int]]
 
 
 def stand_still(shots: Sequence[Shot]) -> bool:
-    """Whether these are several cameras with poses and each has but one."""
+    """Whether these are several cameras with poses, each with only one pose."""
     first: dict[object, np.ndarray] = {}
     for shot in shots:
         pose = shot.cam_from_world

@@ -1,4 +1,4 @@
-"""The clocks of several recordings of one event, from their sound."""
+"""Aligns the clocks of several recordings of one event by their sound."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import numpy as np
 
 from .video_files import open_video
 
-RATE = 8000  # samples a second that are listened to
-HOP, WINDOW = 32, 128  # samples: 4 ms from one value of the envelope to the next, each of 16 ms
-LONGEST = 1200.0  # s that are listened to
-LOCAL = 0.5  # s over which what lasts is taken for background
-LOUDEST = 6.0  # deviations that a single onset counts at most, so that one bang does not decide alone
+RATE = 8000  # samples per second used for the analysis
+HOP, WINDOW = 32, 128  # samples: one value of the envelope every 4 ms, each from 16 ms
+LONGEST = 1200.0  # s of sound that are analysed at most
+LOCAL = 0.5  # s, window of the moving average that is subtracted as background
+LOUDEST = 6.0  # standard deviations at which a single onset is clipped, so that one loud bang does not determine the result
 LEAST_OVERLAP = 0.5  # s
-LEAST_PEAK = 8.0  # deviations of what chance gives
-CLEAR = 1.4  # times the next highest peak; music repeats itself, and a beat later it fits as well
-APART = 0.06  # s; nearer values belong to one peak
+LEAST_PEAK = 8.0  # standard deviations of the correlation of unrelated sounds
+CLEAR = 1.4  # times the next highest peak; music repeats itself and fits almost as well a beat later
+APART = 0.06  # s; closer values belong to the same peak
 
 
 def onsets(root: Path, name: str) -> tuple[np.ndarray, float] | None:
-    """When something begins to sound: `(envelope, start)`, envelope [N] float64 with mean 0 and deviation 1, a value every 4 ms, the first
-    `start` seconds after the video's first picture. None where there is no sound that can be decoded, or only silence."""
+    """Onset strength of the sound over time: `(envelope, start)`, envelope [N] float64 with mean 0 and standard deviation 1, one value
+    every 4 ms, the first at `start` seconds after the video's first picture. None if there is no decodable sound, or only silence."""
     heard = _samples(root, name)
     if heard is None or len(heard[0]) < WINDOW + RATE * LEAST_OVERLAP:
         return None
@@ -41,15 +41,15 @@ def onsets(root: Path, name: str) -> tuple[np.ndarray, float] | None:
     if not deviation > 0:
         return None
     clipped = np.clip(rising / deviation, -LOUDEST, LOUDEST)
-    # an onset is a difference of two windows, so it lies between their middles
+    # an onset is the difference of two windows, so its time is halfway between their centres
     return (clipped - clipped.mean()) / clipped.std(), start + 0.5 * (WINDOW + HOP) / RATE
 
 
 def offset(first: tuple[np.ndarray, float], second: tuple[np.ndarray, float]) -> float | None:
-    """Seconds to add to the second recording's times to have them on the first one's clock; None where no shift stands out.
+    """Seconds to add to the second recording's times to bring them to the first one's clock; None if no shift stands out.
 
-    Both as `onsets` gives them. The correlation of every shift is divided by the root of the overlap, so that of unrelated sounds it
-    has the deviation 1 whatever the shift.
+    first, second: results of `onsets`. The correlation at every shift is divided by the square root of the overlap, so for unrelated sounds
+    it has standard deviation 1 at any shift.
     """
     a, b = first[0], second[0]
     size = 1 << (len(a) + len(b)).bit_length()
@@ -66,7 +66,8 @@ def offset(first: tuple[np.ndarray, float], second: tuple[np.ndarray, float]) ->
 
 
 def _samples(root: Path, name: str) -> tuple[np.ndarray, float] | None:
-    """The first audio track as float32 [N], one channel at `RATE`, and its start after the first picture in seconds."""
+    """The first audio track as float32 [N], mono at `RATE`, and its start in seconds after the first picture; None if it cannot be
+    decoded."""
     import av
 
     pieces: list[np.ndarray] = []
@@ -90,5 +91,5 @@ def _samples(root: Path, name: str) -> tuple[np.ndarray, float] | None:
             else:
                 pieces += [part.to_ndarray().reshape(-1) for part in resampler.resample(None)]
     except (av.FFmpegError, OSError, ValueError, IndexError):
-        return None  # pictures can be had without it
+        return None  # the pictures can be used without sound
     return (np.concatenate(pieces), start) if pieces and start is not None else None

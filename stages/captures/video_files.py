@@ -1,4 +1,4 @@
-"""Opening a video file that nobody has vouched for: containers of pictures alone, nothing but the file itself, sizes within bounds."""
+"""Opens untrusted video files: only video containers, no access to other files or addresses, and sizes within bounds."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any
 
 from ...pipeline import CaptureError
 
-MOST_PIXELS = 2**27  # of a picture: 16K; one has 0.2 GB where it is decoded
+MOST_PIXELS = 2**27  # of a picture: 16K, 0.2 GB when decoded
 MOST_FRAMES = 1_000_000  # nine hours
-# FFmpeg also knows lists of other files and addresses (HLS, concat, DASH, SDP), and takes texts and programs for films.
+# A list of allowed containers, since FFmpeg also opens lists of other files and addresses (HLS, concat, DASH, SDP), and plays text files
+# and programs as videos.
 _CONTAINERS = (
     *("mov", "matroska", "webm", "avi", "mpeg", "mpegts", "mpegvideo", "ogg", "flv", "asf", "gif", "apng", "mxf", "mxf_opatom", "dv", "rm"),
     *(
@@ -38,19 +39,19 @@ _CONTAINERS = (
 
 @contextmanager
 def open_video(root: Path, name: str) -> Iterator[Any]:
-    """PyAV's container of `root/name`, closed at the end. What PyAV raises is left to the caller; raises CaptureError for what is no file,
-    and where the pictures are larger than `MOST_PIXELS`."""
+    """PyAV's container of `root/name`, closed at the end. Errors of PyAV pass through to the caller. Raises CaptureError if it is not a
+    file, or if pictures are larger than `MOST_PIXELS`."""
     import av
 
     path = root / name
-    if not path.is_file():  # a pipe would be waited for
+    if not path.is_file():  # opening a pipe would block
         raise CaptureError(f"{name}: no file; pass a video file")
     with av.open(str(path), options={"protocol_whitelist": "file", "format_whitelist": ",".join(_CONTAINERS)}) as container:
         for stream in container.streams.video:
             context = stream.codec_context
-            if context is None:  # a codec that nobody here knows
+            if context is None:  # unknown codec
                 continue
             if context.width * context.height > MOST_PIXELS:
                 raise CaptureError(f"{name}: pictures of {context.width}x{context.height} are too large; scale the video down")
-            context.options = {**context.options, "max_pixels": str(MOST_PIXELS)}  # for what the pictures themselves say
+            context.options = {**context.options, "max_pixels": str(MOST_PIXELS)}  # the pictures may declare another size
         yield container

@@ -1,1 +1,1 @@
-"""The work of stage `frames`: the capture's pictures are decoded, and what every frame is gets written down."""
+"""The work of stage `frames`: decodes the capture's pictures and writes the metadata of every frame."""

@@ -1,4 +1,4 @@
-"""The work of `frames`: the capture's pictures are decoded, and what every frame is gets written down."""
+"""The work of `frames`: decodes the capture's pictures and writes the metadata of every frame."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .videos import decode_videos
 
 
 def decode_capture(capture: Capture, ctx: Context) -> None:
-    """Videos into the artifact, pictures that are files only to see that they are sound."""
+    """Decodes videos into the artifact. Image files are decoded only to check that they are intact."""
     for note in capture.notes:
         ctx.log(note)
     if capture.images is None:
@@ -25,7 +25,7 @@ def decode_capture(capture: Capture, ctx: Context) -> None:
 
 
 def _write(capture: Capture, ctx: Context) -> None:
-    """What every frame is."""
+    """Writes the metadata of every frame."""
     K = None
     if capture.K is not None and capture.distortion is not None:
         K = _pinholes(capture, capture.K, capture.distortion, ctx)
@@ -55,7 +55,7 @@ def _write(capture: Capture, ctx: Context) -> None:
 
 
 def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Context) -> np.ndarray:
-    """K of the pinhole cameras to which the pictures are undistorted; says what of them is lost."""
+    """K of the pinhole cameras to which the pictures are undistorted. Logs how much of the pictures remains."""
     facts = Facts.of(capture.facts)
     result, kept = pinholes(K, distortion, capture.fisheye, facts.width, facts.height)
     if not kept.all():

@@ -1,4 +1,4 @@
-"""Pictures and masks that already are files: each is decoded once and not copied."""
+"""Checks image and mask files by decoding each one once. They are not copied."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..captures import Capture
 from ..captures.checks import image_header
 
 DECODE_THREADS = 4  # at most
-LARGE = 40_000_000  # px of pictures that are decoded one at a time: such a one takes half a gigabyte, the largest 2 GB
+LARGE = 40_000_000  # px; larger pictures are decoded one at a time, since one of this size takes half a gigabyte, the largest 2 GB
 
 
 def check_pictures(capture: Capture, ctx: Context) -> None:
-    """Decode every picture and mask once, so that a file that is cut short is found now and not hours later in training."""
+    """Decodes every picture and mask once, so that a truncated file is found now and not hours later during training."""
     jobs: list[tuple[str, Callable[..., Any]]] = [(name, read_picture) for name in dict.fromkeys(capture.images or ())]
     jobs += [(name, read_mask) for name in dict.fromkeys(m for m in capture.masks or () if m)]
     jobs += [(name, read_keep) for name in dict.fromkeys(m for m in capture.keeps or () if m)]

@@ -1,4 +1,4 @@
-"""Pictures of the capture's videos: decoded, or taken from an earlier result that has decoded the same files."""
+"""Pictures of the capture's videos: decoded, or copied from an earlier result that decoded the same files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def video_parts(capture: Capture, given: Given) -> list[Any]:
-    """Of each video all that decides its decoded pictures, as JSON: the file's content, and which frames are shown at which size."""
+    """For each video everything that determines its decoded pictures, as JSON: the file's digest, the frames taken, size and crop."""
     facts = Facts.of(capture.facts)
     size = [facts.width, facts.height]
     crops = [None if capture.crop is None else capture.crop[video.start].tolist() for video in capture.videos]
@@ -23,7 +23,7 @@ def video_parts(capture: Capture, given: Given) -> list[Any]:
 
 
 def decode_videos(capture: Capture, ctx: Context) -> None:
-    """The pictures of every video, and where those of each lie, for who takes them over."""
+    """Writes the pictures of every video, and which rows belong to which video, so that later results can reuse them."""
     facts = Facts.of(capture.facts)
     images = create_images(ctx.out, facts.frames, facts.height, facts.width)
     taken = 0
@@ -43,12 +43,12 @@ def decode_videos(capture: Capture, ctx: Context) -> None:
 
 
 def _taken_over(ctx: Context, number: int, video: Video, images: zarr.Array) -> bool:
-    """Copies the pictures of a video from ``ctx.earlier``. False where they are new, or cannot be read any more."""
+    """Copies the pictures of a video from ``ctx.earlier``. Returns False if they are new or can no longer be read."""
     if ctx.earlier is None or number not in ctx.earlier.rows:
         return False
     try:
         for offset, picture in enumerate(pictures_of_video(ctx.earlier.artifact, ctx.earlier.rows[number])):
             images[video.start + offset] = picture
-    except ArtifactError:  # all of it was sound a moment ago; decoding is right in any case
+    except ArtifactError:  # it was intact a moment ago; decoding gives the right result in any case
         return False
     return True

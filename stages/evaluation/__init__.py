@@ -1,1 +1,1 @@
-"""The work of stage `evaluate`: renders against the capture's own pictures, in numbers and in pictures."""
+"""The work of stage `evaluate`: compares renders with the captured pictures, in numbers and in pictures."""

@@ -1,4 +1,4 @@
-"""The work of `evaluate`: the model's renders against the capture's own pictures, and what the report shows of it."""
+"""The work of `evaluate`: measures the model's renders against the captured pictures, and collects pictures for the report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ METRICS = (
 
 
 def evaluate(ctx: Context) -> None:
-    """Measured is the model of `fine`, or of `coarse` where `fine` was skipped."""
+    """Measures the model of `fine`, or that of `coarse` if `fine` was skipped."""
     artifact = ctx.inputs["fine"] if ctx.inputs["fine"] is not None else ctx.inputs["coarse"]
     if artifact is None:
         raise StageError("there is no trained model: both coarse and fine were skipped; set coarse.iterations above 0")
@@ -67,7 +67,7 @@ def evaluate(ctx: Context) -> None:
 
 
 def means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
-    """Mean of each metric over the views that have it; None where no view does."""
+    """Mean of each metric over the views that have it; None if no view has it."""
     result: dict[str, float | None] = {}
     for name in METRICS:
         if name in rows[0]:

@@ -1,4 +1,4 @@
-"""Flicker of renders at the capture's own fixed cameras over time."""
+"""Measures flicker over time in renders from the capture's fixed cameras."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ...scene.metrics.flicker import Flicker, steady_pixels
 from ..artifacts.frameset import FrameSet
 from .judge import Judge
 
-CAMERAS, TIMES = 3, 60  # looked at, at most: cameras of the capture, neighbouring times of each
-FEWEST = 3  # times of a camera
+CAMERAS, TIMES = 3, 60  # most cameras of the capture, and most neighbouring times of each, that are rendered
+FEWEST = 3  # least number of times of a camera
 
 
 def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
-    """`static` and `edges` in levels of 8 bits, `flow` in px, how many `cameras` and `pairs` of times they are means of, and in `per_pair`
-    the three of each pair with its `camera` and both `times`; None for captures without a fixed camera that saw several times. Held-out
-    cameras are taken where there are any, from the first time on."""
+    """`static` and `edges` in 8-bit levels and `flow` in px, as means over `pairs` pairs of times of `cameras` cameras. `per_pair` has the
+    three values of each pair with its `camera` and both `times`. None for captures without a fixed camera that saw several times. Held-out
+    cameras are preferred if there are any. Times are taken from the first one on."""
     if not judge.fixed or judge.model.field is None:
         return None
     seen: dict[int, list[int]] = {}

@@ -1,4 +1,4 @@
-"""The strip of flow in the report, as in Fig. 5 of the paper: a training frame, its measured flow, the flow that the model renders."""
+"""The flow pictures of the report, as in Fig. 5 of the paper: a training frame, its measured flow, and the flow that the model renders."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from .spread import spread
 MOST_PAIRS = 4
 FLOW_SIZE = 480  # px, longest side of these pictures
 WHEEL_SIZE = 128  # px
-EDGE = 128  # of 255, weight from which a pixel is at an edge
-TRUSTED = 128  # of 255, confidence from which a pixel counts in the difference
-COVERED = 0.5  # alpha from which a pixel counts in the difference, as in the flow loss
+EDGE = 128  # of 255, least weight of an edge pixel
+TRUSTED = 128  # of 255, least confidence of a pixel that counts in the difference
+COVERED = 0.5  # pixels with more alpha count in the difference, as in the flow loss
 
 
 def add_flow(book: PictureBook, judge: Judge, flow: StoredFlow, most: int) -> None:
-    """Adds up to ``most`` pairs of frames to the book, evenly spread over cameras and times: names "flow/<k>/frame|measured|rendered|
-    edges|moving" and "flow/wheel", and what they show to `book.stored`.
+    """Adds up to ``most`` pairs of frames, evenly spread over cameras and times, to the book as "flow/<k>/frame|measured|rendered|
+    edges|moving" and "flow/wheel", and describes them in `book.stored`.
 
-    One `largest` colours all of them. Only pairs of training frames with poses are shown.
+    All are coloured on the same scale, `largest`. Only pairs of training frames with poses are shown.
     """
     frames = judge.frames
     posed = {int(i) for i in frames.train}
@@ -42,7 +42,7 @@ def add_flow(book: PictureBook, judge: Judge, flow: StoredFlow, most: int) -> No
         picture = frames.composited(first)
         book.add(f"flow/{k}/frame", picture, size)
         book.add(f"flow/{k}/measured", flow_colours(measured[p], largest), size)
-        # Where the background shows through, which does not move, flow fades like the colour does.
+        # Flow fades as colour does where the background, which does not move, shows through.
         shown = rendered * np.minimum(alpha / COVERED, 1)[..., None]
         book.add(f"flow/{k}/rendered", flow_colours(shown, largest), size)
         book.add(f"flow/{k}/edges", overlay(picture, flow.edges(first), EDGE_COLOUR), size)
@@ -62,8 +62,8 @@ def add_flow(book: PictureBook, judge: Judge, flow: StoredFlow, most: int) -> No
 
 
 def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray, edges: np.ndarray) -> dict[str, float | None]:
-    """Over the pixels that count, px: means of the `difference` between the flows and of `motion`, the measured length; `at_edges`, the
-    median difference where ``edges``. None where no pixel counts.
+    """Over the pixels that count, in px: `difference`, the mean difference between the flows; `motion`, the mean measured length;
+    `at_edges`, the median difference where ``edges``. None if no pixel counts.
 
     measured, rendered: float [H, W, 2] px. counts, edges: bool [H, W]; a pixel with a value that is not finite does not count.
     """
@@ -75,7 +75,7 @@ def difference(measured: np.ndarray, rendered: np.ndarray, counts: np.ndarray, e
 
 
 def _rendered(judge: Judge, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
-    """The model's flow float32 [H, W, 2] px from one frame to another, and alpha [H, W] of the first."""
+    """The model's flow, float32 [H, W, 2] px, from frame ``first`` to ``second``, and alpha [H, W] of the first."""
     times = judge.frames.time
     with torch.no_grad():
         flow, alpha = rendered_flow(judge.model, judge.camera(first), float(times[first]), judge.camera(second), float(times[second]))

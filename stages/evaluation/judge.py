@@ -1,4 +1,4 @@
-"""Renders views and measures them against the capture's own pictures."""
+"""Renders views and measures them against the captured pictures."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from ..artifacts.frameset import FrameSet
 
 OTHER = {"white": "black", "black": "white"}
 FPS_RENDERS, FPS_SECONDS = 20, 10.0
-MEDIAN_OF, LEAST_TIMES = 15, 5  # pictures of a fixed camera for its median, and times without which nothing moves before it
-MOVING_DIFFERENCE = 0.1  # from the median, of [0, 1], in some channel
+MEDIAN_OF, LEAST_TIMES = 15, 5  # about 15 pictures of a fixed camera give its median, and at least 5 are needed to find moving pixels
+MOVING_DIFFERENCE = 0.1  # in [0, 1], difference from the median in some channel above which a pixel is moving
 
 
 class Judge:
-    """Renders views of ``frames`` and measures them. fixed: by fixed cameras, so what moves is measured apart."""
+    """Renders views of ``frames`` and measures them. fixed: the cameras are fixed, so moving pixels are also measured separately."""
 
     def __init__(self, model: Model, frames: FrameSet, lpips: Lpips | None, fixed: bool) -> None:
         self.model, self.frames, self.lpips, self.fixed = model, frames, lpips, fixed
@@ -40,7 +40,7 @@ class Judge:
         return Camera(K, pose, self.frames.width, self.frames.height, self.model.near)
 
     def render(self, i: int, at: float | None = None) -> tuple[np.ndarray, Frame]:
-        """Colour float32 [H, W, 3] clamped to [0, 1] of frame i's camera at its own time or ``at``, and the whole frame."""
+        """Renders from frame i's camera at its own time, or at time ``at``: colour float32 [H, W, 3] clamped to [0, 1], and all outputs."""
         frame = self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at)
         if not torch.isfinite(frame.color).all():
             raise StageError(
@@ -56,7 +56,7 @@ class Judge:
         truth = picture.astype(np.float64) / 255.0
         color, frame = self.render(i)
         kept = self._kept(i)
-        if kept is not None:  # for windows that reach into what does not count
+        if kept is not None:  # since windows of metrics reach into pixels that do not count
             color = np.where(kept[..., None], color, truth).astype(np.float32)
         row: dict[str, Any] = {
             "name": self.frames.names[i],
@@ -78,7 +78,7 @@ class Judge:
         return row, frame, picture
 
     def _of_motion(self, i: int, color: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
-        """PSNR of the pixels that show something that moves and of the others, where a fixed camera saw enough times to tell."""
+        """PSNR of the moving and of the static pixels, if the fixed camera saw enough times to distinguish them, otherwise None."""
         camera = int(self.frames.camera[i])
         if camera not in self._medians:
             same = np.flatnonzero((self.frames.camera == camera) & self.frames.registered)
@@ -94,8 +94,8 @@ class Judge:
         return {name: psnr(color, truth, mask) if mask.any() else None for name, mask in both.items()}
 
     def _of_alpha(self, i: int, color: np.ndarray, truth: np.ndarray, frame: Frame) -> dict[str, float | None]:
-        """What only captures with alpha tell: PSNR where they are not empty, and on the background that was not trained on, which a model
-        fails that shows dark or bright surfaces as holes."""
+        """Metrics for captures with alpha: PSNR where alpha is not 0, and PSNR on the background that was not trained on. A model that
+        represents dark or bright surfaces as holes scores badly on the latter."""
         assert self.frames.background is not None
         picture = self.frames.image(i)
         filled = picture[..., 3] > 0
@@ -110,12 +110,12 @@ class Judge:
         }
 
     def _kept(self, i: int) -> np.ndarray | None:
-        """[H, W] bool, the pixels of frame i that are measured; None for all, also where so few count that nothing could be said."""
+        """[H, W] bool, the pixels of frame i that are measured; None for all, also if the mask leaves no pixel."""
         kept = self.frames.kept(i)
         return kept if kept is not None and kept.any() else None
 
     def frames_per_second(self, indices: Sequence[int]) -> float:
-        """1 / median time of up to `FPS_RENDERS` renders (deformation included) of held-out views, after one that is not counted."""
+        """1 / median time of up to `FPS_RENDERS` renders (deformation included) of the views ``indices``, after one warm-up render."""
         seconds: list[float] = []
         begin = time.perf_counter()
         for k in range(FPS_RENDERS + 1):
@@ -133,5 +133,5 @@ class Judge:
 
 
 def on_the_cpu(frame: Frame) -> Frame:
-    """The same frame, wherever it was rendered."""
+    """The same frame, with its tensors on the CPU."""
     return replace(frame, **{field.name: getattr(frame, field.name).cpu() for field in fields(frame)})

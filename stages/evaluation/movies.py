@@ -1,4 +1,4 @@
-"""The moving pictures of an evaluation: held-out views in order of time beside their truth, and a turn about the scene."""
+"""The movies of an evaluation: held-out views next to their ground truth in order of time, and a turntable around the scene."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .judge import Judge
 from .pictures import scaled, to_bytes
 
 SIZE = 480  # px, longest side of one picture
-SECONDS, FPS = 4.0, (2.0, 30.0)  # how long it takes, as far as its pictures a second stay in these bounds
-QUALITY = 23  # of x264, constant rate factor
-LEAST = 3  # pictures without which nothing moves
+SECONDS, FPS = 4.0, (2.0, 30.0)  # desired duration, and bounds on the frames per second, which take precedence
+QUALITY = 23  # constant rate factor of x264
+LEAST = 3  # least number of pictures of a movie
 
 
 def write_movies(out: ArtifactWriter, judge: Judge, frames: FrameSet, indices: Sequence[int], most: int) -> None:
-    """ "over_time", where ``indices`` have several times, and "turntable": MP4 files of at most ``most`` pictures."""
+    """Writes "over_time", if ``indices`` have several times, and "turntable": MP4 files of at most ``most`` pictures."""
     mine = in_order_of_time(frames, indices, most)
     if len(mine) >= LEAST:
         _write(
@@ -34,8 +34,8 @@ def write_movies(out: ArtifactWriter, judge: Judge, frames: FrameSet, indices: S
 
 
 def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> list[int]:
-    """Up to ``most`` of ``indices`` with rising times: of the camera that saw most of them, or of all where no camera saw several.
-    Empty where they have one time."""
+    """Up to ``most`` of ``indices`` with increasing times: from the camera that has most of them, or from all if no camera has at least
+    `LEAST`. Empty if they have only one time."""
     number, counts = np.unique(frames.camera[list(indices)], return_counts=True)
     chosen = [i for i in indices if counts.max() < LEAST or frames.camera[i] == number[counts.argmax()]]
     _, first = np.unique(frames.time[chosen], return_index=True)
@@ -46,7 +46,7 @@ def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> lis
 
 
 def _beside(judge: Judge, frames: FrameSet, i: int) -> np.ndarray:
-    """Truth on the left, render on the right."""
+    """The ground truth on the left, the render on the right."""
     return np.concatenate([scaled(frames.composited(i), SIZE), scaled(to_bytes(judge.render(i)[0]), SIZE)], axis=1)
 
 

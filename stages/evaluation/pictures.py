@@ -17,7 +17,7 @@ STRIP_SIZE = 320  # px, longest side of a picture of the time strip
 
 
 class PictureBook:
-    """Collects pictures of an evaluation in `stored`, whose longest side is at most ``size`` px."""
+    """Collects the pictures of an evaluation in `stored`. The longest side of pictures of views is at most ``size`` px."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -28,7 +28,7 @@ class PictureBook:
         self.stored.files[name] = encode_png(scaled(picture, size))
 
     def add_view(self, split: str, name: str, time: float, truth: np.ndarray, frame: Frame, row: dict[str, Any]) -> None:
-        """Ground truth uint8 [H, W, 3] beside the render, their difference, the edges of both, and the depth."""
+        """Adds the ground truth ``truth``, uint8 [H, W, 3], the render, their difference, the edges of both, and the depth."""
         color = frame.color.clamp(0, 1).numpy()
         stem = f"{split}/{row['frame']}"
         shown = [scaled(picture, self.size) for picture in (truth, to_bytes(color))]
@@ -49,7 +49,7 @@ class PictureBook:
 
 
 def scaled(picture: np.ndarray, size: int) -> np.ndarray:
-    """``picture`` scaled down to a longest side of ``size`` px."""
+    """``picture``, scaled down to a longest side of ``size`` px if it is larger."""
     height, width = picture.shape[:2]
     if max(height, width) <= size:
         return picture
@@ -63,14 +63,15 @@ def to_bytes(color: np.ndarray) -> np.ndarray:
 
 
 def error_picture(color: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Mean absolute difference over channels, times 4, dark to bright: uint8 [H, W, 3] RGB."""
+    """Mean absolute difference over channels, times `ERROR_GAIN`, as colours from dark to bright: uint8 [H, W, 3] RGB."""
     error = np.abs(color - truth.astype(np.float32) / 255.0).mean(-1)
     scaled = to_bytes(ERROR_GAIN * error)
     return np.ascontiguousarray(cv2.applyColorMap(scaled, cv2.COLORMAP_INFERNO)[..., ::-1])
 
 
 def depth_picture(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Depth [H, W] from the 2nd to the 98th percentile of what is opaque, near is bright, faded to black by alpha [H, W]: uint8 RGB."""
+    """Inverse depth as colours, uint8 [H, W, 3] RGB, faded to black by alpha [H, W]. The colours span the 2nd to the 98th percentile of the
+    opaque pixels."""
     opaque = (alpha > 0.5) & np.isfinite(depth) & (depth > 0)
     if not opaque.any():
         return np.zeros((*depth.shape, 3), np.uint8)

@@ -1,4 +1,4 @@
-"""What a number of an evaluation needs beside it to be compared with another, and the network behind LPIPS."""
+"""The protocol of an evaluation, without which its numbers cannot be compared with others, and the network of LPIPS."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def load_lpips(settings: EvaluateSettings, frames: FrameSet) -> tuple[Lpips | None, dict[str, str]]:
-    """The network, or None with `lpips_reason`. Raises StageError where the weights file is not one."""
+    """The network, or None and the reason as `lpips_reason`. Raises StageError if the weights file is invalid."""
     if settings.lpips_weights is None:
         return None, {"lpips_reason": "no weights given; --set evaluate.lpips_weights=FILE measures it"}
     if min(frames.width, frames.height) < MINIMUM_SIZE:
@@ -31,7 +31,7 @@ def load_lpips(settings: EvaluateSettings, frames: FrameSet) -> tuple[Lpips | No
 def protocol(
     frames: FrameSet, views: Mapping[str, Sequence[int]], settings: EvaluateSettings, lpips_facts: Mapping[str, str], notes: Sequence[str]
 ) -> dict[str, Any]:
-    """Everything that a number needs beside it to be compared with another."""
+    """Everything that must be known to compare the numbers of this evaluation with others."""
     measured = not lpips_facts
     result: dict[str, Any] = {
         "resolution": f"{frames.width}x{frames.height}",

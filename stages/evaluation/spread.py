@@ -1,15 +1,15 @@
-"""Which few of many are looked at."""
+"""Selects a few items out of many."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-SAMPLE = 16  # training views beside the held-out ones: far better ones mean a model that has learned views, not the scene
+SAMPLE = 16  # training views measured besides the held-out ones; if they are far better, the model has overfitted to its views
 
 
 def spread(items: Sequence[int], count: int) -> list[int]:
-    """Up to ``count`` items, evenly spread, ends included."""
+    """Up to ``count`` items, evenly spread, including both ends."""
     if len(items) <= count:
         return list(items)
     if count < 2:
@@ -18,7 +18,7 @@ def spread(items: Sequence[int], count: int) -> list[int]:
 
 
 def worst_and_others(rows: Sequence[Mapping[str, Any]], count: int) -> list[int]:
-    """Frames of up to ``count`` of ``rows``, from the lowest PSNR to the highest: half are the worst, the others spread over the rest."""
+    """Frames of up to ``count`` of ``rows``, by increasing PSNR: half are the worst ones, the others are spread over the rest."""
     ordered = [int(row["frame"]) for row in sorted(rows, key=lambda row: float(row["psnr"]))]
     worst = (count + 1) // 2
     return ordered[:worst] + spread(ordered[worst:], count - worst)

@@ -1,4 +1,4 @@
-"""Which views an evaluation looks at."""
+"""Chooses the views of an evaluation."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ..artifacts.frameset import FrameSet
 from .judge import Judge
 from .spread import spread
 
-TRAIN_VIEWS = 32  # where nothing is held out, so many training views stand in
+TRAIN_VIEWS = 32  # training views that are measured if nothing is held out
 
 
 def choose_views(frames: FrameSet, splits: Sequence[str]) -> tuple[dict[str, list[int]], list[str]]:
-    """Frames with a pose of each split, in the order of ``splits``, and sentences about what is missing.
+    """Frames with a pose for each of ``splits``, in the order train, val, test, and sentences about what is missing.
 
-    Where no split has any, training views stand in. Raises StageError where no frame has a pose.
+    If no split has any, training views are used instead. Raises StageError if no training frame has a pose either.
     """
     views: dict[str, list[int]] = {}
     notes = []
@@ -43,9 +43,10 @@ def choose_views(frames: FrameSet, splits: Sequence[str]) -> tuple[dict[str, lis
 
 
 def time_strip(judge: Judge, frames: FrameSet, indices: Sequence[int]) -> tuple[str, list[tuple[float, np.ndarray, np.ndarray | None]]]:
-    """One camera over time: its name and up to eight (time, render float32 [H, W, 3], ground truth uint8 or None).
+    """One camera over time: the name of its first view, and up to eight (time, render float32 [H, W, 3], ground truth uint8 or None).
 
-    A camera that saw several times of the split is followed through them; else the first view's camera stands still in time.
+    If the first view's camera is fixed and saw at least three of the views, these are shown. Otherwise the model is rendered from the
+    first view at evenly spread times, without ground truth; a static model gives no pictures.
     """
     first = indices[0]
     mine = sorted((i for i in indices if frames.camera[i] == frames.camera[first]), key=lambda i: float(frames.time[i]))

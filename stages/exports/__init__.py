@@ -1,1 +1,1 @@
-"""A trained model and its flow as files that other programs read, and the cameras that look at it."""
+"""Exports a trained model and its flow as files for other programs, and has camera paths through the scene."""

@@ -1,4 +1,4 @@
-"""A model as Gaussians alone, for tools that know no convexes, and how far that is from the model."""
+"""Converts a model to Gaussians only, for tools that do not know convexes, and measures the loss."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from ...scene.model import Model
     from ..artifacts.frameset import FrameSet
 
-SPREADS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # of a convex's points: standard deviations of the Gaussian for it, of which the best begins
-LOOKS = 4  # views that judge
-STEPS = 200  # of the fit, each before another camera and time: with 12 views again and again it pleases these and no other
-RATE = 0.04  # of Adam, decays to a twentieth: ln of standard deviations, standard deviations, logits
+SPREADS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # standard deviations of a Gaussian over those of its convex's points; the fit begins at the best
+LOOKS = 4  # views by which candidates are judged
+STEPS = 200  # steps of the fit, each with another camera and time; a fit to the same 12 views over and over overfits to them
+RATE = 0.04  # learning rate of Adam, decays to a twentieth; in ln of standard deviations, offsets in standard deviations, and logits
 
 
 @dataclass
 class Baked:
-    """``model`` with Gaussians for its convexes, as ``fit`` says."""
+    """``model``, with its convexes replaced by Gaussians according to ``fit``."""
 
     model: Model
     fit: GaussianFit
 
     def at(self, t: float) -> Gaussians:
-        """The Gaussians, with sh, at time ``t`` in [0, 1]: always as many, in the same order."""
+        """The Gaussians, with SH, at time ``t`` in [0, 1]. Their number and order are the same at all times."""
         import torch
 
         from ...scene.formats.ply import joined
@@ -41,7 +41,7 @@ class Baked:
 
 @dataclass
 class Loss:
-    """psnr: dB between renders of what was exported and of the full model, over ``cameras`` cameras. convexes: became Gaussians."""
+    """psnr: dB, renders of the export against renders of the full model, over ``cameras`` cameras. convexes: how many became Gaussians."""
 
     psnr: float
     cameras: int
@@ -53,8 +53,8 @@ class Loss:
 
 
 def bake(model: Model, frames: FrameSet) -> Baked:
-    """A Gaussian for each convex: mean, covariance and opacity whose renders are nearest to those of the full ``model`` from training
-    cameras at all times. The rest of the model stays as it is."""
+    """Replaces each convex by a Gaussian, with mean, covariance and opacity fitted so that renders from training cameras at all times are
+    closest to those of the full ``model``. The rest of the model does not change."""
     from ...scene.convex_gaussians import GaussianFit
 
     reference = model.convexes.points.detach()
@@ -67,7 +67,8 @@ def bake(model: Model, frames: FrameSet) -> Baked:
 
 
 def _fitted(model: Model, frames: FrameSet, start: GaussianFit) -> GaussianFit:
-    """``start`` after descent on the squared difference of colour and alpha; the model is its own truth, from any camera at any time."""
+    """``start`` after gradient descent on the squared difference of colour and alpha. The full model provides the ground truth from any
+    camera at any time."""
     import torch
 
     from ...scene.formats.ply import joined
@@ -90,7 +91,7 @@ def _fitted(model: Model, frames: FrameSet, start: GaussianFit) -> GaussianFit:
 
 
 def loss_of(model: Model, gaussians: Gaussians, frames: FrameSet, t: float) -> Loss:
-    """How far ``gaussians`` are from ``model`` at time ``t``, over cameras that training did not see, where these are enough."""
+    """How far renders of ``gaussians`` are from those of ``model`` at time ``t``, over held-out cameras if there are enough of them."""
     chosen = distinct_views(frames, np.concatenate([frames.test, frames.val]), LOOKS)
     if len(chosen) < LOOKS:
         chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), LOOKS)
@@ -99,7 +100,7 @@ def loss_of(model: Model, gaussians: Gaussians, frames: FrameSet, t: float) -> L
 
 
 def _error(baked: Baked, frames: FrameSet, chosen: np.ndarray) -> float:
-    """Mean over the frames ``chosen``, at their own times."""
+    """Mean of `_squared_error` over the frames ``chosen``, at their own times."""
     times = [float(frames.time[i]) for i in chosen]
     return sum(_squared_error(baked.model, baked.at(t), frames, int(i), t) for i, t in zip(chosen, times)) / len(chosen)
 
@@ -114,7 +115,7 @@ def _squared_error(model: Model, gaussians: Gaussians, frames: FrameSet, i: int,
 
 
 def _render(model: Model, gaussians: Gaussians | None, frames: FrameSet, i: int, t: float) -> Frame:
-    """``gaussians``, or without any the full ``model`` at time ``t``, from the camera of frame ``i`` on the model's background."""
+    """Renders ``gaussians``, or if None the full ``model`` at time ``t``, from the camera of frame ``i`` on the model's background."""
     import torch
 
     from ...rasterizer import rasterize

@@ -1,4 +1,4 @@
-"""Ways for a camera through a scene, by name: a turntable, a spiral, the capture's own."""
+"""Camera paths through a scene, by name: a turntable, a spiral, or the capture's own path."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ..artifacts.frameset import FrameSet
 
 NAMES = ("turntable", "spiral", "capture")
-LOOKS = 12  # cameras that are asked what they look at
+LOOKS = 12  # cameras used to find the centre of the scene
 
 
 @dataclass
@@ -25,8 +25,8 @@ class CameraPath:
 
 
 def named_path(name: str, frames: FrameSet, model: Model, count: int) -> CameraPath:
-    """``name`` of `NAMES`, with the capture's first lens; the capture's time goes by once. "capture" follows the camera that saw most
-    training frames where it moved, and stands still where it stood."""
+    """The path ``name`` (see `NAMES`) with the capture's first intrinsics, during which the capture plays once. "capture" follows the
+    camera with the most training frames, so it stands still if that camera did."""
     from ...scene.camera_paths import along, spiral, turntable
 
     assert frames.cam_from_world is not None and frames.K is not None
@@ -44,7 +44,7 @@ def named_path(name: str, frames: FrameSet, model: Model, count: int) -> CameraP
 
 
 def looked_at(frames: FrameSet, model: Model) -> np.ndarray:
-    """[3]: the median of what some training cameras have in the middle of their pictures, as the model knows its depth."""
+    """[3]: the median of the points that some training cameras see in the middle of their pictures, with depth rendered from the model."""
     import torch
 
     from ...rasterizer import Camera

@@ -1,4 +1,4 @@
-"""Where the cameras of a capture stood, for those who look at a model from there at a time of their own."""
+"""The cameras of a capture, for rendering a model from them at any time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def distinct_views(frames: FrameSet, indices: np.ndarray, most: int) -> np.ndarray:
-    """At most ``most`` of ``indices``, evenly from the first to the last of those with a pose of their own: a fixed camera counts once."""
+    """At most ``most`` of ``indices``, evenly spread over those with distinct poses, so that a fixed camera counts once."""
     assert frames.cam_from_world is not None
     _, first = np.unique(frames.cam_from_world[indices].reshape(len(indices), 16), axis=0, return_index=True)
     own = indices[np.sort(first)]

@@ -1,4 +1,4 @@
-"""A `flow` artifact as files that other programs read: .flo, and PNG pictures of flow, edges and what moves."""
+"""Exports a `flow` artifact as files for other programs: .flo, and PNG pictures of flow, edges and moving pixels."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from ..artifacts.frameset import FrameSet
 SUFFIXES = (".flo", ".png", "_backward.flo", "_backward.png", "_edges.png", "_moving.png")
 WHEEL = "wheel.png"
 WHEEL_SIZE = 256  # px
-SAMPLED_PAIRS = 32  # that many pairs tell which length gets full colour
+SAMPLED_PAIRS = 32  # about as many pairs determine which flow length gets full colour
 
 
 def export_flow(fields: StoredFlow, frames: FrameSet, out: Path, largest: float, advance: Callable[[], None] = lambda: None) -> int:
-    """Writes the files of every pair, named <stem> of `pair_stems` + one of `SUFFIXES`, and the legend `WHEEL`; returns their number.
+    """Writes the files of every pair, named by `pair_stems` plus one of `SUFFIXES`, and the legend `WHEEL`. Returns the number of files.
 
-    .flo holds px as measured, .png its colours with full colour at ``largest`` px; edges, and what moves where that is known, lie over the
-    first frame. Each file appears whole or not at all, and takes the place of one of its name. ``advance`` is called after each pair.
-    Raises OSError where a file cannot be written, ArtifactError or CaptureError where one cannot be read.
+    .flo files hold the measured flow in px, .png files its colours, with full colour at ``largest`` px. Edges, and moving pixels if known,
+    are drawn over the first frame. Files are written atomically and replace existing ones. ``advance`` is called after each pair.
+    Raises OSError if a file cannot be written, and ArtifactError or CaptureError if one cannot be read.
     """
     stems = pair_stems(frames.names, fields.pairs)
     out.mkdir(parents=True, exist_ok=True)
@@ -54,20 +54,21 @@ def export_flow(fields: StoredFlow, frames: FrameSet, out: Path, largest: float,
             written += count
             advance()
     finally:
-        pool.shutdown(cancel_futures=True)  # after an error or Ctrl-C, what is not begun is not written
+        pool.shutdown(cancel_futures=True)  # after an error or Ctrl-C, do not start the remaining pairs
     return written
 
 
 def common_largest(fields: StoredFlow) -> float:
-    """The px that get full colour in all pictures: `typical_largest` over up to `SAMPLED_PAIRS` pairs, a sixteenth of their pixels."""
+    """Flow length in px that gets full colour in all pictures: `typical_largest` over a sixteenth of the pixels of up to `SAMPLED_PAIRS`
+    pairs."""
     every = max(1, -(-len(fields.pairs) // SAMPLED_PAIRS))
     return typical_largest(*(fields.forward(p)[::4, ::4] for p in range(0, len(fields.pairs), every)))
 
 
 def pair_stems(names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> list[str]:
-    """ "<first>_<second>" of each pair, from the frames' names made safe for files: letters, digits, '.', '_', '-', no '.' first.
+    """ "<first>_<second>" for each pair, from the frames' names made safe for files: letters, digits, '.', '_', '-', no '.' first.
 
-    Where two files would get one name (also where capitals do not count), every stem begins with the number of its pair.
+    If two files would get the same name (ignoring case), every stem is prefixed with the number of its pair.
     """
     safe = [re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.")[:80] or "frame" for name in names]
     stems = [f"{safe[first]}_{safe[second]}" for first, second in pairs]

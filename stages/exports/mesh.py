@@ -1,5 +1,5 @@
-"""The whole scene at one time as a triangle mesh: colour and depth as the capture's cameras would see them then, fused by Open3D (TSDF,
-Curless and Levoy 1996)."""
+"""Exports the whole scene at one time as a triangle mesh. Colour and depth are rendered from the capture's cameras at that time and fused
+by Open3D (TSDF, Curless and Levoy 1996)."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
     from ...scene.model import Model
     from ..artifacts.frameset import FrameSet
 
-CAMERAS, LOOKS = 150, 12  # that are fused, and that tell how large the scene is, at most
-SOLID = 0.6  # alpha; a pixel of less is not fused
-SPREAD = 0.03  # of its depth; a pixel that shows more than one surface, along outlines, is not fused
-FAR = 4.0  # median depths; what is farther is not fused
-FOOTPRINT = 1.5  # pixels, at the median depth, that a voxel is wide,
-ACROSS = 512  # but at most so many lie along the scene
-TRUNCATION = 4.0  # voxels before and behind a surface that keep its distance
-BLOCK = 8  # voxels along each side of what is stored as one
+CAMERAS, LOOKS = 150, 12  # most cameras that are fused, and most cameras from which the size of the scene is estimated
+SOLID = 0.6  # alpha; pixels with less are not fused
+SPREAD = 0.03  # of the depth; pixels with a larger spread, which show more than one surface along outlines, are not fused
+FAR = 4.0  # median depths; surfaces farther away are not fused
+FOOTPRINT = 1.5  # width of a voxel in pixels at the median depth,
+ACROSS = 512  # but at most this many voxels lie along the scene
+TRUNCATION = 4.0  # voxels in front of and behind a surface that store its distance
+BLOCK = 8  # voxels along each side of a block
 MOST_BLOCKS = 300_000  # of 10 KB each
-SEEN = 1.0  # more views than this must have seen a voxel, where there are several
+SEEN = 1.0  # if there are several views, more than this many must have seen a voxel
 
 
 class Look(NamedTuple):
-    """What one camera sees. depth [H, W] float32, world units, 0 where nothing is fused; color [H, W, 3] float32 in [0, 1]; K [3, 3] px;
-    cam_from_world [4, 4]."""
+    """A render from one camera. depth [H, W] float32, world units, 0 where nothing is fused; color [H, W, 3] float32 in [0, 1];
+    K [3, 3] px; cam_from_world [4, 4]."""
 
     depth: np.ndarray
     color: np.ndarray
@@ -46,7 +46,7 @@ class Size(NamedTuple):
 
 
 def look(model: Model, frames: FrameSet, i: int, t: float) -> Look:
-    """``model`` at time ``t`` from the camera of frame ``i``, in solid pixels of one surface alone."""
+    """Renders ``model`` at time ``t`` from the camera of frame ``i``. Only solid pixels that show a single surface get a depth."""
     import torch
 
     from ...rasterizer import rasterize
@@ -59,14 +59,15 @@ def look(model: Model, frames: FrameSet, i: int, t: float) -> Look:
     first, second = (frame.extras / alpha[..., None]).unbind(-1)
     spread = (second - first.square()).clamp(min=0).sqrt()
     fused = (frame.alpha >= SOLID) & (spread <= SPREAD * frame.depth)
-    color = (frame.color / alpha[..., None]).clamp(0, 1)  # rendered before black: what the surface adds, made whole
+    color = (frame.color / alpha[..., None]).clamp(0, 1)  # rendered on black, so this is the surface's own colour
     return Look(
         torch.where(fused, frame.depth, 0).numpy(), color.numpy(), camera.K.double().numpy(), camera.cam_from_world.double().numpy()
     )
 
 
 def size_of(model: Model, frames: FrameSet, t: float) -> Size:
-    """The voxel that fits what the cameras resolve, and how far they look, at time ``t``. Raises StageError where nothing is solid."""
+    """Voxel size that matches the resolution of the cameras, and the largest depth to fuse, at time ``t``. Raises StageError if nothing is
+    solid."""
     depths, points, focal = [], [], []
     for i in distinct_views(frames, frames.train, LOOKS):
         seen = look(model, frames, int(i), t)
@@ -91,13 +92,13 @@ def size_of(model: Model, frames: FrameSet, t: float) -> Size:
 def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable[[int], None] = lambda n: None) -> Mesh:
     """The mesh at time ``t``. ``advance`` is called once for each of the `fused_views`.
 
-    Raises StageError where Open3D is not there, where nothing is solid, and where voxels of that size do not fit in memory.
+    Raises StageError if Open3D is not available, if nothing is solid, and if voxels of that size do not fit in memory.
     """
     try:
         import open3d
     except ModuleNotFoundError as error:
         raise StageError("export mesh needs the package open3d; install it with: pip install 'e4dgs[mesh]'") from error
-    except ImportError as error:  # its wheel wants a library of the system that containers lack
+    except ImportError as error:  # its wheel needs a system library that containers lack
         raise StageError(f"export mesh: Open3D cannot be loaded: {error}; on Debian and Ubuntu: apt-get install libusb-1.0-0") from error
     from ...scene.mesh import Mesh
 
@@ -116,7 +117,7 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
         try:
             blocks = grid.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, size.farthest, TRUNCATION)
         except RuntimeError as error:
-            # Open3D looks at every fourth pixel along each side, and refuses a view in which none of these is near and solid.
+            # Open3D samples every fourth pixel along each side, and rejects a view in which none of these is near and solid.
             if "No block is touched" not in str(error):
                 raise
             continue
@@ -138,12 +139,12 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
 
 
 def fused_views(frames: FrameSet) -> np.ndarray:
-    """Frames from whose cameras the scene is seen."""
+    """Frames whose cameras are fused."""
     return distinct_views(frames, frames.train, CAMERAS)
 
 
 def hulls(model: Model, t: float, advance: Callable[[int], None] = lambda n: None) -> Mesh:
-    """The hulls of the convexes of ``model`` at time ``t``. Each time has triangles of its own: a corner may move inside."""
+    """The hulls of the convexes of ``model`` at time ``t``. Triangles differ between times, since a corner may move inside the hull."""
     import torch
 
     from ...scene.hull_mesh import hull_mesh

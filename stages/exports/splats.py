@@ -1,4 +1,4 @@
-"""A model as numbered files of Gaussian splats, one for each time, and how far these are from it."""
+"""Exports a model as numbered files of Gaussian splats, one per time, and measures the loss."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KINDS: dict[Kind, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "s
 
 @dataclass
 class Exported:
-    """fewest, most: Gaussians of a file. loss: how far those of the first file are from the model."""
+    """fewest, most: number of Gaussians per file. loss: how far the first file is from the model."""
 
     fewest: int
     most: int
@@ -34,10 +34,11 @@ class Exported:
 def export_splats(
     model: Model, frames: FrameSet, folder: Path, count: int, kind: Kind = "ply", advance: Callable[[int], None] = lambda n: None
 ) -> Exported:
-    """``folder/frame0001.ply`` and so on: the Gaussians of ``model`` at ``count`` times from first to last (the middle one, if one).
+    """Writes ``folder/frame0001.ply`` and so on: the Gaussians of ``model`` at ``count`` times from first to last (the middle time if
+    ``count`` is 1).
 
-    kind: of `KINDS`; all but ply lose a little. Each file is there only when it is whole. Raises StageError where ``kind`` needs a package
-    that is not there.
+    kind: one of `KINDS`; all but ply are slightly lossy. Files are written atomically. Raises StageError if ``kind`` needs a package that
+    is not installed.
     """
     encode = encoder(kind)
 
@@ -58,7 +59,7 @@ def export_splats(
 
 
 def encoder(kind: Kind) -> Callable[[Gaussians], tuple[bytes, int]]:
-    """From Gaussians to the bytes of a file of ``kind``, and how many it holds."""
+    """A function from Gaussians to the bytes of a file of ``kind`` and the number of Gaussians in it."""
     from ...scene.formats.compressed_ply import compressed_ply_bytes
     from ...scene.formats.gltf import glb_bytes
     from ...scene.formats.ply import ply_bytes

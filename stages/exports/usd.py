@@ -1,4 +1,4 @@
-"""A model over time as one USD file, and how far what it holds is from the model."""
+"""Exports a model over time as one USD file, and measures the loss."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from ...scene.model import Model
     from ..artifacts.frameset import FrameSet
 
-USUAL_RATE = 24.0  # time codes a second of a capture that knows no seconds
+USUAL_RATE = 24.0  # time codes per second for a capture without times in seconds
 
 
 @dataclass
 class ExportedUsd:
-    """gaussians: how many. rate: time codes a second. loss: how far these are from the model."""
+    """gaussians: their number. rate: time codes per second. loss: how far the Gaussians are from the model."""
 
     gaussians: int
     rate: float
@@ -32,10 +32,10 @@ class ExportedUsd:
 def export_usd(
     model: Model, frames: FrameSet, path: Path, count: int, times: int, advance: Callable[[int], None] = lambda n: None
 ) -> ExportedUsd:
-    """``path`` (.usdc or .usda) with ``count`` time samples from first to last (the middle time, if one); see `write_usd`.
+    """Writes ``path`` (.usdc or .usda) with ``count`` time samples from first to last (the middle time if ``count`` is 1); see `write_usd`.
 
-    times: of the capture; time codes are its frames, counted from 0. ``advance`` is called twice a sample. Raises StageError without
-    usd-core.
+    times: number of times of the capture; time codes are its frames, counted from 0. ``advance`` is called twice per sample. Raises
+    StageError if usd-core is not installed.
     """
     try:
         from pxr import UsdVol

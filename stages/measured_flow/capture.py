@@ -1,4 +1,4 @@
-"""The work of `flow`: whether anything moves, flow between neighbouring frames, edges, and what moves."""
+"""The work of `flow`: tests whether anything moves, then measures flow between neighbouring frames, edges and masks of moving pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .measure import measure
 
 
 def measure_capture(ctx: Context) -> None:
-    """Nothing is measured where nothing moves."""
+    """Measures everything that `flow` stores. In a static scene nothing is measured."""
     out = FlowWriter(ctx.out)
     frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs.get("poses"))  # type: ignore[arg-type]
     if ctx.settings.detect_static and nothing_moves(ctx, frames, out):
@@ -32,7 +32,7 @@ def measure_capture(ctx: Context) -> None:
 
 
 def nothing_moves(ctx: Context, frames: FrameSet, out: FlowWriter) -> bool:
-    """Whether the training frames show one that is still; the artifact says what was found."""
+    """Whether the training frames show a static scene. The finding is written to the artifact."""
     chosen, K, poses = frames.train, frames.K, frames.cam_from_world
     with ctx.progress(1, "does anything move?") as bar:
         found = static_scene(

@@ -1,4 +1,4 @@
-"""Which pairs of frames flow is measured between. Imports nothing heavy: a plan asks, too."""
+"""Chooses the pairs of frames between which flow is measured. Imports nothing heavy, since planning uses it too."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from ..artifacts.frameset import FrameSet
 
 
 def choose_pairs(frames: FrameSet, limit: int) -> list[int]:
-    """Training frames whose camera's next frame is a training frame too, by camera and time; evenly thinned to ``limit``."""
+    """Training frames whose successor in the same camera is a training frame too, sorted by camera and time, evenly thinned to
+    ``limit``."""
     usable = {int(i) for i in frames.train}
     pairs = [i for mine in camera_sequences(frames.camera, frames.time, usable).values() for i in mine if int(frames.next[i]) in usable]
     if len(pairs) <= limit:

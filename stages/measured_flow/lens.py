@@ -1,7 +1,7 @@
-"""Flow between the pictures that a lens made, as flow between the pinhole pictures that they are undistorted to.
+"""Converts flow between distorted pictures to flow between the undistorted pinhole pictures.
 
-Flow is measured between the lens's own pictures. So it does not depend on poses: lens and cameras that structure from motion finds a
-little differently, with ten more frames, leave it as it was.
+Flow is measured between the distorted pictures, so it does not depend on poses. When ten more frames make structure from motion find
+slightly different cameras and lens parameters, the measured flow stays valid.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from ..artifacts.frameset import FrameSet
 
 
 def straightened(frames: FrameSet, i: int, j: int, flow: np.ndarray) -> np.ndarray:
-    """Flow [H, W, 2] float32 px from frame i to frame j, between pinhole pictures, from that between the lens's pictures.
+    """Flow [H, W, 2] float32 px from frame i to frame j between pinhole pictures. ``flow``: the same between distorted pictures.
 
-    A pixel of the pinhole picture goes to the lens's picture, along the flow, and back from the other lens's picture. Where the flow leaves
-    that, the lens is taken to bend as at its border.
+    A pixel of the pinhole picture i is mapped to the distorted picture i, moved along the flow, and mapped back to the pinhole picture j.
+    If the flow leaves the distorted picture j, the distortion at its border is used.
     """
     maps, places = frames.undistortion(i), frames.straight_places(j)
     if maps is None and places is None:

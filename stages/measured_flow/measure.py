@@ -1,4 +1,4 @@
-"""The work of stage `flow`: one pass over each camera's frames, in which each picture is looked at once."""
+"""The main loop of stage `flow`: one pass over each camera's frames that reads each picture once."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from ..artifacts.frameset import FrameSet
 from .movers import Movers
 from .pairs import PairFlows, Shown, Source
 
-FOLLOWED = 0.5  # of the pixels of what moves, those where flow forward and backward agrees: with fewer its motion is not known
+FOLLOWED = 0.5  # share of moving pixels where forward and backward flow agree; below it the motion of these pixels is not known
 
 
 class Looked(NamedTuple):
-    """A frame as its pairs need it: edge weights uint8 [H, W], and what its flow needs."""
+    """What the pairs of a frame need from it: edge weights uint8 [H, W], and the input of flow."""
 
     edges: np.ndarray
     shown: Shown | None
 
 
 class Matched(NamedTuple):
-    """The first frame's edges as the second sees them, the second's as the first sees them, and where their flow comes from."""
+    """first: the second frame's edges, warped to the first. second: the first frame's edges, warped to the second. flow: where the flow of
+    the pair comes from."""
 
     first: Seen
     second: Seen
@@ -43,10 +44,10 @@ class Matched(NamedTuple):
 def measure(
     ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int], out: FlowWriter
 ) -> dict[int, np.ndarray]:
-    """Fills the arrays of the pairs that begin at ``wanted``, edges and, where asked for, masks of movers, and says how they came about.
+    """Fills the arrays for the pairs that begin at ``wanted``, edges and, if asked for, masks of movers, and logs a summary.
 
-    All follows from the flow as it is stored, rounded, so that flow that is taken over gives the same as flow that is measured.
-    cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras by their number.
+    Everything is derived from the flow as it is stored, rounded, so that reused flow gives the same results as measured flow.
+    cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras, by camera index.
     """
     height, width, count = frames.height, frames.width, len(wanted)
     number = {first: p for p, first in enumerate(wanted)}
@@ -98,16 +99,16 @@ def measure(
             busy = deque[Future[str]]()
             waiting = deque[tuple[int, Future[Looked], Future[Matched] | None, Future[Matched] | None]]()
             own: Future[Looked] | None = None
-            before: Future[Matched] | None = None  # the pair that ends at the frame before
+            before: Future[Matched] | None = None  # the pair that ends at the previous frame
             for k, i in enumerate(mine):
-                # What a job waits for was handed to the pool before it, so that it never waits for one behind it.
+                # Every job is submitted after the jobs that it waits for, so it never waits for one behind it in the queue.
                 last, joined = own, k > 0 and mine[k - 1] in number and int(frames.next[mine[k - 1]]) == i
                 own = pool.submit(look, moving, gathered, k, i, frames.both(i), joined or i in number)
                 if last is not None:
                     after = pool.submit(match, number[mine[k - 1]], gathered, k - 1, last, own) if joined else None
                     waiting.append((mine[k - 1], last, before, after))
                     before = after
-                # A frame's last pair is begun before its end is asked for: no thread idles until it is there.
+                # A frame is finished only some frames after its last pair was submitted, so that no thread idles waiting for the pair.
                 if len(waiting) > threads:
                     busy.append(pool.submit(finish, *waiting.popleft()))
                 if len(busy) > 2 * threads:  # bounds the pictures in memory
@@ -122,7 +123,7 @@ def measure(
             if movers is not None and gathered is not None:
                 for i, mask in zip(mine, (mask for job in gathered.masks(pool) for mask in job.result()), strict=True):
                     kept = frames.kept(i)
-                    mask = mask if kept is None else np.where(kept, mask, 0)  # nothing is to begin on what does not count
+                    mask = mask if kept is None else np.where(kept, mask, 0)  # no seeds on ignored pixels
                     movers[i] = mask
                     moved += np.count_nonzero(mask) / mask.size
                     if i in number and mask.any():
@@ -146,7 +147,7 @@ def measure(
 
 @contextmanager
 def _pool(method: FlowMethod | None) -> Iterator[ThreadPoolExecutor]:
-    """Frames run side by side here; threads inside each picture would cost half again as much processor time."""
+    """A thread pool that processes frames in parallel. Threads within each picture as well would cost half again as much CPU time."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

@@ -1,4 +1,4 @@
-"""Masks of what moves in the training frames of one camera, gathered small while the flow of full pictures is measured."""
+"""Masks of movers in the training frames of one camera, from small pictures collected while flow is measured at full size."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from ...vision.moving.foreground import frame_foregrounds
 from ...vision.moving.objects import moving_masks
 from ..artifacts.frameset import FrameSet
 
-# px, longest side at which movers are looked for. On `room_mono` (480x270, true poses) masks made at 240 and 160 px agree with the truth
-# by 0.866 and 0.862 (intersection over union), in time that goes with the area. The background of a fixed camera costs less.
+# px, longest side at which movers are detected. On `room_mono` (480x270, true poses) masks made at 240 and 160 px have an intersection
+# over union with the truth of 0.866 and 0.862, and the time is proportional to the area. The background model of a fixed camera costs less.
 SIZE = 160
 FIXED_SIZE = 240
-GAPS = (1, 3)  # frames to either side that each is compared with; as good here as three, in two thirds of the time
-STRETCH = 16  # frames that one job makes masks of
+GAPS = (1, 3)  # distances to the frames on either side that each frame is compared with; as good here as three, in two thirds of the time
+STRETCH = 16  # frames per job
 
 
 class Movers:
-    """Small pictures and flow of one camera, then its masks. Frames are numbered 0, 1, ... in order of time; any thread may add.
+    """Collects small pictures and flow of one camera, then computes its masks. Frames are numbered 0, 1, ... in order of time. Any thread
+    may add.
 
-    width, height: px of the full pictures. K [F, 3, 3] px of these and cam_from_world [F, 4, 4], or None for both. fixed: the camera
-    stands still, and its background says more than flow does.
+    width, height: px of the full pictures. K [F, 3, 3] px for these and cam_from_world [F, 4, 4], or None for both. fixed: the camera
+    stands still, so its background is used, which is more reliable than flow.
     """
 
     def __init__(self, width: int, height: int, K: np.ndarray | None, cam_from_world: np.ndarray | None, fixed: bool) -> None:
@@ -50,7 +51,7 @@ class Movers:
         self._pictures[k] = cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA)
 
     def add_pair(self, k: int, pair: FlowPair) -> None:
-        """Flow between frames ``k`` and ``k`` + 1, of full pictures; a camera that stands still needs none."""
+        """Flow between frames ``k`` and ``k`` + 1 at full size. Ignored for a fixed camera, which needs none."""
         if self._fixed:
             return
         forward, backward = (
@@ -60,8 +61,8 @@ class Movers:
         self._pairs[k] = FlowPair(forward, backward, cv2.resize(pair.confidence, self._size, interpolation=cv2.INTER_AREA))
 
     def masks(self, pool: Executor) -> list[Future[list[np.ndarray]]]:
-        """Jobs whose results, one after another, are the masks uint8 [H, W] of all frames, full size, 255 = moves; nothing may be added
-        any more."""
+        """Submits jobs. Their results, joined in order, are the full-size masks uint8 [H, W] of all frames, 255 = moves. Nothing may be
+        added afterwards."""
         count = len(self._pictures)
         pictures = [self._pictures[k] for k in range(count)]
         if self._fixed:

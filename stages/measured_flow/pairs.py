@@ -1,4 +1,4 @@
-"""Flow of the pairs of a capture: measured between the lens's pictures, or taken over from an earlier result."""
+"""Flow of the pairs of a capture: measured between the distorted pictures, or reused from an earlier result."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from .taken import TakenFlow
 if TYPE_CHECKING:
     import zarr
 
-STEPS = 32  # stored flow is a multiple of 1/32 px: a tenth of DIS's error, and the array compresses to a third
+STEPS = 32  # stored flow is a multiple of 1/32 px, a tenth of the error of DIS; the array then compresses to a third
 LIMIT = 65504.0  # px, the largest float16
 
 Source = Literal["measured", "taken", "still"]
 
 
 class Shown(NamedTuple):
-    """A picture as the lens made it, uint8 [H, W, 3], a glance at it that tells whether anything moves, and the picture as the method wants
-    it, where there is something to measure."""
+    """picture: the distorted picture, uint8 [H, W, 3]. glance: a small version that shows whether anything moves. prepared: the input of
+    the flow method, if flow has to be measured."""
 
     picture: np.ndarray
     glance: np.ndarray
@@ -35,9 +35,9 @@ class Shown(NamedTuple):
 
 
 class PairFlows:
-    """Flow of the pairs that begin at the frames ``wanted``, each asked for once, from any thread. ``method``: None without pairs.
+    """Flow of the pairs that begin at the frames ``wanted``. Each pair is requested once, from any thread. ``method``: None without pairs.
 
-    Writes what measures them, and their flow between the lens's pictures where a lens bends these.
+    Also writes the name of the method and, for lenses with distortion, the flow between the distorted pictures.
     """
 
     def __init__(self, ctx: Context, frames: FrameSet, wanted: Sequence[int], out: FlowWriter) -> None:
@@ -65,12 +65,12 @@ class PairFlows:
         return "none" if self.method is None else self.method.name
 
     def shown(self, i: int, picture: np.ndarray) -> Shown:
-        """Frame i of a pair, ``picture`` being what the lens made."""
+        """Prepares frame i of a pair. ``picture``: its distorted picture."""
         assert self.method is not None
         return Shown(picture, glance(picture), self.method.prepare(picture) if i in self._new else None)
 
     def between(self, p: int, first: Shown, second: Shown) -> tuple[FlowPair, Source]:
-        """Flow of pair p between pinhole pictures, as float16 holds it, and where it comes from."""
+        """Flow of pair p between pinhole pictures, rounded to what float16 stores, and its source."""
         if no_motion(first.glance, second.glance):
             zero = np.zeros((*first.picture.shape[:2], 2), np.float32)
             for array in self._lens:
@@ -93,5 +93,5 @@ class PairFlows:
 
 
 def stored(flow: np.ndarray) -> np.ndarray:
-    """float32, as it is after it has been stored as float16."""
+    """``flow`` as float32, with the values that it has after being stored as float16."""
     return (np.rint(np.clip(flow, -LIMIT, LIMIT) * STEPS) / STEPS).astype(np.float16).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What flow a capture needs, from a glance at small pictures: none between frames that are the same, less detail where little moves."""
+"""Decides from small pictures what flow a capture needs: none between identical frames, a lower resolution where little moves."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from ...vision.flow.method import Dis, size_within
 from ...vision.moving.motion_mask import FLOOR, smoothed
 from ..artifacts.frameset import FrameSet
 
-SAMPLES = 8  # pairs that tell how much moves in a capture
-GLANCE = 320  # px, longest side of the pictures that tell
-LITTLE = 2.0  # px; below it there is little to gain from the full size, and training compares flow at half of it
-ENOUGH = 480  # px, longest side below which nothing is saved by less
-FAST = 99.0  # percentile of the lengths of a pair's flow that counts as its motion
+SAMPLES = 8  # pairs from which the motion of a capture is estimated
+GLANCE = 320  # px, longest side of the pictures for this estimate
+LITTLE = 2.0  # px of motion; below it the full size gains little, and training compares flow at half size anyway
+ENOUGH = 480  # px, longest side; flow of pictures up to this size is always measured at full size
+FAST = 99.0  # percentile of the flow lengths of a pair that counts as its motion
 
 
 def glance(picture: np.ndarray) -> np.ndarray:
-    """``picture``, uint8 [H, W, 3], without its noise: float32 [H/2, W/2, 3], smoothed as `MotionMask` does before it compares."""
+    """``picture``, uint8 [H, W, 3], denoised: float32 [H/2, W/2, 3], smoothed as in `MotionMask` before its comparison."""
     height, width = picture.shape[:2]
     return smoothed(cv2.resize(picture, (max(1, width // 2), max(1, height // 2)), interpolation=cv2.INTER_AREA))
 
 
 def no_motion(first: np.ndarray, second: np.ndarray) -> bool:
-    """Whether the pictures of two glances are the same but for noise and a shift of brightness.
+    """Whether two pictures, given as their glances, are the same except for noise and a shift of brightness.
 
-    No pixel may differ by more than the 5 grey levels from which `MotionMask` takes a pixel to change. With a camera that moves, this is
-    never so.
+    No pixel may differ by more than 5 grey levels, the threshold of `MotionMask` for a changed pixel. If the camera moves, this is never
+    the case.
     """
     difference = second - first
     difference -= np.median(difference.reshape(-1, 3), axis=0)
@@ -36,10 +36,11 @@ def no_motion(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def working_size(frames: FrameSet, wanted: Sequence[int], max_size: int | None) -> tuple[int, float]:
-    """Longest side in px at which flow is to be measured, and the motion in px that says so.
+    """Longest side in px at which flow is to be measured, and the motion in px on which this is based.
 
-    Up to `SAMPLES` pairs, evenly spread, are measured quickly and small; where none moves by `LITTLE` px (a percentile of its pixels, so
-    that an error at a pixel does not decide), half of the size does. ``wanted``: first frames of pairs. ``max_size``: no more than that.
+    The flow of up to `SAMPLES` evenly spread pairs is measured quickly at a small size. If no pair moves by `LITTLE` px, half the size is
+    enough. The motion of a pair is a percentile over its pixels, so that an error at one pixel does not decide. ``wanted``: first frames
+    of the pairs. ``max_size``: upper limit of the result.
     """
     longest = max(size_within(frames.width, frames.height, max_size))
     if longest <= ENOUGH:
@@ -50,7 +51,7 @@ def working_size(frames: FrameSet, wanted: Sequence[int], max_size: int | None) 
 
 
 def motion_between(first: np.ndarray, second: np.ndarray) -> float:
-    """Length in px that 99 % of the flow between two pictures uint8 [H, W, 3] stays below, measured quickly and small."""
+    """99th percentile of the flow length in px between two pictures uint8 [H, W, 3], measured quickly at a small size."""
     method = Dis("fast", GLANCE)
     flow = method.flow(method.prepare(first), method.prepare(second))
     return float(np.percentile(np.linalg.norm(flow, axis=-1), FAST))

@@ -1,4 +1,4 @@
-"""Measured flow of the pairs whose pictures an earlier result has seen."""
+"""Reuses the measured flow of pairs whose pictures an earlier result has already processed."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from ..artifacts.flow import StoredFlow
 
 
 class TakenFlow:
-    """Flow between the lens's pictures, by number of the pair, from ``ctx.earlier``. Any thread may ask.
+    """Flow between the distorted pictures from ``ctx.earlier``, by index of the pair. Any thread may ask.
 
-    method, size: how flow is measured now; what was measured otherwise does not count. The size follows from the motion in the whole
-    capture, so that a plan cannot know it.
+    method, size: how flow is measured now. Flow that was measured differently is not reused. The size depends on the motion in the whole
+    capture, so a plan cannot know it.
     """
 
     def __init__(self, ctx: Context, method: str, size: int) -> None:
@@ -32,11 +32,11 @@ class TakenFlow:
         return self._flow is not None and p in self._rows
 
     def flow(self, p: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Forward and backward, float32 [H, W, 2] px; None where the pair is new, or its chunks cannot be read any more."""
+        """Forward and backward flow, float32 [H, W, 2] px; None if the pair is new or its chunks can no longer be read."""
         if self._flow is None or p not in self._rows:
             return None
         try:
             forward, backward = self._flow.between_lens_pictures(self._rows[p])
-        except ArtifactError:  # all of it was sound a moment ago; measuring is right in any case
+        except ArtifactError:  # it was intact a moment ago; measuring gives the right result in any case
             return None
         return forward.astype(np.float32), backward.astype(np.float32)

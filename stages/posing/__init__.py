@@ -1,1 +1,1 @@
-"""The work of stage `poses`, on the frames of a capture."""
+"""The work of stage `poses` on the frames of a capture."""

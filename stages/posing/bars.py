@@ -1,4 +1,4 @@
-"""`Bars`: progress of the worker process as progress bars."""
+"""`Bars`: shows the progress of the worker process as progress bars."""
 
 from __future__ import annotations
 

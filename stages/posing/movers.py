@@ -1,4 +1,4 @@
-"""Which parts of the pictures show movers, by the poses that structure from motion found first, and how much rests on them."""
+"""Detects movers in the pictures, using the poses of the first pass of structure from motion."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from ...vision.moving.objects import moving_masks
 from ...vision.sequences import camera_sequences
 from ..artifacts.frameset import FrameSet
 
-SIZE = 320  # px, longest side at which flow and masks are computed: a feature is a place, not an outline
-FEWEST = 6  # frames of one camera; a frame is judged by up to four to either side
-FOLLOWED = 0.6  # share of the picture whose flow is consistent, for flow to be believed
-REACH = 6  # pictures to either side that are kept while their neighbours are judged
+SIZE = 320  # px, longest side at which flow and masks are computed; features need positions, not exact outlines
+FEWEST = 6  # least number of frames of a camera; a frame is judged by up to four frames on either side
+FOLLOWED = 0.6  # share of the picture that must have consistent flow for the flow to be trusted
+REACH = 6  # pictures on either side that are cached while their neighbours are judged
 
 
 def mover_masks(
     frames: FrameSet, K: np.ndarray, cam_from_world: np.ndarray, distortion: np.ndarray, size: np.ndarray, advance: Callable[[], None]
 ) -> np.ndarray:
-    """Where movers are in the pictures that features were found on (with their lens distortion): bool [F, h, w], longest side `SIZE`.
+    """Masks of movers in the pictures on which features were found (with lens distortion): bool [F, h, w], longest side `SIZE`.
 
     K [F, 3, 3] px and distortion [F, 4] fit pictures of `size` [F, 2] (width, height) px; cam_from_world [F, 4, 4]; NaN without a pose.
-    Frames are followed in order of time by DIS; pairs that cannot be followed are left out. Nothing is masked in frames
-    without a pose, without neighbours that have one, or of cameras with fewer than `FEWEST` frames. `advance()` is called once a frame.
+    DIS measures flow between frames in order of time; pairs without reliable flow are left out. Nothing is masked in frames
+    without a pose, without neighbours that have one, or of cameras with fewer than `FEWEST` frames. `advance()` is called once per frame.
     """
     width, height = size_within(frames.width, frames.height, SIZE)
     small = np.array(K, np.float64)
@@ -52,7 +52,7 @@ def mover_masks(
 
 
 class _Pairs(Sequence[FlowPair | None]):
-    """Flow between pictures k and k + 1, measured when it is asked for; None where it cannot be believed."""
+    """Flow between pictures k and k + 1, measured on request; None if it cannot be trusted."""
 
     def __init__(self, picture: Callable[[int], np.ndarray], count: int) -> None:
         self._picture, self._count, self._dis = picture, count, Dis("medium")
@@ -72,9 +72,10 @@ class _Pairs(Sequence[FlowPair | None]):
 
 
 class _Lens:
-    """Pictures [h, w, 3] of one camera to their pinhole images, and masks [h, w] of these back; as they are without distortion.
+    """Undistorts pictures [h, w, 3] of one camera to pinhole images, and maps masks [h, w] of these back. Without distortion both are
+    returned unchanged.
 
-    K [F, 3, 3] px of the pictures and distortion [F, 4]; all frames of a camera have one lens, so the first that is known serves all.
+    K [F, 3, 3] px of the pictures and distortion [F, 4]; all frames of a camera share one lens, so the first known one is used for all.
     """
 
     def __init__(self, K: np.ndarray, distortion: np.ndarray, width: int, height: int) -> None:

@@ -1,4 +1,4 @@
-"""The pictures and masks of a capture as files for COLMAP."""
+"""Writes the pictures and masks of a capture as files for COLMAP."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 
 def lens_groups(frames: FrameSet) -> list[int]:
-    """A number for each frame; frames of one number share a lens. Pictures of another size are taken by another camera, or zoomed."""
+    """A number for each frame; frames with the same number share a lens. Pictures of different sizes count as different lenses, since they
+    come from another camera or another zoom."""
     if frames.crop is None:
         return [int(c) for c in frames.camera]
     lenses = [(int(c), *crop) for c, crop in zip(frames.camera, frames.crop.tolist(), strict=True)]
@@ -28,17 +29,18 @@ def lens_groups(frames: FrameSet) -> list[int]:
 
 
 def picture_folder(ctx: Context) -> Path:
-    """Where the pictures lie; it is made where there is none."""
+    """The folder of the pictures, created if it does not exist."""
     folder = ctx.checkpoints / "images"
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def write_images(ctx: Context, frames: FrameSet) -> list[str]:
-    """Pictures for COLMAP under plain names: links to the capture's own files, or files decoded from what the store holds."""
+    """Writes pictures for COLMAP under plain names and returns the names. They are links to the capture's own files if possible, otherwise
+    new PNG files."""
     folder = picture_folder(ctx)
     names: list[str] = []
-    # COLMAP reads files as they are stored: neither turned nor cropped, and without alpha; masks are made for pictures of the frames' size
+    # COLMAP reads files as they are stored: it does not rotate, crop or composite them. Masks need pictures of the frames' size.
     linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None and frames.keep_files is None
     with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):
@@ -46,7 +48,7 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
             names.append(f"{i:06d}{suffix}")
             target = folder / names[-1]
             if not target.exists():
-                target.unlink(missing_ok=True)  # a link to what has moved
+                target.unlink(missing_ok=True)  # a dangling link, whose target has moved
                 if linked and frames.files is not None:
                     _link(frames.root / frames.files[i], target)
                 else:
@@ -57,7 +59,7 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
 
 
 def write_picture(frames: FrameSet, i: int, folder: Path) -> str:
-    """The picture of frame ``i``, decoded; its name. One that is there already stays."""
+    """Writes the picture of frame ``i`` as PNG and returns its name. An existing file is kept."""
     target = folder / f"{i:06d}.png"
     if not target.exists():
         _save(frames, i, target)
@@ -65,7 +67,8 @@ def write_picture(frames: FrameSet, i: int, folder: Path) -> str:
 
 
 def write_masks(ctx: Context, frames: FrameSet) -> Path:
-    """The folder of masks, black where no feature is to be found, called as COLMAP wants them: the picture's name and .png."""
+    """Writes masks, black where no features are to be detected, and returns their folder. As COLMAP wants it, a mask is named after its
+    picture, with .png appended."""
     folder = ctx.checkpoints / "masks"
     folder.mkdir(parents=True, exist_ok=True)
     for i in range(len(frames)):
@@ -83,13 +86,13 @@ def _save(frames: FrameSet, i: int, target: Path, exif: Image.Exif | None = None
 
 
 def _focal_length(file: Path) -> Image.Exif:
-    """What EXIF says of a picture's focal length, in 35 mm terms, and nothing else: COLMAP begins with it."""
+    """EXIF data with only the picture's 35 mm equivalent focal length, from which COLMAP initialises the intrinsics."""
     details, tag = 0x8769, 0xA405
     result = Image.Exif()
     try:
         with open_image(file) as image:
             value = image.getexif().get_ifd(details).get(tag)
-    except BadImageError:  # EXIF data are often broken, and can be done without
+    except BadImageError:  # EXIF data are often broken, and they are optional
         value = None
     if isinstance(value, int) and 1 <= value <= 10_000:
         result[details] = {tag: value}

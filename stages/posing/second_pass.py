@@ -1,4 +1,5 @@
-"""Whether structure from motion gains by leaving out what moves, and the second pass that does so. The parent's side: no pycolmap here."""
+"""Decides whether structure from motion gains by ignoring features on movers, and runs a second pass that does. This code runs in the
+parent process and does not import pycolmap."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from .movers import FEWEST, mover_masks
 if TYPE_CHECKING:
     from ..artifacts.frameset import FrameSet
 
-LEAST = 0.1  # of a frame's used features; a tenth, all to one side, moves Cauchy's estimate by 0.15 deviations of one feature's noise
+LEAST = 0.1  # share of a frame's used features; outliers of a tenth, all to one side, shift a Cauchy estimate by 0.15 sigma of a feature
 KEPT = ("the first pass", "the second pass, without them,")
 TURNS = "the camera turns and hardly moves: rotations rest on all of the picture, and motion apart from them cannot be told"
 Result = tuple[dict[str, np.ndarray], dict[str, Any]]
@@ -25,17 +26,18 @@ Result = tuple[dict[str, np.ndarray], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Passes:
-    """The result to go on with; share of the features used by the first pass that lie on movers (None: not looked at); what was done."""
+    """The result to continue with, the share of the first pass's used features that lie on movers (None: not determined), and what was
+    done, for people."""
 
     arrays: dict[str, np.ndarray]
     facts: dict[str, Any]
     movers_share: float | None
     told: str
-    trouble: str = ""  # what a second pass that failed had to say
+    trouble: str = ""  # error message of a second pass that failed
 
 
 def needless(frames: FrameSet, static: bool, registered: np.ndarray) -> str | None:
-    """Why movers are not looked for; None where one camera saw enough frames in order of time."""
+    """Why movers are not searched for; None if one camera has enough registered frames."""
     if static:
         return "static capture: nothing moves"
     if max(np.bincount(np.asarray(frames.camera)[registered]), default=0) < FEWEST:
@@ -44,11 +46,11 @@ def needless(frames: FrameSet, static: bool, registered: np.ndarray) -> str | No
 
 
 def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, first: Result, static: bool, bars: Progress) -> Passes:
-    """The better of the first pass, which `run_worker(request, folder)` gave as `first`, and one without the features on movers.
+    """The better of two passes: `first`, the result of `run_worker(request, folder)`, and a second pass without the features on movers.
 
-    Masks come from flow and the first pass's poses (`mover_masks`). Where no frame has `LEAST` of its used features on them there is
-    nothing to gain and no second pass: the adjustment of the first bears that many outliers. Where a second pass fails or is no
-    better, the first is kept. A killed run goes on where it stopped.
+    Masks come from flow and the first pass's poses (`mover_masks`). If no frame has a share of `LEAST` of its used features on them, there
+    is nothing to gain and no second pass: bundle adjustment tolerates that many outliers. If a second pass fails or is no better, the
+    first is kept. A killed run resumes where it stopped.
     """
     arrays, facts = first
     why = TURNS if facts.get("turning") else needless(frames, static, arrays["registered"])
@@ -72,16 +74,17 @@ def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, firs
 
 
 def movers_shares(masks: np.ndarray, arrays: Mapping[str, np.ndarray]) -> tuple[float, np.ndarray]:
-    """Share of the features that made points which lie on the masks [F, h, w]: of all frames, and of each frame [F]; 0 without features."""
+    """Share of the triangulated features that lie on the masks [F, h, w]: over all frames, and for each frame [F]; 0 without features."""
     moving = on_movers(masks, arrays["seen"], arrays["seen_xy"], arrays["size"])
     used, hit = (np.bincount(arrays["seen"], weights, len(masks)) for weights in (None, moving.astype(np.float64)))
     return float(hit.sum() / max(1, used.sum())), hit / np.maximum(used, 1)
 
 
 def choose_pass(first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray]) -> tuple[bool, str]:
-    """Whether the second pass is the better one, and why: more images first, then the share of matches off movers that its cameras explain.
+    """Whether the second pass is better, and why. The pass with more registered images wins; if equal, the one whose cameras explain the
+    larger share of the matches off movers.
 
-    first, second: arrays of `reconstruct`; second also has the matches (`match_pair`, `match_xy1`, `match_xy2`) that both are judged on.
+    first, second: arrays of `reconstruct`; second also has the matches (`match_pair`, `match_xy1`, `match_xy2`) by which both are judged.
     """
     counts = [int(arrays["registered"].sum()) for arrays in (first, second)]
     if counts[0] != counts[1]:
@@ -96,7 +99,7 @@ def choose_pass(first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray
 
 
 def _masks(frames: FrameSet, arrays: Mapping[str, np.ndarray], file: Path, bars: Progress) -> np.ndarray:
-    """Of the first pass's poses, kept in `file` with the sizes of the pictures."""
+    """Masks of movers by the first pass's poses, cached in `file` together with the sizes of the pictures."""
     if file.is_file():
         with np.load(file, allow_pickle=False) as kept:
             return np.asarray(kept["masks"])

@@ -1,4 +1,5 @@
-"""Several cameras without poses: what structure from motion is asked for, and its answer laid out for frames. The parent's side."""
+"""Several cameras without poses: builds the request for structure from motion, and maps its result to the capture's frames. This code runs
+in the parent process."""
 
 from __future__ import annotations
 
@@ -16,20 +17,20 @@ from ...vision.sfm.looks import Looks, choose_looks, expand
 from ...vision.sfm.still_cameras import stands_still
 from ..artifacts.frameset import FrameSet
 
-MASK_SIZE = 480  # px of the longest side at which what moves is looked for
-GROW = 3  # px of these around it: features lie on outlines and see beyond
+MASK_SIZE = 480  # px, longest side at which moving pixels are detected
+GROW = 3  # px at that size by which masks grow: features lie on outlines, and their windows reach beyond
 
 
 @dataclass(frozen=True)
 class Several:
-    """looks: what is looked at. request: the parts of the worker's request that say so. told: for people."""
+    """looks: the pictures that are used. request: the corresponding parts of the worker's request. told: a sentence for people."""
 
     looks: Looks
     request: dict[str, Any]
     told: str
 
     def of_frames(self, frames: FrameSet, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], dict]:
-        """Arrays and facts of the worker's images -> of the capture's frames."""
+        """Converts arrays and facts of the worker's images to those of the capture's frames."""
         expanded = expand(arrays, self.looks.image_of_frame)
         features = [facts["features"][i] for i in self.looks.image_of_frame]
         poor = [mine[0] for mine in camera_sequences(frames.camera, frames.time).values() if not expanded["registered"][mine].any()]
@@ -45,10 +46,10 @@ class Several:
 def several_cameras(
     frames: FrameSet, folder: Path, matcher: str, overlap: int, write: Callable[[int], str], advance: Callable[[], None]
 ) -> Several:
-    """Finds the cameras that stand still, chooses what is looked at, and writes it.
+    """Finds the cameras that stand still, chooses the pictures to use, and writes them.
 
-    write(i): writes the picture of frame i and returns its name. advance: called after each camera. Masks of what moves before cameras that
-    stand still go to `folder`.
+    write(i): writes the picture of frame i and returns its name. advance: called after each camera. Masks of moving pixels of the cameras
+    that stand still are written to `folder`.
     """
     sequences = camera_sequences(frames.camera, frames.time)
     still = {}

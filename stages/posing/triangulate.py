@@ -1,4 +1,4 @@
-"""`triangulate`: points to begin with for captures that bring cameras and no points."""
+"""`triangulate`: initial points for captures that have camera poses but no points."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from ..artifacts.frameset import FrameSet
 
 MAX_ERROR = 2.0  # px, in every view of a point
 MIN_ANGLE = 1.0  # degrees between the outermost rays of a point
-MIN_TRACK = 3  # views: on an epipolar line any two features meet, a third view tells
+MIN_TRACK = 3  # views: any two features on an epipolar line triangulate, only a third view verifies the point
 MAX_FEATURES = 3072
-ERROR_SPREAD = 1.75  # times the median error; of what passed by chance on an epipolar line, four in five lie beyond
-NEIGHBOURS = 8  # cameras nearest to each that it is matched with
-STEPS = (1, 2, 4, 8)  # chosen frames of one moving camera that are matched
+ERROR_SPREAD = 1.75  # times the median error; four in five of the points that match by chance on an epipolar line have a larger error
+NEIGHBOURS = 8  # nearest cameras that each camera is matched with
+STEPS = (1, 2, 4, 8)  # distances between the chosen frames of one moving camera that are matched
 MAX_TURN = 75.0  # degrees between viewing directions
 
 
 def triangulate(
     frameset: FrameSet, max_frames: int = 90, seed: int = 0, progress: Progress | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangulate SIFT features of the training frames with their known cameras.
+    """Triangulates SIFT features of the training frames with their known cameras.
 
-    At most about `max_frames` frames are read. Cameras that see the same time are matched with one another and never across times; a
-    moving camera is matched with itself over time, where points on what moves fail the test of reprojection.
+    At most about `max_frames` frames are read. Cameras that see the same time are matched with one another, never across times. A moving
+    camera is matched with itself over time; points on moving objects then fail the test of the reprojection error.
 
     Returns points [P,3] float64 (world), colors [P,3] uint8 (RGB), errors [P] float64 (mean reprojection error, px). Points lie in front
-    of all their cameras, within 2 px of their features, and are seen by at least three views under at least 1 degree; P may be 0.
-    Raises StageError when the frames have no poses or COLMAP fails.
+    of all their cameras and project to within 2 px of their features. At least three views see them, with rays that differ by at least
+    1 degree. P may be 0. Raises StageError if the frames have no poses or COLMAP fails.
     """
     if frameset.K is None or frameset.cam_from_world is None:
         raise StageError("triangulation needs poses; the capture has none and `poses` did not run")
@@ -70,12 +70,12 @@ def triangulate(
 
 
 def keep_precise(errors: np.ndarray) -> np.ndarray:
-    """[P] bool: points whose error is near the median, which is what the poses and features of this capture allow."""
+    """[P] bool: points whose error is near the median, which is the precision that the poses and features of this capture allow."""
     return errors <= ERROR_SPREAD * np.median(errors) if len(errors) else np.zeros(0, bool)
 
 
 def choose_frames(train: np.ndarray, time: np.ndarray, max_frames: int) -> np.ndarray:
-    """Indices, sorted: all cameras of some times (first, last, evenly between), or evenly over time for one camera."""
+    """Sorted indices of the frames to use: all cameras at some evenly spread times, or for one camera frames evenly spread over time."""
     times = np.unique(time[train])
     cameras = len(train) / max(1, len(times))
     if cameras < 2:
@@ -87,7 +87,7 @@ def choose_frames(train: np.ndarray, time: np.ndarray, max_frames: int) -> np.nd
 
 
 def choose_pairs(cam_from_world: np.ndarray, time: np.ndarray) -> list[tuple[int, int]]:
-    """Pairs (a, b), a < b: nearest cameras of the same time; for one moving camera also frames that follow one another."""
+    """Pairs (a, b), a < b: nearest cameras of the same time; for one moving camera also frames close in time."""
     centres = camera_centres(cam_from_world)
     forward = cam_from_world[:, 2, :3]
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)
@@ -98,7 +98,7 @@ def choose_pairs(cam_from_world: np.ndarray, time: np.ndarray) -> list[tuple[int
     if rig:
         allowed &= time[:, None] == time[None]
     pairs: set[tuple[int, int]] = set()
-    # a camera that turned away is as far as one that moved: both lose common features
+    # Turning away counts as distance, as moving away does: both leave fewer features in common.
     cost = np.where(allowed, apart / span + np.radians(turn), np.inf)
     count = NEIGHBOURS if rig else NEIGHBOURS // 2
     for a, row in enumerate(cost):

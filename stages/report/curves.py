@@ -23,7 +23,7 @@ def in_order(splits: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def training_curves(training: Mapping[str, Mapping[str, Any]]) -> list[Plot]:
-    """Loss, PSNR and primitives over the steps of all stages, one after the other."""
+    """Loss, PSNR and number of primitives over the steps of all stages, joined one after the other."""
     starts, total = {}, 0.0
     for name, log in training.items():
         starts[name] = total
@@ -44,8 +44,8 @@ def training_curves(training: Mapping[str, Mapping[str, Any]]) -> list[Plot]:
 
 
 def over_time(metrics: Mapping[str, Any]) -> list[Plot]:
-    """PSNR of the measured views over their time, for splits with several times, and flicker where it was measured. Where several cameras
-    share a time, a curve is their mean."""
+    """PSNR of the measured views over time, for splits with several times, and flicker if it was measured. If several cameras share a time,
+    the curve shows their mean."""
     found = []
     for split, values in in_order(metrics.get("splits") or {}).items():
         points = _means([(row.get("time"), row.get("psnr")) for row in values.get("per_view") or []])
@@ -57,7 +57,7 @@ def over_time(metrics: Mapping[str, Any]) -> list[Plot]:
 
 
 def _means(points: Sequence[tuple[Any, Any]]) -> list[tuple[float, float]]:
-    """The mean of what there is at each time, in order of time."""
+    """The mean of the values at each time, in order of time."""
     at: dict[float, list[float]] = defaultdict(list)
     for time, value in numbers(points, 1):
         at[time].append(value)

@@ -1,6 +1,6 @@
-"""The report of a scene: one HTML file with its pictures, curves and tables inside, that opens anywhere and needs no network.
+"""The report of a scene: one self-contained HTML file with pictures, curves and tables, which opens anywhere and needs no network.
 
-Imports neither torch nor a plotting library, so that a cached run can draw it.
+Imports neither torch nor a plotting library, so that a fully cached run can write it quickly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FLOW_KINDS = (
     ("edges", "edges"),
     ("moving", "what moves"),
 )
-MEASURED_AS = ("metrics", "colours", "moving", "flicker")  # of the protocol: sentences, for small print
+MEASURED_AS = ("metrics", "colours", "moving", "flicker")  # entries of the protocol that are sentences, shown in small print
 VIEW_COLUMNS = (("truth", "ground truth"), ("render", "render"), ("error", "error × 4"), ("edges", "edges"), ("depth", "depth"))
 KINDS = (("gaussians", "Gaussians"), ("convexes", "convexes"))
 VIEWS_OPEN = 6  # the others are folded away
@@ -56,10 +56,10 @@ def render_report(
 ) -> str:
     """The page as HTML text.
 
-    evaluate: its artifact, for the pictures. infos: by stage, attrs and info in one dict (or under "attrs" and "info"), `training` of
-    `coarse` and `fine` among them. plan_rows: `stage`, `state`, `reason`, `seconds`, `peak_rss_mb`. metrics: the content of metrics.json.
-    seeds: a PNG of where training began. command: what makes the same again. A key that is missing leaves its part of the page out. All
-    text is escaped.
+    evaluate: artifact of `evaluate`, for the pictures. infos: for each stage, attrs and info in one dict (or under "attrs" and "info"),
+    including `training` of `coarse` and `fine`. plan_rows: `stage`, `state`, `reason`, `seconds`, `peak_rss_mb`. metrics: the content of
+    metrics.json. seeds: a PNG of the seeds. command: reproduces the run. If a key is missing, its part of the page is left out. All text is
+    escaped.
     """
     from jinja2 import Environment
     from markupsafe import Markup
@@ -105,20 +105,20 @@ def render_report(
 
 
 def flatten(info: Mapping[str, Any]) -> dict[str, Any]:
-    """A stage's attrs and info in one dict, whichever way they came."""
+    """A stage's attrs and info in one dict, whether they were nested or not."""
     nested = {key: info[key] for key in ("attrs", "info") if isinstance(info.get(key), Mapping)}
     return {**{k: v for k, v in info.items() if k not in nested}, **nested.get("attrs", {}), **nested.get("info", {})}
 
 
 def number(value: Any, decimals: int = 2) -> str:
-    """A number for people, an en dash where there is none."""
+    """A number formatted for people; an en dash if it is not a number."""
     if not is_number(value):
         return "–"
     return f"{value:,}" if isinstance(value, int) else f"{value:.{decimals}f}"
 
 
 def headlines(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Per split, test first: its metrics as (title, text, unit, hint)."""
+    """For each split, test first, its metrics with title, text, unit and hint."""
     result = []
     for split, values in in_order(metrics.get("splits") or {}).items():
         tiles = []
@@ -131,7 +131,7 @@ def headlines(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def facts(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Training time, speed and size."""
+    """Training time, flicker, speed and size."""
     primitives = metrics.get("primitives") or {}
     found = []
     if is_number(metrics.get("train_seconds")):
@@ -147,7 +147,7 @@ def facts(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def tables(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Per split the columns that hold anything, and a row a view."""
+    """For each split, the columns that have values, and one row per view."""
     result = []
     for split, values in in_order(metrics.get("splits") or {}).items():
         rows = values.get("per_view") or []
@@ -158,20 +158,20 @@ def tables(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def total_of(plan_rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Seconds of all stages together, and of those that this run found in the store: `seconds`, `cached`."""
+    """Seconds of all stages together, and of those that this run took from the store: `seconds`, `cached`."""
     taken = [row for row in plan_rows if row.get("state") != "skipped" and is_number(row.get("seconds"))]
     cached = [float(row["seconds"]) for row in taken if row.get("state") == "cached"]
     return {"seconds": sum(float(row["seconds"]) for row in taken), "cached": sum(cached)}
 
 
 def worst_first(views: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Views of test come first, then those of val; the worst of each come first."""
+    """Views sorted by split, test first, then val, and within a split from worst to best PSNR."""
     order = list(in_order(dict.fromkeys(view["split"] for view in views)))
     return sorted(views, key=lambda view: (order.index(view["split"]), view["psnr"]))
 
 
 def settings_of(flat: Mapping[str, Mapping[str, Any]], evaluate: Artifact) -> dict[str, Mapping[str, Any]]:
-    """Settings by stage, as far as they were handed in; those of `evaluate` come from its provenance."""
+    """Settings by stage, as far as ``flat`` has them; those of `evaluate` come from its provenance."""
     found = {name: info["settings"] for name, info in flat.items() if isinstance(info.get("settings"), Mapping)}
     own = _provenance(evaluate).get("settings")
     return {**found, "evaluate": own} if isinstance(own, Mapping) else found
@@ -190,7 +190,8 @@ def _strip(strip: Mapping[str, Any], pictures: Mapping[str, str]) -> dict[str, A
 
 
 def _flow(flow: Mapping[str, Any], pictures: Mapping[str, str]) -> dict[str, Any]:
-    """Per pair of frames the pictures that there are, as (title, source); without a rendered flow there is nothing to compare."""
+    """For each pair of frames, the available pictures as (title, source). Pairs without rendered flow are left out, since there is nothing
+    to compare."""
     items = []
     for pair in flow.get("pairs") or []:
         shown = [(title, pictures[f"{pair['stem']}/{kind}"]) for kind, title in FLOW_KINDS if f"{pair['stem']}/{kind}" in pictures]
@@ -200,6 +201,6 @@ def _flow(flow: Mapping[str, Any], pictures: Mapping[str, str]) -> dict[str, Any
 
 
 def _movies(evaluate: Artifact) -> list[tuple[str, str]]:
-    """(title, source) of each movie that there is."""
+    """(title, source) of each available movie."""
     found = read_movies(evaluate)
     return [(title, MOVIE + base64.b64encode(found[name]).decode()) for name, title in MOVIES if name in found]

@@ -10,7 +10,7 @@ from typing import Any
 
 WIDTH, HEIGHT = 420, 230
 LEFT, RIGHT, TOP, BOTTOM = 56, 12, 14, 34
-MOST_POINTS = 600  # a polyline; longer curves are thinned, ends kept
+MOST_POINTS = 600  # per polyline; longer curves are thinned, keeping both ends
 
 
 @dataclass
@@ -24,7 +24,7 @@ class Series:
 
 @dataclass
 class Plot:
-    """Curves over one x axis. marks: x values where a stage begins, with its name. log: logarithmic y (values <= 0 are left out)."""
+    """Curves over one x axis. marks: x values where a stage begins, with its name. log: logarithmic y axis (values <= 0 are left out)."""
 
     title: str
     x_label: str
@@ -48,7 +48,7 @@ def numbers(rows: Any, column: int) -> list[tuple[float, float]]:
 
 
 def svg(plot: Plot) -> str:
-    """The plot as one <svg> element; "" where no curve has two points."""
+    """The plot as one <svg> element; "" if no curve has two points."""
     series = [Series(s.label, _thin([p for p in s.points if not plot.log or p[1] > 0]), s.style) for s in plot.series]
     series = [s for s in series if len(s.points) >= 2]
     if not series:

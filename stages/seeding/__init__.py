@@ -1,1 +1,1 @@
-"""Where Gaussians begin: the work of `coarse` before it trains."""
+"""Initial Gaussians: the work of `coarse` before training."""

@@ -1,4 +1,4 @@
-"""Flow of one camera chained from frame to frame: where pixels of something that moves go, and how long they can be followed."""
+"""Chains the flow of one camera from frame to frame, to track pixels of moving objects for as long as flow is reliable."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from ...vision.flow.method import size_within
 from ...vision.flow.two_way import consistency
 from ..artifacts.flow import StoredFlow
 
-TRUSTED = 64  # of 255, confidence down to which a track goes on
-SIZE = 480  # px, longest side at which steps are kept: flow is smooth, and each step is then read once for all tracks
-KEPT = 512  # steps, and masks, in memory; of 0.6 MB and 0.1 MB
+TRUSTED = 64  # of 255; a track ends where the confidence is not above this
+SIZE = 480  # px, longest side at which steps are cached: flow is smooth, and so each step is read only once for all tracks
+KEPT = 512  # steps of 0.6 MB, and as many masks of 0.1 MB, in memory
 
 
 class Step(NamedTuple):
-    """flow [h, w, 2] float16, px of the full picture; confidence [h, w] uint8."""
+    """flow [h, w, 2] float16, in px of the full picture; confidence [h, w] uint8."""
 
     flow: np.ndarray
     confidence: np.ndarray
 
 
 class Chain:
-    """Flow of one camera from frame to frame of ``frames``, and its masks of movers, read as needed. Places are pixels of the full
-    pictures, whose centres lie at whole numbers here."""
+    """Flow of one camera between consecutive ``frames``, and its masks of movers, read on demand. Positions are in pixels of the full
+    pictures, with pixel centres at whole numbers."""
 
     def __init__(self, flow: StoredFlow, frames: list[int]) -> None:
         pairs = {pair: p for p, pair in enumerate(flow.pairs)}
@@ -38,7 +38,7 @@ class Chain:
         self._small_mask = lru_cache(maxsize=KEPT)(self._read_small_mask)
 
     def mask(self, k: int) -> np.ndarray:
-        """bool [H, W]: what moves in frame ``k`` of the sequence."""
+        """bool [H, W]: moving pixels in frame ``k`` of the sequence."""
         return self._flow.movers(self._frames[k]) > 127
 
     def small_mask(self, k: int) -> np.ndarray:
@@ -46,8 +46,8 @@ class Chain:
         return self._small_mask(k) > 127
 
     def follow(self, start: int, begin: np.ndarray, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Where pixels ``begin`` [n, 2] of frame ``start`` are in each frame, [F, n, 2] px, and how long they can be followed, [F, n]; for
-        at most ``most`` frames to either side."""
+        """Tracks pixels ``begin`` [n, 2] of frame ``start``: their positions in each frame, [F, n, 2] px, and whether each track still
+        holds there, bool [F, n]; for at most ``most`` frames to either side."""
         count, n = len(self._frames), len(begin)
         places, alive = np.tile(begin.astype(np.float32), (count, 1, 1)), np.zeros((count, n), bool)
         alive[start] = True
@@ -63,8 +63,8 @@ class Chain:
         return places, alive
 
     def move(self, k: int, direction: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Where pixels ``places`` [n, 2] of frame ``k`` are in the next (1) or the last (-1), [n, 2] px, and whether flow there is trusted
-        and ends on a mask, [n] bool; None where it was not measured."""
+        """Positions [n, 2] px of pixels ``places`` [n, 2] of frame ``k`` in the next (1) or previous (-1) frame, and whether their flow is
+        trusted and ends on a mask, [n] bool; None if flow was not measured."""
         step = self._step(k, direction)
         if step is None:
             return None
@@ -75,7 +75,7 @@ class Chain:
         return moved, (confidence > TRUSTED) & inside
 
     def _read_step(self, k: int, direction: int) -> Step | None:
-        """From frame ``k`` to the next (1) or the last (-1); None where it was not measured."""
+        """Flow from frame ``k`` to the next (1) or previous (-1) frame; None if it was not measured."""
         p = self._pair[k if direction > 0 else k - 1]
         if p is None:
             return None
@@ -88,13 +88,13 @@ class Chain:
         return self._small(self._flow.movers(self._frames[k]))
 
     def _small(self, values: np.ndarray) -> np.ndarray:
-        """Flow or confidence [H, W, ...] at `SIZE`: float16 or uint8."""
+        """Flow, confidence or a mask [H, W, ...] scaled down to `SIZE`: float16, or uint8 for uint8."""
         height, width = values.shape[:2]
         reduced = cv2.resize(values.astype(np.float32), size_within(width, height, SIZE), interpolation=cv2.INTER_AREA)
         return np.rint(reduced).astype(np.uint8) if values.dtype == np.uint8 else reduced.astype(np.float16)
 
     def _sample(self, values: np.ndarray, places: np.ndarray, outside: float | None = None) -> np.ndarray:
-        """``values`` [h, w] or [h, w, 2] float32 at ``places`` [n, 2], bilinearly; beyond the picture its border, or ``outside``."""
+        """``values`` [h, w] or [h, w, 2] float32 at ``places`` [n, 2], bilinear. Outside the picture: its border value, or ``outside``."""
         small_height, small_width = values.shape[:2]
         x = (places[:, :1] + 0.5) * np.float32(small_width / self.width) - 0.5
         y = (places[:, 1:] + 0.5) * np.float32(small_height / self.height) - 0.5

@@ -1,4 +1,4 @@
-"""One picture a camera of what stands still: before fixed cameras the median over time, in which what passes by does not show."""
+"""One picture of the static scene per camera. For fixed cameras it is the median over time, from which passing objects vanish."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from ...scene.training.curriculum import MIN_CAMERAS
 from ...scene.views import Views
 
-FRAMES = 32  # of moving cameras
-LOOKS = 9  # times that the median is taken over
+FRAMES = 32  # number of frames used from moving cameras
+LOOKS = 9  # number of times over which the median is taken
 
 
 class Plates(NamedTuple):
-    """Of C places of cameras: frames [C] int, one of each; pictures, uint8 [H, W, 3] each; still, [H, W] bool each: where nothing moved."""
+    """For C camera positions: frames [C] int, one frame each; pictures, uint8 [H, W, 3] each; still, [H, W] bool each: static pixels."""
 
     frames: np.ndarray
     pictures: list[np.ndarray]
@@ -23,10 +23,10 @@ class Plates(NamedTuple):
 
 
 def clean_plates(views: Views, mask: Callable[[int], np.ndarray | None], fixed: bool) -> Plates:
-    """Of the training cameras at the middle time, where they are ``fixed`` over all times; where few see one time, of frames from all of
-    the cameras' way.
+    """Plates of the training cameras at the middle time; if the cameras are ``fixed``, medians over all times. If few cameras see one
+    time, frames evenly spread over the training frames are used instead.
 
-    mask(i): [H, W] bool, what moves in frame i, or None where that is not known.
+    mask(i): [H, W] bool, moving pixels of frame i, or None if unknown.
     """
     times = np.unique(views.time[views.train])
     frames = views.train[views.time[views.train] == times[len(times) // 2]]

@@ -1,7 +1,7 @@
-"""How far away something is that moves by itself: not told by one moving camera, but bounded by what stands still behind and below it.
+"""Depth of moving objects seen by one moving camera. The camera cannot measure it, but the static scene behind and below bounds it.
 
-What stands on the floor is as far away as the floor at its lowest pixel, or nearer where the picture cuts it off. Of anything else only
-what it hides tells that it is nearer. An object keeps its size, so that what one frame tells holds for all of them (`objects.py`).
+An object that stands on the floor is as far away as the floor at its lowest pixel, or nearer if the picture border cuts it off. Any other
+object is only known to be nearer than what it hides. Objects keep their size, so the depth from one frame gives it for all (`objects.py`).
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ import numpy as np
 from ...scene.views import Views
 from .objects import Objects
 
-NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest: single points may be wrong
-FEWEST = 5  # hidden points, or points of the floor, that tell a depth
-BEFORE = 0.97  # of that depth: what hides is in front of what is hidden
-ANYWHERE = 0.75  # of that depth, for what is in the air: the mean over all places in the view before what it hides
-INSET = 0.01  # of the picture's width; masks reach over outlines by as much, onto nearer floor
-TIGHTEST = 20.0  # percentile, over the frames of an object, of the depths that they tell: each is told from too far, or with some noise
-STANDS = 0.75  # of the frames that show a surface below something must show a level one, for it to stand there
-BESIDE = 8  # frames to either side whose evidence counts by itself
-FLOOR = 0.6  # least share of a surface's normal along the picture's vertical, for something to stand on it: 53 degrees from level
-AROUND_FOOT = 0.08  # of the picture's width, from which the floor is found
-THICKEST = 0.7  # of the depth, that a surface comes nearer at most
-STEADY = 9  # frames over which a track's depth is a median
+NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest, since single points may be wrong
+FEWEST = 5  # least number of hidden points, or points of the floor, that give a depth
+BEFORE = 0.97  # factor on the depth of hidden points: an object is in front of what it hides
+ANYWHERE = 0.75  # the same for an object in the air: the mean over all positions in the view in front of what it hides
+INSET = 0.01  # of the picture's width; masks extend beyond outlines by this much, onto nearer floor
+TIGHTEST = 20.0  # percentile of an object's depths over its frames; low, since each is an upper bound or noisy
+STANDS = 0.75  # of the frames that show a surface below an object must show a level one for the object to count as standing
+BESIDE = 8  # frames on either side whose own evidence is used
+FLOOR = 0.6  # least vertical share of a surface's normal for objects to stand on it: at most 53 degrees from level
+AROUND_FOOT = 0.08  # of the picture's width, reach around the lowest pixel within which points of the floor are used
+THICKEST = 0.7  # least factor on the depth for the thickness of an object, away from its outline
+STEADY = 9  # frames in the moving median of a track's depth
 
 
 def object_depths(objects: Objects, views: Views, frames: list[int], points: np.ndarray) -> list[np.ndarray]:
-    """For each of ``frames`` the depth of each part, [labels] in world units; 0 where the still ``points`` [P, 3] do not tell."""
+    """For each of ``frames`` the depth of each part, [labels] in world units; 0 if the static ``points`` [P, 3] do not determine it."""
     told: dict[int, _Told] = {}
     for k, (labels, number, log_size, i) in enumerate(zip(objects.labels, objects.number, objects.log_size, frames)):
         _, x, y, z = views.project(i, points)
@@ -55,7 +55,8 @@ def object_depths(objects: Objects, views: Views, frames: list[int], points: np.
 
 
 class _Told(NamedTuple):
-    """Of one object: (frame, logarithm of depth times size) by the floor below it, and by what it hides; frames that show a wall below."""
+    """Evidence for one object: (frame, log(depth * size)) from the floor below it and from what it hides, and the number of frames in which
+    the surface below is not level."""
 
     floor: list[tuple[int, float]]
     hidden: list[tuple[int, float]]
@@ -63,28 +64,28 @@ class _Told(NamedTuple):
 
 
 def _depth(told: _Told, k: int, log_size: float) -> float:
-    """In frame ``k``; 0 where nothing tells."""
+    """Depth of an object in frame ``k``; 0 without evidence."""
     stands = len(told.floor) > 0 and len(told.floor) >= STANDS * (len(told.floor) + told.in_air)
     evidence = told.floor if stands else told.hidden
     if not evidence:
         return 0.0
     frame, value = np.array(evidence).T
-    beside = value[np.abs(frame - k) <= BESIDE]  # measured sizes drift with time, and as the object turns
+    beside = value[np.abs(frame - k) <= BESIDE]  # measured sizes drift over time and as the object turns
     tightest = np.percentile(value, TIGHTEST)
     share = 1.0 if stands else ANYWHERE if told.in_air else BEFORE
     return share * float(np.exp(min(tightest, np.median(beside) if len(beside) else tightest) - log_size))
 
 
 class Below(NamedTuple):
-    """depth: world units, of what is seen below something. level: it is a surface to stand on."""
+    """depth: world units, of the surface seen below an object. level: whether objects can stand on that surface."""
 
     depth: float
     level: bool
 
 
 def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Below | None:
-    """Depth at the lowest pixel of ``part`` [H, W] bool, of the surface that the points at pixels ``x``, ``y`` and depths ``z`` [P] show
-    there; None where they are few, or no surface. K: intrinsics [3, 3] in px."""
+    """Depth at the lowest pixel of ``part`` [H, W] bool of the surface formed by the points at pixels ``x``, ``y`` with depths ``z`` [P];
+    None if these are too few or form no surface. K: intrinsics [3, 3] in px."""
     rows, columns = np.nonzero(part)
     foot_y = rows.max()
     foot_x = float(np.median(columns[rows >= foot_y - 0.02 * (foot_y - rows.min() + 1)]))
@@ -92,7 +93,7 @@ def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z
     near = (np.abs(x - foot_x) < reach) & (y - foot_y > -0.3 * reach) & (y - foot_y < 1.5 * reach)
     if near.sum() < FEWEST:
         return None
-    # The inverse depth of a plane is affine in the pixel. Points of other things beside the floor count less and less.
+    # The inverse depth of a plane is affine in the pixel position. Reweighting reduces the influence of points that are not on the floor.
     ray_x, ray_y = (x[near] + 0.5 - K[0, 2]) / K[0, 0], (y[near] + 0.5 - K[1, 2]) / K[1, 1]
     rays, inverse = np.stack([ray_x, ray_y, np.ones(near.sum())], 1), 1 / z[near]
     weight = np.ones(len(inverse))
@@ -113,8 +114,8 @@ def _inner(labels: np.ndarray) -> np.ndarray:
 
 
 def depth_at(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, places: np.ndarray, usual: float) -> np.ndarray:
-    """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` where their part tells none.
-    A part is as thick as it is wide: its surface comes nearer away from its outline."""
+    """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` for parts without a depth.
+    A part is assumed to be as thick as it is wide, so its surface comes nearer with the distance from its outline."""
     where = objects.at(k, *places.T)
     z = depths[objects.labels[k][where]]
     inside = cv2.distanceTransform((objects.labels[k] > 0).astype(np.uint8), cv2.DIST_L2, 5)
@@ -122,12 +123,12 @@ def depth_at(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, places
 
 
 def steady(depth: np.ndarray, alive: np.ndarray) -> np.ndarray:
-    """``depth`` [F, n] as a moving median over the `STEADY` frames around, of those in which the track is ``alive`` [F, n]."""
+    """Moving median of ``depth`` [F, n] over `STEADY` frames, counting only those in which the track is ``alive`` [F, n]."""
     values = np.where(alive, depth, np.nan)
     half = STEADY // 2
     padded = np.pad(values, ((half, half), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, STEADY, axis=0)
-    order = np.sort(windows, axis=-1)  # NaN goes last
+    order = np.sort(windows, axis=-1)  # NaN sorts last
     count = np.isfinite(order).sum(-1)
     middle = np.take_along_axis(order, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
     return np.where(count > 0, middle, depth)

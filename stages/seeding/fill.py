@@ -1,4 +1,4 @@
-"""Seeds where features found nothing: along rays, on the shell around everything, and on what masks of the middle time enclose."""
+"""Seeds where feature matching found no points: along rays, on a shell around the scene, and from a plane sweep."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from .clean_plates import clean_plates
 
 SHELL_SHARE = 0.1
 LOOKS = 32  # frames of a moving camera from which rays start
-SHRINK = 4  # of masks of what moves, for the loss of depth
+SHRINK = 4  # factor by which masks of moving pixels are scaled down for the depth loss
 LEAST_SEEN = 2  # frames that must show a seed
 
 
 def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Up to ``count`` seeds [n, 3] (world units) beside the trusted ``points`` [P, 3], with their colours [n, 3] in [0, 1].
+    """Up to ``count`` seeds [n, 3] (world units) in addition to the trusted ``points`` [P, 3], with their colours [n, 3] in [0, 1].
 
-    Of a rig the frames of the middle time are used, at which training begins; of a moving camera frames from all of its way.
+    For a rig the frames of the middle time are used, where training begins; for a moving camera, frames along its whole path.
     """
     chosen = middle_frames(views)
     if len(chosen) < MIN_CAMERAS:
@@ -51,8 +51,8 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
 
 
 class Swept(NamedTuple):
-    """points [n, 3] at rest (world units), colors [n, 3] in [0, 1]. inverse: by frame, [h, w] float32, 1 / world units, 0 where the depth
-    is not known or something moves; of a fixed camera one for all its frames."""
+    """points [n, 3] static (world units), colors [n, 3] in [0, 1]. inverse: inverse depth by frame, [h, w] float32, 1 / world units, 0
+    where the depth is unknown or something moves; all frames of a fixed camera share one map."""
 
     points: np.ndarray
     colors: np.ndarray
@@ -60,7 +60,8 @@ class Swept(NamedTuple):
 
 
 def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> Swept | None:
-    """What a plane sweep finds between the cameras of the middle time, or along the way of few. points [P, 3]: trusted ones."""
+    """Result of a plane sweep between the cameras of the middle time, or along the path of few cameras; None if it finds no depth.
+    points [P, 3]: trusted points."""
     fixed = frames.fixed_cameras
     plates = clean_plates(views, lambda i: unsteady_mask(ctx, frames, i), fixed)
     with ctx.progress(len(plates.frames), "depth") as bar:
@@ -85,7 +86,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
 
 
 def measured_depth(inverse: Mapping[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:
-    """`Swept.inverse` as training holds a model to it; masks of what moves are kept small."""
+    """`Swept.inverse` as the target of the depth loss, with scaled-down masks of moving pixels; None without any map."""
     if not inverse:
         return None
     known: dict[int, torch.Tensor | None] = {}
@@ -108,13 +109,13 @@ def measured_depth(inverse: Mapping[int, np.ndarray], unit: float, ctx: Context,
 
 
 def middle_frames(views: Views) -> np.ndarray:
-    """[n] int: training frames of the time in the middle, where the window of times opens."""
+    """[n] int: training frames of the middle time, from which the window of training times grows."""
     times = np.unique(views.time[views.train])
     return views.train[views.time[views.train] == times[len(times) // 2]]
 
 
 def moving_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
-    """[H, W] bool, what the capture's own mask or `flow` says moves in frame ``i``; None where neither says anything."""
+    """[H, W] bool, moving pixels of frame ``i`` by the capture's own mask, otherwise by `flow`; None if there is neither."""
     mask = frames.mask(i)
     flow = flow_of(ctx.inputs)
     if mask is None and flow is not None and flow.has_movers:
@@ -126,7 +127,7 @@ def moving_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
 
 
 def unsteady_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
-    """[H, W] bool, where frame ``i`` does not show what stands still: something moves, or its pixels do not count; None without either."""
+    """[H, W] bool, pixels of frame ``i`` that do not show the static scene: they are moving or do not count; None without any mask."""
     moving, kept = moving_mask(ctx, frames, i), frames.kept(i)
     if kept is None:
         return moving

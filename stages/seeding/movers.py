@@ -1,7 +1,7 @@
-"""Seeds on what moves, at several times: where it is then and how fast it goes, from masks and flow.
+"""Seeds on moving objects at several times, with positions and velocities from masks and flow.
 
-Where several cameras see a time at once, seeds lie on the visual hull of their masks; before one moving camera, on the mask's pixels, as
-far away as `depths.py` finds. Velocities are measured over the frames beside.
+If several cameras see the same time, seeds lie on the visual hull of their masks. For one moving camera they lie on the pixels of its
+mask, at the depth that `depths.py` finds. Velocities are measured over neighbouring frames.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from .depths import depth_at, object_depths, steady
 from .objects import follow_objects
 from .scene_flow import next_positions
 
-KEYS = 12  # times at which seeds are placed, and more
-APART = 8  # frames, where these would lie farther apart
-FEWEST_FRAMES = 3  # of a camera, for a path; of cameras that see a time, for a hull
-AROUND = 3  # frames to either side over which the velocity before one camera is measured
+KEYS = 12  # least number of times at which seeds are placed
+APART = 8  # frames; if these times would lie farther apart, more are used
+FEWEST_FRAMES = 3  # least number of frames of a camera for a path, and of cameras that see a time for a hull
+AROUND = 3  # frames on either side over which the velocity is measured for one camera
 
 
 class MoverSeeds(NamedTuple):
-    """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units a frame, time [N] in [0, 1]: when each is there."""
+    """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units per frame, time [N] in [0, 1] of each position."""
 
     points: np.ndarray
     colors: np.ndarray
@@ -37,7 +37,7 @@ class MoverSeeds(NamedTuple):
 
 
 def key_times(times: np.ndarray) -> np.ndarray:
-    """Rows of ``times`` [T] at which seeds are placed: evenly spread, the first and the last among them."""
+    """Indices into ``times`` [T] of the key times, at which seeds are placed: evenly spread, including the first and the last."""
     return np.unique(np.linspace(0, len(times) - 1, min(max(KEYS, len(times) // APART), len(times))).round().astype(int))
 
 
@@ -49,9 +49,9 @@ def rig_seeds(
     seed: int,
     advance: Callable[[int], None] = lambda n: None,
 ) -> MoverSeeds | None:
-    """Up to ``most`` seeds on what masks enclose at key times; None where fewer than three cameras have masks.
+    """Up to ``most`` seeds on the visual hulls of the masks at key times; None if no seed is found or fewer than three cameras have masks.
 
-    mask(i): [H, W] bool, what moves in frame i, or None. advance: called with the number of key times that are done.
+    mask(i): [H, W] bool, moving pixels of frame i, or None. advance: called with the number of key times that are done.
     """
     times = np.unique(views.time[views.train])
     sequences = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) == len(times)]
@@ -81,9 +81,9 @@ def rig_seeds(
 def camera_seeds(
     flow: StoredFlow, views: Views, still: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
 ) -> MoverSeeds | None:
-    """Up to ``most`` seeds on the masks of moving cameras at key times; None where masks show nothing, or hide nothing that tells a depth.
+    """Up to ``most`` seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth.
 
-    still [P, 3]: points that stand still, for the most part. advance: called with the number of frames that are done.
+    still [P, 3]: points that are mostly static. advance: called with the number of frames that are done.
     """
     found = []
     cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
@@ -121,7 +121,7 @@ def camera_seeds(
 
 
 def slope(x: np.ndarray, y: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Least-squares slope [N, 3] of ``y`` [K, N, 3] over ``x`` [K] where it is ``known`` [K, N]; 0 where one alone is."""
+    """Least-squares slope [N, 3] of ``y`` [K, N, 3] over ``x`` [K], using only ``known`` [K, N] values; 0 if fewer than two are known."""
     weight = known[..., None].astype(np.float64)
     count = np.maximum(weight.sum(0), 1)
     dx = x[:, None, None] - (weight * x[:, None, None]).sum(0) / count
@@ -131,7 +131,7 @@ def slope(x: np.ndarray, y: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def per_frame(views: Views, times: np.ndarray, k: int) -> float:
-    """Steps between training times around row ``k`` that make one frame of the capture."""
+    """Factor from world units per step between training times around index ``k`` to world units per frame of the capture."""
     low, high = max(k - 1, 0), min(k + 1, len(times) - 1)
     frames = (times[high] - times[low]) * (len(np.unique(views.time)) - 1)
     return (high - low) / frames if frames > 0 else 1.0

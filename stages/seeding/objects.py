@@ -1,6 +1,6 @@
-"""Parts of one camera's masks over time: which part is the same object as one a frame before, and how its apparent size changes.
+"""Tracks the connected parts of one camera's masks over time as objects, and measures how their apparent size changes.
 
-A rigid object's depth is inversely proportional to its apparent size, so that one frame that tells its depth tells it for all of them.
+A rigid object's depth is inversely proportional to its apparent size, so its depth in one frame determines it in all frames.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ import numpy as np
 
 from .chain import Chain
 
-PIXELS = 400  # of a part that are followed to the next frame
-FEWEST = 12  # of those that must be found again
-PAIRS = 400  # of pixels, between which distances are compared
-LEAST_AREA = 1e-3  # of the picture: smaller parts are noise of the mask
+PIXELS = 400  # most pixels of a part that are tracked to the next frame
+FEWEST = 12  # least number of these that must be found again
+PAIRS = 400  # pairs of pixels whose distances are compared
+LEAST_AREA = 1e-3  # of the picture; smaller parts are noise of the mask
 
 
 class Objects(NamedTuple):
-    """labels: for each frame [h, w] uint8, its parts, 0 where nothing moves; masks are looked at in a smaller size, and `step` is the
-    pixels of the picture that one of theirs spans, in x and y. number: for each frame [labels] int, the object that a part is, -1 for
-    none. log_size: for each frame [labels], the logarithm of its apparent size over that in the object's first frame."""
+    """labels: for each frame [h, w] uint8, the label of each pixel's part, 0 where nothing moves. They are smaller than the picture: `step`
+    is the size of one of their pixels in picture pixels, in x and y. number: for each frame [labels] int, the object of each part, -1 for
+    none. log_size: for each frame [labels], the logarithm of the ratio of the apparent size to that in the object's first frame."""
 
     labels: list[np.ndarray]
     step: tuple[float, float]
@@ -29,7 +29,7 @@ class Objects(NamedTuple):
     log_size: list[np.ndarray]
 
     def at(self, k: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Row and column in the labels of frame ``k`` of pixels ``x``, ``y`` of the picture, whose centres lie at whole numbers."""
+        """Row and column in the labels of frame ``k`` for picture pixels ``x``, ``y``, with pixel centres at whole numbers."""
         height, width = self.labels[k].shape
         row, column = ((np.asarray(v) + 0.5) / s for v, s in ((y, self.step[1]), (x, self.step[0])))
         return np.clip(row.astype(int), 0, height - 1), np.clip(column.astype(int), 0, width - 1)
@@ -58,7 +58,7 @@ def follow_objects(chain: Chain, frames: int, seed: int = 0) -> Objects:
 
 
 def _parts(mask: np.ndarray) -> np.ndarray:
-    """[h, w] uint8: 1, 2, ... for connected parts of ``mask`` [h, w] bool that are no noise, at most 255, 0 elsewhere."""
+    """[h, w] uint8: labels 1, 2, ... of the connected parts of ``mask`` [h, w] bool, without noise and at most 255 parts; 0 elsewhere."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     area = stats[1:, cv2.CC_STAT_AREA]
     large = 1 + np.argsort(-area, kind="stable")[: min(255, int((area >= LEAST_AREA * mask.size).sum()))]
@@ -68,7 +68,7 @@ def _parts(mask: np.ndarray) -> np.ndarray:
 
 
 def _claims(chain: Chain, objects: Objects, k: int, rng: np.random.Generator) -> list[tuple[int, int, int, float]]:
-    """(pixels found again, part in frame ``k``, part in the next, logarithm of its growth) of the parts that go on."""
+    """(pixels found again, part in frame ``k``, part in the next frame, logarithm of its growth) for each part that continues."""
     before, now = objects.labels[k], objects.labels[k + 1]
     claims = []
     for part in range(1, int(before.max()) + 1):
@@ -91,7 +91,7 @@ def _claims(chain: Chain, objects: Objects, k: int, rng: np.random.Generator) ->
 
 
 def _growth(places: np.ndarray, there: np.ndarray, rng: np.random.Generator) -> float:
-    """Median logarithm of how the distances between points change from ``places`` to ``there`` [n, 2]."""
+    """Median logarithm of the factor by which distances between points grow from ``places`` to ``there`` [n, 2]."""
     a, b = rng.integers(len(places), size=(2, PAIRS))
     first, second = (np.linalg.norm(p[a] - p[b], axis=1) for p in (places, there))
     far = first > np.percentile(first, 50)

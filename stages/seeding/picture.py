@@ -1,4 +1,4 @@
-"""Where training begins, as one sees it: the seeds over a training picture."""
+"""A picture of the seeds, drawn over a training picture."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from ...scene.views import Views
 from .movers import MoverSeeds
 
 SIZE = 720  # px, longest side
-DIMMED = 0.35  # of the picture's brightness, in grey, below the seeds
+DIMMED = 0.35  # brightness of the grey picture under the seeds, relative to the original
 MOVING = (255, 120, 0)
 
 
 def seeds_picture(views: Views, points: np.ndarray, colors: np.ndarray, movers: MoverSeeds | None) -> np.ndarray:
-    """uint8 [h, w, 3]: ``points`` [P, 3] (world units) as dots of their ``colors`` [P, 3] in [0, 1] over the middle training picture, in
-    grey; above them, with an orange rim, the seeds on what moves that belong to the time nearest to the picture's."""
+    """uint8 [h, w, 3]: ``points`` [P, 3] (world units) as dots in their ``colors`` [P, 3] in [0, 1] over the middle training picture in
+    grey. On top, with an orange rim, the seeds on moving objects of the time nearest to the picture's."""
     i = int(views.train[len(views.train) // 2])
     grey = cv2.cvtColor(views.load(i), cv2.COLOR_RGB2GRAY)
     factor = min(1.0, SIZE / max(views.width, views.height))
@@ -28,7 +28,7 @@ def seeds_picture(views: Views, points: np.ndarray, colors: np.ndarray, movers: 
     for places, rgb, radius, rim in layers:
         at = views.project(i, np.asarray(places, np.float64))
         shown = (255 * np.clip(np.asarray(rgb)[at.point], 0, 1)).round().astype(int)
-        for k in np.argsort(-at.depth, kind="stable"):  # what is near covers what is far
+        for k in np.argsort(-at.depth, kind="stable"):  # near dots cover far ones
             centre = int(at.x[k] * factor), int(at.y[k] * factor)
             if rim is not None:
                 cv2.circle(picture, centre, radius, rim, -1)

@@ -1,7 +1,7 @@
-"""Where places on something that moves are at the next time before several cameras at once, by all their flows.
+"""Scene flow from several synchronised cameras: moves points on moving objects to the next time using the flow of all cameras.
 
-A place that some cameras see goes, to the next time, where the rays through its flowed pixels meet (robust least squares). What nobody
-sees, and what rays disagree about, goes with its neighbours. Scene flow from many views, as in Vedula et al. 1999.
+A point seen by some cameras moves to where the rays through its pixels, displaced by flow, intersect (robust least squares). Points that
+no camera sees, or for which rays disagree, move with their neighbours. Scene flow from many views follows Vedula et al. 1999.
 """
 
 from __future__ import annotations
@@ -12,18 +12,19 @@ from scipy.spatial import cKDTree
 from ...scene.views import Views
 from .chain import Chain
 
-FEWEST_CAMERAS = 2  # that see a seed and agree where it goes
-AGREE = 3.0  # px of a picture 640 px wide between a ray's own pixel and where all rays meet
-ROUNDS = 4  # of reweighting
+FEWEST_CAMERAS = 2  # least number of cameras that must see a point and agree where it moves
+AGREE = 3.0  # px in a picture 640 px wide, between a ray's own pixel and the intersection of all rays, within which the ray agrees
+ROUNDS = 4  # rounds of reweighting
 NEIGHBOURS = 12
-BLOCK = 4  # px, side of a pixel of the map that tells which seeds others hide
-BEHIND = 0.02  # of the depth, by which a seed may lie behind the first in its block
+BLOCK = 4  # px, side of a block of the depth map that determines which points are hidden
+BEHIND = 0.02  # of the depth, by which a visible point may lie behind the nearest one in its block
 
 
 def next_positions(
     views: Views, chains: list[tuple[Chain, list[int]]], k: int, direction: int, points: np.ndarray, alive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where ``points`` [N, 3] of time ``k`` are at the next one, and which of the ``alive`` [N] are still followed."""
+    """Positions of ``points`` [N, 3] of time ``k`` at the next time (direction 1) or the previous (-1), and which of the ``alive`` [N] are
+    still tracked."""
     rays = np.zeros((len(chains), len(points), 3))
     seen = np.zeros((len(chains), len(points)), bool)
     centres = views.centres()
@@ -33,7 +34,7 @@ def next_positions(
         shown = shown[alive[shown]]
         K, pose = views.K[i], views.cam_from_world[i]
         cam = points[shown] @ pose[:3, :3].T + pose[:3, 3]
-        places = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5  # a chain's centres lie at whole numbers
+        places = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5  # `Chain` has pixel centres at whole numbers
         x, y = (np.clip(np.rint(places[:, c]).astype(int), 0, size - 1) for c, size in enumerate((views.width, views.height)))
         on = chain.mask(k)[y, x]
         moved = chain.move(k, direction, places)
@@ -52,9 +53,9 @@ def next_positions(
 
 
 def meet(centres: np.ndarray, rays: np.ndarray, seen: np.ndarray, start: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """The points [N, 3] nearest to ``rays`` [C, N, 3] (unit) from ``centres`` [C, 3] where ``seen`` [C, N], and whether at least two rays
-    pass within ``angle`` (radians) of them. Rays that disagree lose their say (Cauchy weights); ``start`` [N, 3] holds what rays leave
-    open."""
+    """The points [N, 3] nearest to the unit ``rays`` [C, N, 3] from ``centres`` [C, 3] where ``seen`` [C, N], and whether at least two rays
+    pass within ``angle`` (radians) of them. Cauchy weights suppress rays that disagree. Directions that the rays leave open stay at
+    ``start`` [N, 3]."""
     projector = np.eye(3) - rays[..., :, None] * rays[..., None, :]
     found = start.astype(np.float64)
     for r in range(ROUNDS + 1):
@@ -66,13 +67,13 @@ def meet(centres: np.ndarray, rays: np.ndarray, seen: np.ndarray, start: np.ndar
             break
         A = np.einsum("cn,cnij->nij", weight, projector)
         b = np.einsum("cn,cnij,cj->ni", weight, projector, centres)
-        hold = 1e-3 * np.maximum(np.trace(A, axis1=1, axis2=2), 1e-12)  # along a lone ray nothing is known: it stays
+        hold = 1e-3 * np.maximum(np.trace(A, axis1=1, axis2=2), 1e-12)  # a single ray says nothing about its own direction
         found = np.linalg.solve(A + hold[:, None, None] * np.eye(3), (b + hold[:, None] * found)[..., None])[..., 0]
     return found, (seen & (off < angle)).sum(0) >= FEWEST_CAMERAS
 
 
 def _first_in_line(views: Views, i: int, points: np.ndarray) -> np.ndarray:
-    """Numbers of the ``points`` [N, 3] that frame ``i`` shows and that no other of them hides."""
+    """Indices of the ``points`` [N, 3] that lie in the view of frame ``i`` and that no other of the points hides."""
     shown, x, y, depth = views.project(i, points)
     block = (y // BLOCK) * (views.width // BLOCK + 1) + x // BLOCK
     first = np.full(int(block.max(initial=0)) + 1, np.inf)
@@ -81,7 +82,8 @@ def _first_in_line(views: Views, i: int, points: np.ndarray) -> np.ndarray:
 
 
 def _with_neighbours(points: np.ndarray, step: np.ndarray, known: np.ndarray, alive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each of ``points`` [N, 3] moved by the median ``step`` [N, 3] of the nearest ``known`` [N]; no longer alive where these are far."""
+    """Moves ``points`` [N, 3] by the median ``step`` [N, 3] of their nearest ``known`` [N] neighbours. A point whose neighbours are far is
+    no longer alive."""
     if known.sum() < NEIGHBOURS:
         return points, np.zeros(len(points), bool)
     distance, near = cKDTree(points[known]).query(points, k=NEIGHBOURS)

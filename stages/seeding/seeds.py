@@ -1,4 +1,4 @@
-"""Where the Gaussians of `coarse` begin, and which of them may move."""
+"""The seeds of the Gaussians of `coarse`, and which of them are dynamic."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from ..posing.triangulate import triangulate
 from .fill import fill_seeds, middle_frames, moving_mask, sweep
 from .movers import MoverSeeds, camera_seeds, key_times, rig_seeds
 
-# Shares of the looks at a seed that must find something that moves there, for the seed to be one that may move.
-FIXED_SHARE = 0.3  # of fixed cameras, each with the mask of all that ever changes before it
-MOVERS_SHARE = 0.5  # of a moving camera's masks, frame by frame, where what moves has seeds of its own
-COVERED_SHARE = 0.05  # of the same, where seeds that it hides at times must stand in for it
-OVERLAP = 0.6  # of the frames between two times with seeds: the standard deviation of their lives
-SWEPT_SHARE = 0.7  # of the seeds at most, where depth was found by plane sweep
-LEAST_POINTS = 30  # from which depths between them mean something
-LOOKS = 60  # masks of a moving camera that are looked at
+# A seed is dynamic if at least this share of the masks that see it mark it as moving.
+FIXED_SHARE = 0.3  # masks of fixed cameras, each marking all pixels that ever change
+MOVERS_SHARE = 0.5  # masks of single frames of a moving camera, if moving objects have seeds of their own
+COVERED_SHARE = 0.05  # the same, if they have none and seeds that they sometimes hide must represent them
+OVERLAP = 0.6  # standard deviation of a Gaussian's lifetime, relative to the frames between two times with seeds
+SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide
+LEAST_POINTS = 30  # least number of points for depths interpolated between them to be meaningful
+LOOKS = 60  # masks of a moving camera that are used
 
 
 class Seeds(NamedTuple):
-    """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: those of them, or others, that were measured and not guessed.
-    inverse_depth: of what stands still before each camera, see `Swept`."""
+    """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: points that were measured, not guessed. inverse_depth: of the
+    static scene in front of each camera, see `Swept`."""
 
     points: np.ndarray
     colors: np.ndarray
@@ -44,8 +44,8 @@ class Seeds(NamedTuple):
 
 
 def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seeds:
-    """Where Gaussians start: points of the capture or SfM, else carved silhouettes, else triangulated points. Rigs are filled up to about
-    ``count``, as are posed captures of which little was triangulated."""
+    """Initial positions of Gaussians: points of the capture or SfM, otherwise carved silhouettes, otherwise triangulated points. Seeds of
+    rigs are filled up to about ``count``, and so are those of captures whose points have to be triangulated."""
     settings = ctx.settings
     if frames.points is not None and len(frames.points) >= 50:
         points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
@@ -82,7 +82,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
 
 
 def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MoverSeeds | None:
-    """Up to ``most`` seeds on what moves, at several times; None without masks of movers. points [P, 3]: what stands still, mostly."""
+    """Up to ``most`` seeds on moving objects, at several times; None without masks of movers. points [P, 3]: mostly static points."""
     flow = flow_of(ctx.inputs)
     if flow is None or not flow.has_movers:
         return None
@@ -101,7 +101,7 @@ def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray
 
 
 def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
-    """Gaussians on ``seeds``, a set for each of their times, whose lives overlap with those of the times before and after."""
+    """Gaussians on ``seeds``, one set per time, whose lifetimes overlap with those of the times before and after."""
     times = np.unique(seeds.time)
     apart = (motion.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
     sets = []
@@ -114,10 +114,10 @@ def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: flo
 
 
 def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seeded: bool) -> np.ndarray:
-    """[N] bool. Fixed cameras show which pixels ever change, masks of movers what a moving camera saw move; elsewhere everything may move
-    until the field has shown otherwise.
+    """[N] bool, seeds that are dynamic at first. Masks of fixed cameras show which pixels ever change, masks of movers what a moving camera
+    saw move. Without masks all seeds are dynamic until the field shows otherwise.
 
-    movers_seeded: what moves has seeds of its own, and these need not stand in for it.
+    movers_seeded: moving objects have seeds of their own, so ``points`` need not represent them.
     """
     flow = flow_of(ctx.inputs)
     if flow is not None and flow.has_moving:

@@ -1,4 +1,4 @@
-"""What `coarse` chooses by the capture where the user does not: the motion, the steps, the budget, the seeds. Imports nothing heavy."""
+"""What `coarse` chooses automatically for a capture: motion, steps, budget, seeds and SH degree. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ if TYPE_CHECKING:
     from ..coarse import CoarseSettings
 
 ITERATIONS = 6000
-ITERATIONS_A_TIME = 200  # of a rig: each time has its own
+ITERATIONS_A_TIME = 200  # steps per time of a rig, since each time needs its own
 MOST_ITERATIONS = 30_000
-LEAST_ITERATIONS = 2000  # fewer show fog
+LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
 ITERATIONS_NODES = 40_000
-NODE_TIMES = 9  # fewer say too little about motion
+NODE_TIMES = 9  # least number of times; fewer say too little about motion
 
 
 def is_static(ctx: Context) -> bool:
-    """Nothing moves: the user says so, or `flow` has found it."""
+    """Whether nothing moves, according to the user or to `flow`."""
     flow = flow_of(ctx.inputs)
     return Facts.of(ctx.facts).static or (flow is not None and flow.static)
 
 
 def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:
-    """One Gaussian for eight pixels of one view, 12,000 to 120,000; for five where nodes move them, whose few parameters bear
-    more; for four of a rig, which sees a whole room, 40,000 to 240,000."""
+    """Most Gaussians: one per eight pixels of a view, between 12,000 and 120,000. One per five pixels with control nodes, whose few
+    parameters support more. One per four pixels for a rig, which sees a whole room, between 40,000 and 240,000."""
     pixels = views.width * views.height
     if facts.rig:
         return int(min(max(pixels // 4, 40_000), 240_000))
@@ -38,25 +38,27 @@ def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:
 
 
 def auto_seeds(facts: Facts, budget: int) -> int:
-    """Half the budget for rigs: what growth adds goes where some primitive is, so each wall needs some to begin with. Else 8000."""
+    """Half the budget for rigs: growth adds primitives only near existing ones, so every wall needs some from the start. Else 8000."""
     return budget // 2 if facts.rig else 8000
 
 
 def auto_sh_degree(facts: Facts) -> int:
-    """Few cameras of a rig see a place from few sides, and what they disagree about is not what views between them see."""
+    """1 for rigs, else 2. The few cameras of a rig see each point from few directions, and a colour fitted to their differences does not
+    hold for views in between."""
     return 1 if facts.rig else 2
 
 
 def use_nodes(facts: Facts, settings: CoarseSettings) -> bool:
-    """Control nodes move the scene where it moves and each frame is a camera of its own: one view a time says too little for planes."""
+    """Whether control nodes move the scene. By default they do if something moves and each frame has its own camera, since one view per
+    time says too little for planes."""
     if facts.static or settings.motion != "auto":
         return settings.motion == "nodes" and not facts.static
     return facts.cameras == facts.frames and facts.pairs == 0 and facts.times >= NODE_TIMES
 
 
 def auto_iterations(facts: Facts, settings: CoarseSettings) -> int:
-    """6000 steps; for a rig, which is several cameras at one time, at least 200 a time, up to 30,000; `ITERATIONS_NODES` for control nodes;
-    all of them times the effort, but never below 2000."""
+    """6000 steps; for a rig (several cameras at each time) at least 200 per time, up to 30,000; `ITERATIONS_NODES` for control nodes. The
+    number is multiplied by the effort, but never below 2000."""
     steps = ITERATIONS_NODES
     if not use_nodes(facts, settings):
         moving_rig = facts.rig and not facts.static

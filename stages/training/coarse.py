@@ -1,4 +1,4 @@
-"""The work of `coarse`: seeds become Gaussians, which learn the scene's shape and motion."""
+"""The work of `coarse`: turns seeds into Gaussians and trains them to represent the scene's shape and motion."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ from .train import train
 if TYPE_CHECKING:
     from ..coarse import CoarseSettings
 
-SMALL_IMAGE = 40_000  # px; halves of smaller images show too little
-NODE_SEEDS = 2500  # few seeds that multiply where the error is come out better than many
-MOST_SCALE = 0.05  # of the viewing distance, standard deviation of a Gaussian at first
-LEAST_DYNAMIC = 50  # seeds that may move, from which on the field spans these alone
+SMALL_IMAGE = 40_000  # px; smaller images show too little at half size
+NODE_SEEDS = 2500  # few seeds that multiply where the error is give better results than many
+MOST_SCALE = 0.05  # of the viewing distance, largest initial standard deviation of a Gaussian
+LEAST_DYNAMIC = 50  # dynamic seeds, from which on the field spans only these
 
 Kind = Literal["static", "planes", "nodes", "free"]
 
 
 class Start(NamedTuple):
-    """Where Gaussians begin. points [N, 3] world units; colors [N, 3] in [0, 1]; dynamic [N] bool, those that may move. movers: others on
-    what moves, at several times. max_scale: world units."""
+    """Seeds of the Gaussians. points [N, 3] world units; colors [N, 3] in [0, 1]; dynamic [N] bool. movers: further seeds on moving
+    objects, at several times. max_scale: largest initial standard deviation, world units."""
 
     points: np.ndarray
     colors: np.ndarray
@@ -55,7 +55,7 @@ class Start(NamedTuple):
 
 
 def train_coarse(ctx: Context) -> None:
-    """Seeds, static warm-up, deformation; writes a model without convexes."""
+    """Places seeds, trains a static warm-up and then the deformation, and writes a model without convexes."""
     settings, facts = ctx.settings, Facts.of(ctx.facts)
     torch.manual_seed(settings.seed)
     frames = load_frameset(ctx.inputs, ctx.capture.root)
@@ -99,9 +99,9 @@ def train_coarse(ctx: Context) -> None:
 
 
 def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings: CoarseSettings) -> Model:
-    """Gaussians on the seeds, and the motion that is to move them."""
+    """The initial model: Gaussians on the seeds, and the motion model."""
     points, colors, dynamic, movers, max_scale = start
-    if movers is not None and kind != "free":  # at rest is where it is at the middle time
+    if movers is not None and kind != "free":  # the rest pose is the position at the middle time
         middle = movers.time == movers.time[np.abs(movers.time - 0.5).argmin()]
         points, colors = np.concatenate([points, movers.points[middle]]), np.concatenate([colors, movers.colors[middle]])
         dynamic = np.concatenate([dynamic, np.ones(int(middle.sum()), bool)])
@@ -122,7 +122,7 @@ def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings
 
 
 def phases(kind: Kind, steps: int, views: Views, settings: CoarseSettings) -> list[Phase]:
-    """What the steps are spent on, small images first where they show enough."""
+    """The training schedule. Half-size images come first if they show enough."""
     small = views.width * views.height < SMALL_IMAGE
     if kind == "nodes" and settings.strategy in ("two-stage", "alternating"):
         return node_phases(steps, 1.0 if small else HALF_RESOLUTION)
@@ -130,7 +130,7 @@ def phases(kind: Kind, steps: int, views: Views, settings: CoarseSettings) -> li
 
 
 def mean_colour(views: Views) -> tuple[float, float, float]:
-    """RGB in [0, 1] of the training views: what shows through an opaque scene's holes should not shine nor be black."""
+    """Mean RGB in [0, 1] of the training views. As the background it keeps holes in an opaque scene from looking bright or black."""
     few = views.train[:: max(1, len(views.train) // 60)]
     means = [views.target(int(i), 0.25).double().mean((0, 1)).tolist() for i in few]
     red, green, blue = (sum(channel) / len(few) for channel in zip(*means))

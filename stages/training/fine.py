@@ -1,4 +1,4 @@
-"""The work of `fine`: convexes join the Gaussians, and both are refined."""
+"""The work of `fine`: adds convexes to the Gaussians and refines both."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def train_fine(ctx: Context) -> None:
-    """The model of `coarse` together with the convexes of `hulls`."""
+    """Refines the model of `coarse` together with the convexes of `hulls`."""
     settings = ctx.settings
     torch.manual_seed(settings.seed)
     artifact = required(ctx.inputs["coarse"])
@@ -61,12 +61,12 @@ def train_fine(ctx: Context) -> None:
 
 
 def training_settings(settings: FineSettings, growth: GrowthSettings) -> TrainingSettings:
-    """What the trainer reads: growth, where there is any, goes on as `coarse` was told."""
+    """Settings for the trainer. Growth, if enabled, uses the settings of `coarse`."""
     return TrainingSettings(**settings.model_dump(include=set(RefinementSettings.model_fields)), **growth.model_dump())
 
 
 def add_convexes(model: Model, hulls: StoredHulls, opacity: float) -> None:
-    """Convexes in the shape of ``hulls``, each of which moves and lives as the Gaussian that it came from."""
+    """Adds convexes in the shape of ``hulls``. Each takes its motion and lifetime from the Gaussian that it came from."""
     model.convexes = ConvexSet.from_hulls(hulls.points, hulls.colors, model.sh_degree, opacity)
     seeds = torch.from_numpy(hulls.seed).long()
     for name in ("hyper", *LIFE):

@@ -1,4 +1,4 @@
-"""The work of `hulls`: convexes at the Gaussians under which edges are dense."""
+"""The work of `hulls`: places convexes at the Gaussians under which edges are dense."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..artifacts.model import read_model
 
 
 def place_hulls(ctx: Context) -> None:
-    """Edge density is attributed to the Gaussians of `coarse` that are blended at edge pixels; the densest become seeds."""
+    """Attributes edge density to the Gaussians of `coarse` that are blended at edge pixels. Those with the most become seeds."""
     settings = ctx.settings
     model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)
     views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)

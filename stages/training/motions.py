@@ -1,4 +1,4 @@
-"""The motions that `coarse` begins with, spread over where the scene is."""
+"""The initial motion models of `coarse`, placed over the extent of the scene."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ def make_nodes(points: np.ndarray, settings: TrainingSettings) -> ControlNodes:
 
 
 def make_field(points: np.ndarray, views: Views, settings: TrainingSettings) -> DeformationField:
-    """A field over the box of ``points``, widened by a fifth; outliers beyond the 1st and 99th percentile do not stretch it."""
+    """A field over the bounding box of ``points``, widened by a fifth. The box spans the 1st to the 99th percentile, so outliers do not
+    stretch it."""
     low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
     margin = 0.2 * (high - low).max()
     times = len(np.unique(views.time))

@@ -1,4 +1,4 @@
-"""One training run of a stage, with its bar, its checkpoints and its lines for people."""
+"""One training run of a stage, with its progress bar, checkpoints and log lines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...scene.views import Views
 def train(
     ctx: Context, name: str, model: Model, views: Views, phases: list[Phase], settings: TrainingSettings, **options: Any
 ) -> TrainingLog:
-    """Trains ``model`` in place through ``phases``, by the recipe of its motion. options: of `Trainer`, beside these."""
+    """Trains ``model`` in place through ``phases``, with the recipe for its kind of motion. options: further arguments of `Trainer`."""
     recipe = RECIPES["planes" if model.field is None else str(model.field.config["kind"])]
     with ctx.progress(sum(phase.iterations for phase in phases), name) as bar:
         trainer = Trainer(

@@ -1,6 +1,7 @@
-"""A COLMAP model (`sparse/0` or `sparse`, text or binary) and `images/`: poses, points, one camera over time or, in sub-folders, a rig.
+"""A COLMAP model (`sparse/0` or `sparse`, text or binary) and `images/`: poses, points, and one camera over time or a rig in sub-folders.
 
-Pixel centres lie at +0.5 in COLMAP's intrinsics, as in ours; poses are `cam_from_world` in OpenCV axes as w x y z and a translation.
+Pixel centres lie at +0.5 in COLMAP's intrinsics, as in ours. Poses are `cam_from_world` in OpenCV axes: a quaternion w x y z and a
+translation.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from ..lens import LARGEST_TERM, Lens, distortion_of
 from ..rigs import cameras_of, folders_of, stand_still
 
 _FOLDERS = ("sparse/0", "sparse")
-# COLMAP's models by number, and of those that are read whether one focal length stands for both and how many terms of distortion follow
-# cx, cy, which are OpenCV's in OpenCV's order. Those of the fisheye model stand apart.
+# COLMAP's camera models in the order of their ids. For the supported models: whether fx and fy are one value, and how many distortion
+# terms follow cx, cy. The terms are OpenCV's in OpenCV's order. Models with fisheye terms are listed separately.
 _MODELS = (
     *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE"),
     *("RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE"),
@@ -36,7 +37,7 @@ _LAYOUT = {**_BROWN, "FULL_OPENCV": (False, 8), **_FISHEYE, "OPENCV_FISHEYE": (F
 
 
 _MOST_IMAGES = 1_000_000
-_LONGEST_LINE = 2**26  # characters; that of an image's features has some ten thousand of them
+_LONGEST_LINE = 2**26  # characters; the line of an image's features lists about ten thousand of them
 _LONGEST_NAME = 4096
 
 
@@ -112,7 +113,7 @@ def read(root: Path, options: Options) -> Reading:
 
 @contextmanager
 def _about(file: str) -> Iterator[None]:
-    """Whatever fails within is an error of `file`."""
+    """Turns any error inside the block into a CaptureError that names `file`."""
     try:
         yield
     except CaptureError as error:
@@ -122,7 +123,7 @@ def _about(file: str) -> Iterator[None]:
 
 
 def _table(points: Iterator[list[float]]) -> np.ndarray:
-    """[P, 6] float64. Raises ValueError for more than `MOST_POINTS`."""
+    """The points as [P, 6] float64. Raises ValueError for more than `MOST_POINTS`."""
     values = np.fromiter((row for row in itertools.islice(points, MOST_POINTS + 1)), dtype=np.dtype((np.float64, 6)))
     if len(values) > MOST_POINTS:
         raise ValueError(f"more than {MOST_POINTS} points")
@@ -130,7 +131,7 @@ def _table(points: Iterator[list[float]]) -> np.ndarray:
 
 
 def _model(root: Path) -> tuple[str, str] | None:
-    """(folder, suffix) of the model, binary before text."""
+    """(folder, suffix) of the model, preferring binary to text; None if there is none."""
     for folder in _FOLDERS:
         for suffix in (".bin", ".txt"):
             if all((root / folder / f"{part}{suffix}").is_file() for part in ("cameras", "images")):
@@ -213,8 +214,8 @@ def _text_points(path: Path) -> Iterator[list[float]]:
 
 
 class _Bytes:
-    """Reads little-endian records; running past the end raises `struct.error`. The file is mapped: that of the images also holds every
-    feature, and may be larger than the memory."""
+    """Reads little-endian records. Running past the end raises `struct.error`. The file is memory-mapped, since the images file also
+    contains every feature and may be larger than the memory."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
@@ -222,7 +223,7 @@ class _Bytes:
         self.at = 0
 
     def count(self, what: str, most: int, least: int) -> int:
-        """How many records follow, each of at least ``least`` bytes."""
+        """Reads the number of records that follow, each of at least ``least`` bytes."""
         count = int(self.take("Q")[0])
         if count > most:
             raise ValueError(f"{count} {what}, which are more than a capture has")
@@ -254,7 +255,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, tuple[str, float, float, 
     for _ in range(source.count("cameras", _MOST_IMAGES, 48)):
         number, kind, width, height = source.take("iiQQ")
         model = _MODELS[kind] if 0 <= kind < len(_MODELS) else f"number {kind}"
-        if model not in _LAYOUT:  # nor is it known how long its record is
+        if model not in _LAYOUT:  # the length of its record is unknown, so it cannot be skipped
             raise CaptureError(f"camera {number}: {_refusal(model)}")
         one_focal, count = _LAYOUT[model]
         yield number, (model, float(width), float(height), list(source.take(f"{4 - one_focal + count}d")))

@@ -1,7 +1,7 @@
 """D-NeRF layout: `transforms_{train,val,test}.json`, `time` on every frame, RGBA images with straight alpha.
 
-Each frame is a camera of its own unless the train poses form a smooth path: then one camera moved through the scene, and
-neighbours in time make pairs (a hand-held video exported in this layout).
+Each frame counts as a separate camera, unless the train poses form a smooth path. Then one camera moved through the scene (a
+hand-held video exported in this layout), and neighbours in time form pairs.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from .. import checks
 from ..capture import SPLITS, TRAIN, Options, Reading, Shot
 from . import transforms
 
-# Median step between train cameras that follow in time, over the median distance of any two: 0.03 for a walked path of 90
-# frames, 1.0 to 1.2 for the scattered views of D-NeRF. A straight walk of n frames has 3.4 / n, so a path needs about 14.
+# Median step between train cameras consecutive in time, divided by the median distance of any two: 0.03 for a walked path of 90
+# frames, 1.0 to 1.2 for the scattered views of D-NeRF. A straight walk of n frames has 3.4 / n, so a path needs about 14 frames.
 _SMOOTH = 0.25
 
 
@@ -73,7 +73,8 @@ def read(root: Path, options: Options) -> Reading:
 
 
 def _join_path(shots: list[Shot]) -> bool:
-    """Give the train shots one camera when they are one path; pairs that jump (a cut) stay unlinked. True when joined."""
+    """Assigns one camera to the train shots if they form one path. Neighbours with a jump in between (a cut) stay unlinked. True if they
+    form a path."""
     train = sorted((s for s in shots if s.split == TRAIN), key=lambda s: s.time)
     times = [s.time for s in train]
     if len(train) < 3 or len(set(times)) != len(times):

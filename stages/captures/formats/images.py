@@ -24,7 +24,7 @@ def detect(root: Path) -> str | None:
 def read(root: Path, options: Options) -> Reading:
     folder = _folder(root)
     if folder is None and options.format == "images" and (root / "images").is_dir() and _images(root / "images"):
-        folder = "images"  # asked for by name, whatever lies beside it
+        folder = "images"  # the user chose this format, so other folders next to it do not matter
     if folder is None:
         raise CaptureError(f"{root}: no images here; pass the folder that holds them")
     prefix = f"{folder}/" if folder else ""
@@ -35,7 +35,7 @@ def read(root: Path, options: Options) -> Reading:
         checks.resolve_inside(root, name, name)
     taken = video.choose(len(found), options, None)
     paths = [found[i] for i in taken]
-    upright = checks.turned(root, paths)  # where poses come with the files, they are those of the pictures as stored
+    upright = checks.turned(root, paths)  # only this format follows EXIF; poses in files apply to the pictures as stored
     sizes, alpha = checks.image_headers(root, paths, upright)
     hint = _hint(root, prefix + _HINT, *sizes[0])
     if hint is not None and len(set(sizes)) > 1:
@@ -48,7 +48,7 @@ def read(root: Path, options: Options) -> Reading:
         turn_masks(root, shots)
     elsewhere = unread(root.parent, "images") if root.name == "images" and not (root / "masks").is_dir() else ()
     thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if 1 < len(taken) < len(found) else ()
-    # A strip of zeros and a set of photos look alike; only --static says that nothing moves.
+    # Frames of a video and photos of a static scene cannot be told apart by their files; only --static says that nothing moves.
     return Reading(
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
         shots=shots,
@@ -65,7 +65,7 @@ def _images(folder: Path) -> list[str]:
 
 
 def _folder(root: Path) -> str | None:
-    """ "" when the images lie in `root`, "images" when that is its only folder but for masks/, None when there are none."""
+    """ "" if the images lie in `root`, "images" if that is the only folder apart from masks/, None if there are no images."""
     if not root.is_dir():
         return None
     if _images(root):
@@ -75,7 +75,7 @@ def _folder(root: Path) -> str | None:
 
 
 def _hint(root: Path, name: str, width: int, height: int) -> np.ndarray | None:
-    """[3,3] px from `K.txt`: known intrinsics that structure from motion starts from. None without the file."""
+    """[3,3] px from `K.txt`: known intrinsics from which structure from motion starts. None without the file."""
     path = root / name
     if not path.is_file():
         return None

@@ -1,7 +1,7 @@
 """Plenoptic Video (N3V): `camNN.mp4` or `camNN/` and `poses_bounds.npy`; fixed synchronised cameras, cam00 is the test view.
 
-`poses_bounds.npy` is LLFF's: [N,17], per camera (in the sorted order of their names) a 3x5 matrix whose columns are the
-camera's down, right and back axes in the world, its centre, and (h, w, focal); then near and far.
+`poses_bounds.npy` has LLFF's format: [N,17], for each camera (sorted by name) a 3x5 matrix whose columns are the camera's
+down, right and back axes in the world, its centre, and (h, w, focal); then near and far.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _same_counts(counts: dict[str, int]) -> None:
 
 
 def _poses(root: Path, cameras: list[str]) -> np.ndarray:
-    """[N,17] float64, one row a camera."""
+    """[N,17] float64, one row per camera."""
     table = load_array(root, _POSES, (17,), most=_MOST_CAMERAS)
     if len(table) != len(cameras):
         raise CaptureError(
@@ -108,7 +108,7 @@ def _poses(root: Path, cameras: list[str]) -> np.ndarray:
 
 
 def _camera(row: np.ndarray, where: str, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """(K, cam_from_world) of one row; the focal length is scaled from the file's h, w to the pictures'."""
+    """(K, cam_from_world) of one row. The focal length is scaled from the file's h, w to the size of the pictures."""
     if not (np.abs(row) < 1e12).all():
         raise CaptureError(f"{where}: holds NaN, Inf or numbers that nothing measures; estimate the poses again")
     width, height = size

@@ -1,8 +1,9 @@
 """Nerfies and HyperNeRF: `dataset.json` (splits), `metadata.json` (times), `camera/<id>.json`, `rgb/<scale>x/<id>.png`, `scene.json`.
 
-A camera file has `orientation` (world to camera, OpenCV axes), `position` (its centre in the world), and OpenCV's lens in the pixels of
-`image_size`, pixel centres at +0.5; pictures in `rgb/4x` are a quarter of that size. The world is that of the files, moved and scaled as
-`scene.json` says: (x - center) scale. Format: README and camera.py of github.com/google/nerfies.
+A camera file has `orientation` (world to camera, OpenCV axes), `position` (the camera centre in the world), and OpenCV's lens parameters
+for pictures of `image_size`, pixel centres at +0.5. Pictures in `rgb/4x` are a quarter of that size. World positions x of the files are
+transformed to (x - center) * scale, with center and scale from `scene.json`. The format is documented in the README and camera.py of
+github.com/google/nerfies.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from ..lens import LARGEST_TERM, Lens, distortion_of
 _DATASET, _METADATA, _SCENE, _POINTS = "dataset.json", "metadata.json", "scene.json", "points.npy"
 _SPLITS = ((TRAIN, "train_ids"), (VAL, "val_ids"))
 _GREY = 128  # the points have no colours
-_FAR = 1e9  # world units; more is a mistake
+_FAR = 1e9  # world units; larger positions are errors
 
 
 def detect(root: Path) -> str | None:
@@ -74,7 +75,7 @@ def read(root: Path, options: Options) -> Reading:
 
 
 def _ids(data: dict[str, Any]) -> dict[str, int]:
-    """id -> split, train before val, in the order of the lists."""
+    """Split of each id, train before val, in the order of the lists."""
     result: dict[str, int] = {}
     for split, field in _SPLITS:
         if split == VAL and not data.get(field):
@@ -91,7 +92,7 @@ def _ids(data: dict[str, Any]) -> dict[str, int]:
 
 
 def _moment(metadata: dict[str, Any], names: Sequence[str] | dict[str, int]) -> str | None:
-    """The field of metadata.json that tells time; None without metadata, where the order of the names does."""
+    """The field of metadata.json that gives the time; None without metadata, so that the order of the names is used."""
     if not metadata:
         return None
     for name in names:
@@ -107,7 +108,7 @@ def _moment(metadata: dict[str, Any], names: Sequence[str] | dict[str, int]) -> 
 
 
 def _scene(root: Path) -> tuple[np.ndarray, float]:
-    """(center [3], scale) of scene.json; the world as it is without one."""
+    """(center [3], scale) of scene.json; without that file, zero and one."""
     if not (root / _SCENE).is_file():
         return np.zeros(3), 1.0
     data = checks.read_json(root, _SCENE)
@@ -116,7 +117,7 @@ def _scene(root: Path) -> tuple[np.ndarray, float]:
 
 
 def _folder(root: Path, name: str, max_size: int | None) -> str:
-    """rgb/1x, or the finest scale there is; with `max_size` the coarsest that is no smaller."""
+    """The folder of the finest scale, usually rgb/1x; with `max_size`, the coarsest whose pictures are not smaller than that."""
     scales = sorted(
         int(folder[:-1])
         for folder in (checks.list_folder(root / "rgb") if (root / "rgb").is_dir() else [])
@@ -142,7 +143,7 @@ def _pose(data: dict[str, Any], file: str, center: np.ndarray, scale: float) -> 
 
 
 def _lens(data: dict[str, Any], file: str, size: tuple[int, int]) -> Lens:
-    """K in the pixels of a picture of `size`."""
+    """The lens, with K for a picture of `size`."""
     width, height = _vector(data.get("image_size"), f"{file}: image_size", (2,), 1e6)
     if min(width, height) < 1:
         raise CaptureError(f"{file}: image_size: {width:g}x{height:g} makes no sense; correct the file")
@@ -170,7 +171,7 @@ def _vector(value: Any, where: str, lengths: tuple[int, ...], most: float) -> np
 
 
 def _cloud(root: Path, center: np.ndarray, scale: float) -> np.ndarray | None:
-    """[P,3] of points.npy, world units; None without the file or without points."""
+    """Points [P,3] of points.npy in world units; None without the file or without points."""
     if not (root / _POINTS).is_file():
         return None
     points = load_array(root, _POINTS, (3,))

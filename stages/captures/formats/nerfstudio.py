@@ -1,4 +1,4 @@
-"""One `transforms.json` (nerfstudio, instant-ngp): a moving camera, or several cameras when times repeat."""
+"""One `transforms.json` (nerfstudio, instant-ngp): a moving camera, or several cameras if times repeat."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def read(root: Path, options: Options) -> Reading:
     headers, alpha = checks.image_headers(root, paths.values())
     sizes = dict(zip(paths, headers, strict=True))
     times = transforms.times_of(frames, _FILE)
-    # Files of this family are often unsorted: frames follow their time, or the natural order of their names.
+    # Files of this kind are often unsorted, so frames are sorted by time, or by the natural order of their names.
     keys: dict[int, Any] = {i: checks.natural_key(p) if times is None else (times[i], checks.natural_key(p)) for i, p in paths.items()}
     order = sorted(paths, key=lambda i: keys[i])
     splits = _splits(data, root)
@@ -80,7 +80,7 @@ def read(root: Path, options: Options) -> Reading:
 
 
 def _splits(data: dict[str, Any], root: Path) -> dict[str, int] | None:
-    """file -> split from nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`; None when the file has none."""
+    """Split of each file, from nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`; None without `train_filenames`."""
     result: dict[str, int] = {}
     if data.get("train_filenames") is None:
         return None
@@ -93,14 +93,14 @@ def _splits(data: dict[str, Any], root: Path) -> dict[str, int] | None:
             file = checks.seek_image(root, checks.text(path, where), where)
             if file is None:
                 continue  # `transforms.present` has counted it
-            # nerfstudio writes the same list for val and test when there is only one held-out set: it counts as test.
+            # nerfstudio writes the same list for val and test if there is only one held-out set. It counts as test.
             result[file] = max(split, result.get(file, 0))
     return result
 
 
 def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:
-    """The file of points that `ply_file_path` names, and a note where it is not there. nerfstudio keeps the points in the world of
-    `transform_matrix`: `applied_transform`, which led there from COLMAP's, is in both already."""
+    """The file of points that `ply_file_path` names, or a note if it does not exist. nerfstudio stores the points in the world of
+    `transform_matrix`: both already include `applied_transform`, which maps COLMAP's world to it."""
     field = f"{_FILE}: ply_file_path"
     if data.get("ply_file_path") is None:
         return None, ()
@@ -116,12 +116,12 @@ def _mask(root: Path, frame: dict[str, Any], where: str) -> str | None:
 
 
 def _cameras(shots: Sequence[Shot]) -> bool:
-    """Tell cameras apart where several frames share a time; True when the same fixed cameras see every time."""
+    """Distinguishes cameras if several frames share a time. True if the same fixed cameras see every time."""
     times = [round(s.time, 9) for s in shots]
     distinct = len(set(times))
     if distinct == len(times) or distinct == 1:
         return False
-    # Same pose and same lens at several times: one tripod.
+    # The same pose and lens at several times is one fixed camera.
     poses = [
         tuple(np.round(np.concatenate([s.cam_from_world.ravel(), s.K.ravel()]), 5))
         for s in shots

@@ -1,8 +1,8 @@
 """CMU Panoptic as prepared by Dynamic 3D Gaussians: `train_meta.json`, `test_meta.json`, `ims/`, `seg/`.
 
-`k[t][c]`, `w2c[t][c]` (OpenCV `cam_from_world`), `fn[t][c]`, `cam_id[t][c]`, and `w`, `h`. K is used as it stands, with pixel
-centres at +0.5, as the authors of the files render with it; a calibration that meant integer centres would differ by at most
-half a pixel of its own resolution.
+`k[t][c]`, `w2c[t][c]` (OpenCV `cam_from_world`), `fn[t][c]`, `cam_id[t][c]`, and `w`, `h`. K is used unchanged, with pixel
+centres at +0.5, as the authors of the files use it for rendering. If the calibration meant integer centres, the error would
+be at most half a pixel of its own resolution.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> list[Shot
                     name=image,
                     camera=checks.integer(row["cam_id"][c], f"{where}: cam_id", 0, 10**6),
                     time=float(t),
-                    size=(0, 0),  # `read` looks at all headers together
+                    size=(0, 0),  # set by `read`, which reads all image headers together
                     split=split,
                     file=image,
                     mask=mask if (root / mask).is_file() else None,
@@ -97,7 +97,7 @@ def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> list[Shot
 
 
 def _points(root: Path) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Points of `init_pt_cld.npz`: `data` [P, 6 or 7] = xyz, rgb in [0,1], foreground."""
+    """Points and colours of `init_pt_cld.npz`: `data` [P, 6 or 7] = xyz, rgb in [0,1], foreground."""
     if not (root / _POINTS).is_file():
         return None, None
     data = load_array(root, _POINTS, (6, 7), "data")

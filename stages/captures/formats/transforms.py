@@ -1,7 +1,7 @@
-"""Cameras of `transforms*.json`, the dialect that NeRF, D-NeRF, instant-ngp and nerfstudio share.
+"""Cameras of `transforms*.json`, the format shared by NeRF, D-NeRF, instant-ngp and nerfstudio.
 
 Poses are camera-to-world in OpenGL axes (x right, y up, z back); ours are `cam_from_world` in OpenCV axes (x right, y down,
-z forward). Intrinsics in these files take pixel centres at +0.5 (COLMAP's convention), as ours do, and are used as they stand.
+z forward). Intrinsics in these files assume pixel centres at +0.5 (COLMAP's convention), as ours do, and are used unchanged.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def pose(frame: Mapping[str, Any], where: str) -> np.ndarray:
 
 
 def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: int, height: int) -> Lens:
-    """The lens of one frame; its own values win over the file's.
+    """The lens of one frame. Values of the frame take precedence over those at the top of the file.
 
-    `w` and `h` that differ from the images' size by one factor scale K (images were resized after calibration).
+    If `w` and `h` differ from the size of the images by a common factor, K is scaled (images were resized after calibration).
     """
 
     def value(key: str, low: float = -1e12, high: float = 1e12) -> float | None:
@@ -80,7 +80,7 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: in
 
 
 def frames_of(data: Mapping[str, Any], file: str) -> list[dict[str, Any]]:
-    """The `frames` list of one file, each entry checked to be an object."""
+    """The `frames` list of one file. Every entry is checked to be an object."""
     frames = checks.items(data.get("frames"), f"{file}: frames")
     for i, frame in enumerate(frames):
         if not isinstance(frame, dict):
@@ -89,8 +89,8 @@ def frames_of(data: Mapping[str, Any], file: str) -> list[dict[str, Any]]:
 
 
 def present(root: Path, frames: list[dict[str, Any]], file: str) -> tuple[dict[int, str], tuple[str, ...]]:
-    """The image of each frame that has one, by the frame's number, and a note that counts the others: instant-ngp's own captures list
-    frames whose images were taken out for blur. Raises CaptureError where more than half are missing."""
+    """The image of each frame that has one, by index of the frame, and a note with the number of the others: instant-ngp's own captures
+    list frames whose images were removed because of blur. Raises CaptureError if more than half are missing."""
     found: dict[int, str] = {}
     gone: list[str] = []
     for i, frame in enumerate(frames):
@@ -109,7 +109,7 @@ def present(root: Path, frames: list[dict[str, Any]], file: str) -> tuple[dict[i
 
 
 def times_of(frames: list[dict[str, Any]], file: str) -> list[float] | None:
-    """`time` of every frame, None when no frame has one; some with and some without is an error."""
+    """`time` of every frame; None if no frame has one. It is an error if only some frames have one."""
     missing = [i for i, frame in enumerate(frames) if frame.get("time") is None]
     if len(missing) == len(frames):
         return None

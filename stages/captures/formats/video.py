@@ -1,4 +1,4 @@
-"""A video file: one camera over time. Any codec that PyAV reads, in any container of `video_files.py`."""
+"""A video file: one camera over time. Supports any codec that PyAV reads, in the containers that `video_files.py` allows."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ..video_files import MOST_FRAMES, open_video
 
 DEFAULT_MAX_FRAMES = 200
 _LARGE = 10 * 2**30  # bytes
-_LEAST_USED = 0.01  # of a large file
+_LEAST_USED = 0.01  # least share of a large file that must be video data
 
 
 @dataclass(frozen=True)
 class Header:
-    """What the container says: size after rotation, seconds of every frame in display order, rate."""
+    """Facts about a video: size after rotation, time in seconds of every frame in display order, and frame rate."""
 
     width: int
     height: int
@@ -48,7 +48,7 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{path.name}: {len(taken)} frame(s) to work with; a scene needs more, lower frames.every")
     step = taken[1] - taken[0]
     begin, span = header.seconds[0], header.seconds[taken[-1]] - header.seconds[taken[0]]
-    # Seconds of a video shorter than one would be taken for times that a file gives, and kept as they are.
+    # Times are divided by the span, because `_unit_times` would keep the seconds of a video shorter than 1 s as they are.
     return Reading(
         why=f"video {path.name}, {total} frames, one camera over time",
         shots=[
@@ -64,14 +64,14 @@ def read(root: Path, options: Options) -> Reading:
 
 
 def choose(total: int, options: Options, default_max: int | None) -> tuple[int, ...]:
-    """Indices of the frames to take: every `every`-th; without it the smallest step that keeps to `max_frames`."""
+    """Indices of the frames to take: every `every`-th frame, or if unset the smallest step with at most `max_frames` frames."""
     limit = options.max_frames or default_max
     step = options.every or (max(1, math.ceil(total / limit)) if limit else 1)
     return tuple(range(0, total, step))
 
 
 def probe(root: Path, name: str) -> Header:
-    """Read packets, decode only the first frame (its pixels tell the rotation). Refuses broken and cut-off files."""
+    """Reads all packets, but decodes only the first frame, which has the rotation. Refuses broken and truncated files."""
     import av
 
     try:
@@ -99,7 +99,7 @@ def probe(root: Path, name: str) -> Header:
         raise CaptureError(f"{name}: not a readable video, perhaps cut short ({error}); copy it again or convert it to MP4") from error
     if promised and len(stamps) < promised:
         raise CaptureError(f"{name}: frame {len(stamps)}: the file promises {promised} frames and ends here, cut short; copy it again")
-    if size > _LARGE and used < _LEAST_USED * size:  # every command reads all of it, to know whether it has changed
+    if size > _LARGE and used < _LEAST_USED * size:  # every command reads the whole file to see whether it changed
         raise CaptureError(
             f"{name}: {used} bytes of pictures in a file of {size / 1e9:.0f} GB, damaged; copy it again or convert it to MP4"
         )
@@ -114,11 +114,11 @@ def probe(root: Path, name: str) -> Header:
 
 
 def decode(root: Path, video: Video, width: int, height: int, crop: np.ndarray | None = None) -> Iterator[np.ndarray]:
-    """The taken frames in order, uint8 [H,W,3] RGB, upright, scaled to width x height. crop: left, top, width, height of the part of each
-    frame that is taken, px; all of it where None.
+    """Yields the taken frames in order, uint8 [H,W,3] RGB, upright, scaled to width x height. crop: left, top, width, height of the part
+    of each frame that is used, px; None for the whole frame.
 
-    Frames stream: one is held at a time. Raises `CaptureError` naming file and frame for damaged data and for a count of
-    decoded frames that differs from the container's.
+    Only one frame is in memory at a time. Raises `CaptureError`, naming file and frame, for damaged data and if fewer frames can be
+    decoded than the file has.
     """
     import av
 
@@ -147,7 +147,7 @@ def _picture(frame: Any, width: int, height: int, crop: np.ndarray | None) -> np
     from ....vision.images.pictures import resize
 
     rgb = frame.to_ndarray(format="rgb24")
-    turns = round(frame.rotation / 90) % 4  # counter-clockwise, as np.rot90
+    turns = round(frame.rotation / 90) % 4  # counter-clockwise, as for np.rot90
     if turns:
         rgb = np.rot90(rgb, turns)
     return np.ascontiguousarray(resize(np.ascontiguousarray(rgb), width, height, crop))
@@ -160,7 +160,7 @@ def _stream(container: Any, name: str) -> Any:
 
 
 def _file(root: Path) -> Path | None:
-    """The video itself, or the only video of a folder that holds no images."""
+    """`root` itself if it is a file, or the only video of a folder without images; otherwise None."""
     if root.is_file():
         return root
     names = [name for name in checks.list_folder(root) if (root / name).is_file()]

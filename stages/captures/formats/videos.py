@@ -1,7 +1,7 @@
-"""Several videos of one event and nothing else: each is a camera, by sorted name; all have frames at the same times.
+"""Several videos of one event without poses: each is a camera, in the order of the names, and all get frames at the same times.
 
-Where every video has sound, that says how the clocks lie to one another; else each begins at 0. The slowest camera gives the times, cut to
-the span that all share, and the others' nearest frames are taken.
+If every video has sound, their clocks are aligned by it; otherwise each begins at 0. The times are those of the camera with the lowest
+frame rate within the span that all videos share. From the other videos the nearest frames are taken.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..capture import TEST, TRAIN, Options, Reading, Shot, Video
 from ..heard import onsets_of
 from . import video
 
-_POSES = "poses_bounds.npy"  # videos beside it are n3v's, whatever their names
+_POSES = "poses_bounds.npy"  # if this file exists, the capture belongs to n3v, whatever the names of the videos
 
 
 def detect(root: Path) -> str | None:
@@ -52,7 +52,7 @@ def read(root: Path, options: Options) -> Reading:
     return Reading(
         why=f"{len(names)} videos without poses, {how}; each is one camera",
         shots=shots,
-        has_split=not options.static,  # a time is held out of all cameras, so that each time has all of them or none
+        has_split=not options.static,  # times are held out for all cameras together, so each time has all of them or none
         fps=headers[names[0]].fps,
         videos=tuple(Video(name, n * len(times), taken[n], len(headers[name].seconds)) for n, name in enumerate(names)),
         notes=(_told(names, shifts, times, taken, headers, how, late),),
@@ -60,10 +60,10 @@ def read(root: Path, options: Options) -> Reading:
 
 
 def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | None = None) -> tuple[list[float], str]:
-    """Seconds to add to each video's own times to have them on one clock, and how they were found.
+    """Seconds to add to each video's own times to bring them to one clock, and how they were found.
 
-    sync: "sound" raises CaptureError where the sound does not tell, "auto" then goes by frames, "frames" does not listen. heard_before: a
-    folder in which long sounds are kept (`heard.py`).
+    sync: if the sound does not determine the clocks, "sound" raises CaptureError and "auto" aligns by the first frames. "frames" ignores
+    the sound. heard_before: folder that caches the envelopes of long sounds (`heard.py`).
     """
     zero = [0.0] * len(names)
     if sync == "frames":
@@ -93,7 +93,7 @@ def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | Non
 def _shared(
     names: Sequence[str], local: Sequence[np.ndarray], shifts: Sequence[float], options: Options
 ) -> tuple[np.ndarray, list[tuple[int, ...]]]:
-    """Times [T] on the shared clock, and the frames [T] of each video that are nearest to them, none taken twice."""
+    """Times [T] on the shared clock, and for each video the indices [T] of the frames nearest to them, none used twice."""
     gaps = [float(np.median(np.diff(s))) if len(s) > 1 else 0.0 for s in local]
     for name, seconds in zip(names, local, strict=True):
         if len(seconds) < 2:
@@ -108,7 +108,7 @@ def _shared(
     for indices in nearest:
         fresh[1:] &= np.diff(indices) > 0
     kept = np.flatnonzero(fresh)
-    # a static scene needs every frame's pose, at one time, and pairs of all: as many frames in all as of a lone video
+    # A static scene needs a pose for every frame and matches between all of them, so all videos together get as many frames as one alone.
     limit = video.DEFAULT_MAX_FRAMES // (len(names) if options.static else 1)
     kept = kept[list(video.choose(len(kept), options, max(2, limit)))] if len(kept) else kept
     if len(kept) < 2:
@@ -121,7 +121,7 @@ def _shared(
 
 
 def _nearest(seconds: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """[T] int: index of the value of `seconds` (sorted) nearest to each time; of two equally near ones the earlier."""
+    """[T] int: index of the value of `seconds` (sorted) nearest to each time; the earlier one of two equally near ones."""
     after = np.clip(np.searchsorted(seconds, times), 1, len(seconds) - 1)
     return np.where(times - seconds[after - 1] <= seconds[after] - times, after - 1, after)
 
@@ -146,7 +146,7 @@ def _told(
 
 
 def _videos(root: Path, forced: bool = False) -> list[str] | None:
-    """The videos of a folder that holds two or more, no images, and no poses (forced: whatever else); None otherwise."""
+    """The videos of a folder with at least two videos, no images and no poses (forced: whatever else it has); None otherwise."""
     if not root.is_dir():
         return None
     names = [name for name in checks.list_folder(root) if (root / name).is_file()]
