@@ -44,7 +44,7 @@ def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIX
 
 
 def dynamic_from_masks(points: np.ndarray, views: Views, looks: Iterable[tuple[int, np.ndarray]], share: float) -> np.ndarray:
-    """Which of ``points`` [P, 3] may move: those that project onto moving pixels in at least ``share`` of the looks that see them. [P] bool.
+    """Which of ``points`` [P, 3] may move, as [P] bool: those on moving pixels in at least ``share`` of the looks that see them.
 
     looks: pairs of a frame number and a mask [H, W] uint8, 255 for moving pixels. A point that no look sees counts as dynamic.
     """
