@@ -8,11 +8,11 @@ namespace e4dgs {
 struct PlaneStack {
     const float* values;
     int64_t rows, columns, channels;
-    bool second;  // whether to use second differences instead of first ones along rows
+    bool second;  // whether differences from row to row are second ones instead of first ones
     float* grad;  // overwritten
 };
 
-// Sum over the stacks of the mean squared differences along columns and along rows (zero if there are too few samples).
+// Sum over the stacks of the mean squared differences between neighbouring columns and between rows (zero if there are too few samples).
 double smoothness(const PlaneStack* stacks, int count, int threads);
 
 }  // namespace e4dgs
