@@ -1,4 +1,4 @@
-"""Ways for a camera to go: around what the capture looks at, on a small spiral before it, along the capture's own cameras.
+"""Camera paths: around the subject of the capture, on a small spiral in front of it, or along the capture's own cameras.
 
 Poses are cam_from_world [n, 4, 4], OpenCV (x right, y down, z forward), world units.
 """
@@ -9,16 +9,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 REACH, MOST_REACH = 0.12, 0.25  # of the viewing distance: how far a spiral goes to the side, at least and at most
-BETWEEN = 0.7  # of the way from the mean camera to the outermost: a spiral stays between the cameras
-GAP = 90.0  # degrees around the target without a camera, from which on nobody knows what is behind
+BETWEEN = 0.7  # of the way from the mean camera to the outermost, so that a spiral stays between the cameras
+GAP = 90.0  # degrees; with a gap this wide between cameras around the target, the path does not close around it
 SWING = 12.0  # degrees to either side, at least
 TURNS = 2  # of a spiral
 
 
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """cam_from_world [4, 4] of a camera at ``eye`` [3] that has ``target`` [3] in the middle and ``up`` [3] upwards.
+    """cam_from_world [4, 4] of a camera at ``eye`` [3] that has ``target`` [3] in the centre of the image and ``up`` [3] pointing upwards.
 
-    Raises ValueError where eye and target are one, or up is along the view.
+    Raises ValueError if eye and target coincide or up is parallel to the viewing direction.
     """
     forward = np.asarray(target, np.float64) - eye
     right = np.cross(forward, up)
@@ -38,23 +38,23 @@ def centres(poses: np.ndarray) -> np.ndarray:
 
 
 def upward(poses: np.ndarray) -> np.ndarray:
-    """Unit vector [3]: the mean of what the cameras ``poses`` [n, 4, 4] hold upwards."""
+    """Unit vector [3]: the mean up direction of the cameras ``poses`` [n, 4, 4]."""
     up = -poses[:, 1, :3].mean(0)
     length = np.linalg.norm(up)
     return up / length if length > 1e-6 else -poses[0, 1, :3]
 
 
 def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
-    """[count, 4, 4] around ``target`` [3], at the median distance and height of the cameras ``poses``; the way closes.
+    """[count, 4, 4] around ``target`` [3], at the median distance and height of the cameras ``poses``; a closed path.
 
-    Where the cameras surround the target it is a circle; where they see one side only, it swings there and back between the outermost.
+    It is a circle if the cameras surround the target. If they see only one side, it swings back and forth between the outermost cameras.
     """
     up, offset = upward(poses), centres(poses) - target
     height = float(np.median(offset @ up))
     flat = offset - (offset @ up)[:, None] * up
     radius = float(np.median(np.linalg.norm(flat, axis=1)))
     distance = float(np.median(np.linalg.norm(offset, axis=1)))
-    radius = max(radius, 0.2 * distance)  # cameras straight above leave no circle to go on
+    radius = max(radius, 0.2 * distance)  # cameras straight above would give a circle without a radius
     first = flat[np.linalg.norm(flat, axis=1).argmax()]
     first = first - (first @ up) * up
     if np.linalg.norm(first) < 1e-9:
@@ -67,7 +67,7 @@ def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
 
 
 def _around(azimuths: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Angles [count] of a way at ``phase`` [count] from 0 to 2 pi: the phase itself, or a swing over what ``azimuths`` [n] cover."""
+    """Angles [count] of a path at ``phase`` [count] from 0 to 2 pi: the phase itself, or a swing over the range of ``azimuths`` [n]."""
     known = np.sort(np.mod(azimuths, 2 * np.pi))
     gaps = np.diff(np.append(known, known[0] + 2 * np.pi))
     widest = int(gaps.argmax())
@@ -79,9 +79,9 @@ def _around(azimuths: np.ndarray, phase: np.ndarray) -> np.ndarray:
 
 
 def spiral(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
-    """[count, 4, 4] around the camera of ``poses`` that is nearest to their middle, always facing ``target`` [3]; the way closes.
+    """[count, 4, 4] around the camera of ``poses`` nearest to their mean position, always facing ``target`` [3]; a closed path.
 
-    It reaches as far to each side as the cameras do, or a little where they stand in one place.
+    Its extent to each side follows that of the cameras, within limits, so that it still moves a little if all cameras stand in one place.
     """
     eyes, up = centres(poses), upward(poses)
     middle = poses[np.linalg.norm(eyes - eyes.mean(0), axis=1).argmin()]
@@ -97,7 +97,7 @@ def spiral(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
 
 
 def along(poses: np.ndarray, count: int) -> np.ndarray:
-    """[count, 4, 4] through ``poses`` [n, 4, 4] one after another, from the first to the last at even steps between them."""
+    """[count, 4, 4] through ``poses`` [n, 4, 4] in order, from the first to the last, in even steps between them."""
     if len(poses) == 1:
         return np.repeat(poses, count, axis=0)
     known, wanted = np.arange(len(poses)), np.linspace(0, len(poses) - 1, count)

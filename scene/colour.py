@@ -1,4 +1,4 @@
-"""Real cameras disagree about colour: one affine a channel and camera, or a photo, learned against a fixed mean."""
+"""Real cameras disagree about colour: a learned gain and offset per channel and camera (or photo), around a fixed mean."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from .views import Views
 
 
 class CameraAffine(nn.Module):
-    """Gain and offset [cameras, 3] each. Over the training cameras gains multiply to one and offsets add to zero, so that the model's
-    own colours stay those of the mean camera, which is what held-out cameras are rendered with.
+    """Gain and offset, [cameras, 3] each. Over the training cameras the gains multiply to one and the offsets add up to zero, so the
+    model's own colours stay those of the mean camera. Held-out cameras are rendered as the mean camera.
 
-    cameras: the numbers of the training cameras (of the photos, where each has an exposure of its own), in the order of the rows.
+    cameras: numbers of the training cameras, in the order of the rows; numbers of the photos if each photo has its own exposure.
     """
 
     def __init__(self, cameras: Iterable[int]) -> None:
@@ -26,7 +26,7 @@ class CameraAffine(nn.Module):
         self.offset = nn.Parameter(torch.zeros(len(self.cameras), 3))
 
     def forward(self, image: Tensor, camera: int) -> Tensor:
-        """``image`` [H, W, 3] as the camera of number ``camera`` would record it; one without a row is the mean camera."""
+        """``image`` [H, W, 3] as camera number ``camera`` would record it. A camera without a row is treated as the mean camera."""
         row = self._row.get(int(camera))
         if row is None:
             return image
@@ -35,8 +35,8 @@ class CameraAffine(nn.Module):
 
 
 def colour_recorders(views: Views) -> np.ndarray | None:
-    """Sorted numbers of what recorded the training frames, which may disagree about colour. None with one alone, and where nearly each
-    frame is said to be a camera of its own, which is how rendered captures are written."""
+    """Sorted numbers of the cameras (or photos) that recorded the training frames and may disagree about colour. None if there is only one,
+    or if nearly every frame has a camera number of its own, as in rendered captures."""
     if views.recorder is not None:
         recorders = np.unique(views.recorder[views.train])
         return recorders if len(recorders) > 1 else None

@@ -1,4 +1,4 @@
-"""A Gaussian for each convex, for tools that know no convexes: in the frame of the convex's points, so that it moves with them."""
+"""A Gaussian for each convex, for tools that do not support convexes: in the frame of the convex's points, so that it moves with them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from torch import Tensor
 
 from ..rasterizer import Convexes, Gaussians
 
-THINNEST = 1e-3  # of a convex's longest axis; a flat one has no frame without
+THINNEST = 1e-3  # of a convex's longest axis; a flat convex would have no frame without this minimum
 
 
 @dataclass
 class GaussianFit:
-    """What M convexes become. The frame of one has its points' principal axes at rest, in standard deviations of the points.
+    """How M convexes become Gaussians. Each convex has a frame: the principal axes of its points at rest, scaled by the points' standard
+    deviations.
 
-    reference [M, K, 3]: the points at rest. log_spread [M, 3]: ln of the Gaussian's standard deviations along the axes. offset [M, 3]: its
-    mean, from the mean of the points. opacity [M]: what is added to the logit.
+    reference [M, K, 3]: the points at rest. log_spread [M, 3]: ln of the Gaussian's standard deviations along the axes, in units of the
+    points'. offset [M, 3]: its mean in this frame, relative to the mean of the points. opacity [M]: added to the logit of the opacity.
     """
 
     reference: Tensor
@@ -27,14 +28,14 @@ class GaussianFit:
 
     @classmethod
     def uniform(cls, reference: Tensor, spread: float) -> GaussianFit:
-        """Every standard deviation ``spread`` times that of the points."""
+        """Make every standard deviation ``spread`` times that of the points."""
         none = reference.new_zeros(len(reference), 3)
         return cls(reference.detach(), none + float(torch.tensor(spread).log()), none.clone(), none[:, 0].clone())
 
     def gaussians(self, convexes: Convexes) -> Gaussians:
         """The Gaussians for ``convexes`` (with sh), which are those of ``reference`` after some motion.
 
-        Differentiable in this fit, but for the turn of the axes that an uneven spread of a sheared convex makes."""
+        Differentiable with respect to this fit, except for the rotation of the axes that an uneven spread causes in a sheared convex."""
         assert convexes.sh is not None
         points = convexes.points.detach()
         frame = frames(points, self.reference)
@@ -46,15 +47,15 @@ class GaussianFit:
         scales = (axes * (covariance @ axes)).sum(1).clamp(min=1e-14).sqrt()
         means = points.mean(1) + (frame @ self.offset[:, :, None])[..., 0]
         opacities = torch.sigmoid(torch.logit(convexes.opacities.detach(), eps=1e-6) + self.opacity)
-        # What is not there at this time stays away, whatever the fit wants.
+        # A convex that is absent at this time stays absent, whatever the fit adds.
         opacities = torch.where(convexes.opacities.detach() > 0, opacities, 0.0)
         return Gaussians(means, _quats(axes), scales, opacities, sh=convexes.sh.detach())
 
 
 @torch.no_grad()
 def frames(points: Tensor, reference: Tensor) -> Tensor:
-    """[M, 3, 3] F with F F^T the covariance of ``points`` [M, K, 3], turned with them: where an affine map A takes ``reference`` to them, F
-    is A times the principal axes of ``reference``; elsewhere the nearest to it."""
+    """[M, 3, 3] F, where F F^T is the covariance of ``points`` [M, K, 3] and F turns with the points. If an affine map A takes
+    ``reference`` to them, F is A times the scaled principal axes of ``reference``; otherwise it is the nearest such frame."""
     now, rest = (p.double() - p.double().mean(1, keepdim=True) for p in (points, reference))
     root, inverse = _root(now)
     values, axes = _spectrum(rest)
@@ -64,13 +65,13 @@ def frames(points: Tensor, reference: Tensor) -> Tensor:
 
 
 def _spectrum(centred: Tensor) -> tuple[Tensor, Tensor]:
-    """Eigenvalues [M, 3], held away from 0, and axes [M, 3, 3] of the covariance of ``centred`` [M, K, 3]."""
+    """Eigenvalues [M, 3], kept away from 0, and axes [M, 3, 3] of the covariance of ``centred`` [M, K, 3]."""
     values, axes = torch.linalg.eigh(centred.transpose(1, 2) @ centred / centred.shape[1])
     return values.clamp(min=1e-30).maximum(THINNEST**2 * values[:, 2:]), axes
 
 
 def _root(centred: Tensor) -> tuple[Tensor, Tensor]:
-    """The covariance's symmetric root and its inverse, [M, 3, 3] each."""
+    """The symmetric square root of the covariance and its inverse, [M, 3, 3] each."""
     values, axes = _spectrum(centred)
     scaled = axes * values.sqrt()[:, None], axes / values.sqrt()[:, None]
     return scaled[0] @ axes.transpose(1, 2), scaled[1] @ axes.transpose(1, 2)

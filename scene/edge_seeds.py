@@ -1,4 +1,4 @@
-"""How much edge lies under each Gaussian: the measure by which hulls are seeded."""
+"""Edge density under each Gaussian: the measure used to seed convexes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from .views import Views
 
 
 def edge_density(model: Model, views: Views, frames: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean edge weight [N] in [0, 1] over the pixels that each Gaussian blends, and its summed blending weight [N] in px, over ``frames``.
+    """Mean edge weight [N] in [0, 1] over the pixels that each Gaussian contributes to, and its summed blending weight [N] in px, over
+    ``frames``.
 
-    Both are gradients of an extra channel, as in `density.measure_responsibility`, so occluded Gaussians count for nothing.
+    Both come from the gradients of extra channels, as in `density.measure_responsibility`, so occluded Gaussians do not count.
     """
     total = torch.zeros(len(model.gaussians), 2, device=model.device)
     for i in frames:

@@ -20,7 +20,7 @@ def fibonacci_sphere(count: int) -> np.ndarray:
 def neighbour_radius(centres: np.ndarray, neighbours: int = 3) -> np.ndarray:
     """Mean distance [N] of each of ``centres`` [N, 3] to its three nearest neighbours: small in dense regions, large in sparse ones.
 
-    With fewer than two centres there is no neighbour and the radius is 1; coincident centres get the smallest positive radius of the set.
+    With fewer than two centres there is no neighbour, and the radius is 1. Coincident centres get the smallest positive radius of the set.
     """
     from scipy.spatial import cKDTree
 

@@ -1,4 +1,4 @@
-"""The hulls of convexes as a triangle mesh: what their silhouettes are the outlines of, where a convex has half of its opacity."""
+"""The hulls of convexes as a triangle mesh. The outline of a hull is where its convex falls to half of its opacity."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from .formats.ply import LEAST_ALPHA
 from .mesh import Mesh
 from .primitives import SH_C0
 
-JITTER = 1e-6  # of a convex's extent; which of several points on one plane make its triangles is decided as if they lay a little off it
+JITTER = 1e-6  # of a convex's extent: points are moved by this much, so that coplanar points give unique triangles
 
 
 def hull_mesh(convexes: Convexes) -> Mesh:
-    """The hulls of those of ``convexes`` (with sh) that can be seen, each in its mean colour and with its opacity; points inside a hull are
-    left out."""
+    """The hulls of the visible ones among ``convexes`` (with sh), each with its mean colour and its opacity. Points inside a hull are left
+    out."""
     assert convexes.sh is not None
     points = convexes.points.detach().cpu().double().numpy()
     opacities = convexes.opacities.detach().cpu().numpy()
@@ -29,8 +29,8 @@ def hull_mesh(convexes: Convexes) -> Mesh:
 
 
 def hull_triangles(points: np.ndarray) -> np.ndarray:
-    """[F, 3]: the hulls of M sets of K >= 3 ``points`` [M, K, 3] float64, as rows of the points flattened to [M K, 3]; counter-clockwise
-    seen from outside. Of three points, one triangle."""
+    """[F, 3]: triangles of the hulls of M sets of K >= 3 ``points`` [M, K, 3] float64, as row numbers of the points flattened to [M K, 3],
+    counter-clockwise seen from outside. A set of three points gives one triangle."""
     count, corners = points.shape[:2]
     extent = np.ptp(points, axis=1).max(1, initial=0)[:, None, None]
     moved = points - points.mean(1, keepdims=True) + JITTER * extent * np.random.default_rng(0).uniform(-1, 1, (corners, 3))

@@ -1,4 +1,4 @@
-"""Triangle meshes with a colour at each vertex, as a PLY file of one moment and as a glTF file that plays through several."""
+"""Triangle meshes with vertex colours: a PLY file of one moment, or a glTF file that plays through several."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from .formats.glb import CORNERS, FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, VERTICES, Glb
 
 TRIANGLES = 4  # a mode of glTF 2.0
-UNLIT = "KHR_materials_unlit"  # the colours hold the light of the capture
+UNLIT = "KHR_materials_unlit"  # the colours already contain the light of the capture
 
 
 @dataclass
@@ -37,14 +37,14 @@ def mesh_ply_bytes(mesh: Mesh) -> bytes:
 
 
 def mesh_glb_bytes(meshes: Sequence[Mesh], seconds: Sequence[float] = (0.0,)) -> bytes:
-    """Binary glTF 2.0: a node for each of ``meshes``, of which an animation shows one at a time, each from its moment of ``seconds``
-    (rising) on. Without animation the first is seen. A node that is not shown has scale 0, the way in which glTF hides.
+    """Binary glTF 2.0 with a node for each of ``meshes``. An animation shows one node at a time, each starting at its entry in ``seconds``
+    (increasing). A viewer that ignores the animation shows the first. Hidden nodes have scale 0, which is how glTF hides nodes.
 
-    Colours are linear, as glTF wants them, and unlit; what has opacities below 1 is blended.
+    Colours are linear, as glTF requires, and unlit; meshes with opacities below 1 are blended.
     """
     file = Glb()
     start = np.asarray(seconds, np.float64) - seconds[0]
-    end = float(start[-1] + (start[-1] - start[-2] if len(start) > 1 else 0))  # the last is seen for as long as the one before
+    end = float(start[-1] + (start[-1] - start[-2] if len(start) > 1 else 0))  # the last is shown for as long as the one before
     nodes: list[dict[str, object]] = []
     shapes: list[dict[str, object]] = []
     channels: list[dict[str, object]] = []
@@ -86,7 +86,7 @@ def mesh_glb_bytes(meshes: Sequence[Mesh], seconds: Sequence[float] = (0.0,)) ->
 
 
 def _linear(colors: np.ndarray) -> np.ndarray:
-    """[V, 4]: RGB without the sRGB curve (IEC 61966-2-1), opacity as it is."""
+    """[V, 4]: RGB with the sRGB curve (IEC 61966-2-1) removed, and opacity unchanged."""
     c = colors.clip(0, 1).astype(np.float64)
     rgb = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
     return np.concatenate([rgb[:, :3], c[:, 3:]], axis=1)

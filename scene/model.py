@@ -24,9 +24,9 @@ KINDS: Mapping[str, Any] = {"planes": DeformationField, "nodes": ControlNodes, "
 class Model:
     """Edge4DGS = {G, C} (Eq. 1) with an optional deformation field.
 
-    gaussians, convexes: the two sets at rest. field: the motion, None where nothing moves. sh_degree: highest degree that is rendered.
-    near: world units; nothing nearer to a camera was learned, so nothing nearer is drawn. background: RGB in [0, 1] that it was learned
-    on. affine: how the training cameras record its colours; None where all record them alike. Held-out views are the mean camera's.
+    gaussians, convexes: the two sets at rest. field: the motion, None if nothing moves. sh_degree: highest degree that is rendered.
+    near: world units; nothing nearer to a camera was learned, so nothing nearer is drawn. background: RGB in [0, 1] used in training.
+    affine: how each training camera records the model's colours; None if all record them alike. Held-out views use the mean camera.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Model:
         return self.gaussians.device
 
     def to(self, device: str | torch.device) -> Model:
-        """Moves the model to this device, in place, and returns it. Cameras stay where they are: `rasterize` takes them from the CPU."""
+        """Move the model to ``device`` in place and return it. Cameras stay where they are: `rasterize` reads them from the CPU."""
         self.gaussians, self.convexes = self.gaussians.to(device), self.convexes.to(device)
         for part in (self.field, self.affine):
             if part is not None:
@@ -64,8 +64,8 @@ class Model:
     def at(self, t: float, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None) -> tuple[Gaussians, Convexes]:
         """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
 
-        Only primitives that move enter the motion, and of those, where that is worth the look, only what a ``camera`` (if given) could see.
-        move=False renders the rest state.
+        Only dynamic primitives go through the motion. If a ``camera`` is given and culling pays off for this motion, those that the camera
+        cannot see are skipped. move=False renders the rest state.
         """
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         g, c = self.gaussians, self.convexes
@@ -77,7 +77,7 @@ class Model:
             n = len(index)
             if n + len(hulls):
                 moved = self.field.carry(self._rest(index, hulls), t)
-                if n == len(means):  # the usual case of small scenes, without copies by index
+                if n == len(means):  # the usual case in small scenes; avoids indexed copies
                     means, quats = moved.points[:n], moved.quats
                     log_scales = log_scales if moved.log_scales is None else log_scales + moved.log_scales
                 else:
@@ -95,16 +95,16 @@ class Model:
         return gaussians, convexes
 
     def centres_at(self, index: Tensor, t: float) -> Tensor:
-        """[m, 3] where the motion carries the centres of the Gaussians ``index`` at time ``t``, whether they are dynamic or not."""
+        """[m, 3] centres of the Gaussians ``index`` at time ``t``, moved whether they are dynamic or not."""
         assert self.field is not None
         return self.field.carry(self._rest(index, index[:0]), t).points
 
     def relink(self) -> None:
-        """Search anew which parts of the motion carry each primitive; to be called when primitives have moved about at rest."""
+        """Search again for the parts of the motion that carry each primitive; call this after rest positions have changed."""
         self._links.clear()
 
     def links(self, primitives: PrimitiveSet) -> Tensor | None:
-        """`Motion.links` of all rest points of the Gaussians or the convexes of this model, kept until `relink` or another set."""
+        """`Motion.links` of all rest points of this model's Gaussians or convexes, cached until `relink` or until the set is replaced."""
         assert self.field is not None
         known = self._links.get(primitives.KIND)
         if known is None or known[0] is not primitives:
@@ -114,7 +114,7 @@ class Model:
         return known[1]
 
     def set_links(self, primitives: PrimitiveSet, link: Tensor) -> None:
-        """Go on with ``link`` of a checkpoint."""
+        """Continue with ``link`` from a checkpoint."""
         self._links[primitives.KIND] = primitives, link
 
     def _rest(self, index: Tensor, hulls: Tensor) -> Rest:
@@ -142,18 +142,18 @@ class Model:
         return Rest(points, quats, hyper, link, life, centres)
 
     def _moving(self, primitives: PrimitiveSet, camera: Camera | None, margin: float) -> Tensor:
-        """Indices [m] of the primitives that move and whose rest position lies in the camera's view, widened by ``margin`` of its size."""
+        """Indices [m] of the dynamic primitives whose rest position lies in the camera's view, widened by ``margin`` of its size."""
         moving = primitives.dynamic
         if camera is not None and len(primitives) and self.field is not None and self.field.worth_culling:
             centres = primitives.rest_points().reshape(len(primitives), -1, 3).mean(1)
             moving = moving & inside_image(camera, centres, margin)
-        if bool(moving.all()):  # the usual case of small scenes, in a third of the time
+        if bool(moving.all()):  # the usual case in small scenes; takes a third of the time
             return torch.arange(len(moving), device=moving.device)
         return moving.nonzero()[:, 0]
 
     def render(self, camera: Camera, time: float, background: Tensor | None = None, backend: str = "auto") -> Frame:
-        """One view at one ``time`` in [0, 1], without gradients, as the mean camera records it. ``background`` [3] in [0, 1], None for the
-        model's own. The camera's near plane counts where it is farther than the model's."""
+        """One view at ``time`` in [0, 1], without gradients, as the mean camera would record it. ``background`` [3] in [0, 1]; None uses
+        the model's own. The farther of the camera's and the model's near plane is used."""
         camera = replace(camera, near=max(camera.near, self.near))
         background = torch.tensor(self.background) if background is None else background
         with torch.no_grad():
@@ -167,7 +167,7 @@ class Model:
         self.gaussians.dynamic[index] = False
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Every tensor of the model by name; with `config` all that `from_arrays` needs."""
+        """Every tensor of the model by name. Together with `config` this is all that `from_arrays` needs."""
         arrays = {**self.gaussians.to_arrays(), **self.convexes.to_arrays()}
         if self.field is not None:
             arrays |= {"field_" + name: p.cpu().numpy() for name, p in self.field.state_dict().items()}
@@ -177,7 +177,7 @@ class Model:
 
     @property
     def config(self) -> dict[str, Any]:
-        """JSON values beside the arrays."""
+        """JSON values that go with the arrays."""
         return {
             "sh_degree": self.sh_degree,
             "field": None if self.field is None else self.field.config,
@@ -188,7 +188,7 @@ class Model:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], config: Mapping[str, Any]) -> Model:
-        """Inverse of `to_arrays` and `config`. Raises KeyError where an array is missing."""
+        """Inverse of `to_arrays` and `config`. Raises KeyError if an array is missing."""
         field = None
         if config["field"] is not None:
             state = {name.removeprefix("field_"): torch.tensor(np.asarray(arrays[name])) for name in arrays if name.startswith("field_")}
@@ -203,7 +203,7 @@ class Model:
 
 
 def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes | FreeMotion:
-    """The motion of which `state_dict` and ``config`` are given. Raises KeyError where something is missing."""
+    """The motion with this `state_dict` and ``config``. Raises KeyError if something is missing."""
     return KINDS[config["kind"]].from_state(dict(state), dict(config))
 
 

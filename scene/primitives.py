@@ -11,14 +11,14 @@ import torch
 from torch import Tensor
 
 SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
-HYPER = 2  # coordinates beside x, y, z in which control nodes lie
-ALWAYS = 1e4  # frames; a primitive of so long a life is there throughout
+HYPER = 2  # extra coordinates of control nodes, in addition to x, y, z
+ALWAYS = 1e4  # frames; a primitive with so long a life is present throughout
 LIFE = ("times", "log_spans", "velocities", "spins")
 
 
 class Life(NamedTuple):
-    """When primitives are there and how they move meanwhile: the middle of their life, ``times`` [N], and the logarithm of its standard
-    deviation, ``log_spans`` [N], both in frames; ``velocities`` [N, 3] in world units a frame; ``spins`` [N, 3], rotation vectors, in
+    """When primitives are present and how they move during that time. ``times`` [N]: the middle of each life, in frames. ``log_spans`` [N]:
+    the logarithm of its standard deviation in frames. ``velocities`` [N, 3]: world units a frame. ``spins`` [N, 3]: rotation vectors,
     radians a frame. Frames are the times of the capture, counted from 0."""
 
     times: Tensor
@@ -28,15 +28,15 @@ class Life(NamedTuple):
 
 
 def whole_life(count: int) -> dict[str, Tensor]:
-    """`Life` of ``count`` primitives that are there throughout and do not move."""
-    # Each its own memory: what trains or sets one must not write into another.
+    """`Life` of ``count`` primitives that are present throughout and do not move."""
+    # Each tensor has its own memory, so that training or setting one does not write into another.
     return dict(zip(LIFE, (torch.zeros(count), torch.full((count,), math.log(ALWAYS)), torch.zeros(count, 3), torch.zeros(count, 3))))
 
 
 class PrimitiveSet:
-    """N primitives of one kind: named parameter tensors with N rows, and a flag that says which of them move.
+    """N primitives of one kind: named parameter tensors with N rows, and a flag for those that move.
 
-    ``parameters`` maps a name of `FIELDS` to a leaf tensor [N, ...] float32; ``dynamic`` [N] bool: True enters the motion model.
+    ``parameters`` maps each name of `FIELDS` to a leaf tensor [N, ...] float32; ``dynamic`` [N] bool: True for those that the motion moves.
     """
 
     KIND: ClassVar[str]
@@ -68,7 +68,7 @@ class PrimitiveSet:
         return next(iter(self.parameters.values())).device
 
     def to(self, device: str | torch.device) -> Self:
-        """The same set on this device; a copy where that is another one."""
+        """The same set on ``device``; a copy if that is a different device."""
         return type(self)({name: p.detach().to(device) for name, p in self.parameters.items()}, self.dynamic)
 
     @property
@@ -77,12 +77,12 @@ class PrimitiveSet:
         return torch.sigmoid(self.opacity_logits)
 
     def sh(self, degree: int) -> Tensor:
-        """[N, (degree+1)^2, 3], as far as the set has coefficients."""
+        """[N, (degree+1)^2, 3], or fewer coefficients if the set has no more."""
         rest = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
         return torch.cat([self.sh_dc, self.sh_rest[:, :rest]], dim=1) if rest else self.sh_dc
 
     def rest_points(self) -> Tensor:
-        """[N * corners, 3] positions that the motion model displaces."""
+        """[N * corners, 3] positions that the motion displaces."""
         raise NotImplementedError
 
     @property
@@ -90,7 +90,8 @@ class PrimitiveSet:
         return Life(*(self.parameters[name] for name in LIFE))
 
     def live(self, time: float | Tensor, span: float, velocities: Tensor | None = None) -> None:
-        """All rows live around frame ``time`` (one, or [N]), with a standard deviation of ``span`` frames and ``velocities`` [N, 3]."""
+        """Centre the life of all rows on frame ``time`` (a number or [N]), with a standard deviation of ``span`` frames and, if given,
+        ``velocities`` [N, 3]."""
         with torch.no_grad():
             self.times[:] = time
             self.log_spans.fill_(math.log(span))
@@ -103,19 +104,19 @@ class PrimitiveSet:
 
     @classmethod
     def joined(cls, sets: Sequence[Self]) -> Self:
-        """All rows of ``sets``, one set behind the other."""
+        """All rows of ``sets``, concatenated."""
         parameters = {name: torch.cat([one.parameters[name].detach() for one in sets]) for name in cls.FIELDS}
         return cls(parameters, torch.cat([one.dynamic for one in sets]))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Named arrays, prefixed by the kind: ``gaussians_means`` and so on."""
+        """Arrays by name, prefixed with the kind: ``gaussians_means`` and so on."""
         arrays = {f"{self.KIND}_{name}": p.detach().cpu().numpy() for name, p in self.parameters.items()}
         arrays[f"{self.KIND}_dynamic"] = self.dynamic.cpu().numpy()
         return arrays
 
     @classmethod
     def from_arrays(cls, arrays) -> Self:
-        """Inverse of `to_arrays`; ``arrays`` is any mapping that holds the names."""
+        """Inverse of `to_arrays`; ``arrays`` is any mapping with these names."""
         parameters = {name: torch.tensor(np.asarray(arrays[f"{cls.KIND}_{name}"])) for name in cls.FIELDS}
         return cls(parameters, torch.tensor(np.asarray(arrays[f"{cls.KIND}_dynamic"])))
 
@@ -183,7 +184,7 @@ class ConvexSet(PrimitiveSet):
 
     @classmethod
     def from_hulls(cls, points: np.ndarray, colors: np.ndarray, sh_degree: int, opacity: float = 0.3) -> ConvexSet:
-        """Convexes on ``points`` [M,K,3] with ``colors`` [M,3] in [0,1]; sharpness in proportion to the size of each."""
+        """Convexes on ``points`` [M,K,3] with ``colors`` [M,3] in [0,1]; the width of each one's edges is in proportion to its size."""
         m = len(points)
         radius = np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=2).mean(axis=1).clip(min=1e-9)
         return cls(

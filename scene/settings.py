@@ -1,4 +1,4 @@
-"""What a user can turn in training: one frozen object that the command line, the cache key and the trainer read."""
+"""The training settings that a user can change: one frozen object read by the command line, the cache key and the trainer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Strategy = Literal["two-stage", "joint", "alternating", "progressive"]
 
 
 class RefinementSettings(Settings):
-    """What acts wherever a model is trained. Learning rates of positions are in fractions of the viewing distance."""
+    """Settings that apply wherever a model is trained. Learning rates of positions are fractions of the viewing distance."""
 
     iterations: int = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
     seed: int = Field(0, ge=0, description="order of the views, initial planes, sampling of new primitives")
@@ -51,7 +51,8 @@ class RefinementSettings(Settings):
 
 
 class GrowthSettings(Settings):
-    """What acts only where primitives are added: in `coarse`, and with the joint strategy in `fine`, which then does as `coarse` does."""
+    """Settings that apply only where primitives are added: in `coarse`, and in `fine` with the joint strategy, which then acts like
+    `coarse`."""
 
     budget: int = Field(0, ge=0, description="most Gaussians allowed; 0 chooses by the capture")
     open_until: float = Field(0.7, ge=0, le=1, description="rigs: fraction of the steps until all times are in; 0: at once")
@@ -59,4 +60,4 @@ class GrowthSettings(Settings):
 
 
 class TrainingSettings(GrowthSettings, RefinementSettings):
-    """All of both: what the trainer reads."""
+    """Both groups together: what the trainer reads."""

@@ -1,5 +1,5 @@
-"""The posed frames of a capture as training sees them: cameras as tensors, images decoded once and kept within a budget, in memory and
-on the device that learns from them."""
+"""The posed frames of a capture as training uses them: cameras as tensors, and images that are decoded once and cached within a budget, in
+memory and on the training device."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ..rasterizer import Camera
 from .edges import edge_weights
 
 CACHE_BYTES = 4 << 30
-WINDOW_MARGIN = 0.04  # of the image's longer side, around what is filled
+WINDOW_MARGIN = 0.04  # of the image's longer side, around the filled part
 MOST_WINDOW = 0.8  # of the image's area; a larger window saves nothing
 
-WHOLLY = 254 / 255  # of a mask that was made smaller: a pixel all of whose parts count
+WHOLLY = 254 / 255  # value of a downscaled mask from which a pixel counts: all of its parts do
 
 Window = tuple[int, int, int, int]
 Kind = Literal["colour", "alpha", "kept"]
 
 
 class Projected(NamedTuple):
-    """point [n] int: numbers of the points that a frame shows. x, y [n] int: the pixels that they lie in. depth [n]: world units along the
+    """point [n] int: indices of the points that a frame shows. x, y [n] int: the pixels that they fall in. depth [n]: world units along the
     optical axis."""
 
     point: np.ndarray
@@ -41,12 +41,12 @@ class Projected(NamedTuple):
 class Views:
     """F posed frames.
 
-    K [F,3,3] px and cam_from_world [F,4,4], float64; time [F] in [0,1]; camera [F] int; next [F] int, the same camera's frame at its
-    next time or -1; train [n] int, the frames to learn from. ``load(i)`` returns uint8 [H,W,3], composited on the background,
-    ``load_alpha(i)`` uint8 [H,W]; None where the capture has no alpha. ``load_kept(i)`` uint8 [H,W], 255 where pixels count, 0 where they
-    do not; None where all do.
-    recorder [F] int: frames of one number record colours alike; the camera where None.
-    background [3] in [0,1]. near: world units. device: where pictures are wanted; cameras are always on the CPU.
+    K [F,3,3] px and cam_from_world [F,4,4], float64; time [F] in [0,1]; camera [F] int; next [F] int, the next frame of the same camera,
+    or -1; train [n] int, the training frames. ``load(i)`` returns uint8 [H,W,3], composited on the background. ``load_alpha(i)`` returns
+    uint8 [H,W]; it is None if the capture has no alpha. ``load_kept(i)`` returns uint8 [H,W], 255 for pixels that count and 0 for those
+    that do not; it is None if all count.
+    recorder [F] int: frames with the same number record colours alike; the camera number if None.
+    background [3] in [0,1]. near: world units. device: where images are needed; cameras are always on the CPU.
     """
 
     K: np.ndarray
@@ -71,15 +71,15 @@ class Views:
     _bytes: int = 0
     _there: OrderedDict[tuple[int, float, Kind], Tensor] = field(
         default_factory=OrderedDict, repr=False
-    )  # on `device`, where that is not the CPU
+    )  # on `device`, unless that is the CPU
     _there_bytes: int = 0
 
     def recorded_by(self, i: int) -> int:
-        """Number under which frame ``i`` shares its exposure and white balance with others."""
+        """Number shared by the frames with the same exposure and white balance as frame ``i``."""
         return int((self.camera if self.recorder is None else self.recorder)[i])
 
     def rasterizer_camera(self, i: int, scale: float = 1.0, window: Window | None = None) -> Camera:
-        """Camera of frame ``i``, its image resized by ``scale`` (1 = full size), of which only ``window`` is wanted."""
+        """Camera of frame ``i`` for an image resized by ``scale`` (1 = full size) and cropped to ``window`` if one is given."""
         width, height = self.size(scale)
         K = self.K[i].copy()
         K[0] *= width / self.width
@@ -98,8 +98,8 @@ class Views:
         return max(1, round(self.width * scale)), max(1, round(self.height * scale))
 
     def window(self, i: int, scale: float = 1.0) -> Window | None:
-        """Left, top, right, bottom of the part of frame ``i`` that its alpha fills, with a margin, px at ``scale``; None where that is
-        most of the image, or unknown."""
+        """Left, top, right, bottom of the part of frame ``i`` that its alpha fills, with a margin, in px at ``scale``. None if that is most
+        of the image or unknown."""
         if self.load_alpha is None:
             return None
         if i not in self._windows:
@@ -113,15 +113,15 @@ class Views:
         return int(left * x), int(top * y), min(math.ceil(right * x), width), min(math.ceil(bottom * y), height)
 
     def target(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor:
-        """[H, W, 3] float32 in [0, 1]; of ``window`` alone where one is given."""
+        """Image [H, W, 3] float32 in [0, 1], cropped to ``window`` if one is given."""
         return self._tensor(i, scale, window, "colour")
 
     def alpha(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor:
-        """[H, W] float32 in [0, 1], the capture's own; of ``window`` alone where one is given."""
+        """The capture's own alpha [H, W] float32 in [0, 1], cropped to ``window`` if one is given."""
         return self._tensor(i, scale, window, "alpha")
 
     def kept(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor | None:
-        """[H, W] bool, the pixels that count; None where all do."""
+        """[H, W] bool, the pixels that count; None if all do."""
         return None if self.load_kept is None else self._tensor(i, scale, window, "kept") >= WHOLLY
 
     def _tensor(self, i: int, scale: float, window: Window | None, kind: Kind) -> Tensor:
@@ -160,15 +160,15 @@ class Views:
         image = load(int(i))
         if scale != 1.0:
             image = cv2.resize(image, self.size(scale), interpolation=cv2.INTER_AREA)
-        self._images[key] = np.require(image, requirements=["C", "W"])  # torch takes no memory that cannot be written
+        self._images[key] = np.require(image, requirements=["C", "W"])  # torch does not accept read-only memory
         self._bytes += image.nbytes
         while self._bytes > CACHE_BYTES and len(self._images) > 1:
             self._bytes -= self._images.popitem(last=False)[1].nbytes
         return self._images[key]
 
     def project(self, i: int, points: np.ndarray) -> Projected:
-        """Where frame ``i``, at full size, shows ``points`` [P, 3] (world units): those that lie further ahead than ``near`` and inside the
-        picture, in their order. Pixel (x, y) reaches from x to x + 1 and y to y + 1 px. Whether something else hides them is not asked.
+        """Where frame ``i``, at full size, shows ``points`` [P, 3] (world units). The result has, in order, the points that are farther
+        than ``near`` in front of the camera and inside the image; occlusion is ignored. Pixel (x, y) spans x to x + 1 and y to y + 1 px.
         """
         cam = points @ self.cam_from_world[i, :3, :3].T + self.cam_from_world[i, :3, 3]
         ahead = np.flatnonzero(cam[:, 2] > self.near)
@@ -191,7 +191,7 @@ class Views:
 
 
 def filled_window(alpha: np.ndarray) -> Window | None:
-    """Left, top, right, bottom of what ``alpha`` [H, W] uint8 fills, and a margin; None where that is most of the image or nothing."""
+    """Left, top, right, bottom of the part that ``alpha`` [H, W] uint8 fills, plus a margin; None if that is most of the image or empty."""
     rows, columns = np.flatnonzero(alpha.max(1) > 0), np.flatnonzero(alpha.max(0) > 0)
     height, width = alpha.shape
     if not len(rows):

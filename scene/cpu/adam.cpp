@@ -13,7 +13,7 @@ namespace {
 constexpr int64_t kGrain = 16384;  // floats
 
 inline bool any(const float* gradient, int64_t n) {
-    uint32_t found = 0;  // on the bits, so that the loop is vectorised; what is not a number counts
+    uint32_t found = 0;  // on the bits, so that the loop is vectorised; NaN counts as a gradient
     for (int64_t i = 0; i < n; ++i) found |= std::bit_cast<uint32_t>(gradient[i]) & 0x7fffffffu;
     return found != 0;
 }
@@ -29,7 +29,7 @@ inline void adam_range(float* __restrict p, const float* __restrict g, float* __
 
 E4DGS_CLONES void adam_block(float* p, const float* g, float* m, float* v, int64_t begin, int64_t end, int64_t width, const AdamStep step) {
     const float rate = step.rate / step.correction1, inverse_root = 1.0f / std::sqrt(step.correction2);
-    for (int64_t r = begin; r < end;) {  // runs of rows with a gradient go through at once
+    for (int64_t r = begin; r < end;) {  // consecutive rows with a gradient are updated together
         if (!any(g + r * width, width)) {
             ++r;
             continue;

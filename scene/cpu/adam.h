@@ -9,7 +9,7 @@ struct AdamStep {
     float correction1, correction2;  // 1 - beta^step
 };
 
-// parameter, gradient, first, second [rows, width]. A row whose gradient is zero throughout is left as it is, moments included.
+// parameter, gradient, first, second [rows, width]. A row whose gradient is all zero is left unchanged, including its moments.
 void adam_rows(float* parameter, const float* gradient, float* first, float* second, int64_t rows, int64_t width, const AdamStep& step, int threads);
 
 }  // namespace e4dgs

@@ -1,4 +1,4 @@
-// Which instruction set the field's kernels use: the best that this processor has.
+// Chooses the instruction set of the field's kernels: the best that this processor supports.
 #include <cstdlib>
 #include <string_view>
 

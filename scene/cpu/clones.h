@@ -1,5 +1,5 @@
-// One binary for every x86-64: the compiler emits a leaf function once for each instruction set and the loader picks.
-// Only leaf functions carry it: code outlined for an OpenMP region would be compiled for the baseline alone.
+// One binary for every x86-64: the compiler emits a leaf function once for each instruction set, and the loader picks one.
+// Used only on leaf functions: code outlined for an OpenMP region would be compiled for the baseline only.
 #pragma once
 
 #if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(E4DGS_NO_CLONES)

@@ -13,8 +13,8 @@ constexpr int64_t kRange = 2048;
 
 struct Turn {
     float w, a[3];  // unit
-    float inverse;  // 1 / norm of what it was made from
-    bool normal;    // its norm was at least kLeastNorm
+    float inverse;  // 1 / norm of the quaternion before normalisation
+    bool normal;    // whether that norm was at least kLeastNorm
     float twice[3]; // 2 a x arm
 };
 

@@ -1,4 +1,4 @@
-// What the field's ten outputs do to a position: a rotation about the box's centre, a translation, a change of the scales' logarithm.
+// Applies the field's ten outputs to a position: a rotation about the box's centre, a translation, and a change of the log scales.
 #pragma once
 #include <cstdint>
 
@@ -14,7 +14,7 @@ struct Displacing {
 // dx [n, 3], dr [n, 4] unit quaternion, ds [n, 3].
 void displacement_forward(const Displacing& in, float* dx, float* dr, float* ds, int threads);
 
-// Gradients of the three (each may be null) to those of heads and rest (rest's may be null); both are written.
+// From the gradients of the three outputs (each may be null) to those of heads and rest (g_rest may be null); both are overwritten.
 void displacement_backward(const Displacing& in, const float* g_dx, const float* g_dr, const float* g_ds, float* g_heads, float* g_rest, int threads);
 
 }  // namespace e4dgs

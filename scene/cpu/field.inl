@@ -1,5 +1,5 @@
-// The deformation field for one instruction set: a field_*.cpp defines E4DGS_ISA and includes this. Vectors are the compiler's own,
-// as wide as the set allows; products and sums contract to fused ones where it has them.
+// The deformation field for one instruction set: each field_*.cpp defines E4DGS_ISA and includes this file. It uses compiler vector types, as wide
+// as the instruction set allows; multiply-adds contract to fused ones if it has them.
 #include "field.h"
 
 namespace E4DGS_ISA {
@@ -8,13 +8,13 @@ namespace {
 using namespace e4dgs;
 
 #if defined(__AVX512F__)
-constexpr int kWidth = 16, kPanel = 4;  // floats of a vector; vectors of a row that are summed in registers
+constexpr int kWidth = 16, kPanel = 4;  // floats per vector; vectors of a row that are accumulated in registers
 #elif defined(__AVX2__)
 constexpr int kWidth = 8, kPanel = 2;
 #else
 constexpr int kWidth = 4, kPanel = 2;
 #endif
-constexpr int kRows = 4;  // rows that are summed in registers
+constexpr int kRows = 4;  // rows that are accumulated in registers
 typedef float Vec __attribute__((vector_size(4 * kWidth)));
 typedef float Loose __attribute__((vector_size(4 * kWidth), aligned(4)));
 typedef int32_t Bits __attribute__((vector_size(4 * kWidth)));
@@ -42,7 +42,7 @@ inline Scratch divide(const Field& field, float* at) {
 
 inline int whole_rows(int n) { return (n + kRows - 1) / kRows * kRows; }
 
-// Features of n points, and what they were made of; the rows from n on to a whole number of kRows repeat point 0's. taps may be null.
+// Features of n points and the six values whose product they are. Rows from n up to a multiple of kRows repeat those of point 0. taps may be null.
 template <int C>
 void look_up(const Field& field, const float* points, int n, const Scratch& s, Taps* taps) {
     const int f = field.features_padded();
@@ -88,7 +88,7 @@ void backward_block(const Field& field, const float* points, int n, const float*
         for (int c = 0; c < stride; ++c) d_out[i * stride + c] = i < n && c < width ? grad[int64_t(i) * width + c] : 0.0f;
     if (field.outputs) {
         const float *hidden1 = hidden, *hidden2 = hidden + int64_t(n) * w;
-        if (rows != n) {  // the last block: whole rows are read
+        if (rows != n) {  // the last block: the layers read a multiple of kRows rows
             const std::size_t bytes = sizeof(float) * std::size_t(n) * std::size_t(w), rest = sizeof(float) * std::size_t(rows - n) * std::size_t(w);
             __builtin_memcpy(s.hidden1, hidden1, bytes), __builtin_memset(s.hidden1 + n * w, 0, rest);
             __builtin_memcpy(s.hidden2, hidden2, bytes), __builtin_memset(s.hidden2 + n * w, 0, rest);
@@ -108,7 +108,7 @@ void backward_block(const Field& field, const float* points, int n, const float*
                                 d_values + (int64_t(l) * 6 * kChunk + i) * field.channels);
 }
 
-// The usual numbers of channels are known to the compiler.
+// The usual numbers of channels are compile-time constants.
 #define E4DGS_CHANNELS(call)                  \
     switch (field.channels) {                 \
         case 16: return call<16>;             \

@@ -1,5 +1,5 @@
-// Layers of the perceptron on blocks of rows, forward and backward: one small matrix product with its sums in registers. All widths
-// are padded to whole vectors, all numbers of rows to kRows. Included by field.inl.
+// Layers of the perceptron on blocks of rows, forward and backward: one small matrix product with its sums in registers. All widths are
+// padded to whole vectors, and row counts to multiples of kRows. Included by field.inl.
 
 // acc[r][v] += sum_k a(r, k) b[k, columns of v], with a(r, k) = a[r * a_row + k * a_k].
 template <int NV>
@@ -14,7 +14,7 @@ inline void multiply(const float* a, int64_t a_row, int64_t a_k, const float* b,
     }
 }
 
-// f(count of vectors as a constant, first column) over `columns`: whole panels, then single vectors.
+// Calls f(number of vectors as a constant, first column) over `columns`: for whole panels, then pairs, then single vectors.
 template <int N>
 struct Vectors {
     static constexpr int value = N;
@@ -45,7 +45,8 @@ void layer(const float* in, int n_in, int rows, const float* w, int n_out, int k
     });
 }
 
-// d_in [rows, n_in] = d_out [rows, n_out] w [n_out, n_in], of which the first k_count are not padding, where `active` (the layer's input, after its ReLU) is positive; null: everywhere.
+// d_in [rows, n_in] = d_out [rows, n_out] w [n_out, n_in] where `active` (the layer's input, after its ReLU) is positive, else 0; everywhere if it is
+// null. Only the first k_count of n_out are not padding.
 inline void back(const float* d_out, int n_out, int k_count, int rows, const float* w, int n_in, const float* active, float* d_in) {
     for_panels(n_in, [&](auto vectors, int c) {
         for (int r = 0; r < rows; r += kRows) {
@@ -67,7 +68,7 @@ inline void add_to(double* sums, Vec v) {
     to = to + __builtin_convertvector(v, Wide);
 }
 
-// sums [n_out, n_in] += d_out^T in, of which the first `used` rows are not padding. Sums of a block in float, of all blocks in double.
+// sums [n_out, n_in] += d_out^T in, for the first `used` rows; the others are padding. Sums are float within a block and double across blocks.
 inline void add_products(const float* d_out, int n_out, int used, const float* in, int n_in, int rows, double* sums) {
     for_panels(n_in, [&](auto vectors, int c) {
         for (int o = 0; o < used; o += kRows) {
@@ -89,7 +90,7 @@ inline void add_columns(const float* d_out, int n_out, int rows, double* sums) {
     }
 }
 
-// Where each layer's sums lie.
+// Addresses of the sums of each layer.
 struct WeightGrads {
     double *w1, *b1, *w2, *b2, *w3, *b3;
     WeightGrads(const Field& field, double* at) {

@@ -1,10 +1,10 @@
-// Bilinear look-up on the three space planes, linear on the three lines that the time planes leave at one time, their product, and
-// the way back. C is the number of channels, 0 where only field.channels knows it. Included by field.inl.
+// Bilinear look-up on the three space planes, linear look-up on the three lines (the time planes interpolated at one time), their product, and
+// the backward pass. C is the number of channels, or 0 if only field.channels has it. Included by field.inl.
 
 constexpr int kAxisA[3] = {0, 0, 1};  // xy, xz, yz
 constexpr int kAxisB[3] = {1, 2, 2};
 
-// A point's place on lines of `count` samples whose ends are at the box's faces; outside it, or not a number, it counts as on a face.
+// A point's place among `count` samples along each axis, whose ends are at the faces of the box. Points outside are clamped; NaN counts as low.
 inline Taps taps_of(const Field& field, const float* point, int count) {
     Taps taps;
     for (int axis = 0; axis < 3; ++axis) {
@@ -32,7 +32,7 @@ inline Bilinear bilinear(const Taps& taps, int plane, int resolution) {
             {(1 - fa) * (1 - fb), fa * (1 - fb), (1 - fa) * fb, fa * fb}};
 }
 
-// f(c) for whole vectors of channels, g(c) for single ones behind them.
+// Calls f(c) for whole vectors of channels and g(c) for the single channels that remain.
 template <int C, class F, class G>
 inline void for_channels(int channels, F&& f, G&& g) {
     const int count = C ? C : channels;
@@ -41,7 +41,7 @@ inline void for_channels(int channels, F&& f, G&& g) {
     for (; c < count; ++c) g(c);
 }
 
-// values [6, C] of one point at one level, and their product.
+// The values [6, C] of one point at one level, and their product.
 template <int C>
 inline void features_of_level(const Field& field, int l, const Taps& taps, float* values, float* product) {
     const Level& level = field.level[l];
@@ -73,7 +73,8 @@ inline void features_of_level(const Field& field, int l, const Taps& taps, float
         [&](int c) { at([](const float* p) { return *p; }, [](float* p, float v) { *p = v; }, c); });
 }
 
-// The product rule from the left and from the right, so that no division meets a zero. d_values: rows of one point, kChunk rows apart.
+// The product rule with products from the left and from the right, so that nothing is divided by a value that may be zero. d_values: the six rows
+// of one point, kChunk rows apart.
 template <int C>
 inline void product_backward(const Field& field, const float* values, const float* grad, float* d_values) {
     const int channels = C ? C : field.channels;
@@ -111,7 +112,7 @@ void scatter(const Field& field, int l, int plane, const Taps* all_taps, int64_t
             to[0] = grad + (int64_t(axis) * r + taps.low[axis]) * channels, weight[0] = 1 - taps.fraction[axis];
             to[1] = to[0] + (r > 1) * channels, weight[1] = taps.fraction[axis];
         }
-        for (int k = 0; k < count; ++k)  // one after the other: the taps of a single cell are one place
+        for (int k = 0; k < count; ++k)  // one after another: with a single sample, several taps are the same place
             for_channels<C>(
                 channels, [&](int c) { store(to[k] + c, load(to[k] + c) + weight[k] * load(d + c)); }, [&](int c) { to[k][c] += weight[k] * d[c]; });
     }

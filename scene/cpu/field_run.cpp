@@ -26,13 +26,13 @@ Array<T> array(int64_t n) {
 }
 
 void time_taps(float t, int count, int64_t& low, int64_t& high, float& fraction) {
-    const float x = std::min(t > 0.0f ? t : 0.0f, 1.0f) * float(count - 1);  // not a number counts as 0
+    const float x = std::min(t > 0.0f ? t : 0.0f, 1.0f) * float(count - 1);  // NaN counts as 0
     low = std::min<int64_t>(int64_t(x), std::max(count - 2, 0));
     high = std::min<int64_t>(low + 1, count - 1);
     fraction = x - float(low);
 }
 
-// What lives as long as one call: the lines at its time, and the weights padded and turned.
+// Data that lives for one call: the lines at its time, and the padded and transposed weights.
 class Prepared {
 public:
     Field field{};
@@ -59,7 +59,7 @@ private:
         return to;
     }
 
-    // The time planes are the same for every point of one image.
+    // All points of an image share one time, so the time planes are interpolated once.
     const float* lines_of(const PlaneLevel& level, int channels, float t) {
         int64_t low, high;
         float f;
@@ -145,7 +145,7 @@ void field_backward(const FieldInput& in, const float* grad, const float* hidden
                                  hidden ? hidden + 2 * field.width_padded() * (start + first) : nullptr, d_values.get() + first * field.channels,
                                  taps.get() + first, sums.get() + g * weights, scratch.get());
             }
-            // Each plane is one thread's, points in order: the same sums for any number of threads.
+            // One thread does each plane, with points in order, so sums are the same for any number of threads.
 #pragma omp for schedule(dynamic, 1)
             for (int job = 0; job < 6 * levels; ++job) {
                 const int plane = job / levels, l = job % levels;

@@ -1,4 +1,4 @@
-// The deformation field over any number of points, threaded. Bit-equal for any number of threads.
+// The deformation field over any number of points, with threads. Results are bit-equal for any number of threads.
 #pragma once
 #include <cstdint>
 #include <vector>
@@ -11,7 +11,7 @@ struct PlaneLevel {
     int resolution, times;
 };
 
-// A perceptron as torch keeps it: weights [out, in]. outputs == 0: none, the features are the output.
+// A perceptron in torch's layout: weights [out, in]. outputs == 0: no perceptron, the features are the output.
 struct Perceptron {
     int width = 0, outputs = 0;
     const float *w1 = nullptr, *b1 = nullptr, *w2 = nullptr, *b2 = nullptr, *w3 = nullptr, *b3 = nullptr;
@@ -27,13 +27,13 @@ struct FieldInput {
     float t;  // in [0, 1], clamped
 };
 
-struct FieldGrad {  // written, shapes of the input's
+struct FieldGrad {  // overwritten; shapes as in the input
     std::vector<float*> space, time;
     float *w1 = nullptr, *b1 = nullptr, *w2 = nullptr, *b2 = nullptr, *w3 = nullptr, *b3 = nullptr;
 };
 
-// out [n, outputs], or [n, levels * C] without a perceptron; grad likewise. hidden [hidden_floats]: what backward wants to have kept,
-// null in forward where there will be none.
+// out [n, outputs], or [n, levels * C] without a perceptron; grad likewise. hidden [hidden_floats]: what forward stores for backward; null in
+// forward if there will be no backward.
 int64_t hidden_floats(const FieldInput& in);
 void field_forward(const FieldInput& in, float* out, float* hidden, int threads);
 void field_backward(const FieldInput& in, const float* grad, const float* hidden, const FieldGrad& out, int threads);

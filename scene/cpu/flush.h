@@ -1,5 +1,5 @@
-// Numbers below the smallest normal one cost x86 some hundred cycles each. Gradients of what is all but hidden, times weights of nodes far
-// away, are full of them: about half of the backward pass through the nodes was theirs on `robot`.
+// Denormal numbers cost x86 about a hundred cycles each. Gradients of nearly hidden primitives, times weights of distant nodes, are full of them:
+// on `robot` they took about half of the time of the backward pass through the nodes.
 #pragma once
 
 #if defined(__SSE2__)
@@ -8,7 +8,7 @@
 
 namespace e4dgs {
 
-// While it lives, this thread reads and writes zero in their place. Each thread of a parallel region needs its own.
+// During its lifetime, this thread reads and writes denormals as zero. Each thread of a parallel region needs its own object.
 class FlushDenormals {
 #if defined(__SSE2__)
   public:

@@ -46,7 +46,7 @@ void check(const A& array, std::initializer_list<size_t> shape, const char* name
     if (!good) throw std::invalid_argument(std::string(name) + " must be [" + wanted + "]");
 }
 
-// space [3,R,R,C] and time [3,T,R,C] a level; weights w1 b1 w2 b2 w3 b3 as torch keeps them, or none.
+// space [3,R,R,C] and time [3,T,R,C] of each level; weights w1 b1 w2 b2 w3 b3 in torch's layout, or none.
 e4dgs::FieldInput field_of(const Ins& space, const Ins& time, const Ins& weights, const In& points, const Box& box, float t) {
     if (space.empty() || space.size() > size_t(e4dgs::kMaxLevels) || time.size() != space.size())
         throw std::invalid_argument("space and time must hold the same 1 to " + std::to_string(e4dgs::kMaxLevels) + " levels");
@@ -86,7 +86,7 @@ e4dgs::Displacing displacing_of(const In& heads, const In& rest, std::array<floa
 using Links = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
 using LinksOut = nb::ndarray<int32_t, nb::c_contig, nb::device::cpu>;
 
-// nodes: home [B,3], home_hyper [B,H], falloff [B], and for skinning turns [B,4], shifts [B,3].
+// nodes: home [B,3], home_hyper [B,H], falloff [B], and for skinning also turns [B,4], shifts [B,3].
 e4dgs::Skinning skinning_of(const In& rest, const In* quats, const In& rest_hyper, const Ins& nodes) {
     if (nodes.size() != 3 && nodes.size() != 5) throw std::invalid_argument("nodes must be home, home_hyper, falloff, turns, shifts");
     const size_t n = rest.shape(0), b = nodes[0].shape(0), h = rest_hyper.ndim() == 2 ? rest_hyper.shape(1) : 0;

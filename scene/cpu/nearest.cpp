@@ -1,4 +1,4 @@
-// The search for the nodes that carry a position: all of them, for a block of positions at a time.
+// The search for the nodes that carry a position: it compares a block of positions at a time with every node.
 #include <algorithm>
 #include <limits>
 
@@ -8,7 +8,7 @@
 namespace e4dgs {
 namespace {
 
-constexpr int kBlock = 64;  // positions that are compared with a node together
+constexpr int kBlock = 64;  // positions that are compared with a node at once
 
 E4DGS_CLONES void nearest_of_block(const Skinning& in, int64_t begin, int count, int32_t* link) {
     float x[3][kBlock], h[kMostHyper][kBlock], best[kMostLinks][kBlock];
@@ -34,7 +34,7 @@ E4DGS_CLONES void nearest_of_block(const Skinning& in, int64_t begin, int count,
                 value[j] += d * d;
             }
         for (int j = 0; j < kBlock; ++j) value[j] *= in.falloff[b];
-        for (int k = 0; k < in.links; ++k)  // pushes what is farther down the list
+        for (int k = 0; k < in.links; ++k)  // insertion into the sorted list: farther nodes move down
             for (int j = 0; j < kBlock; ++j) {
                 const bool nearer = value[j] < best[k][j];
                 const float v = nearer ? best[k][j] : value[j];

@@ -28,7 +28,7 @@ const std::array<float, 2 * kRadius + 1> kWindow = [] {
 
 constexpr int kChannels = 3;
 
-// Horizontal pass over one interleaved row of `n` = 3 W floats, in a buffer padded by kRadius pixels on both sides.
+// Horizontal pass over one interleaved row of `n` = 3 W floats in a buffer padded by kRadius pixels on both sides.
 inline void convolve_row(const float* __restrict padded, int n, float* __restrict out) {
 #pragma GCC ivdep
     for (int i = 0; i < n; ++i) {
@@ -38,7 +38,7 @@ inline void convolve_row(const float* __restrict padded, int n, float* __restric
     }
 }
 
-// Vertical pass for row y of map [H, n]. Rows beyond the image are `zeros` [n]; the sums stay in registers.
+// Vertical pass for row y of map [H, n]. Rows outside the image are `zeros` [n]; the sums stay in registers.
 inline void convolve_column(const float* map, const float* zeros, int height, int n, int y, float* __restrict out) {
     const float* row[2 * kRadius + 1];
     for (int k = 0; k < 2 * kRadius + 1; ++k) {
@@ -62,7 +62,7 @@ E4DGS_CLONES void moments_row(const float* x, const float* y, int n, float* cons
     }
 }
 
-// From the five windowed moments of a row: the SSIM sum, and the derivatives of SSIM by mu_x, E[xx], E[xy].
+// From the five windowed moments of a row: the sum of SSIM, and the derivatives of SSIM with respect to mu_x, E[xx], E[xy].
 E4DGS_CLONES double ssim_row(const float* const maps[5], const float* zeros, int height, int n, int y, float* d_mu, float* d_xx, float* d_xy, float* rows) {
     float* m[5];
     for (int k = 0; k < 5; ++k) {
@@ -111,7 +111,7 @@ E4DGS_CLONES double gradient_row(const float* x, const float* y, const float* co
     return sum;
 }
 
-// Room for the maps, kept from call to call by the thread that trains: fresh pages cost more than the arithmetic.
+// Memory for the maps. The calling thread keeps it from call to call, because fresh pages cost more than the arithmetic.
 class Planes {
 public:
     explicit Planes(size_t floats) : data_(floats <= kept_.second ? kept_.first.release() : fresh(floats)), size_(std::max(floats, kept_.second)) {

@@ -14,16 +14,16 @@ namespace e4dgs {
 namespace {
 
 constexpr int kBlock = 64;        // positions whose weights are computed together
-constexpr int64_t kRange = 4096;  // positions of one sum; fixed, so that sums do not depend on the threads
+constexpr int64_t kRange = 4096;  // positions per partial sum; fixed, so that sums do not depend on the number of threads
 constexpr float kLeastNorm = 1e-6f;
 
-// A node's rigid motion, and the gradient of it, in one vector: rotation matrix 9, what is added behind it 3, quaternion 4. Blending the
+// A node's rigid motion, or its gradient, in one vector: rotation matrix 9, the translation added after it 3, quaternion 4. Blending the
 // nodes of a position is then a weighted sum of such vectors.
 constexpr int kRigid = 16;
 enum { kR = 0, kShift = 9, kQuat = 12 };
 typedef float Rigid __attribute__((vector_size(4 * kRigid)));
 
-// Sums of a node: of its rigid motion 16, of its falloff 1, of its hyper coordinates.
+// Gradient sums of a node: rigid motion 16, falloff 1, hyper coordinates.
 constexpr int kSums = 24;
 enum { gFalloff = 16, gHyper = 17 };
 static_assert(gHyper + kMostHyper <= kSums);
@@ -39,10 +39,10 @@ inline float exp_of(float x) {  // x <= 0; relative error below 2e-7
     return p * std::bit_cast<float>((int32_t(whole) + 127) << 23);
 }
 
-// Everything is seen from the first node, so that a scene far from the origin loses nothing.
+// All positions are relative to the first node, so that a scene far from the origin loses no precision.
 struct Frames {
     float origin[3];
-    std::vector<float> rigid, home;  // [nodes, 16], [nodes, 3] from the origin
+    std::vector<float> rigid, home;  // [nodes, 16], [nodes, 3] relative to `origin`
 };
 
 Frames frames_of(const Skinning& in) {
@@ -50,7 +50,7 @@ Frames frames_of(const Skinning& in) {
     for (int b = 0; b < in.nodes; ++b) {
         const float *q = in.turns + 4 * b, w = q[0], x = q[1], y = q[2], z = q[3];
         float *r = &frames.rigid[size_t(b) * kRigid], *home = &frames.home[size_t(b) * 3];
-        // The rotation of a unit quaternion as v + 2 w (a x v) + 2 a x (a x v).
+        // The rotation matrix of a unit quaternion: v + 2 w (a x v) + 2 a x (a x v).
         const float matrix[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z),
                                  2 * (y * z - w * x), 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
         std::copy(matrix, matrix + 9, r + kR);
@@ -72,7 +72,7 @@ E4DGS_CLONES void weigh(const Skinning& in, const Frames& frames, int64_t begin,
     for (int j = 0; j < kBlock; ++j) best[j] = -std::numeric_limits<float>::max(), total[j] = 0;
     for (int k = 0; k < in.links; ++k) {
         for (int j = 0; j < kBlock; ++j) {
-            const int64_t i = begin + std::min(j, count - 1);  // the last one again where the block is not full
+            const int64_t i = begin + std::min(j, count - 1);  // repeats the last position if the block is not full
             const int32_t b = in.link[in.links * i + k];
             float d2 = 0;
             for (int c = 0; c < 3; ++c) {
@@ -93,7 +93,7 @@ E4DGS_CLONES void weigh(const Skinning& in, const Frames& frames, int64_t begin,
         for (int j = 0; j < kBlock; ++j) out.value[k][j] /= total[j];
 }
 
-// +1, or -1 where the quaternion lies on the other side than the first: q and -q turn alike, their sum does not.
+// +1, or -1 if the quaternion is on the opposite side from the first: q and -q are the same rotation, but would cancel in a sum.
 inline float side_of(const float* rigid, const float* first) {
     const float *a = rigid + kQuat, *b = first + kQuat;
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] < 0 ? -1.0f : 1.0f;
@@ -101,7 +101,7 @@ inline float side_of(const float* rigid, const float* first) {
 
 #define BOTH_SIDES(w, s) {w, w, w, w, w, w, w, w, w, w, w, w, s, s, s, s}
 
-inline void product(const float* p, const float* q, float* out) {  // turning by q, then by p
+inline void product(const float* p, const float* q, float* out) {  // rotation by q, then by p
     out[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3];
     out[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2];
     out[2] = p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1];
@@ -139,7 +139,7 @@ E4DGS_CLONES void apply_block(const Skinning& in, const Frames& frames, const fl
     }
 }
 
-// From the gradient of what comes out to that of the blended motion, [count, 16], and of the position and the quaternion themselves.
+// From the gradients of the outputs to those of the blended motion [count, 16] and of the positions and quaternions themselves.
 E4DGS_CLONES void unapply_block(const Skinning& in, const Frames& frames, const float* blended, int64_t begin, int count, const float* g_moved,
                                 const float* g_turned, const SkinningGrad& out, float* back) {
     for (int j = 0; j < count; ++j) {
@@ -204,10 +204,10 @@ E4DGS_CLONES void unblend_block(const Skinning& in, const Frames& frames, const 
     }
 }
 
-// From sums over positions to a node's own parameters.
+// From sums over positions to the gradients of a node's own parameters.
 void finish_node(const Skinning& in, const Frames& frames, int b, const double* sum, const SkinningGrad& out) {
     const float *q = in.turns + 4 * b, w = q[0], x = q[1], y = q[2], z = q[3], *home = &frames.home[size_t(3 * b)];
-    double r[9];  // the rotation also takes the node's own place back, which is added behind it
+    double r[9];  // the translation contains -R home, so its gradient also reaches the rotation
     for (int c = 0; c < 3; ++c)
         for (int a = 0; a < 3; ++a) r[3 * c + a] = sum[kR + 3 * c + a] - sum[kShift + c] * home[a];
     const double g[4] = {2 * (-z * r[1] + y * r[2] + z * r[3] - x * r[5] - y * r[6] + x * r[7]),
@@ -246,7 +246,7 @@ void skin_backward(const Skinning& in, const float* g_moved, const float* g_turn
     const size_t width = size_t(in.nodes) * kSums;
     std::vector<double> sums(width, 0.0);
     const int64_t ranges = (in.n + kRange - 1) / kRange;
-    constexpr int64_t kTogether = 64;  // ranges whose totals are kept at once
+    constexpr int64_t kTogether = 64;  // ranges whose totals are in memory at once
     std::vector<float> totals(size_t(std::min(ranges, kTogether)) * width);
     for (int64_t first = 0; first < ranges; first += kTogether) {
         const int64_t last = std::min(ranges, first + kTogether);

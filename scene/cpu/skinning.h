@@ -1,20 +1,20 @@
-// Linear blend skinning: positions go with the nodes nearest to them.
+// Linear blend skinning: positions move with their nearest nodes.
 #pragma once
 #include <cstdint>
 
 namespace e4dgs {
 
-constexpr int kMostLinks = 8;   // nodes that share a position
-constexpr int kMostHyper = 4;   // coordinates beside x, y, z in which nearness is judged
+constexpr int kMostLinks = 8;   // most nodes that carry a position
+constexpr int kMostHyper = 4;   // most coordinates, in addition to x, y, z, that count for the distance
 
 struct Skinning {
     int64_t n;                // positions
     int nodes, links, hyper;  // links <= kMostLinks, hyper <= kMostHyper
     const float* rest;        // [n, 3] world units
-    const float* quats;       // [n, 4] w x y z of any norm: what is turned along
+    const float* quats;       // [n, 4] w x y z of any norm, turned with the positions
     const float* rest_hyper;  // [n, hyper]
-    const int32_t* link;      // [n, links] numbers of nodes
-    const float* home;        // [nodes, 3] where the nodes rest
+    const int32_t* link;      // [n, links] indices of nodes
+    const float* home;        // [nodes, 3] rest positions of the nodes
     const float* home_hyper;  // [nodes, hyper]
     const float* falloff;     // [nodes] 1 / (2 radius^2)
     const float* turns;       // [nodes, 4] unit quaternions
@@ -29,10 +29,10 @@ struct SkinningGrad {
 // moved [n, 3]; turned [n, 4]: quats turned by the blended unit quaternion.
 void skin_forward(const Skinning& in, float* moved, float* turned, int threads);
 
-// All of `out` is written. Sums are in the same order for any number of threads.
+// All of `out` is overwritten. Sums are in the same order for any number of threads.
 void skin_backward(const Skinning& in, const float* g_moved, const float* g_turned, const SkinningGrad& out, int threads);
 
-// link [n, links]: the nearest nodes of each position, in space and in the coordinates beside it, by distance over radius; nearest first.
+// link [n, links]: the nearest nodes of each position by distance over radius, in space and hyper coordinates together; nearest first.
 void nearest_nodes(const Skinning& in, int32_t* link, int threads);
 
 }  // namespace e4dgs

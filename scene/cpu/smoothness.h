@@ -1,4 +1,4 @@
-// Total variation of feature planes (lambda_3's term of Eq. 9), value and gradient in one pass.
+// Total variation of feature planes (the term of lambda_3 in Eq. 9), value and gradient in one pass.
 #pragma once
 #include <cstdint>
 
@@ -8,11 +8,11 @@ namespace e4dgs {
 struct PlaneStack {
     const float* values;
     int64_t rows, columns, channels;
-    bool second;  // along rows, second differences instead of first ones
-    float* grad;  // written
+    bool second;  // whether differences from row to row are second ones instead of first ones
+    float* grad;  // overwritten
 };
 
-// Sum over the stacks of mean squared differences along columns and along rows (none where there are too few samples).
+// Sum over the stacks of the mean squared differences between neighbouring columns and between rows (zero if there are too few samples).
 double smoothness(const PlaneStack* stacks, int count, int threads);
 
 }  // namespace e4dgs

@@ -1,1 +1,1 @@
-"""The scene's kernels for NVIDIA GPUs, compiled and launched as the rasterizer's are. Imported where a tensor lies on such a device."""
+"""The scene's kernels for NVIDIA GPUs, compiled and launched like those of the rasterizer. Imported only when a tensor is on one."""

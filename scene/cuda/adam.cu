@@ -1,17 +1,17 @@
-// Adam on the rows that got a gradient. A row whose gradient is zero throughout keeps its value and its moments, and nothing but its
-// gradient is read; what is not a number counts as a gradient.
+// Adam on the rows that got a gradient. A row whose gradient is all zero keeps its value and its moments, and only its gradient is read;
+// NaN counts as a gradient.
 #include "device.cuh"
 
 namespace e4dgs {
 
 constexpr int kAdamThreads = 256;
-constexpr int kEach = 4;                       // numbers of a thread
-constexpr int kChunk = kAdamThreads * kEach;   // of a block
+constexpr int kEach = 4;                       // numbers per thread
+constexpr int kChunk = kAdamThreads * kEach;   // numbers per block
 
 // Denormals count, -0 does not.
 __device__ __forceinline__ bool is_gradient(float g) { return (__float_as_uint(g) & 0x7fffffffu) != 0; }
 
-// inverse_root: of what corrects the second moment; what corrects the first is part of rate.
+// inverse_root: 1 / sqrt of the second moment's bias correction; the first moment's correction is included in rate.
 struct Adam {
     float rate, beta1, beta2, epsilon, inverse_root;
 
@@ -22,8 +22,8 @@ struct Adam {
     }
 };
 
-// g [kEach]: a thread's gradients, kAdamThreads apart from `thread` on; those that are not `on` stay. Everything is read before anything is
-// written, so that all of a thread's reads are under way at once.
+// g [kEach]: a thread's gradients, at indices threadIdx.x + j * kAdamThreads; entries that are not `on` are left alone. Everything is read
+// before anything is written, so that all of a thread's reads are in flight at once.
 __device__ __forceinline__ void step_chunk(const Adam& adam, const float* g, const bool* on, float* parameter, float* first, float* second) {
     const int thread = int(threadIdx.x);
     float p[kEach], m[kEach], v[kEach];
@@ -41,7 +41,7 @@ __device__ __forceinline__ void step_chunk(const Adam& adam, const float* g, con
     }
 }
 
-// Whether any of the bits from ... last is set.
+// Whether any of the bits `from` to `last` (inclusive) is set.
 __device__ __forceinline__ bool any_bit(const uint32* bits, uint32 from, uint32 last) {
     uint32 mask = kAllLanes << (from % 32);
     for (uint32 word = from / 32; word < last / 32; ++word, mask = kAllLanes)
@@ -53,11 +53,11 @@ __device__ __forceinline__ bool any_bit(const uint32* bits, uint32 from, uint32 
 
 using namespace e4dgs;
 
-// All tensors [rows, width], width <= kChunk. A block takes rows_each whole rows, at most kChunk numbers. divide: 2^31 / width, rounded up.
+// All tensors are [rows, width], width <= kChunk. A block takes rows_each whole rows, at most kChunk numbers. divide: 2^31 / width, rounded up.
 extern "C" __global__ void __launch_bounds__(kAdamThreads)
     adam_narrow(int64 rows, int width, int rows_each, uint32 divide, float* parameter, const float* gradient, float* first, float* second, float rate,
                 float beta1, float beta2, float epsilon, float inverse_root) {
-    __shared__ uint32 found[kChunk / 32];  // a bit for each number: it has a gradient
+    __shared__ uint32 found[kChunk / 32];  // a bit for each number, set if it has a gradient
     const uint32 thread = threadIdx.x;
     const int64 row = int64(blockIdx.x) * rows_each, at = row * width;
     const uint32 n = uint32(rows - row < rows_each ? rows - row : rows_each) * width;
@@ -84,7 +84,7 @@ extern "C" __global__ void __launch_bounds__(kAdamThreads)
     step_chunk(Adam{rate, beta1, beta2, epsilon, inverse_root}, g, on, parameter + at, first + at, second + at);
 }
 
-// Wide rows: a block takes one of a row's `parts`, kChunk numbers (the last one what is left). found [rows, parts]: 1 where one has a gradient.
+// Wide rows: a block takes one of a row's `parts` of kChunk numbers (the last one may be shorter). found [rows, parts]: 1 if a part has a gradient.
 extern "C" __global__ void __launch_bounds__(kAdamThreads) find_gradients(int64 width, int parts, const float* gradient, uint8* found) {
     const int64 row = blockIdx.x / parts, from = int64(blockIdx.x % parts) * kChunk;
     bool any = false;
@@ -97,7 +97,7 @@ extern "C" __global__ void __launch_bounds__(kAdamThreads) find_gradients(int64 
     if (threadIdx.x == 0) found[blockIdx.x] = all != 0;
 }
 
-// The same blocks, after find_gradients.
+// Uses the same blocks as find_gradients, and runs after it.
 extern "C" __global__ void __launch_bounds__(kAdamThreads)
     adam_wide(int64 width, int parts, const uint8* found, float* parameter, const float* gradient, float* first, float* second, float rate, float beta1,
               float beta2, float epsilon, float inverse_root) {

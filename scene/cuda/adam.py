@@ -1,4 +1,4 @@
-"""The row-sparse step of Adam on the GPU; see `scene/cpu/adam.h` for the same on the CPU."""
+"""The row-sparse Adam step on the GPU; see `scene/cpu/adam.h` for the CPU version."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...rasterizer.cuda.runtime import Launcher
 from .programs import program
 
 THREADS = 256
-CHUNK = 1024  # numbers of a block, and what is a narrow row
+CHUNK = 1024  # numbers per block; rows up to this length are narrow
 
 
 def adam_rows(
@@ -27,12 +27,12 @@ def adam_rows(
     beta2: float,
     epsilon: float,
 ) -> None:
-    """One step of Adam, in place, for the rows (first axis) of ``parameter`` whose gradient is not zero throughout; NaN is not zero.
+    """One step of Adam, in place, for the rows (first axis) of ``parameter`` whose gradient is not all zero; NaN counts as nonzero.
 
-    All tensors are contiguous float32 of one shape, on the launcher's device; the moments ``first`` and ``second`` change with the
-    parameter. ``step`` counts from 1. The device is not waited for; a CUDA graph keeps the step and the rate that it was captured with.
+    All tensors are contiguous float32 of the same shape on the launcher's device; the moments ``first`` and ``second`` are updated, too.
+    ``step`` counts from 1. The call does not synchronise; a CUDA graph keeps the step and the rate that it was captured with.
 
-    Raises ValueError for other shapes, types or steps, and what `Launcher.launch` raises.
+    Raises ValueError for other shapes, types or steps, and whatever `Launcher.launch` raises.
     """
     tensors = (parameter, grad, first, second)
     if any(t.shape != parameter.shape for t in tensors):
@@ -51,7 +51,7 @@ def adam_rows(
     if width <= CHUNK:
         each = CHUNK // width
         if each >= 64:
-            each -= each % 8  # blocks of short rows begin where a sector of 32 bytes does
+            each -= each % 8  # blocks of short rows start at a 32-byte sector
         shape = (c_int64(rows), c_int32(width), c_int32(each), c_uint32(-(-(2**31) // width)))
         launcher.launch(adam, "adam_narrow", -(-rows // each), THREADS, *shape, parameter, grad, first, second, *scalars)
         return
@@ -64,7 +64,7 @@ def adam_rows(
 
 
 def _scalars(step: int, rate: float, beta1: float, beta2: float, epsilon: float) -> tuple[c_float, ...]:
-    """rate, beta1, beta2, epsilon, inverse_root, rounded to float32 where the CPU's kernel rounds."""
+    """rate, beta1, beta2, epsilon, inverse_root, rounded to float32 in the same places as in the CPU kernel."""
     one, two = c_float(beta1), c_float(beta2)
     correction1, correction2 = c_float(1 - one.value**step), c_float(1 - two.value**step)
     root = c_float(math.sqrt(correction2.value))

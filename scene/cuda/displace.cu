@@ -1,4 +1,4 @@
-// From the field's heads to displacements, and back, a thread a point: see scene/displace.py. All rows are contiguous.
+// From the field's heads to displacements, forward and backward, one thread per point: see scene/motion/displace.py. All rows are contiguous.
 #include "device.cuh"
 
 namespace e4dgs {
@@ -7,8 +7,8 @@ constexpr float kLeastNorm = 1e-6f;  // of a quaternion
 
 struct Turn {
     float w, a[3];   // unit
-    float inverse;   // 1 / norm of what it was made from
-    bool normal;     // its norm was at least kLeastNorm
+    float inverse;   // 1 / norm of the quaternion before normalisation
+    bool normal;     // whether that norm was at least kLeastNorm
     float arm[3];    // from the centre
     float twice[3];  // 2 a x arm
 };
@@ -51,7 +51,7 @@ extern "C" __global__ void __launch_bounds__(128)
     }
 }
 
-// g_dx [n, 3], g_dr [n, 4], g_ds [n, 3]: gradients, null where there is none. g_heads [n, 10]; g_rest [n, 3] may be null.
+// g_dx [n, 3], g_dr [n, 4], g_ds [n, 3]: incoming gradients, each null if there is none. g_heads [n, 10]; g_rest [n, 3] may be null.
 extern "C" __global__ void __launch_bounds__(128) displace_backward(int n, const float* heads, const float* rest, const float* centre, float reach,
                                                                     const float* g_dx, const float* g_dr, const float* g_ds, float* g_heads, float* g_rest) {
     const int64 i = int64(blockIdx.x) * blockDim.x + threadIdx.x;

@@ -17,9 +17,10 @@ THREADS = 128
 
 
 def displace(launcher: Launcher, heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displacement:
-    """What ``heads`` [N, 10] do to ``rest`` [N, 3]; see `scene.displace`. float32 on the launcher's device, which is not waited for.
+    """The displacement of ``rest`` [N, 3] by ``heads`` [N, 10]; see `scene.motion.displace`. float32 on the launcher's device; the call
+    does not synchronise.
 
-    Gradients reach heads and rest, and are bit-equal from run to run. Raises ValueError for other shapes or types, and what
+    Gradients reach heads and rest and are bit-equal from run to run. Raises ValueError for other shapes or types, and whatever
     `Launcher.launch` raises.
     """
     if heads.shape != (len(rest), 10) or rest.shape != (len(rest), 3) or centre.shape != (3,):

@@ -1,9 +1,11 @@
-// The deformation field's features: planes over space and time at several levels, looked up for all points at one time. Features: see field.cuh.
+// The deformation field's features: planes over space and time at several levels, looked up for all points at one time. Compile-time features:
+// see field.cuh.
 #include "field.cuh"
 
 using namespace e4dgs;
 
-// The time planes [3, T, R, CHANNELS] of all levels at time t in [0, 1]: lines [sum of 3 R, CHANNELS], level after level. A thread four channels.
+// Interpolates the time planes [3, T, R, CHANNELS] of all levels at time t in [0, 1]: lines [sum of 3 R, CHANNELS], level after level. Each thread
+// does four channels.
 extern "C" __global__ void __launch_bounds__(256)
     blend_lines(float t, const float* time0, const float* time1, const float* time2, const float* time3, int times0, int times1, int times2, int times3,
                 int resolution0, int resolution1, int resolution2, int resolution3, float* lines) {
@@ -24,7 +26,7 @@ extern "C" __global__ void __launch_bounds__(256)
     }
 }
 
-// features [n, LEVELS * CHANNELS] of points [n, 3]. low, high [3]: the box's corners, null for the unit box. space [3, R, R, CHANNELS] of each level.
+// features [n, LEVELS * CHANNELS] of points [n, 3]. low, high [3]: corners of the box, null for the unit box. space [3, R, R, CHANNELS] of each level.
 extern "C" __global__ void __launch_bounds__(256)
     look_up(int n, const float* points, const float* low, const float* high, const float* space0, const float* space1, const float* space2,
             const float* space3, int resolution0, int resolution1, int resolution2, int resolution3, const float* lines, float* features) {

@@ -1,5 +1,5 @@
-// Where a point lies among the samples of six feature planes, and what a lane's four channels are on each. A group of CHANNELS / 4 lanes takes a
-// point. Features: CHANNELS (a multiple of 4), LEVELS (1 to 4).
+// Where a point lies among the samples of six feature planes, and the values of a lane's four channels on each. A group of CHANNELS / 4 lanes does one
+// point. Compile-time features: CHANNELS (a multiple of 4), LEVELS (1 to 4).
 #pragma once
 #include "quads.cuh"
 
@@ -12,16 +12,16 @@
 
 namespace e4dgs {
 
-constexpr int kQuads = CHANNELS / 4;  // lanes of a point
-constexpr int kMostLevels = 4;        // of a kernel's parameters; those from LEVELS on are not looked at
+constexpr int kQuads = CHANNELS / 4;  // lanes per point
+constexpr int kMostLevels = 4;        // levels in a kernel's parameters; those from LEVELS on are unused
 
-// Two neighbouring samples, low and the next one, or low alone where there is one sample.
+// Two neighbouring samples, low and the next one, or low alone if there is only one sample.
 struct __align__(8) Tap {
     int low;
     float fraction;
 };
 
-// u in [0, 1] on `count` samples whose ends are at 0 and 1; beyond them it counts as on the nearer end, not a number as 0.
+// u in [0, 1] among `count` samples whose ends are at 0 and 1. Values outside are clamped, and NaN counts as 0.
 __device__ __forceinline__ Tap tap_of(float u, int count) {
     const float x = __saturatef(u) * float(count - 1);
     const int last = count > 1 ? count - 2 : 0, at = int(x), low = at < last ? at : last;
@@ -36,7 +36,7 @@ __device__ __forceinline__ Taps taps_of(const float* u, int resolution) {
     return {{tap_of(u[0], resolution), tap_of(u[1], resolution), tap_of(u[2], resolution)}};
 }
 
-// A point [3] in a box of corners low and high [3], as a share of its sides; null: in the unit box.
+// A point [3] relative to the box with corners low and high [3], in [0, 1] along each side; low is null for the unit box.
 __device__ __forceinline__ void place_in(const float* low, const float* high, const float* point, float* u) {
     for (int j = 0; j < 3; ++j) u[j] = __ldg(point + j);
     if (!low) return;

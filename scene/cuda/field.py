@@ -17,12 +17,12 @@ from .programs import program
 MOST_LEVELS, MOST_CHANNELS = 4, 64
 THREADS = 256
 BACK_THREADS = 128
-BACK_BLOCKS = 512  # at most: each adds up the lines' gradients on its own first, and has to hand them over
-LINE_QUADS = 2496  # of all lines, so that their sums fit into 48 KiB of a block's memory beside what else is there
+BACK_BLOCKS = 512  # at most: each block first sums the gradients of the lines on its own, then adds these sums to the result
+LINE_QUADS = 2496  # of all lines, so that their sums fit into a block's 48 KiB of shared memory together with the rest
 
 
 def takes(space: Sequence[Tensor]) -> bool:
-    """Whether the kernels know planes of so many levels and channels."""
+    """Whether the kernels support planes with this number of levels and channels."""
     channels = space[0].shape[-1] if space else 0
     return 1 <= len(space) <= MOST_LEVELS and 1 <= channels <= MOST_CHANNELS and channels % 4 == 0
 
@@ -30,14 +30,14 @@ def takes(space: Sequence[Tensor]) -> bool:
 def look_up(
     launcher: Launcher, space: Sequence[Tensor], time: Sequence[Tensor], points: Tensor, box: tuple[Tensor, Tensor] | None, t: float
 ) -> Tensor:
-    """Features [N, levels * C]; see `field_outputs` for the arguments. float32 on the launcher's device, which is not waited for.
+    """Features [N, levels * C]; see `field_outputs` for the arguments. float32 on the launcher's device; the call does not synchronise.
 
-    Gradients go to the planes. They are sums over points in no fixed order; with `torch.use_deterministic_algorithms(True)` they are taken
-    from plain torch instead, whose indexing sorts before it adds: bit-equal from run to run, but some hundred launches a level, each
-    over all points, and about 20 C numbers a point and level in memory meanwhile.
+    Gradients go to the planes. They are sums over points in no fixed order. With `torch.use_deterministic_algorithms(True)` plain torch
+    computes them instead; its indexing sorts before it adds, so they are bit-equal from run to run, but this takes some hundred launches a
+    level, each over all points, and temporarily about 20 C numbers of memory a point and level.
 
-    A CUDA graph keeps the time that it was captured with. Raises ValueError for shapes and types that the kernels do not take, and what
-    `Launcher.launch` raises.
+    A CUDA graph keeps the time that it was captured with. Raises ValueError for shapes and types that the kernels do not support, and
+    whatever `Launcher.launch` raises.
     """
     _check(space, time, points)
     corners = (None, None) if box is None else tuple(_plain(corner.detach().to(points.device, torch.float32)) for corner in box)
@@ -75,7 +75,7 @@ class _LookUp(torch.autograd.Function):
             return *given, *_in_order(u, ctx.t, ctx.levels, planes, grad)
         levels, n, channels = ctx.levels, points.shape[0], lines.shape[1]
         space, time = [_plain(p) for p in planes[:levels]], planes[levels:]
-        sums = points.new_zeros(sum(p.numel() for p in space) + lines.numel())  # at once: what follows adds to them
+        sums = points.new_zeros(sum(p.numel() for p in space) + lines.numel())  # one allocation for all; the kernel adds to them
         *flat, line_grads = sums.split([*(p.numel() for p in space), lines.numel()])
         quads = -(-lines.numel() // 256) * 64  # programs differ by whole KiB only
         back = program("field_backward", channels=channels, levels=levels, lines=quads if quads <= LINE_QUADS else 0)
@@ -90,7 +90,7 @@ class _LookUp(torch.autograd.Function):
 
 
 def _in_order(u: Tensor, t: float, levels: int, planes: Sequence[Tensor], grad: Tensor) -> tuple[Tensor, ...]:
-    """The planes' gradients by plain torch."""
+    """The gradients of the planes, computed by plain torch."""
     with torch.enable_grad():
         leaves = [p.detach().requires_grad_() for p in planes]
         features = lookup_reference(u, t, *[p for pair in zip(leaves[:levels], leaves[levels:]) for p in pair])
@@ -118,16 +118,16 @@ def _shapes(tensors: Sequence[Tensor]) -> str:
 
 
 def _plain(tensor: Tensor) -> Tensor:
-    """Contiguous, and where 16 bytes can be read at once."""
+    """Contiguous and aligned to 16 bytes."""
     tensor = tensor.detach().contiguous()
     return tensor if tensor.data_ptr() % 16 == 0 else tensor.clone()
 
 
 def _four(tensors: Sequence[Tensor]) -> list[Argument]:
-    """A kernel's parameters for a tensor of each level."""
+    """Kernel arguments for one tensor per level, padded with None to `MOST_LEVELS`."""
     return [*tensors, *[None] * (MOST_LEVELS - len(tensors))]
 
 
 def _sizes(planes: Sequence[Tensor]) -> list[Argument]:
-    """R of space planes, T of time planes."""
+    """Kernel arguments for R of space planes or T of time planes, padded with 0."""
     return [*(c_int32(p.shape[1]) for p in planes), *(c_int32(0) for _ in range(MOST_LEVELS - len(planes)))]

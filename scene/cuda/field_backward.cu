@@ -1,8 +1,9 @@
-// Gradients of the field's features go to its planes. A space plane's samples get them from few points each, so they are added atomically where they
-// lie. All points of a frame share a few dozen samples of the lines that the time planes leave at its time: a block adds those up in its own
-// memory first. Shared memory has no addition of floats that is faster than a loop of exchanges, so nobody adds there at once: what
-// threads have for the lines is laid out for a few that own a piece of the sums each. Features: see field.cuh, and LINES (quads of all
-// lines together where they fit into a block's memory, else 0: lines are added to like planes).
+// Gradients of the field's features with respect to its planes. Each sample of a space plane gets gradients from few points, so they are added
+// atomically in global memory. The lines (the time planes interpolated at the frame's time) have only a few dozen samples, which all points of the
+// frame share, so a block sums their gradients in shared memory first. Atomic float additions in shared memory are no faster than a loop of
+// exchanges, so they are avoided: threads stage their values, and a few threads, each of which owns a piece of the sums, add them up.
+// Compile-time features: see field.cuh, and LINES (quads of all lines together if they fit into shared memory; 0 if not: lines are then added to
+// like planes).
 #include "field.cuh"
 
 #if !defined(LINES)
@@ -12,9 +13,10 @@
 namespace e4dgs {
 
 constexpr int kFieldThreads = 128;
-constexpr int kPoints = kFieldThreads / kQuads;  // that a block takes at a time
+constexpr int kPoints = kFieldThreads / kQuads;  // points that a block takes at a time
 
-// From values [6] and the gradient of their product to the values' gradients. From the left and from the right, so that no division meets a zero.
+// From values [6] and the gradient of their product to the gradients of the values, with products from the left and from the right, so that
+// nothing is divided by a value that may be zero.
 __device__ __forceinline__ void product_backward(float4* v, float4 grad) {
     float4 right[6];
     right[4] = v[5];
@@ -30,14 +32,15 @@ __device__ __forceinline__ void product_backward(float4* v, float4 grad) {
 }
 
 #if LINES
-constexpr int kAhead = 4;  // points that are read together before they are added
+constexpr int kAhead = 4;  // points that are read together before any is added
 
-// Adds what `count` points have staged [3][kPoints, kQuads], at taps [3][kPoints], to sums [3, R, kQuads] of a level. A piece is a line's four
-// channels on its even or on its odd samples: of two neighbours each point has one of either kind, so owners have equal work and never meet.
+// Adds the values that `count` points have staged [3][kPoints, kQuads], at taps [3][kPoints], to sums [3, R, kQuads] of a level. A piece is four
+// channels of a line, at its even or at its odd samples. The two neighbouring samples of a point are one of each kind, so the owners of pieces
+// have equal work and never write to the same sum.
 __device__ __forceinline__ void add_staged(const float4 (*staged)[kFieldThreads], const Tap (*taps)[kPoints], int count, int resolution, float4* sums) {
     for (int piece = int(threadIdx.x); piece < 6 * kQuads; piece += kFieldThreads) {
         const int axis = piece / (2 * kQuads), odd = piece / kQuads % 2, quad = piece % kQuads;
-        if (odd >= resolution) continue;  // one sample is all there is
+        if (odd >= resolution) continue;  // there is only one sample
         for (int first = 0; first < count; first += kAhead) {
             int at[kAhead];
             float4 value[kAhead];
@@ -50,7 +53,7 @@ __device__ __forceinline__ void add_staged(const float4 (*staged)[kFieldThreads]
                 value[j] = times(next ? tap.fraction : 1.0f - tap.fraction, staged[axis][i * kQuads + quad]);
             }
 #pragma unroll
-            for (int j = 0; j < kAhead; ++j)  // one after another: points share samples
+            for (int j = 0; j < kAhead; ++j)  // one after another, because points share samples
                 if (first + j < count) sums[at[j]] = plus(sums[at[j]], 1.0f, value[j]);
         }
     }
@@ -61,7 +64,7 @@ __device__ __forceinline__ void add_staged(const float4 (*staged)[kFieldThreads]
 
 using namespace e4dgs;
 
-// As in look_up; adds to dspace [3, R, R, CHANNELS] of each level and to dlines, which is laid out as lines. Any number of blocks.
+// Arguments as in look_up. Adds to dspace [3, R, R, CHANNELS] of each level and to dlines, which has the layout of lines. Any number of blocks.
 extern "C" __global__ void __launch_bounds__(kFieldThreads, 4)
     look_up_backward(int n, const float* points, const float* low, const float* high, const float* space0, const float* space1, const float* space2,
                      const float* space3, int resolution0, int resolution1, int resolution2, int resolution3, const float* lines, const float* dfeatures,
@@ -123,8 +126,8 @@ extern "C" __global__ void __launch_bounds__(kFieldThreads, 4)
 #endif
 }
 
-// The lines' gradients to the two samples in time that they lie between, zeros to all others: dtime [3, T, R, CHANNELS] of each level is written in
-// full. A thread four channels.
+// Distributes the gradients of the lines to the two samples in time between which they lie. All of dtime [3, T, R, CHANNELS] of each level is written,
+// with zeros elsewhere. Each thread does four channels.
 extern "C" __global__ void __launch_bounds__(256)
     spread_lines(float t, int times0, int times1, int times2, int times3, int resolution0, int resolution1, int resolution2, int resolution3,
                  const float* dlines, float* dtime0, float* dtime1, float* dtime2, float* dtime3) {

@@ -1,20 +1,20 @@
-// The image terms, l1 mean|x - y| + ssim (1 - SSIM), and their gradient by x. Images are [H, W, 3]. A block takes a tile: it blurs columns, a
-// thread each, from global memory into shared memory, where a channel's pixels lie side by side, and then rows, four pixels a thread.
+// The image terms, l1 mean|x - y| + ssim (1 - SSIM), and their gradient with respect to x. Images are [H, W, 3]. A block does one tile: it blurs
+// columns, one per thread, from global into shared memory, where the pixels of a channel are adjacent, and then rows, four pixels per thread.
 #include "warp_sum.cuh"
 #include "window.cuh"
 
 namespace e4dgs {
 
-constexpr int kWide = 32, kHigh = 8;             // px, of a tile
-constexpr int kCols = kWide + 2 * kRadius;       // px of a tile and what its window adds
+constexpr int kWide = 32, kHigh = 8;             // px, size of a tile
+constexpr int kCols = kWide + 2 * kRadius;       // px, including the margin for the window
 constexpr int kRows = kHigh + 2 * kRadius;
-constexpr int kPitch = 44;                       // floats between two rows in shared memory: float4s may be read, lanes fall into different banks
-constexpr int kRun = 4;                          // px of a thread, a float4
+constexpr int kPitch = 44;                       // row stride in floats in shared memory: allows float4 reads and avoids bank conflicts
+constexpr int kRun = 4;                          // px per thread, a float4
 constexpr int kLossThreads = kWide * kHigh * 3 / kRun;
-constexpr int kLossBlocks = 6;                   // on a multiprocessor at a time: as many as registers allow without spills
+constexpr int kLossBlocks = 6;                   // resident per multiprocessor: as many as registers allow without spills
 constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;  // for values in [0, 1]
 
-using Plane = float[kHigh][3][kPitch];  // of a tile, in shared memory: row, channel, column
+using Plane = float[kHigh][3][kPitch];  // one tile in shared memory: row, channel, column
 
 struct Tile {
     int x0, y0;  // its first pixel
@@ -25,15 +25,15 @@ struct Tile {
     }
 };
 
-// in [kRows]: a column of `map`, whose numbers are `step` apart, from kRadius above the tile on. Zero outside the image.
+// in [kRows]: a column of `map` with row stride `step`, starting kRadius rows above the tile. Zero outside the image.
 __device__ __forceinline__ void read_column(const float* map, int64 step, int y0, int height, bool inside, float* in) {
-    const uint32 rows = inside ? uint32(height) : 0;  // rows above the image are very large numbers
+    const uint32 rows = inside ? uint32(height) : 0;  // as unsigned numbers, rows above the image are very large
     map += (y0 - kRadius) * step;
 #pragma unroll
     for (int r = 0; r < kRows; ++r, map += step) in[r] = uint32(y0 - kRadius + r) < rows ? *map : 0.0f;
 }
 
-// in(0) ... in(kRows - 1): a column.
+// in(0) ... in(kRows - 1) are the numbers of a column.
 template <class F>
 __device__ __forceinline__ void blur_column(F&& in, Plane& to, int channel, int column) {
     float out[kHigh];
@@ -42,7 +42,7 @@ __device__ __forceinline__ void blur_column(F&& in, Plane& to, int channel, int 
     for (int r = 0; r < kHigh; ++r) to[r][channel][column] = out[r];
 }
 
-// out [kRun], from the pixel `x` of the tile on.
+// out [kRun], starting at pixel `x` of the tile.
 __device__ __forceinline__ void blur_row(const float* row, int x, float* out) {
     float in[kRun + 12];  // kRun + 2 kRadius are needed
 #pragma unroll
@@ -57,8 +57,8 @@ __device__ __forceinline__ void store_run(float* to, const float* run) {
     *reinterpret_cast<float4*>(to) = make_float4(run[0], run[1], run[2], run[3]);
 }
 
-// From the windowed means of x, y, x^2 + y^2 (SSIM asks for no more than the variances' sum) and x y: 1 - SSIM, and SSIM's derivatives by those of
-// x, x^2 and x y.
+// From the windowed means of x, y, x^2 + y^2 (SSIM needs only the sum of the variances) and x y: 1 - SSIM, and the derivatives of SSIM with respect
+// to the means of x, x^2 and x y.
 __device__ __forceinline__ float dissimilarity(float mx, float my, float squares, float xy, float& d_mx, float& d_xx, float& d_xy) {
     const float product = mx * my, sum = mx * mx + my * my;
     const float a = 2.0f * product + kC1, b = 2.0f * (xy - product) + kC2, c = sum + kC1, d = squares - sum + kC2;
@@ -68,7 +68,7 @@ __device__ __forceinline__ float dissimilarity(float mx, float my, float squares
     return 1.0f - s;
 }
 
-// The sum over the block, known to thread 0.
+// The sum over the block; valid in thread 0.
 __device__ __forceinline__ float block_sum(float value) {
     __shared__ float warps[kLossThreads / 32];
     const int thread = int(threadIdx.x);
@@ -84,15 +84,15 @@ __device__ __forceinline__ float block_sum(float value) {
 
 using namespace e4dgs;
 
-// losses [blocks]: each tile's share of the loss; l1 and ssim: the weights of a number of the image. maps [3, 3, height, pitch]: SSIM's derivatives
-// by the windowed means of x, x^2 and x y, a plane for each channel; or null. pitch is a multiple of 4; what it adds to a row means nothing.
+// losses [blocks]: each tile's part of the loss. l1 and ssim: weights per number of the image. maps [3, 3, height, pitch]: the derivatives of SSIM
+// with respect to the windowed means of x, x^2 and x y, a plane for each channel; or null. pitch is a multiple of 4; the padding of a row is unused.
 extern "C" __global__ void __launch_bounds__(kLossThreads, kLossBlocks)
     photometric_loss(const float* image, const float* target, int width, int height, int pitch, float l1, float ssim, float* maps, float* losses) {
     __shared__ alignas(16) Plane means[4];  // of x, y, x^2 + y^2, x y
     const Tile tile(width);
     const int thread = int(threadIdx.x);
     float loss = 0.0f;
-    if (thread < 3 * kCols) {  // neighbours read neighbours: channel by channel, then pixel by pixel
+    if (thread < 3 * kCols) {  // coalesced reads: neighbouring threads read neighbouring numbers
         const int column = thread / 3, channel = thread % 3, px = tile.x0 - kRadius + column;
         const bool inside = px >= 0 && px < width;
         const int64 at = 3 * int64(px) + channel, step = 3 * int64(width);
@@ -148,12 +148,12 @@ extern "C" __global__ void __launch_bounds__(kLossThreads, kLossBlocks)
     float blurred[3][kRun];
 #pragma unroll
     for (int m = 0; m < 3; ++m) blur_row(planes[m][row][channel], x, blurred[m]);
-    __syncthreads();  // the results take the place of what they are made of, so that images are read and written number by number
+    __syncthreads();  // the results overwrite their inputs, so that images can then be read and written in coalesced order
 #pragma unroll
     for (int m = 0; m < 3; ++m) store_run(&planes[m][row][channel][x], blurred[m]);
     __syncthreads();
     const float scale = *upstream;
-    constexpr int across = 3 * kWide, each = kHigh * across / kLossThreads;  // numbers of a thread, in one column
+    constexpr int across = 3 * kWide, each = kHigh * across / kLossThreads;  // numbers per thread, all in one column
     static_assert(kLossThreads % across == 0 && kHigh * across % kLossThreads == 0);
     const int c = thread % 3, column = thread % across / 3, to = tile.x0 + column;
 #pragma unroll

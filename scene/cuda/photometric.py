@@ -1,4 +1,4 @@
-"""The image terms and their gradient on the GPU: a torch.autograd.Function around two kernels."""
+"""The image terms of the loss and their gradient on the GPU: a torch.autograd.Function around two kernels."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from torch.autograd.function import once_differentiable
 from ...rasterizer.cuda.runtime import Launcher
 from .programs import program
 
-WIDE, HIGH = 32, 8  # px, of a tile
+WIDE, HIGH = 32, 8  # px, size of a tile
 THREADS = 192
 
 
 def photometric_loss(launcher: Launcher, image: Tensor, target: Tensor, l1: float, ssim: float) -> Tensor:
-    """``l1 * mean|image - target| + ssim * (1 - SSIM)``, a scalar on the launcher's device, which is not waited for.
+    """``l1 * mean|image - target| + ssim * (1 - SSIM)``, a scalar on the launcher's device. The call does not synchronise.
 
-    image, target: [H, W, 3] float32; gradients go to image alone, and are bit-equal from run to run.
+    image, target: [H, W, 3] float32. Gradients go to image only and are bit-equal from run to run.
 
-    Raises ValueError for other shapes or types and for images without pixels, and what `Launcher.launch` raises.
+    Raises ValueError for other shapes or types and for images without pixels, and whatever `Launcher.launch` raises.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3 or not image.numel():
         raise ValueError(f"image and target must both be [H, W, 3]; got {tuple(image.shape)} and {tuple(target.shape)}")

@@ -1,4 +1,4 @@
-"""The scene's kernels as programs, one for each set of features."""
+"""The scene's kernels as programs, one for each set of compile-time features."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ HERE = Path(__file__).resolve().parent
 
 @cache
 def program(name: str, **features: int) -> Program:
-    """The .cu file of this name beside this one, with these features; the same object each time."""
+    """The .cu file ``name`` in this folder, compiled with these features; the same object on each call."""
     return Program(HERE / f"{name}.cu", tuple(sorted((key.upper(), value) for key, value in features.items())))
 
 
-# What CI compiles for every architecture.
+# The programs that CI compiles for every architecture.
 RECORDED: dict[str, Program] = {
     str(one): one
     for one in (

@@ -1,4 +1,4 @@
-// Four floats at a time: what a lane holds of a feature, 16 bytes that lie together.
+// Four floats at a time: the part of a feature that a lane holds, 16 adjacent bytes.
 #pragma once
 #include "device.cuh"
 
@@ -13,7 +13,7 @@ __device__ __forceinline__ float4 plus(float4 sum, float a, float4 b) {
     return make_float4(fmaf(a, b.x, sum.x), fmaf(a, b.y, sum.y), fmaf(a, b.z, sum.z), fmaf(a, b.w, sum.w));
 }
 
-// Adds to four floats in global memory, each atomically: one transaction where the hardware has it (from sm_90 on).
+// Adds to four floats in global memory, each atomically; in one transaction on hardware that supports it (sm_90 and later).
 __device__ __forceinline__ void add_quad(float* at, float4 v) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
     asm volatile("red.relaxed.gpu.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(__cvta_generic_to_global(at)), "f"(v.x), "f"(v.y), "f"(v.z), "f"(v.w));

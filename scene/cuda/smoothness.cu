@@ -1,6 +1,6 @@
-// How smooth feature planes are: mean squared differences of neighbours, and their gradient. A stack of planes is [3, rows, columns, channels]; blocks
-// take pieces of kPiece numbers of one row, and `row` = columns * channels. Space planes have first differences along both axes; time planes, whose
-// rows are times, second ones along the rows.
+// The smoothness of feature planes: mean squared differences of neighbours, and their gradient. A stack of planes is [3, rows, columns, channels]. A
+// block takes a piece of kPiece numbers of one row; `row` = columns * channels. Space planes use first differences along both axes. Time planes, whose
+// rows are times, use second differences from row to row.
 #include "warp_sum.cuh"
 
 namespace e4dgs {
@@ -8,8 +8,8 @@ namespace e4dgs {
 constexpr int kPiece = 256;  // threads of a block
 
 struct Spot {
-    int64 at;  // in the stack, in numbers
-    int r, k;  // in the plane's rows, and in the row
+    int64 at;  // index in the stack
+    int r, k;  // row in the plane, and index in the row
 };
 
 __device__ __forceinline__ Spot spot_of(int rows, int row) {
@@ -24,7 +24,7 @@ __device__ __forceinline__ float bend(const float* v, int row) { return v[0] - 2
 
 using namespace e4dgs;
 
-// parts [blocks]: along_row and along_column times the squared differences that begin in a block's piece.
+// parts [blocks]: the squared differences that start in a block's piece, weighted by along_row and along_column and summed.
 extern "C" __global__ void __launch_bounds__(kPiece)
     smoothness_value(const float* values, int rows, int row, int channels, bool second, float along_row, float along_column, float* parts) {
     __shared__ float warps[kPiece / 32];
@@ -49,7 +49,7 @@ extern "C" __global__ void __launch_bounds__(kPiece)
     parts[blockIdx.x] = sum;
 }
 
-// gradient, like values: upstream [1] times that of the sum of all parts.
+// gradient, shaped like values: upstream [1] times the gradient of the sum of all parts.
 extern "C" __global__ void __launch_bounds__(kPiece) smoothness_gradient(const float* values, int rows, int row, int channels, bool second, float along_row,
                                                                          float along_column, const float* upstream, float* gradient) {
     const Spot spot = spot_of(rows, row);

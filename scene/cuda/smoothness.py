@@ -13,14 +13,14 @@ from torch.autograd.function import once_differentiable
 from ...rasterizer.cuda.runtime import Launcher
 from .programs import program
 
-PIECE = 256  # numbers of a row that a block takes, as in smoothness.cu
+PIECE = 256  # numbers of a row per block, as in smoothness.cu
 
 
 def total_variation(launcher: Launcher, space: Sequence[Tensor], time: Sequence[Tensor]) -> Tensor:
-    """`HexPlanes.total_variation`, a scalar on the launcher's device, which is not waited for.
+    """`HexPlanes.total_variation`, a scalar on the launcher's device. The call does not synchronise.
 
     space: [3, R, R, C] of each level, time: [3, T, R, C] of each level; float32. Value and gradients are bit-equal from run to run.
-    Raises ValueError for other shapes or types, and what `Launcher.launch` raises.
+    Raises ValueError for other shapes or types, and whatever `Launcher.launch` raises.
     """
     planes = [*space, *time]
     if not planes or any(p.ndim != 4 or p.shape[0] != 3 or not p.numel() for p in planes):
@@ -55,7 +55,7 @@ class _Smoothness(torch.autograd.Function):
 
 
 def _launches(levels: int, planes: Sequence[Tensor]) -> Iterator[tuple[Tensor, int, tuple[Any, ...]]]:
-    """Of each stack of planes, its numbers, blocks, and the kernels' scalars: rows, row, channels, second, along_row, along_column."""
+    """For each stack of planes: the tensor, the number of blocks, and the scalars rows, row, channels, second, along_row, along_column."""
     for k, plane in enumerate(planes):
         _, rows, columns, channels = plane.shape
         row, second = columns * channels, k >= levels

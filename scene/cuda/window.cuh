@@ -1,4 +1,4 @@
-// SSIM's window: 11 taps of a Gaussian of sigma 1.5, along one axis.
+// The window of SSIM along one axis: 11 taps of a Gaussian with sigma 1.5.
 #pragma once
 #include "device.cuh"
 
@@ -6,7 +6,7 @@ namespace e4dgs {
 
 constexpr int kRadius = 5;
 
-// exp(-(k - 5)^2 / 4.5), divided by the sum over all taps. A function, since device code cannot read a host's array by an index.
+// exp(-(k - 5)^2 / 4.5), divided by the sum over all taps. A function, because device code cannot index an array on the host.
 __device__ constexpr float tap(int k) {
     const int d = k < kRadius ? kRadius - k : k - kRadius;
     return d == 0   ? 0.26601172486179436f
@@ -17,7 +17,7 @@ __device__ constexpr float tap(int k) {
                     : 0.00102838008447911f;
 }
 
-// out [N], of in(0) ... in(N + 2 kRadius - 1), each of which is asked for once: few of them need a register at a time.
+// out [N]: in(0) ... in(N + 2 kRadius - 1), blurred. Each input is read only once, so that few of them occupy a register at a time.
 template <int N, class F>
 __device__ __forceinline__ void blur(F&& in, float* out) {
 #pragma unroll

@@ -1,1 +1,1 @@
-"""Splats and scenes as the bytes of files that other programs read."""
+"""Exports splats and scenes to file formats that other programs read."""

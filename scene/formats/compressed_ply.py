@@ -1,7 +1,7 @@
-"""Gaussians of one moment as the compressed PLY file of PlayCanvas, which SuperSplat and its web viewers read.
+"""Gaussians of one moment as PlayCanvas' compressed PLY file, which SuperSplat and its web viewers read.
 
-The layout is that of PlayCanvas' user manual: chunks of 256 Gaussians, each with the box of its positions, of the logarithms of its scales
-and of its colours, within which 10 or 11 bits say where a value lies (colours 8).
+The layout follows PlayCanvas' user manual: chunks of 256 Gaussians, each with the bounds of its positions, log scales and colours. Values
+are quantised within these bounds to 10 or 11 bits (colours to 8).
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from .ply import seen
 from .smallest_three import LARGEST, smallest_three
 
 CHUNK = 256
-SH_REACH = 4.0  # SH after the constant one has 8 bits for -4 to 4
+SH_REACH = 4.0  # SH coefficients after the constant one have 8 bits for -4 to 4
 BOXES = [f"{end}_{of}" for group in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), "rgb") for end in ("min", "max") for of in group]
 
 
 def compressed_ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
-    """The file of those of ``gaussians`` (with sh) that can be seen, and how many these are. Neighbours come one after another, so that the
-    boxes are small. SH is by channel, then coefficient, as in the PLY file of 3D Gaussian Splatting."""
+    """The file with the visible ones among ``gaussians`` (with sh), and their number. Neighbours are stored one after another, so that the
+    bounds are tight. SH is ordered by channel, then coefficient, as in the PLY file of 3D Gaussian Splatting."""
     shown = seen(gaussians)
     assert shown.sh is not None
     means, quats, sh = (a.detach().cpu().double().numpy() for a in (shown.means, shown.quats, shown.sh))
@@ -41,7 +41,7 @@ def compressed_ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     packed[:, 2] = _packed(place[:, 3:6], (11, 10, 11))
     packed[:, 3] = _packed(np.concatenate([place[:, 6:9], opacities[order, None]], 1), (8, 8, 8, 8))
     rest = sh[order, 1:].transpose(0, 2, 1).reshape(rows, 3 * (sh.shape[1] - 1))
-    coded = np.floor((rest / (2 * SH_REACH) + 0.5) * 256).clip(0, 255).astype("u1")  # a reader takes the middle of each step
+    coded = np.floor((rest / (2 * SH_REACH) + 0.5) * 256).clip(0, 255).astype("u1")  # readers use the middle of each step
     boxes = np.concatenate([part for k in (0, 3, 6) for part in (low[:, k : k + 3], high[:, k : k + 3])], 1)
     header = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}", *(f"property float {n}" for n in BOXES)]
     header += [f"element vertex {rows}", *(f"property uint packed_{n}" for n in ("position", "rotation", "scale", "color"))]
@@ -52,7 +52,7 @@ def compressed_ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
 
 
 def along_a_curve(means: np.ndarray) -> np.ndarray:
-    """[N] the order of ``means`` [N, 3] along a curve that stays near where it is (Morton 1966): bits of x, y and z in turns."""
+    """[N] order of ``means`` [N, 3] along a space-filling curve (Morton 1966): the bits of x, y and z are interleaved."""
     if not len(means):
         return np.zeros(0, np.int64)
     low, high = means.min(0), means.max(0)
@@ -65,7 +65,7 @@ def along_a_curve(means: np.ndarray) -> np.ndarray:
 
 
 def _packed(values: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
-    """[N] uint32: ``values`` [N, C] in [0, 1], each in as many of ``bits``, the first in the highest ones."""
+    """[N] uint32: ``values`` [N, C] in [0, 1], column c quantised to ``bits[c]`` bits, the first column in the highest bits."""
     word = np.zeros(len(values), np.uint32)
     for column, count in zip(values.T, bits):
         most = (1 << count) - 1

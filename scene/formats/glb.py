@@ -1,4 +1,4 @@
-"""The container of binary glTF 2.0: arrays go in one after another, and JSON that refers to them by number."""
+"""The container of binary glTF 2.0: arrays added one after another, and JSON that refers to them by number."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125  # component types of glTF 2.0
-VERTICES, CORNERS = 34962, 34963  # what an array is for on a GPU
+VERTICES, CORNERS = 34962, 34963  # buffer targets: vertex attributes, and vertex indices
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
@@ -23,10 +23,10 @@ class Glb:
         self._offset = 0
 
     def add(self, array: np.ndarray, component: int, bounds: bool = False, normalized: bool = False, target: int | None = None) -> int:
-        """The number of a new accessor on ``array`` [n, 1..4], little-endian, of which a row must fill whole words of four bytes.
+        """Add ``array`` [n, 1..4], little-endian, and return the number of its accessor. A row must be a multiple of four bytes long.
 
-        component: its type. bounds: state minimum and maximum, as glTF asks for positions and key times. target: `VERTICES`,
-        `CORNERS` or, for animations, nothing."""
+        component: its component type. bounds: write minimum and maximum, which glTF requires for positions and key times. target:
+        `VERTICES`, `CORNERS`, or None for animations."""
         array = np.ascontiguousarray(array)
         accessor: dict[str, object] = {
             "bufferView": len(self._views),
@@ -46,7 +46,7 @@ class Glb:
         return len(self._accessors) - 1
 
     def bytes(self, content: Mapping[str, object]) -> bytes:
-        """The file: ``content`` and what it refers to."""
+        """The file: the JSON ``content`` and the arrays it refers to."""
         whole: dict[str, object] = {"asset": {"version": "2.0", "generator": "e4dgs"}, **content}
         if self._parts:
             whole |= {"accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": self._offset}]}

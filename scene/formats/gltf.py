@@ -15,10 +15,10 @@ SH_0 = 0.28209479177387814  # the constant spherical harmonic
 
 
 def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
-    """The file of those of ``gaussians`` (with sh) that can be seen, and how many these are.
+    """The file with the visible ones among ``gaussians`` (with sh), and their number.
 
     POSITION in world units and the capture's axes; ROTATION x y z w, unit; SCALE, standard deviations in world units; OPACITY in [0, 1];
-    SH_DEGREE_l_COEF_n RGB, n from the order -l upwards. COLOR_0 holds colour and opacity for readers that know points alone.
+    SH_DEGREE_l_COEF_n RGB, where n counts from the order -l upwards. COLOR_0 has colour and opacity for readers that only support points.
     """
     shown = seen(gaussians)
     assert shown.sh is not None

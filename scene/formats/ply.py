@@ -8,11 +8,11 @@ from torch import Tensor
 
 from ...rasterizer import Gaussians
 
-LEAST_ALPHA = 1 / 255  # below, the rasterizer draws nothing
+LEAST_ALPHA = 1 / 255  # the rasterizer draws nothing below this
 
 
 def ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
-    """The file of those of ``gaussians`` (with sh) that can be seen, and how many these are.
+    """The file with the visible ones among ``gaussians`` (with sh), and their number.
 
     Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_* (SH by channel, then coefficient),
     opacity (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit).
@@ -31,12 +31,12 @@ def ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
 
 
 def seen_rows(gaussians: Gaussians) -> Tensor:
-    """[N] bool: what is opaque enough to be drawn, and finite."""
+    """[N] bool: Gaussians that are opaque enough to be drawn and have finite positions."""
     return (gaussians.opacities >= LEAST_ALPHA) & torch.isfinite(gaussians.means).all(1)
 
 
 def seen(gaussians: Gaussians) -> Gaussians:
-    """Those of ``gaussians`` (with sh) of which something can be seen; quats are unit."""
+    """The visible ones among ``gaussians`` (with sh), with unit quats."""
     assert gaussians.sh is not None
     keep = seen_rows(gaussians)
     quats = torch.nn.functional.normalize(gaussians.quats[keep], dim=1)
@@ -44,6 +44,6 @@ def seen(gaussians: Gaussians) -> Gaussians:
 
 
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:
-    """Both sets in one; each has sh of the same degree."""
+    """Both sets as one; their sh must have the same degree."""
     fields = ("means", "quats", "scales", "opacities", "sh")
     return Gaussians(**{name: torch.cat([getattr(first, name), getattr(second, name)]) for name in fields})

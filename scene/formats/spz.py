@@ -1,4 +1,4 @@
-"""Gaussians of one moment as an SPZ file (Niantic, version 3), a fifth of the size of a PLY file or less."""
+"""Gaussians of one moment as an SPZ file (Niantic, version 3), at most a fifth of the size of a PLY file."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from .ply import seen
 from .smallest_three import LARGEST, smallest_three
 
 MAGIC, VERSION = 0x5053474E, 3
-MOST = 2**23 - 1  # of a coordinate, 24 bits with sign
-FRACTION = 20  # bits after the point of a coordinate, at most
-# SPZ's axes are right, up, back; those of PLY files are right, down, front. A half turn about x leads from one to the other. Readers turn
-# back, so that a file of either kind shows the same. Signs of the turned values:
+MOST = 2**23 - 1  # greatest coordinate: signed 24 bits
+FRACTION = 20  # most fraction bits of a coordinate
+# SPZ's axes are right, up, back; those of PLY files are right, down, front. A half turn about x converts between them. Readers turn back,
+# so files of both kinds look the same. Signs of the turned values:
 TURNED_MEANS = np.array([1, -1, -1])
 TURNED_QUATS = np.array([1, 1, -1, -1])  # w x y z
 TURNED_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])  # basis functions odd in y and z together
 
 
 def spz_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
-    """The file of those of ``gaussians`` (with sh) that can be seen, and how many these are.
+    """The file with the visible ones among ``gaussians`` (with sh), and their number.
 
-    gzip of a header and of all positions (24 bits, as many after the point as the farthest one leaves), opacities, colours, scales (ln in
-    steps of 1/16), rotations (three parts of 10 bits) and SH (8 bits for -1 to 1; by coefficient, then channel). Raises ValueError where
-    a position does not fit.
+    gzip of a header and of all positions (24 bits, with as many fraction bits as the farthest one allows), opacities, colours, scales (ln
+    in steps of 1/16), rotations (three components of 10 bits) and SH (8 bits for -1 to 1; by coefficient, then channel). Raises ValueError
+    if a position does not fit.
     """
     shown = seen(gaussians)
     assert shown.sh is not None
@@ -49,7 +49,7 @@ def spz_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
 
 
 def fraction_bits(farthest: float) -> int:
-    """How many of a coordinate's 24 bits can lie after the point where none is farther than ``farthest`` from 0. Raises ValueError."""
+    """How many of a coordinate's 24 bits can be fraction bits if none is farther than ``farthest`` from 0. Raises ValueError."""
     if farthest > MOST:
         raise ValueError(f"a Gaussian lies {farthest:.3g} world units away, and SPZ holds {MOST} at most")
     return next(bits for bits in range(FRACTION, -1, -1) if farthest * 2.0**bits <= MOST)
@@ -60,7 +60,7 @@ def _bytes(values: np.ndarray) -> bytes:
 
 
 def _rotations(quats: np.ndarray) -> np.ndarray:
-    """[N] uint32 of ``quats`` [N, 4] w x y z: which of x y z w is left out, then a sign and nine bits for each of the others."""
+    """[N] uint32 for ``quats`` [N, 4] w x y z: the index of x y z w that is left out, then a sign and nine bits for each of the others."""
     left_out, others = smallest_three(quats[:, [1, 2, 3, 0]])
     word = left_out.astype("<u4")
     for part in others.T:

@@ -16,7 +16,7 @@ from ...pipeline.files import sync_file
 from ...rasterizer import Gaussians
 from .ply import seen_rows
 
-REACH = 3.0  # standard deviations that count for the box around all
+REACH = 3.0  # standard deviations around each Gaussian that the bounding box includes
 QUARTER = {"X": ("Z", 90.0), "-X": ("Z", -90.0), "-Y": ("X", 180.0), "-Z": ("X", 90.0)}  # axis and degrees that bring each to +Y
 NOTE = (
     "Positions have the capture's own axes and unit of length (taken as a metre, which nobody measured); colours are display values (sRGB)."
@@ -24,15 +24,15 @@ NOTE = (
 
 
 def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[float], last_code: float, rate: float, up: np.ndarray) -> int:
-    """Writes ``path`` (.usdc or .usda), whole or not at all, and returns the number of Gaussians.
+    """Write ``path`` (.usdc or .usda), completely or not at all, and return the number of Gaussians.
 
-    at: the Gaussians (with sh) at a time in [0, 1], always as many and in the same order. times: rising; each is the time code
-    t * last_code. rate: time codes a second. up [3]: what is upwards; where +Y or +Z is the nearest axis it is the stage's, else quarter
-    turns of /World bring the nearest to +Y.
+    at: returns the Gaussians (with sh) at a time in [0, 1], always the same number in the same order. times: increasing; time t becomes
+    time code t * last_code. rate: time codes a second. up [3]: the up direction. If +Y or +Z is the axis nearest to it, that becomes the
+    stage's up axis; otherwise quarter turns of /World bring the nearest axis to +Y.
 
-    /World/Splats has positions, orientations (unit), scales (standard deviations), opacities in [0, 1] and SH (0.5 is added, as in 3DGS) as
-    time samples of the same Gaussians, those that can be seen at one of the times; so a program may go between samples. Raises ImportError
-    without usd-core, OSError where the file cannot be written.
+    /World/Splats has positions, orientations (unit), scales (standard deviations), opacities in [0, 1] and SH (0.5 is added, as in 3DGS).
+    All are time samples of the same Gaussians, those visible at any of the times, so programs can interpolate between samples. Raises
+    ImportError without usd-core, OSError if the file cannot be written.
     """
     from pxr import Usd, UsdGeom, UsdVol, Vt
 
@@ -58,7 +58,7 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
     written: dict[str, tuple[np.ndarray, Any]] = {}
 
     def sample(attribute: Usd.Attribute, code: float, array: np.ndarray, kind: Any) -> None:
-        """What did not change is stored once: equal samples share one array."""
+        """Set a sample. Consecutive equal samples share one array, so values that do not change are stored once."""
         known = written.get(attribute.GetName())
         if known is None or not np.array_equal(known[0], array):
             known = written[attribute.GetName()] = array, kind.FromNumpy(array)
@@ -69,7 +69,7 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
         moment, code = at(t), float(t * last_code)
         assert moment.sh is not None
         quats = torch.nn.functional.normalize(moment.quats[keep], dim=1)
-        if before is not None:  # q and -q are one rotation, but not on the way to the next sample
+        if before is not None:  # q and -q are the same rotation but interpolate differently
             quats = torch.where((quats * before).sum(1, keepdim=True) < 0, -quats, quats)
         before = quats
         means, scales, sh = as_float32(moment.means[keep]), as_float32(moment.scales[keep]), as_float32(moment.sh[keep])
@@ -91,7 +91,7 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
 
 
 def nearest_axis(up: np.ndarray) -> str:
-    """Of X, Y, Z, -X, -Y, -Z the one nearest to ``up`` [3]."""
+    """Whichever of X, Y, Z, -X, -Y, -Z is nearest to ``up`` [3]."""
     k = int(np.abs(up).argmax())
     return ("" if up[k] > 0 else "-") + "XYZ"[k]
 

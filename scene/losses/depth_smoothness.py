@@ -1,4 +1,4 @@
-"""Where a picture is smooth its surfaces should be: walls without texture leave depth open, and training views paint it with noise."""
+"""Surfaces should be smooth where the picture is: textureless walls leave depth undetermined, and training fills it with noise."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ COVERED = 0.5  # alpha from which there is a surface
 
 
 def depth_smoothness(depth: Tensor, alpha: Tensor, image: Tensor, unit: float) -> Tensor:
-    """Mean second difference of ``unit`` / depth between neighbouring pixels, in x and in y, less where ``image`` changes.
+    """Mean absolute second difference of ``unit`` / depth between neighbouring pixels, in x and y, weighted down where ``image`` changes.
 
-    depth [H, W]: alpha-weighted mean z, as the rasterizer gives it, world units. alpha [H, W]. image [H, W, 3] in [0, 1]: the target. The
-    inverse depth of a plane is linear in the picture, so planes cost nothing, however they are turned. A fold takes the share 1 / width of
-    the pixels, so the mean is multiplied by the width in units of 320 px and counts the same at any size.
+    depth [H, W]: alpha-weighted mean z in world units, as the rasterizer returns it. alpha [H, W]. image [H, W, 3] in [0, 1]: the target.
+    The inverse depth of a plane is linear in image coordinates, so planes cost nothing at any orientation. A fold covers a fraction
+    1 / width of the pixels, so the mean is multiplied by the width in units of 320 px; a fold then counts the same at any image size.
     """
     inverse = unit * alpha.clamp(min=COVERED) / depth.clamp(min=1e-3 * unit)
     solid = (alpha.detach() > COVERED) & (depth.detach() > 1e-3 * unit)

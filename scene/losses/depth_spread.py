@@ -1,8 +1,8 @@
-"""How far apart in depth lies what one pixel shows: a surface that is a fog can please every training view and no other.
+"""Penalises the spread in depth of what contributes to one pixel: fog in place of a surface can fit every training view and no other.
 
-The colours of a fog depend on where one looks from, as nothing solid does, so few views can be fitted by it more closely than by the
-surface. Between them, and beside the object, it shows. The same aim has the distortion of Mip-NeRF 360 (Barron et al. 2022, Eq. 15); here
-it is the standard deviation along the ray, which pulls as much over short distances as over long ones.
+The colours of fog depend on the viewpoint in a way that those of a solid surface do not, so fog can fit a small number of views more
+closely than the surface can. It becomes visible between those views and beside the object. The distortion loss of Mip-NeRF 360 (Barron
+et al. 2022, Eq. 15) has the same aim; this loss is the standard deviation along the ray, which pulls equally over short and long distances.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from torch import Tensor
 
 from ...rasterizer import Camera, Convexes, Gaussians
 
-EVERY = 4  # steps between two evaluations, whose weight makes up for it
-BEGIN = 0.1  # of all steps: before, there are no surfaces yet
-FLOOR = 1e-4  # of unit: a spread below it is none, and its square root has a gradient
+EVERY = 4  # steps between two evaluations; the weight is scaled up to compensate
+BEGIN = 0.1  # fraction of all steps; there are no surfaces before
+FLOOR = 1e-4  # of unit: smaller spreads count as zero, and the gradient of the square root stays finite
 
 
 def with_depth(camera: Camera, gaussians: Gaussians, convexes: Convexes, unit: float) -> tuple[Gaussians, Convexes]:
-    """Both kinds with two extras: z in units of ``unit``, from the mean of the Gaussians, and its square; of a Gaussian at its centre, of a
-    convex as means over its points: what sticks out behind an opaque front shows in no training view, but in others."""
+    """Both kinds with two extras: z in units of ``unit``, relative to the mean of the Gaussians, and its square. For a Gaussian they are
+    taken at its centre. For a convex they are means over its points, because parts that stick out behind an opaque front are invisible in
+    the training views but not in others."""
     pose = camera.cam_from_world.to(gaussians.means)
     depths = [points @ pose[2, :3] + pose[2, 3] for points in (gaussians.means[:, None], convexes.points)]
     origin = depths[0].detach().mean() if len(depths[0]) else 0.0
@@ -30,9 +31,9 @@ def with_depth(camera: Camera, gaussians: Gaussians, convexes: Convexes, unit: f
 
 
 def depth_spread(extras: Tensor, alpha: Tensor) -> Tensor:
-    """Mean over the pixels of the standard deviation of z, in ``unit`` of `with_depth`, times the root of alpha.
+    """Mean over pixels of the standard deviation of z, in units of the ``unit`` of `with_depth`, times the square root of alpha.
 
-    extras [H, W, 2], alpha [H, W]: as rendered of what `with_depth` returns.
+    extras [H, W, 2], alpha [H, W]: rendered from what `with_depth` returns.
     """
     first, second = extras.unbind(-1)
     variance = second - first.square() / alpha.clamp(min=1e-3)

@@ -1,7 +1,7 @@
-"""Edge consistency: the flow that the model renders, its steadiness over unit intervals (Eq. 8), its agreement with measured flow.
+"""Edge consistency: the flow that the model renders, how steady it is over unit intervals (Eq. 8), and how well it matches measured flow.
 
-A primitive's flow is the displacement of its projected centre, blended like a colour in two extra channels. The blending weights
-are held fixed and only primitives that move receive gradients: these terms steer the motion, not the geometry.
+The flow of a primitive is the displacement of its projected centre, blended like a colour in two extra channels. Blending weights
+are held fixed, and only dynamic primitives receive gradients: these terms steer the motion, not the geometry.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Moved = tuple[Gaussians, Convexes]
 
 
 def project(camera: Camera, points: Tensor) -> Tensor:
-    """Pixel positions [N, 2] of ``points`` [N, 3] in world units; depth is clamped at the near plane, so the result is finite."""
+    """Pixel positions [N, 2] of ``points`` [N, 3] in world units. Depth is clamped to the near plane, so the result is always finite."""
     R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
     x, y, z = (points @ R.T.to(points, non_blocking=True) + T.to(points, non_blocking=True)).unbind(1)
     z = z.clamp(min=camera.near)
@@ -50,11 +50,11 @@ def rendered_flow(
 ) -> tuple[Tensor, Tensor]:
     """Flow [H, W, 2] (u right, v down, px) from ``camera`` at ``t`` to ``next_camera`` at ``t_next``, and alpha [H, W].
 
-    Where primitives cover a pixel in part, the flow is divided by their alpha. only: bool [N] and [M], the Gaussians and convexes that are
-    drawn; all without it.
+    The flow is divided by alpha, so that partly covered pixels have the full flow. only: bool [N] and [M], the Gaussians and convexes to
+    draw; all of them if None.
     """
     gaussians, convexes = model.at(t, camera)
-    if only is not None:  # what has no opacity is not drawn
+    if only is not None:  # primitives with zero opacity are not drawn
         gaussians = replace(gaussians, opacities=gaussians.opacities * only[0])
         convexes = replace(convexes, opacities=convexes.opacities * only[1])
     return _flow_between(model, camera, (gaussians, convexes), next_camera, model.at(t_next, camera))
@@ -64,7 +64,7 @@ def _flow_between(model: Model, camera: Camera, now: Moved, next_camera: Camera,
     extras = []
     for kind, a, b in zip((model.gaussians, model.convexes), _centres(model, *now), _centres(model, *later)):
         flow = project(next_camera, b) - project(camera, a)
-        # A footprint-sized bound keeps one primitive beside the camera from dominating the sum.
+        # Bounded by the image width, so that a single primitive beside the camera cannot dominate the sum.
         flow = flow.clamp(-camera.width, camera.width)
         extras.append(torch.where(kind.dynamic[:, None], flow, flow.detach()))
     flow, alpha = _blend(camera, now[0], now[1], (extras[0], extras[1]))

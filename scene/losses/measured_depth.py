@@ -1,6 +1,7 @@
-"""Rendered against measured depth: where a plane sweep between cameras has told how far away a place is, surfaces should lie there.
+"""Rendered against measured depth: surfaces should lie where a plane sweep between cameras found them.
 
-Few cameras leave depth open: what is right for them, painted on the wrong surface, is wrong for the views between them.
+A small number of cameras leaves depth ambiguous: colours painted on the wrong surface can fit these cameras and still be wrong in the views
+between them.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 COVERED = 0.5  # alpha from which there is a surface
-LARGEST = 0.2  # of unit / depth: a difference beyond it is taken for a wrong measurement, and pulls no more
+LARGEST = 0.2  # of unit / depth: larger differences are treated as wrong measurements and have no gradient
 
 
 class MeasuredDepth:
-    """What stands still before each camera.
+    """Depth of the static scene in front of each camera.
 
-    inverse: by frame, [h, w] float32, 1 / world units, 0 where nothing is known; frames may share one. unit: the viewing distance, world
-    units. moving(i): [h, w] bool of any size, what passes before it in frame i; None where nothing does.
+    inverse: maps a frame to its inverse depth [h, w] float32 in 1 / world units, 0 where it is unknown; frames may share a map. unit: the
+    viewing distance, world units. moving(i): [h, w] bool of any size, the pixels of frame i that show something moving; None if there are
+    none.
     """
 
     def __init__(self, inverse: Mapping[int, Tensor], unit: float, moving: Callable[[int], Tensor | None] = lambda i: None) -> None:
@@ -27,7 +29,7 @@ class MeasuredDepth:
         self._sized: dict[tuple[int, int, int], Tensor] = {}
 
     def of(self, frame: int, height: int, width: int) -> Tensor | None:
-        """The map of ``frame`` at this size, [height, width]; None where it has none."""
+        """The map of ``frame`` resized to [height, width]; None if the frame has no map."""
         found = self._maps.get(frame)
         if found is None:
             return None
@@ -37,9 +39,9 @@ class MeasuredDepth:
         return self._sized[key]
 
     def loss(self, depth: Tensor, alpha: Tensor, frame: int) -> Tensor:
-        """Mean over the picture of the difference in ``unit`` / depth where it is known, at most `LARGEST` each.
+        """Mean over the image of the absolute difference in ``unit`` / depth, at most `LARGEST` a pixel and 0 where depth is unknown.
 
-        depth [H, W]: alpha-weighted mean z, world units. alpha [H, W]. frame: the number of the one that it was rendered for.
+        depth [H, W]: alpha-weighted mean z, world units. alpha [H, W]. frame: number of the frame that was rendered.
         """
         measured = self.of(frame, *depth.shape)
         if measured is None:

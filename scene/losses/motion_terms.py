@@ -1,8 +1,8 @@
-"""What training asks of the motion besides the images: L_4DEdge and the planes' smoothness of Eq. 9, and three priors.
+"""Loss terms on the motion, beside the image terms: L_4DEdge and the smoothness of the planes (Eq. 9), and three priors.
 
-One camera at one time says little about motion: depth, what is hidden, and times between frames stay open. The priors close them
-towards rest, towards rigid parts and towards steady motion. All three are norms, not squares, so that a joint or a start costs no
-more than it moves.
+One camera at one time constrains motion only weakly: it leaves depth, hidden parts and the times between frames undetermined. The priors
+favour rest, rigid parts and steady motion there. All three are norms, not squared norms, so that a joint, or a part that starts to move,
+costs no more than in proportion to its motion.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from ..views import Views
 from .flow_loss import data_flow_loss, interval_loss
 
 MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
-PRIOR_EVERY = 4  # steps between two evaluations of the priors and of the planes' smoothness, whose weight makes up for it
+PRIOR_EVERY = 4  # steps between two evaluations of the priors and of plane smoothness; their weights are scaled up to compensate
 PRIOR_SAMPLES = 1024
-NEIGHBOURHOOD = 0.025  # of the viewing distance: how far apart two places are that are asked to move alike
+NEIGHBOURHOOD = 0.025  # of the viewing distance: distance between two places that should move alike
 
 
 def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
@@ -31,14 +31,14 @@ def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
 
 
 def motion_priors(motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: float, unit: float, rigid: float, inertia: float) -> Tensor:
-    """Priors towards rigid and steady motion of the weights ``rigid`` and ``inertia`` at ``rest`` [n, 3], judged beside it where standard
-    normal ``noise`` [n, 3] says."""
+    """Priors towards rigid and steady motion at ``rest`` [n, 3], weighted by ``rigid`` and ``inertia``. Neighbours for the rigidity term
+    are offset from ``rest`` along standard normal ``noise`` [n, 3]."""
     strain, course = motion.priors(rest, rest + NEIGHBOURHOOD * unit * noise, t, dt)
     return rigid * strain + inertia * course
 
 
 class MotionTerms:
-    """The terms of one training run, with the rhythm in which each is evaluated.
+    """The motion terms of one training run, and how often each is evaluated.
 
     unit: the viewing distance, world units. still: weight of the mean displacement. inertia: weight of how abruptly motion changes.
     times: number of distinct times in the capture. measured_flow: see `Trainer`.
@@ -60,7 +60,7 @@ class MotionTerms:
         self.dt = 1.0 / max(times - 1, 1)
 
     def __call__(self, model: Model, moved: Gaussians, i: int, scale: float, iteration: int, total: int) -> Tensor:
-        """Their weighted sum for training frame ``i`` whose Gaussians have been ``moved``. ``scale``: of the image in this phase."""
+        """Weighted sum of the terms for training frame ``i``. ``moved``: its Gaussians at its time. ``scale``: image scale of the phase."""
         s, t = self.settings, float(self.views.time[i])
         assert model.field is not None
         dynamic = model.gaussians.dynamic
@@ -83,7 +83,7 @@ class MotionTerms:
         moving = model.gaussians.dynamic.nonzero()[:, 0]
         if not len(moving):
             return torch.zeros((), device=model.device)
-        # Drawn on the CPU: the same numbers on every device.
+        # Drawn on the CPU, so that every device gets the same numbers.
         chosen = torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator).to(moving.device)
         rest = model.gaussians.means.detach()[moving[chosen]]
         noise = torch.randn(rest.shape, generator=generator).to(rest.device)

@@ -13,8 +13,8 @@ def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float
     """``l1 * mean|image - target| + ssim * (1 - SSIM(image, target))``, a scalar.
 
     Args:
-        image: [H, W, 3] float32, carries gradients. On a CUDA device, which is not waited for, the loss is there too.
-        target: [H, W, 3] float32, does not.
+        image: [H, W, 3] float32, receives gradients. If it is on a CUDA device, so is the loss, and the call does not synchronise.
+        target: [H, W, 3] float32, receives none.
         l1, ssim: the weights lambda_1 and lambda_2 of Eq. 9.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:

@@ -1,4 +1,4 @@
-"""Image metrics of the field in float64. Images are RGB [H, W, 3] in [0, 1]; each file is one metric with its definition.
+"""The usual image metrics in float64. Images are RGB [H, W, 3] in [0, 1]; each file has one metric and its definition.
 
-Imported one by one (`from .psnr import psnr`), so that who needs PSNR does not load torch for LPIPS.
+Import them one by one (`from .psnr import psnr`), so that PSNR alone does not load torch, which LPIPS needs.
 """

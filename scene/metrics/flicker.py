@@ -1,4 +1,4 @@
-"""Flicker: how much more a render changes from one time to the next than the scene does, before a camera that stands still."""
+"""Flicker: how much more a render changes from one time to the next than the scene does, seen from a fixed camera."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from ..edges import edge_mask_canny, near_edges
 from .edge_psnr import PIXELS
 from .images import as_pair
 
-STEADY = 0.01  # standard deviation over time, of [0, 1], below which the truth stands still
-LEVELS = 255.0  # changes are given in levels of 8-bit pictures
+STEADY = 0.01  # standard deviation over time, for values in [0, 1], below which the truth counts as static
+LEVELS = 255.0  # changes are reported in levels of 8-bit images
 FARNEBACK = {"pyr_scale": 0.5, "levels": 3, "winsize": 15, "iterations": 3, "poly_n": 5, "poly_sigma": 1.2, "flags": 0}
 
 
 def steady_pixels(truths: Iterable[np.ndarray]) -> np.ndarray:
-    """Where pictures of one camera, float [H, W, 3] in [0, 1], deviate over time by less than `STEADY` in every channel: bool [H, W].
+    """Where images of one camera, float [H, W, 3] in [0, 1], deviate over time by less than `STEADY` in every channel: bool [H, W].
 
-    Raises ValueError without a picture.
+    Raises ValueError if there is no image.
     """
     count, mean, squares = 0, np.zeros(()), np.zeros(())
-    for truth in truths:  # Welford's sums: a difference of large squares would lose what is asked for
+    for truth in truths:  # Welford's algorithm: a difference of large squares would lose precision
         count += 1
         gap = np.asarray(truth, np.float64) - mean
         mean = mean + gap / count
@@ -33,12 +33,12 @@ def steady_pixels(truths: Iterable[np.ndarray]) -> np.ndarray:
 
 
 class Flicker:
-    """Measures pairs of neighbouring times of one or more cameras that stand still.
+    """Measures flicker between neighbouring times, for one or more fixed cameras.
 
-    The excess of a pixel is max(0, |R(t+1) - R(t)| - |Y(t+1) - Y(t)|), R the render, Y the truth, | | the mean over channels, in levels
-    of 8 bits. `static`: its mean where the truth is steady; `edges`: within 2 px of an edge of the truth; `flow`: mean distance in px of
-    optical flow measured in the renders from that in the truth (tOF, Chu et al. 2020, with Farneback's flow). `rows` has all three for each
-    pair, None where it has no such pixel.
+    The excess of a pixel is max(0, |R(t+1) - R(t)| - |Y(t+1) - Y(t)|) in 8-bit levels, where R is the render, Y the truth and | | the mean
+    over channels. `static` is its mean over pixels where the truth is steady, and `edges` its mean within 2 px of an edge of the truth.
+    `flow` is the mean distance in px between optical flow measured in the renders and in the truth (tOF, Chu et al. 2020, with Farneback's
+    flow). `rows` has all three for each pair of times, None if the pair has no such pixel.
     """
 
     def __init__(self) -> None:
@@ -47,11 +47,11 @@ class Flicker:
         self._steady: np.ndarray | None = None
 
     def begin(self, steady: np.ndarray) -> None:
-        """The pictures of another camera follow. steady: bool [H, W]."""
+        """Start another camera; the next images are from it. steady: bool [H, W]."""
         self._steady, self._before = steady, None
 
     def add(self, render: np.ndarray, truth: np.ndarray) -> None:
-        """The next time of the camera: both float [H, W, 3] in [0, 1]. Raises ValueError where shapes differ."""
+        """Add the camera's next time; both images are float [H, W, 3] in [0, 1]. Raises ValueError if the shapes differ."""
         assert self._steady is not None, "begin() comes first"
         render, truth = as_pair(render, truth)
         before, self._before = self._before, (render, truth)
@@ -65,7 +65,7 @@ class Flicker:
         self.rows.append(row)
 
     def means(self) -> dict[str, float | None]:
-        """`static`, `edges` and `flow`, each the mean over pairs; None where no pair has such pixels."""
+        """`static`, `edges` and `flow`, each as the mean over pairs; None if no pair has such pixels."""
         found = {name: [value for row in self.rows if (value := row[name]) is not None] for name in ("static", "edges", "flow")}
         return {name: float(np.mean(values)) if values else None for name, values in found.items()}
 

@@ -1,4 +1,4 @@
-"""The one check that every metric makes of its two images."""
+"""The check that every metric applies to its two images."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 
 
 def as_pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both images as float64 [H, W, 3]; values in [0, 1] are the caller's promise.
+    """Both images as float64 [H, W, 3]. The caller must pass values in [0, 1]; this is not checked.
 
-    Raises ValueError where the shapes differ, are not [H, W, 3] with H, W > 0, or a value is not finite: a metric of NaN is no number.
+    Raises ValueError if the shapes differ or are not [H, W, 3] with H, W > 0, or if a value is not finite, as the metric would be NaN.
     """
     pair = []
     for name, value in (("image", image), ("truth", truth)):

@@ -1,6 +1,6 @@
-"""LPIPS, Zhang et al. 2018: distance of normalised features of a trained network, weighted per channel.
+"""LPIPS (Zhang et al. 2018): distance between normalised features of a trained network, weighted per channel.
 
-The networks are AlexNet and VGG16 up to their last convolution, written here; published weights come in a safetensors file with
+AlexNet and VGG16 are implemented here up to their last convolution. Published weights are read from a safetensors file with
 torchvision's names: "features.N.weight", "features.N.bias" and the linear heads "link.weight" [1, C, 1, 1], k = 0..4.
 """
 
@@ -17,9 +17,9 @@ from torch.nn import functional as F
 from .images import as_pair
 
 Net = Literal["alex", "vgg"]
-MINIMUM_SIZE = 32  # px; below, AlexNet's last feature maps would be empty
+MINIMUM_SIZE = 32  # px; for smaller images AlexNet's last feature maps would be empty
 
-# Each trunk in order: ("conv", index, in, out, kernel, stride, padding), ("tap",) where features are compared, ("pool", kernel).
+# The layers of each trunk: ("conv", index, in, out, kernel, stride, padding), ("tap",) where features are compared, ("pool", kernel).
 _ALEX: tuple[tuple, ...] = (
     ("conv", 0, 3, 64, 11, 4, 2),
     ("tap",),
@@ -52,7 +52,7 @@ def _vgg() -> tuple[tuple, ...]:
 
 TRUNKS: dict[str, tuple[tuple, ...]] = {"alex": _ALEX, "vgg": _vgg()}
 
-# Input in [-1, 1] to the statistics that the trunks were trained with.
+# Maps input in [-1, 1] to the statistics that the trunks were trained with.
 _SHIFT = torch.tensor([-0.030, -0.088, -0.188]).view(1, 3, 1, 1)
 _SCALE = torch.tensor([0.458, 0.448, 0.450]).view(1, 3, 1, 1)
 
@@ -73,7 +73,7 @@ def expected_shapes(net: Net) -> dict[str, tuple[int, ...]]:
 
 
 class Lpips:
-    """LPIPS with the given weights. ``state``: tensors by name, as `expected_shapes` lists them. Raises ValueError for another set."""
+    """LPIPS with the given weights. ``state``: tensors by name, as `expected_shapes` lists them. Raises ValueError if they do not match."""
 
     def __init__(self, state: dict[str, Tensor], net: Net) -> None:
         for name, shape in expected_shapes(net).items():
@@ -88,7 +88,7 @@ class Lpips:
 
     @classmethod
     def load(cls, path: Path, net: Net) -> Lpips:
-        """Read a safetensors file. Raises ValueError, naming the file, where it is missing or holds something else."""
+        """Read a safetensors file. Raises ValueError, naming the file, if it is missing or does not contain these weights."""
         from safetensors.torch import load_file
 
         try:
@@ -112,9 +112,9 @@ class Lpips:
         return taps
 
     def __call__(self, image: np.ndarray, truth: np.ndarray) -> float:
-        """Distance of two images, float [H, W, 3] in [0, 1], both sides at least `MINIMUM_SIZE` px; 0 for identical images.
+        """Distance between two images, float [H, W, 3] in [0, 1], at least `MINIMUM_SIZE` px a side; 0 for identical images.
 
-        Features in float32, as published; differences and means in float64.
+        Features are float32, as published; differences and means are float64.
         """
         image, truth = as_pair(image, truth)
         if min(image.shape[:2]) < MINIMUM_SIZE:

@@ -1,4 +1,4 @@
-"""Peak signal-to-noise ratio, and the affine colour fit after which it is also reported for captures of several cameras."""
+"""Peak signal-to-noise ratio, and an affine colour fit: captures with several cameras also report PSNR after this fit."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from .images import as_pair
 
-CAP = 100.0  # dB, the answer for identical images: a mean over views stays a number
+CAP = 100.0  # dB, the value for identical images, so that means over views stay finite
 
 
 def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """-10 log10(mean squared error) in dB over all channels of all pixels, or of those in ``mask`` (bool [H, W]); at most `CAP`.
+    """-10 log10(mean squared error) in dB, over all channels of all pixels or of those in ``mask`` (bool [H, W]); at most `CAP`.
 
     image, truth: float [H, W, 3] in [0, 1]. Raises ValueError for other shapes, non-finite values or an empty mask.
     """
@@ -29,10 +29,10 @@ def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
 
 
 def affine_fit(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
-    """``image`` after the per-channel gain and offset that bring it closest to ``truth`` (least squares), clamped to [0, 1].
+    """``image`` after the per-channel gain and offset that fit it best to ``truth`` (least squares), clamped to [0, 1].
 
-    Cameras of one rig differ in gain and offset; a novel view cannot know those of a camera it never saw. A channel without variation
-    gets an offset only. float [H, W, 3] in, float64 [H, W, 3] out. mask: bool [H, W], the pixels that are brought close; all without one.
+    The cameras of a rig differ in gain and offset, and a model cannot know those of a camera it never saw. A channel without variation
+    gets an offset only. float [H, W, 3] in, float64 [H, W, 3] out. mask: bool [H, W], the pixels used for the fit; all if None.
     """
     image, truth = as_pair(image, truth)
     near, goal = (image.reshape(-1, 3), truth.reshape(-1, 3)) if mask is None else (image[mask], truth[mask])

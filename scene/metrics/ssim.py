@@ -1,4 +1,4 @@
-"""Structural similarity, Wang et al. 2004, with the constants of the field."""
+"""Structural similarity (Wang et al. 2004), with the usual constants."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ C1, C2 = 0.01**2, 0.03**2
 def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """SSIM at each pixel and channel, float64 [H, W, 3].
 
-    Gaussian window of 11 x 11 px, sigma 1.5, normalised to 1; zeros beyond the border, as radiance-field papers compute it (the window
-    is not renormalised there); moments without Bessel's correction. Defined for every size from 1 x 1.
+    Gaussian window of 11 x 11 px, sigma 1.5, normalised to 1; zero padding, as in radiance-field papers (the window is not renormalised at
+    the border); moments without Bessel's correction. Defined for every size from 1 x 1.
     """
     x, y = as_pair(image, truth)
     taps = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_64F)
@@ -30,6 +30,6 @@ def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 def ssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float:
     """Mean of `ssim_map` over pixels and channels, in [-1, 1]. image, truth: float [H, W, 3] in [0, 1]. mask: bool [H, W], the pixels that
-    count, all without one."""
+    count; all if None."""
     found = ssim_map(image, truth)
     return float(found.mean() if mask is None else found[mask].mean())

@@ -1,19 +1,19 @@
-"""Rigid bodies among the control nodes: parts whose turn was searched, each with keys of its own in time instead of the network."""
+"""Rigid bodies among the control nodes: parts whose turn was found by search. Each has its own keyframes instead of the network."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
 
-# Extents beside everything else, in the first hyper coordinate: nothing else is near a body, and what is its own is near nothing else.
+# Distance of a body from everything else, in extents, along the first hyper coordinate: no other node is near the body's own Gaussians.
 FAR = 10.0
 
 
 class Bodies(nn.Module):
-    """b rigid bodies. Their poses are linear between keys at equal distances over [0, 1].
+    """b rigid bodies, whose poses are interpolated linearly between keys that are evenly spaced over [0, 1].
 
-    Parameters: ``quats`` [T, b, 4] (w x y z, any norm but zero) turn a body about its own rest position, ``shifts`` [T, b, 3] world units
-    move it. Buffers: ``home`` [b, 3] world units, ``radius`` [b].
+    Parameters: ``quats`` [T, b, 4] (w x y z, any nonzero norm) turn a body about its own rest position; ``shifts`` [T, b, 3] in world units
+    move it. Buffers: rest positions ``home`` [b, 3] and ``radius`` [b], world units.
     """
 
     home: Tensor
@@ -35,7 +35,7 @@ class Bodies(nn.Module):
         return Bodies(*(torch.zeros(shape, device=device) for shape in shapes))
 
     def hyper(self, extent: float) -> Tensor:
-        """[b, 2] where the bodies lie beside space, for nodes that spread over ``extent``."""
+        """[b, 2] hyper coordinates of the bodies, for nodes that spread over ``extent`` (world units)."""
         beside = torch.zeros(len(self), 2, device=self.home.device)
         beside[:, 0] = FAR * extent * torch.arange(1, len(self) + 1, device=self.home.device)
         return beside
@@ -50,20 +50,20 @@ class Bodies(nn.Module):
         return quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), self.shifts[low] * (1 - f) + self.shifts[high] * f
 
     def course(self, extent: float) -> Tensor:
-        """How unsteadily the bodies go from key to key, a scalar: the mean change of their velocities, in half radians and in ``extent``
-        (world units). A steady turn and a straight path at one speed count nothing."""
+        """How unsteadily the bodies move from key to key, a scalar: the mean change of their velocities, in half radians and in units of
+        ``extent`` (world units). A steady turn or a straight path at constant speed gives zero."""
         if len(self.quats) < 3 or not len(self):
             return torch.zeros((), device=self.home.device)
         quats = nn.functional.normalize(self.quats, dim=2)
         before, here, after = quats[:-2], quats[1:-1], quats[2:]
-        # Unit quaternions of a steady turn follow q[k+1] = 2 c q[k] - q[k-1], c the cosine between neighbours.
+        # Unit quaternions of a steady turn satisfy q[k+1] = 2 c q[k] - q[k-1], where c is the cosine between neighbours.
         cosine = 0.5 * ((before * here).sum(2, keepdim=True) + (here * after).sum(2, keepdim=True)).detach()
         turning = (before - 2 * cosine * here + after).norm(dim=2).mean()
         return turning + self.shifts.diff(n=2, dim=0).norm(dim=2).mean() / extent
 
     @torch.no_grad()
     def joined(self, home: Tensor, radius: float, quats: Tensor, shifts: Tensor) -> Bodies:
-        """One more: at ``home`` [3], of ``radius``, with ``quats`` [T, 4] and ``shifts`` [T, 3] at T keys, as many as the others have."""
+        """These bodies and one more at ``home`` [3] with ``radius``, ``quats`` [T, 4] and ``shifts`` [T, 3]; T is the same for all."""
         if not len(self):
             return Bodies(home[None], home.new_tensor([radius]), quats[:, None], shifts[:, None])
         homes, radii = torch.cat([self.home, home[None]]), torch.cat([self.radius, home.new_tensor([radius])])
@@ -71,7 +71,7 @@ class Bodies(nn.Module):
 
 
 def aligned(quats: Tensor) -> Tensor:
-    """``quats`` [T, b, 4] with signs such that each is on the side of the one before, so that interpolation takes the short way."""
+    """``quats`` [T, b, 4] with signs chosen so that each is on the same side as the one before, and interpolation takes the short way."""
     flips = torch.sign((quats[1:] * quats[:-1]).sum(2, keepdim=True))
     flips = torch.where(flips == 0, torch.ones_like(flips), flips).cumprod(0)
     return torch.cat([quats[:1], quats[1:] * flips])

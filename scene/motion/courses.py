@@ -1,4 +1,4 @@
-"""The network that moves control nodes: a few courses through time that all nodes share, and how much of each a place takes."""
+"""The network that moves control nodes: a few courses through time that all nodes share, and their weights at each place."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from torch import Tensor, nn
 
 RANK = 32  # courses
 OUTPUTS = 7  # of a node at a time: a turn (4) and a shift (3)
-WIDTH, DEPTH = 128, 3  # of the layers that look at places
-TIME_WIDTH, TIME_DEPTH = 128, 2  # of those that look at times: one row each, so they cost next to nothing
+WIDTH, DEPTH = 128, 3  # of the layers that take places
+TIME_WIDTH, TIME_DEPTH = 128, 2  # of the layers that take times: one row for each time, so they cost almost nothing
 PLACE_BANDS, TIME_BANDS = 5, 6  # octaves of the positional encoding (Tancik et al. 2020)
-LEAK = 0.01  # slope below zero: units that are zero at all places and times learn nothing any more, and the first steps can bring all there
-HEADS = 1e-4  # standard deviation of the last layer's first weights: motion grows from rest
+LEAK = 0.01  # slope below zero: a unit that is zero everywhere gets no gradient, and the first steps can put all units in that state
+HEADS = 1e-4  # standard deviation of the last layer's initial weights, so that motion grows from rest
 
 
 class SharedCourses(nn.Module):
-    """out(place, time) = sum over k of weights_k(place) course_k(time) / sqrt(RANK), both factors small networks.
+    """out(place, time) = sum over k of weights_k(place) course_k(time) / sqrt(RANK), where both factors are small networks.
 
-    Bodies move in few ways at once, so 32 courses are enough, as in non-rigid structure from motion (Bregler et al. 2000). One network of
-    (place, time) together is looked at anew for every node at every time; here the places, which cost nearly all of it, are looked at once
-    for as many times as are wanted.
+    Objects move in few ways at once, so 32 courses are enough, as in non-rigid structure from motion (Bregler et al. 2000). A single
+    network of (place, time) would be evaluated again for every node at every time. Here the places, which cost nearly all of it, are
+    evaluated once for any number of times.
 
     Args:
-        seed: of the first weights.
+        seed: of the initial weights.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -38,28 +38,28 @@ class SharedCourses(nn.Module):
         self.place, self.time = nn.ModuleList(place), nn.ModuleList(time)
 
     def weights(self, encoded: Tensor) -> Tensor:
-        """[B, 7, RANK] of places [B, ...] as `encode_places` gives them."""
+        """[B, 7, RANK] weights at places [B, 33] as returned by `encode_places`."""
         return _through(self.place, encoded).view(len(encoded), OUTPUTS, RANK) * RANK**-0.5
 
     def courses(self, times: Sequence[float]) -> Tensor:
-        """[T, RANK] at ``times``, each clamped to [0, 1]."""
+        """[T, RANK] courses at ``times``, each clamped to [0, 1]."""
         clamped = next(self.parameters()).new_tensor([[min(max(float(t), 0.0), 1.0)] for t in times])
         return _through(self.time, encode(clamped, TIME_BANDS))
 
 
 def encode_places(places: Tensor) -> Tensor:
-    """[B, 33] of ``places`` [B, 3], in which the scene spans about [-1, 1]."""
+    """Positional encoding [B, 33] of ``places`` [B, 3], scaled so that the scene spans about [-1, 1]."""
     return encode(places, PLACE_BANDS)
 
 
 def encode(x: Tensor, bands: int) -> Tensor:
-    """``x`` [N, d] beside its sines and cosines at ``bands`` octaves: [N, d (1 + 2 bands)]."""
+    """``x`` [N, d] together with its sines and cosines at ``bands`` octaves: [N, d (1 + 2 bands)]."""
     scaled = x[:, None] * (2.0 ** torch.arange(bands, device=x.device, dtype=x.dtype))[:, None]
     return torch.cat([x, torch.sin(scaled).flatten(1), torch.cos(scaled).flatten(1)], 1)
 
 
 def _layers(sizes: list[int], generator: torch.Generator) -> list[nn.Linear]:
-    """Linear layers that keep the size of what ReLUs pass on (He et al. 2015)."""
+    """Linear layers initialised so that the scale of the activations is kept through ReLUs (He et al. 2015)."""
     layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
     with torch.no_grad():
         for layer in layers:

@@ -11,11 +11,11 @@ from .interface import Displacement
 
 
 def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displacement:
-    """What ``heads`` [N, 10] do to ``rest`` [N, 3].
+    """The displacement of ``rest`` [N, 3] by the field's outputs ``heads`` [N, 10].
 
     Columns 0-2 are a translation in units of ``reach`` (world units), 3-6 a rotation about ``centre`` [3] (w x y z, added to the
-    identity, then normalised), 7-9 are added to the scales' logarithms. Gradients reach heads and rest. float32 on the CPU or on an
-    NVIDIA GPU takes a kernel, anything else plain torch.
+    identity, then normalised), and 7-9 are added to the logarithms of the scales. Gradients reach heads and rest. float32 on the CPU or on
+    an NVIDIA GPU uses a kernel; anything else uses plain torch.
     """
     if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (heads, rest)):
         return Displacement(*_Displace.apply(heads, rest, tuple(centre.tolist()), reach))

@@ -18,12 +18,12 @@ from .interface import Displacement, Moved, Rest
 class DeformationField(nn.Module):
     """Implements `Motion`. Heads start at zero, so an untrained field moves nothing.
 
-    ``reach``: world units that one unit of the displacement head means, a quarter of the box's diagonal. A number of the host's, so that a
-    GPU is waited for where the field is made, loaded or moved, not where it is used.
+    ``reach``: world units for one unit of the displacement head, a quarter of the box's diagonal. It is kept as a Python float, so that a
+    GPU is synchronised when the field is created, loaded or moved, but not when it is used.
 
     Args:
-        low, high: [3] corners of the box (world units) that the planes cover; positions outside are clamped to its faces. The field lies on
-            their device.
+        low, high: [3] corners of the box (world units) that the planes cover; positions outside are clamped to its faces. The field is
+            created on their device.
         times: number of distinct times in the capture, the resolution of the time planes.
         resolutions: spatial resolution of each level.
         channels: features of a level.
@@ -50,10 +50,10 @@ class DeformationField(nn.Module):
     ) -> None:
         super().__init__()
         size = (high - low).float()
-        # A flat box (one point, a plane) would divide by zero: give every axis at least a thousandth of the longest one.
+        # A flat box (a point or a plane) would cause a division by zero: every axis gets at least a thousandth of the longest one.
         size = torch.maximum(size, (size.max() * 1e-3).clamp(min=1e-6))
         self.register_buffer("low", low.float().clone())
-        # Far from the origin a small size may vanish in rounding.
+        # Far from the origin, rounding may make a small size vanish.
         self.register_buffer("high", torch.maximum(low.float() + size, torch.nextafter(self.low, torch.full_like(self.low, torch.inf))))
         self.planes = HexPlanes(resolutions, times, channels, seed)
         generator = torch.Generator().manual_seed(seed + 1)
@@ -99,8 +99,8 @@ class DeformationField(nn.Module):
         return field_outputs(list(self.planes.space), list(self.planes.time), weights, rest, (self.low, self.high), t)
 
     def forward(self, rest: Tensor, t: float) -> Displacement:
-        """The heads give each place a rotation about the box's centre and a translation: the points of a rigid part share both, however
-        it turns, and the gradient of a rest position is turned along with it."""
+        """The displacement at ``t``. The heads give each place a rotation about the box's centre and a translation. All points of a rigid
+        part share both, however it turns, and the gradient of a rest position is rotated with the part."""
         return displace(self._heads(rest, t), rest, 0.5 * (self.low + self.high), self.reach)
 
     def carry(self, rest: Rest, t: float) -> Moved:
@@ -112,14 +112,14 @@ class DeformationField(nn.Module):
         """The planes carry every place."""
 
     def spread_over(self, points: np.ndarray) -> None:
-        """The planes lie where the box is."""
+        """There are no parts: the planes are fixed to the box."""
 
     def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
-        """[N, 7] numbers of order one that are equal for positions that move as one rigid body."""
+        """[N, 7] numbers of order one that are equal for all positions that move as one rigid body."""
         return self._heads(rest, t)[:, :7]
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
-        """Mean norms of the difference between ``rest`` and ``neighbours``, and of the second difference in time, of `rigid_motion`."""
+        """Mean norms of two differences of `rigid_motion`: between ``rest`` and ``neighbours``, and the second difference in time."""
         now = self.rigid_motion(torch.cat([rest, neighbours]), t)
         here, there = now.chunk(2)
         rigidity = (here - there).norm(dim=1).mean()

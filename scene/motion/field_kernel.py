@@ -1,4 +1,4 @@
-"""The deformation field's heavy part: six-plane look-up, product, concatenation and a perceptron, forward and backward."""
+"""The costly part of the deformation field: six-plane look-up, product, concatenation and a perceptron, forward and backward."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def field_outputs(
         box: low and high corner [3] that the planes cover; None for the unit box.
         t: time in [0, 1] (clamped, NaN to 0), one for all positions.
 
-    float32 on the CPU takes one kernel, whose result and gradients are bit-equal for any number of threads. float32 on an NVIDIA GPU takes
-    kernels for the features and torch's layers, which may use TF32 where torch is told so. Anything else takes plain torch. Gradients of
-    gradients are not there, and asking for them is an error.
+    float32 on the CPU uses one kernel, whose result and gradients are bit-equal for any number of threads. float32 on an NVIDIA GPU uses
+    kernels for the features and torch's layers, which use TF32 if torch is configured to. Anything else uses plain torch. Second
+    derivatives are not supported, and asking for them is an error.
     """
     tensors = [*space, *time, *weights]
     if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (points, *tensors)):

@@ -24,7 +24,7 @@ def lookup_reference(u: Tensor, t: float, *parameters: Tensor) -> Tensor:
         r = space.shape[1]
         taps = [_taps(u[:, axis], r) for axis in range(3)]
         low, high, here = _taps(torch.tensor([t], dtype=u.dtype), time.shape[1])
-        f = torch.full_like(here, float(here), device=u.device)  # filled there: nothing waits for the device
+        f = torch.full_like(here, float(here), device=u.device)  # filled on the device, so that nothing waits for it
         lines = time[:, int(low)] * (1 - f) + time[:, int(high)] * f
         feature = torch.ones(u.shape[0], space.shape[3], dtype=u.dtype, device=u.device)
         for plane, (a, b) in enumerate(SPACE_AXES):

@@ -1,7 +1,7 @@
-"""Primitives that live around a time of their own, drift and turn steadily while they do, and fade before and after.
+"""Primitives that each live around a time of their own: they drift and turn steadily, and fade before and after.
 
-Nothing ties one primitive to another, so that whatever is seen can be shown: what enters, leaves, turns quickly or changes. As spacetime
-Gaussians (Li et al. 2024) with the motion of first order of free-time Gaussians (Wang et al. 2025).
+Primitives are independent of one another, so anything the images show can be modelled: objects that enter, leave, turn quickly or change.
+Like spacetime Gaussians (Li et al. 2024), with the linear motion of free-time Gaussians (Wang et al. 2025).
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from .interface import Moved, Rest
 
 
 class FreeMotion(nn.Module):
-    """Implements `Motion` by the `Life` of each primitive; it has no parameters of its own.
+    """Implements `Motion` with the `Life` of each primitive; it has no parameters of its own.
 
     Args:
-        times: number of distinct times in the capture: lives are counted in these.
+        times: number of distinct times in the capture; lives are measured in these frames.
     """
 
     worth_culling = True
@@ -48,17 +48,17 @@ class FreeMotion(nn.Module):
         return Moved(points, compose(turns[:m], rest.quats), None, presence)
 
     def frame(self, t: float) -> float:
-        """Number of the frame, not whole, at time ``t`` in [0, 1]."""
+        """Fractional frame number at time ``t`` in [0, 1]."""
         return min(max(float(t), 0.0), 1.0) * (self.times - 1)
 
     def links(self, points: Tensor, hyper: Tensor) -> None:
-        """Each primitive carries itself."""
+        """None: each primitive carries itself."""
 
     def spread_over(self, points: np.ndarray) -> None:
-        """There are no parts."""
+        """None: there are no parts."""
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
-        """Motion is steady by construction, and nothing is shared that could be asked to be rigid."""
+        """Zero: motion is steady by construction, and primitives share nothing that could be kept rigid."""
         none = torch.zeros((), device=rest.device)
         return none, none
 

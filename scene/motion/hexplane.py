@@ -1,4 +1,4 @@
-"""Six feature planes over space and time (HexPlane), multi-resolution: the memory of the deformation field."""
+"""Six multi-resolution feature planes over space and time (HexPlane), which store the deformation field."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class HexPlanes(nn.Module):
 
     Features are multiplied across the six planes of a level and concatenated across levels. Layout is channels-last, so that one
     look-up reads whole cache lines: ``space[l]`` is [3, R_l, R_l, C] (xy, xz, yz; the first coordinate varies fastest), ``time[l]``
-    is [3, T, R_l, C]. Time planes start at one, so that the field begins independent of time; space planes start uniform in
-    [0.5, 1.5]: products of six stay of order one, so the MLP sees features that it can use.
+    is [3, T, R_l, C]. Time planes start at one, so that the field starts independent of time. Space planes start uniform in
+    [0.5, 1.5], so that products of six stay of order one, which the MLP can use.
 
     Args:
         resolutions: R of each level.
@@ -42,7 +42,7 @@ class HexPlanes(nn.Module):
     def forward(self, u: Tensor, t: float) -> Tensor:
         """Features [N, C * levels] at positions ``u`` [N, 3] in [0, 1] (clamped, NaN to 0) and one time ``t`` in [0, 1] (likewise).
 
-        Gradients reach the planes only: positions enter the field detached (design, section 1).
+        Gradients reach only the planes: positions enter the field detached (design, section 1).
         """
         return field_outputs(list(self.space), list(self.time), [], u, None, t)
 

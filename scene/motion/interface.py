@@ -1,4 +1,4 @@
-"""The seam between primitives and whatever moves them: what rests somewhere goes in with a time, and comes out where it is then."""
+"""The interface between primitives and the model that moves them: rest positions and a time in, positions at that time out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..primitives import Life
 
 
 class Displacement(NamedTuple):
-    """What one time does to N rest positions.
+    """The change of N rest positions at one time.
 
     dx: [N, 3] world units, added to the position. dr: [N, 4] unit quaternion (w x y z) that turns the primitive further.
     ds: [N, 3] added to the logarithm of the scales.
@@ -23,11 +23,11 @@ class Displacement(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """What a motion carries: the centres of M Gaussians and, behind them, corners of convexes.
+    """What a motion carries: the centres of M Gaussians, followed by corners of convexes.
 
-    points: [N, 3] world units. quats: [M, 4] of the Gaussians, w x y z, any norm. hyper: [N, 2] coordinates beside x, y, z in which parts
-    that touch may lie apart. link: [N, k] int32, see `Motion.links`. life: of the N points, each as the primitive that it belongs to.
-    centres: [N, 3] world units, what each turns about; None where all are centres.
+    points: [N, 3] world units. quats: [M, 4] of the Gaussians, w x y z, any norm. hyper: [N, 2] coordinates in addition to x, y, z, in
+    which parts that touch can be apart. link: [N, k] int32, see `Motion.links`. life: of the N points, each that of its primitive.
+    centres: [N, 3] world units, the point that each turns about; None if all points are centres.
     """
 
     points: Tensor
@@ -39,8 +39,8 @@ class Rest(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """Where `Rest` is at a time: points [N, 3], quats [M, 4], what the logarithms of the Gaussians' scales gain [M, 3], or None, and how
-    much of its opacity each point has then, [N] in [0, 1], or None for all of it."""
+    """`Rest` at one time: points [N, 3]; quats [M, 4]; log_scales [M, 3], added to the logarithms of the Gaussians' scales, or None;
+    presence [N] in [0, 1], the share of its opacity that each point has at that time, or None for all of it."""
 
     points: Tensor
     quats: Tensor
@@ -49,29 +49,29 @@ class Moved(NamedTuple):
 
 
 class Motion(Protocol):
-    """A motion model: the six-plane field, or control nodes."""
+    """A motion model: the six-plane field, control nodes, or free primitives."""
 
-    worth_culling: bool  # positions outside of the image are better left out
-    steady: bool  # by construction: nothing changes course, and no prior says how
+    worth_culling: bool  # whether leaving out positions outside the image saves time
+    steady: bool  # motion is steady by construction, so that the priors do not apply
 
     def carry(self, rest: Rest, t: float) -> Moved:
-        """``rest`` at time ``t`` in [0, 1]. Positions get gradients by how they are carried, not by where they are looked up."""
+        """``rest`` at time ``t`` in [0, 1]. Positions get gradients through the transform that moves them, not through the look-up."""
         ...
 
     def links(self, points: Tensor, hyper: Tensor) -> Tensor | None:
-        """[N, k] int32: which parts of the motion carry each of ``points`` [N, 3] with ``hyper`` [N, 2]; None where all of it does. It is
-        kept over some steps, since it takes a search."""
+        """[N, k] int32: which parts of the motion carry each of ``points`` [N, 3] with ``hyper`` [N, 2]; None if it has no parts. This
+        takes a search, so callers keep the result for some steps."""
         ...
 
     def spread_over(self, points: np.ndarray) -> Motion | None:
-        """The same motion with its parts spread anew over ``points`` [P, 3]; None where it has no such parts."""
+        """The same motion with its parts spread again over ``points`` [P, 3]; None if it has no such parts."""
         ...
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
-        """How far the motion at ``t`` is from rigid, judged by ``rest`` and ``neighbours`` [n, 3] a little beside them, and how much it
-        changes over two steps of ``dt``: two scalars of order one."""
+        """How far the motion at ``t`` is from rigid, judged by ``rest`` [n, 3] and nearby ``neighbours`` [n, 3], and how much it changes
+        over two steps of ``dt``: two scalars of order one."""
         ...
 
     def regulariser(self) -> Tensor:
-        """Scalar, lambda_3's term in Eq. 9."""
+        """The term of lambda_3 in Eq. 9, a scalar."""
         ...

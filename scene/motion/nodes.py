@@ -1,7 +1,7 @@
 """Control nodes: rigid frames that travel through the scene and carry the primitives near them, as in SC-GS (Huang et al. 2024).
 
-Where every time is seen by one camera from another side, the images say too little for a field that may bend anywhere. A few hundred
-nodes whose motion comes from one small network, shared by all places and times, are what they can settle.
+If each time is seen by only one camera, each time from another side, the images do not constrain a field that can bend anywhere. They do
+constrain a few hundred nodes whose motion comes from one small network, shared by all places and times.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from .courses import SharedCourses, encode_places
 from .interface import Moved, Rest
 from .skinning import Nodes, nearest_nodes, skin
 
-NEAREST = 4  # nodes that share a position
+NEAREST = 4  # nodes that carry a position
 GRAPH = 6  # neighbours of a node in the rigidity term
-OUTPUT = 0.3  # of the heads: motion grows from rest, slowly enough to stay coherent
-HYPER_SPREAD = 0.1  # of the nodes' distances, in which their hyper coordinates begin
-BODY_COURSE = 1 / 3  # of the nodes' weight: a body that is held steadier than that never finds its way from the turn that was searched
+OUTPUT = 0.3  # scale of the network's output: motion grows from rest, slowly enough to stay coherent
+HYPER_SPREAD = 0.1  # standard deviation of the initial hyper coordinates, relative to the mean spacing of the nodes
+BODY_COURSE = 1 / 3  # of the nodes' weight: a body held steadier than this cannot move away from the turn that the search found
 
 
 class ControlNodes(nn.Module):
     """Implements `Motion` by linear blend skinning over the nearest nodes. Nodes start at rest.
 
-    Parameters: the ``network`` (place and time of a node -> a turn about its rest position and a shift), ``log_radii`` [B] of the nodes'
-    influence, ``hyper`` [B, 2].
+    Parameters: the ``network`` (place and time of a node -> a turn about its rest position and a shift), ``log_radii`` [B], the radii of
+    the nodes' influence, and ``hyper`` [B, 2].
 
     Args:
         positions: [B, 3] rest positions, world units.
-        centre: [3] and extent, world units: the box that places are scaled from, fixed for the life of the network.
-        reach: world units of one unit of the network's shifts.
-        seed: of the network's first weights.
+        centre: [3] and extent, world units: the box used to scale places, fixed for the life of the network.
+        reach: world units for one unit of the network's shifts.
+        seed: of the network's initial weights.
         bodies: rigid bodies that the network does not move.
     """
 
-    worth_culling = False  # a look at where a position lies in the image takes as long as skinning it
+    worth_culling = False  # projecting a position into the image takes as long as skinning it
     steady = False
     positions: Tensor
     centre: Tensor
@@ -63,7 +63,7 @@ class ControlNodes(nn.Module):
         self.network = SharedCourses(seed).to(positions.device)
         generator = torch.Generator().manual_seed(seed)
         self.log_radii = nn.Parameter(spacing(positions).log())
-        # Not zero: the weights do not change with coordinates that are all alike.
+        # Not zero: with equal coordinates everywhere, their gradient would be zero.
         beside = HYPER_SPREAD * spacing(positions).mean() * torch.randn(len(positions), HYPER, generator=generator).to(positions.device)
         self.hyper = nn.Parameter(beside)
         self.bodies = Bodies.none(positions.device) if bodies is None else bodies
@@ -71,7 +71,7 @@ class ControlNodes(nn.Module):
 
     @property
     def config(self) -> dict[str, object]:
-        """What `from_state` needs beside the state."""
+        """What `from_state` needs in addition to the state."""
         return {"kind": "nodes", "extent": self.extent, "reach": self.reach}
 
     @classmethod
@@ -79,7 +79,7 @@ class ControlNodes(nn.Module):
         """Inverse of `state_dict` and `config`."""
         bodies = Bodies(*(state["bodies." + name] for name in ("home", "radius", "quats", "shifts")))
         nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"], bodies=bodies)
-        if missing := nodes.state_dict().keys() - state.keys():  # of a version whose network was another one
+        if missing := nodes.state_dict().keys() - state.keys():  # written by a version with a different network
             raise KeyError(sorted(missing)[0])
         nodes.load_state_dict(state)
         return nodes
@@ -99,7 +99,7 @@ class ControlNodes(nn.Module):
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
         """How much the graph of the nodes is strained at ``t``, as a mean share of its edges' lengths, and how much nodes change course
-        over ``dt``. The positions that the caller offers are not needed."""
+        over ``dt``. ``rest`` and ``neighbours`` are not used."""
         if dt <= 0 or dt > 0.5:
             return self._strain(self.at(t)), torch.zeros((), device=self.positions.device)
         middle = min(max(t, dt), 1 - dt)
@@ -109,7 +109,7 @@ class ControlNodes(nn.Module):
         return self._strain(now), shifts + turning + BODY_COURSE * self.bodies.course(self.extent)
 
     def _strain(self, nodes: Nodes) -> Tensor:
-        """Of the graph, a scalar: how far its edges are from being turned with the node that they leave, as a share of their lengths."""
+        """Strain of the graph, a scalar: how far edges are from turning with the node that they start from, relative to their lengths."""
         if len(self.positions) < 2:
             return torch.zeros((), device=self.positions.device)
         edge = self.graph()
@@ -127,7 +127,7 @@ class ControlNodes(nn.Module):
     # -- the nodes ----------------------------------------------------------------------------------------------------------------
 
     def at(self, t: float) -> Nodes:
-        """The nodes at time ``t``, clamped to [0, 1]. Bodies are not among them."""
+        """The nodes at time ``t``, clamped to [0, 1], without the bodies."""
         return self.at_times([t])[0]
 
     def at_times(self, times: Sequence[float]) -> list[Nodes]:
@@ -142,15 +142,15 @@ class ControlNodes(nn.Module):
         return nodes
 
     def graph(self) -> Tensor:
-        """[B, k] numbers of each node's nearest others."""
+        """[B, k] indices of each node's nearest neighbours."""
         return self._once("graph", lambda p: torch.cdist(p, p).topk(min(GRAPH, len(p) - 1) + 1, largest=False).indices[:, 1:])
 
     def _place(self) -> Tensor:
-        """[B, 33] where the nodes rest, as the network takes it."""
+        """[B, 33] encoded rest positions of the nodes, as the network takes them."""
         return self._once("place", lambda p: encode_places((p - self.centre) / self.extent))
 
     def _once(self, name: str, of: Callable[[Tensor], Tensor]) -> Tensor:
-        """What depends on the rest positions alone, which change only where the module is moved or loaded."""
+        """Cache for values that depend only on the rest positions, which change only when the module is moved or loaded."""
         if name not in self._known:
             self._known[name] = of(self.positions)
         return self._known[name]
@@ -179,20 +179,20 @@ class ControlNodes(nn.Module):
         return Nodes(*(torch.cat([own, other]) if len(own) else own for own, other in zip(nodes, theirs)))
 
     def in_bodies(self, link: Tensor | None) -> Tensor:
-        """[N] bool: what ``link`` [N, k] binds to a rigid body."""
+        """[N] bool: the positions that ``link`` [N, k] binds to a rigid body."""
         assert link is not None
         return link[:, 0] >= len(self.positions)
 
     def with_bodies(self, bodies: Bodies) -> ControlNodes:
-        """The same nodes beside ``bodies``."""
+        """The same nodes with ``bodies`` in place of the current ones."""
         nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, bodies=bodies)
         nodes.network, nodes.log_radii, nodes.hyper = self.network, self.log_radii, self.hyper
         return nodes
 
     @torch.no_grad()
     def spread_over(self, points: np.ndarray) -> ControlNodes:
-        """The same network with nodes spread anew over ``points`` [P, 3], at most as many as here, which keep the hyper coordinates of
-        the nearest node."""
+        """The same network with nodes spread again over ``points`` [P, 3], at most as many as now. Each new node takes the hyper
+        coordinates of the nearest old one."""
         positions = torch.tensor(farthest_points(points, len(self.positions)), dtype=torch.float32, device=self.positions.device)
         nodes = ControlNodes(positions, self.centre, self.extent, self.reach, bodies=self.bodies)
         nodes.network = self.network
@@ -201,7 +201,7 @@ class ControlNodes(nn.Module):
 
 
 def spacing(positions: Tensor) -> Tensor:
-    """[B] mean distance of each of ``positions`` [B, 3] to its three nearest others; 1 for a lone one."""
+    """[B] mean distance of each of ``positions`` [B, 3] to its three nearest neighbours; 1 for a single position."""
     near = min(3, len(positions) - 1)
     if not near:
         return torch.ones(len(positions), device=positions.device)
@@ -209,7 +209,8 @@ def spacing(positions: Tensor) -> Tensor:
 
 
 def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
-    """Up to ``count`` of ``points`` [P, 3], each as far as can be from those before it; starts at the one nearest to the mean."""
+    """Up to ``count`` of ``points`` [P, 3] by farthest point sampling: each is as far as possible from those before it. The first is the
+    one nearest to the mean."""
     first = int(np.linalg.norm(points - points.mean(0), axis=1).argmin())
     chosen = [first]
     distance = np.linalg.norm(points - points[first], axis=1)

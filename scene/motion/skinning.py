@@ -1,4 +1,4 @@
-"""Linear blend skinning: each position goes with the nodes nearest to it, by weights that fall off over the nodes' radii."""
+"""Linear blend skinning: each position moves with its nearest nodes, by weights that fall off over the nodes' radii."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class Nodes(NamedTuple):
 
 
 def nearest_nodes(points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Tensor:
-    """[N, count] int32 numbers of the nodes that weigh most at ``points`` [N, 3] with ``hyper`` [N, H], heaviest first. No gradients."""
+    """[N, count] int32 indices of the nodes with the largest weights at ``points`` [N, 3] with ``hyper`` [N, H], largest weight first.
+    No gradients."""
     count = min(count, len(nodes.home))
     points, hyper, *home = (p.detach().contiguous() for p in (points, hyper, nodes.home, nodes.home_hyper, nodes.falloff))
     if points.device.type == "cpu" and points.dtype == torch.float32:
@@ -35,11 +36,11 @@ def nearest_nodes(points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Te
 
 
 def skin(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, nodes: Nodes) -> tuple[Tensor, Tensor]:
-    """Where the nodes ``link`` [N, k] carry ``points`` [N, 3]: moved [N, 3] and turned [N, 4].
+    """``points`` [N, 3] and ``quats`` [N, 4] (w x y z, any norm) as the nodes ``link`` [N, k] carry them: moved [N, 3] and turned [N, 4].
 
-    ``quats`` [N, 4] (w x y z, any norm) are turned along. A weight is exp(-falloff d^2), d the distance in space and in ``hyper`` [N, H]
-    together, divided by the sum over the k nodes. Gradients reach all but ``link``, ``nodes.home``, and the positions through the weights.
-    float32 on the CPU takes a kernel, anything else plain torch.
+    A weight is exp(-falloff d^2), where d is the distance in space and ``hyper`` [N, H] together, divided by the sum over the k nodes.
+    Gradients reach everything except ``link`` and ``nodes.home``; those of positions do not go through the weights. float32 on the CPU uses
+    a kernel, anything else plain torch.
     """
     if points.device.type == "cpu" and points.dtype == torch.float32:
         return _Skin.apply(points, quats, hyper, link, *nodes)
@@ -47,7 +48,7 @@ def skin(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, nodes: Node
 
 
 def skin_reference(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, nodes: Nodes) -> tuple[Tensor, Tensor]:
-    """`skin` in plain torch: the kernel's oracle in float64, and what runs on other devices."""
+    """`skin` in plain torch: the kernel's oracle in float64, and the implementation on other devices."""
     index = link.long()
     home = nodes.home.detach()[index]
     distance = (points.detach()[:, None] - home).square().sum(2) + (hyper[:, None] - nodes.home_hyper[index]).square().sum(2)
@@ -55,7 +56,7 @@ def skin_reference(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, n
     turns = nodes.turns[index]
     arms = (unit_matrices(nodes.turns)[index] @ (points[:, None] - home)[..., None])[..., 0]
     moved = (weights[..., None] * (arms + home + nodes.shifts[index])).sum(1)
-    side = torch.where((turns * turns[:, :1]).sum(2, keepdim=True) < 0, -1.0, 1.0).to(turns)  # q and -q turn alike, their sum does not
+    side = torch.where((turns * turns[:, :1]).sum(2, keepdim=True) < 0, -1.0, 1.0).to(turns)  # q and -q are one rotation
     blended = (weights[..., None] * side * turns).sum(1)
     return moved, compose(blended / blended.norm(dim=1, keepdim=True).clamp(min=1e-6), quats)
 

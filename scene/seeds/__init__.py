@@ -1,1 +1,1 @@
-"""Where Gaussians begin when the capture brings few points or none: one way to find them a file."""
+"""Where Gaussians start when the capture has few or no points. Each file has one method."""

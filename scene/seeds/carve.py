@@ -1,4 +1,4 @@
-"""Seeds inside silhouettes: the volume that the cameras share, carved by what they saw as background."""
+"""Seeds inside silhouettes: the common volume of the cameras, carved where they saw background."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ def carve(
 ) -> tuple[np.ndarray, np.ndarray]:
     """``count`` points [count, 3] in the common volume that most views saw as foreground, with their mean colours [count, 3] in [0, 1].
 
-    foreground: one [H, W] bool a frame of ``frames``. Objects move between frames, so a majority decides, not every view: candidates
-    are taken by the share of views in which they lie on the foreground, from ``majority`` downwards until there are enough.
+    foreground: one [H, W] bool for each frame of ``frames``. Objects move between frames, so a majority of views decides, not all of them:
+    points are drawn from the candidates that at least the share ``majority`` of the views see as foreground. If these are fewer than
+    ``count``, the candidates with the next largest shares are added.
     """
     centre, radius = common_volume(views)
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""What colour a seed begins with: what most cameras that could see it show there."""
+"""The first colour of a seed: the median of what the cameras that could see it show there."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ..views import Views
 def median_colours(
     views: Views, points: np.ndarray, frames: np.ndarray, masks: list[np.ndarray] | None = None, blank: float = 0.5
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Median [P, 3] in [0, 1], a channel each, of what ``frames`` show at ``points`` [P, 3] (world units), and how many show them [P] int.
+    """Per-channel median [P, 3] in [0, 1] of what ``frames`` show at ``points`` [P, 3] (world units), and how many show each [P] int.
 
-    What stands before a point in a few of the frames does not colour it, as it would a mean. masks: one [H, W] bool a frame; where a
-    frame's mask is False it says nothing. A point that no frame shows is ``blank``.
+    Objects in front of a point in a few frames do not affect a median as they would a mean. masks: one [H, W] bool a frame; pixels where it
+    is False are ignored. A point that no frame shows gets ``blank``.
     """
-    looks = np.full((len(frames), len(points), 3), np.inf, np.float32)  # inf sorts behind every colour
+    looks = np.full((len(frames), len(points), 3), np.inf, np.float32)  # inf sorts after every colour
     for k, i in enumerate(frames):
         shown, x, y, _ = views.project(int(i), points)
         if masks is not None:

@@ -1,4 +1,4 @@
-"""The visual hull of masks at one time: seeds on the surface of what moves, where several cameras saw it at once."""
+"""The visual hull of masks at one time: seeds on the surface of moving objects that several cameras saw at once."""
 
 from __future__ import annotations
 
@@ -7,25 +7,26 @@ import numpy as np
 from ..views import Views
 from .volume import common_volume
 
-REACH = 0.8  # of the cameras' median distance: how far from the middle of what they share anything is looked for
-CELLS = 64  # along the volume's side, first pass
-FINER = 4  # cells of the second pass along a side of one of the first
-SHARE = 0.85  # of the cameras that see a place: masks have holes
-LEAST = 3  # cameras that must see it
+REACH = 0.8  # of the cameras' median distance: half the side of the volume that is searched
+CELLS = 64  # along a side of the volume in the first pass
+FINER = 4  # cells of the second pass along a side of a cell of the first
+SHARE = 0.85  # of the cameras that see a place must have it on their mask; not all, as masks have holes
+LEAST = 3  # cameras that must see a place
 
 
 def visual_hull(views: Views, masks: list[np.ndarray], frames: np.ndarray, most: int, seed: int) -> np.ndarray:
-    """Up to ``most`` points [n, 3] in world units on the surface of what the masks of ``frames`` agree on.
+    """Up to ``most`` points [n, 3] in world units on the surface of the volume on which the masks of ``frames`` agree.
 
-    masks: one [H, W] bool a frame, all of one time. A cell is taken when at least 85 % of the three or more frames that show its centre
-    have it on their mask. The volume is a cube around what the cameras share, most of the way to them.
+    masks: one [H, W] bool a frame, all of one time. A cell is taken if at least three frames show its centre and at least 85 % of these
+    have it on their mask. The searched volume is a cube around the centre of the cameras' common volume that reaches most of the way to
+    the cameras.
     """
     centre, _ = common_volume(views)
     radius = REACH * float(np.median(np.linalg.norm(views.centres()[frames] - centre, axis=1)))
     size = 2 * radius / CELLS
     axis = (np.arange(CELLS) + 0.5) * size - radius
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3) + centre
-    # A cell of the first pass may hold a thin part beside its centre: masks grown by half a cell decide.
+    # A cell of the first pass may contain a thin part away from its centre, so its masks are grown by half a cell.
     rough = cells[_inside(views, [_grown(m, views, i, centre, size) for m, i in zip(masks, frames)], frames, cells)]
     if not len(rough):
         return np.zeros((0, 3))
@@ -57,7 +58,7 @@ def _grown(mask: np.ndarray, views: Views, i: int, centre: np.ndarray, size: flo
 
 
 def _on_surface(points: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
-    """Cells [n] bool that lack one of their six neighbours."""
+    """[n] bool: cells that lack at least one of their six neighbours."""
     cell = np.floor((points - corner) / size).astype(np.int64)
     side = CELLS * FINER + 2
     flat = lambda c: (c[:, 0] * side + c[:, 1]) * side + c[:, 2]  # noqa: E731

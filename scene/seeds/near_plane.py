@@ -1,4 +1,4 @@
-"""How near to the cameras nothing is: what would be drawn before that hides the scene from views that were not trained on."""
+"""The near plane: primitives nearer to a camera than anything real would hide the scene from views that were not trained on."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from ..views import Views
 
-OF_VIEWING_DISTANCE = 0.2  # at most
+OF_VIEWING_DISTANCE = 0.2  # at most this share of the viewing distance
 OF_NEAREST = 0.5  # of the depth of the nearest trusted points
-NEAREST_SHARE = 0.01  # of a view's points may be nearer: wrong matches
-LEAST_POINTS = 20  # that a view must show to have a say
-WITHOUT = 0.05  # of the viewing distance, where no view shows enough
+NEAREST_SHARE = 0.01  # of a view's points may be nearer: they are wrong matches
+LEAST_POINTS = 20  # views that show fewer are ignored
+WITHOUT = 0.05  # of the viewing distance, if no view shows enough points
 
 
 def near_plane(views: Views, points: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""Triangulated points that stand alone: most of them are wrong matches, and a seed before a camera costs more than one that is missing."""
+"""Isolated triangulated points: most are wrong matches, and a wrong seed in front of a camera costs more than a missing one."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 
 NEIGHBOURS = 6
 FACTOR = 4.0  # times the median distance to the neighbours
-CLOSE = 0.05  # of the median depth of a camera's points; nearer ones are no scene
+CLOSE = 0.05  # of the median distance of points to their nearest camera; nearer ones are not part of the scene
 
 
 def trusted(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Which of ``points`` [P, 3] to keep, [P] bool: those with company, and not at a camera's face.
+    """Which of ``points`` [P, 3] to keep, [P] bool: those that are not isolated and not right in front of a camera.
 
-    centres [F, 3]: the cameras', world units. A point counts as alone when the mean distance to its six nearest neighbours, measured in
-    distances to the nearest camera (points far away lie farther apart), is more than four times the median of that.
+    centres [F, 3]: camera centres, world units. A point is isolated if the mean distance to its six nearest neighbours, divided by the
+    distance to its nearest camera (far points lie farther apart), is more than four times the median of this ratio.
     """
     from scipy.spatial import cKDTree
 

@@ -1,4 +1,4 @@
-"""Seeds along the rays of pixels, at the depth of the points around them: they fill walls and floors where no feature was matched."""
+"""Seeds along the rays of pixels, at the depth of nearby points: they fill walls and floors where no features were matched."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import numpy as np
 from ..views import Views
 
 NEIGHBOURS = 6
-SOFT = 4.0  # px of a picture 640 px wide; a point nearer than that says no more than one that far
-GAP = 0.01  # of the picture's width; pixels with a point this near have a seed already
+SOFT = 4.0  # px of an image 640 px wide; added to distances, so that very near points do not dominate
+GAP = 0.01  # of the image width; pixels with a point this near already have a seed
 
 
 def ray_seeds(
     views: Views, points: np.ndarray, frames: np.ndarray, count: int, seed: int, skip: list[np.ndarray | None] | None = None
 ) -> np.ndarray:
-    """Up to ``count`` points [n, 3] float64 in world units, evenly spread over the pictures of ``frames``.
+    """Up to ``count`` points [n, 3] float64 in world units, spread evenly over the images of ``frames``.
 
-    points [P, 3]: trusted points. The inverse depth at a pixel is the mean of those of its six nearest points in the picture, weighted
-    with 1 / (distance + 4 px)^2; inverse, since it is linear in the picture on planes. Frames that show fewer than six points, and pixels
-    under ``skip`` (one [H, W] bool a frame, or None), get no seeds.
+    points [P, 3]: trusted points. The inverse depth at a pixel is the mean of that of the six nearest points in the image, weighted by
+    1 / (distance + 4 px)^2. Inverse depth is used because on a plane it is linear in image coordinates. Frames that show fewer than six
+    points and pixels under ``skip`` (one [H, W] bool a frame, or None) get no seeds.
     """
     from scipy.spatial import cKDTree
 
@@ -46,7 +46,7 @@ def ray_seeds(
 
 
 def _spread(width: int, height: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """About ``count`` pixel positions [n, 2] (x, y): one at a random place of each cell of a grid."""
+    """About ``count`` pixel positions [n, 2] (x, y), one at a random place in each cell of a grid."""
     cell = (width * height / max(count, 1)) ** 0.5
     columns, rows = max(1, round(width / cell)), max(1, round(height / cell))
     y, x = np.mgrid[:rows, :columns]

@@ -1,4 +1,4 @@
-"""Seeds on a shell around everything: behind what cameras that surround a scene see of one another, there is something."""
+"""Seeds on a shell around everything: cameras that surround a scene also see what lies behind the cameras opposite."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from ..views import Views
 
-SURROUNDED = 0.5  # length of the mean viewing direction; below it the cameras look at one another
+SURROUNDED = 0.5  # length of the mean viewing direction; below this the cameras face one another
 
 
 def surrounded(views: Views) -> bool:
@@ -15,8 +15,8 @@ def surrounded(views: Views) -> bool:
 
 
 def shell_seeds(views: Views, points: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """``count`` points [count, 3] spread by area over the convex hull of ``points`` [P, 3] and the training cameras' centres (world units);
-    none where all of these lie in one plane."""
+    """``count`` points [count, 3], spread uniformly by area over the convex hull of ``points`` [P, 3] and the training cameras' centres
+    (world units). No points if these all lie in one plane."""
     from scipy.spatial import ConvexHull, QhullError
 
     corners = np.concatenate([points, views.centres()[views.train]])

@@ -1,7 +1,7 @@
-"""Depth by plane sweep (Collins 1996): which of many parallel planes makes neighbouring pictures agree best, pixel by pixel.
+"""Depth by plane sweep (Collins 1996): for each pixel, the one of many parallel planes that makes neighbouring images agree best.
 
-Features say where corners are; this says where everything with a texture is. The measure is the zero-mean normalised cross-correlation, to
-which the colour gains of cameras make no difference.
+Feature matching finds only corners; the sweep finds everything that has texture. The measure is zero-mean normalised cross-correlation,
+which does not depend on the cameras' colour gains.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ import torch
 
 from ..views import Views
 
-WIDTH = 320  # px, longest side of the pictures that are compared
-NEIGHBOURS = 4  # cameras that each is compared with, of which
-AGREEING = 2  # the best so many count: others may not see the place
+WIDTH = 320  # px, longest side of the images that are compared
+NEIGHBOURS = 4  # cameras that each one is compared with
+AGREEING = 2  # of these, how many count, the best ones: the others may not see the place
 NARROW, WIDE = 3.0, 45.0  # degrees between the directions from which two cameras see the scene
-WINDOW = 7  # px, side of what is correlated
-LEAST_SCORE = 0.75  # correlation from which a plane is believed
-LEAD = 0.04  # of the best plane's score before those that are not beside it
-TEXTURE = 2.0  # grey levels, standard deviation in a window below which nothing can be told
-LEAST_POINTS = 8  # that a view must show to be looked at
-PLANES = (32, 160)  # at least and at most; as many as make a step of one pixel
-BEYOND = 1.3  # the sweep reaches so far beyond the nearest and farthest known points of a view
-SAME = 1.5  # planes by which two depth maps may differ where they see the same
+WINDOW = 7  # px, side of the correlation window
+LEAST_SCORE = 0.75  # least correlation of an accepted plane
+LEAD = 0.04  # by which the score of the best plane must exceed that of planes farther than two steps from it
+TEXTURE = 2.0  # grey levels; windows with a smaller standard deviation have too little texture
+LEAST_POINTS = 8  # views that show fewer get no map
+PLANES = (32, 160)  # fewest and most planes; in between, as many as make a step about one pixel
+BEYOND = 1.3  # factor by which the sweep extends beyond the nearest and farthest known points of a view
+SAME = 1.5  # number of plane steps by which two maps may differ and still agree
 
 
 class DepthMap:
-    """frame: its number. inverse [h, w] float32, 1 / world units, 0 where nothing is known. step: between two planes, in the same unit."""
+    """frame: its number. inverse [h, w] float32, 1 / world units, 0 where unknown. step: distance between two planes, in the same unit."""
 
     def __init__(self, frame: int, inverse: np.ndarray, step: float) -> None:
         self.frame, self.inverse, self.step = frame, inverse, step
@@ -39,10 +39,10 @@ class DepthMap:
 def plane_sweep(
     views: Views, frames: Sequence[int], pictures: Sequence[np.ndarray], points: np.ndarray, advance: Callable[[int], None] = lambda n: None
 ) -> list[DepthMap]:
-    """Depth of ``frames`` that see one scene at rest, of which ``pictures`` are uint8 [H, W, 3]; only where at least two of them agree.
+    """Depth maps of ``frames`` that see one static scene, where at least two frames agree. pictures: their images, uint8 [H, W, 3].
 
-    points [P, 3]: trusted points, world units; they say how near and how far to look. Frames that show none, or that have no other beside
-    them at a fit angle, have no map.
+    points [P, 3]: trusted points in world units, which set the range of depths. Frames that show too few of them, or that have no other
+    frame at a suitable angle, get no map.
     """
     scale = min(1.0, WIDTH / max(views.width, views.height))
     size = max(8, round(views.width * scale)), max(8, round(views.height * scale))
@@ -69,7 +69,7 @@ def plane_sweep(
 
 
 def beside(views: Views, frames: Sequence[int], k: int, points: np.ndarray) -> list[int]:
-    """Places in ``frames`` of the cameras nearest to the k-th that see the middle of its points from another side."""
+    """Positions in ``frames`` of the cameras that see the middle of the k-th one's points from suitable angles, nearest in angle first."""
     shown = views.project(int(frames[k]), points).point
     if not len(shown):
         return []
@@ -82,7 +82,7 @@ def beside(views: Views, frames: Sequence[int], k: int, points: np.ndarray) -> l
 
 
 def points_of(maps: Sequence[DepthMap], views: Views) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All that ``maps`` know: points [n, 3] in world units, and the frame [n] and pixel [n, 2] (x, y of the full picture) of each."""
+    """All known depths of ``maps`` as points [n, 3] in world units, with the frame [n] and pixel [n, 2] (x, y at full size) of each."""
     found = []
     for one in maps:
         h, w = one.inverse.shape
@@ -101,7 +101,7 @@ def points_of(maps: Sequence[DepthMap], views: Views) -> tuple[np.ndarray, np.nd
 def _sweep(
     grey: list[np.ndarray], K: np.ndarray, poses: np.ndarray, k: int, others: list[int], near: float, far: float
 ) -> tuple[np.ndarray, float]:
-    """Inverse depth [h, w] of the k-th picture, 0 where no plane stands out, and the step between planes."""
+    """Inverse depth [h, w] of the k-th image, 0 where no plane stands out, and the step between planes."""
     h, w = grey[k].shape
     relative = [poses[j] @ np.linalg.inv(poses[k]) for j in others]
     middle = np.array([w / 2, h / 2, 1.0])
@@ -115,7 +115,7 @@ def _sweep(
     blur = lambda image: cv2.boxFilter(image, -1, (WINDOW, WINDOW))  # noqa: E731
     mean = blur(grey[k])
     spread = np.sqrt(np.maximum(blur(grey[k] * grey[k]) - mean * mean, 0))
-    # Pixel centres lie at +0.5, and OpenCV's at whole numbers.
+    # Pixel centres are at +0.5 here, but at whole numbers in OpenCV.
     shift = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     scores = np.empty((count, h, w), np.float32)
     inside = np.ones((h, w), np.float32)
@@ -133,7 +133,7 @@ def _sweep(
             each[o] = np.where(seen & (their_spread > TEXTURE), score, -1.0)
         each.sort(axis=0)
         best = each[-AGREEING:]
-        scores[p] = blur(best.mean(0))  # neighbours have a say: single pixels are right by chance
+        scores[p] = blur(best.mean(0))  # averaged over neighbours, as single pixels may match by chance
     choice = scores.argmax(0)
     rows = np.arange(count)[:, None, None]
     top = np.take_along_axis(scores, choice[None], 0)[0]
@@ -148,7 +148,7 @@ def _sweep(
 
 
 def agreed(maps: dict[int, DepthMap], K: np.ndarray, poses: np.ndarray, k: int, others: list[int]) -> np.ndarray:
-    """The inverse depth of the k-th map where at least one other map has the same place at the same depth, else 0."""
+    """The inverse depth of the k-th map where at least one other map agrees on the place, else 0."""
     own = maps[k].inverse
     h, w = own.shape
     y, x = np.nonzero(own)

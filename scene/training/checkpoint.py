@@ -1,4 +1,4 @@
-"""Training state on disk: one safetensors file, all there or not there."""
+"""Training state on disk: one safetensors file, written atomically."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ FILE = "training.safetensors"
 
 
 def save_checkpoint(folder: Path, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
-    """Write ``tensors`` and the JSON values ``state`` into ``folder``; a reader sees the old file or the new one, never a part."""
+    """Write ``tensors`` and the JSON values ``state`` into ``folder``. A reader sees the old file or the new one, never a partial one."""
     from safetensors.torch import save_file
 
     folder.mkdir(parents=True, exist_ok=True)
     temporary = folder / f".{FILE}.tmp"
-    # safetensors refuses tensors that share memory; clones are cheap beside the write.
+    # safetensors rejects tensors that share memory; cloning is cheap compared with the write.
     save_file({k: v.detach().cpu().clone().contiguous() for k, v in tensors.items()}, temporary, metadata={"state": json.dumps(state)})
     with open(temporary, "rb") as handle:
         os.fsync(handle.fileno())
@@ -31,7 +31,7 @@ def save_checkpoint(folder: Path, tensors: dict[str, Tensor], state: dict[str, A
 
 
 def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-    """The newest checkpoint, or None where there is none or it cannot be read (training then starts over)."""
+    """The newest checkpoint, or None if there is none or it cannot be read (training then starts over)."""
     from safetensors import SafetensorError, safe_open
 
     path = folder / FILE
@@ -47,7 +47,7 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | 
 
 
 def restore(model: Model, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
-    """Give ``model`` the primitives, the motion and the colours of its cameras that `load_checkpoint` has returned."""
+    """Give ``model`` the primitives, the motion and the camera colours from what `load_checkpoint` returned."""
     device = model.device
     gaussians, convexes = _primitives(tensors)
     model.gaussians, model.convexes = gaussians.to(device), convexes.to(device)
@@ -72,7 +72,7 @@ def _primitives(tensors: dict[str, Tensor]) -> tuple[GaussianSet, ConvexSet]:
 
 
 def model_of(folder: Path) -> tuple[Model, int] | None:
-    """The model of the newest checkpoint and the step that it was written at; None as for `load_checkpoint`."""
+    """The model of the newest checkpoint and the step at which it was written; None in the same cases as `load_checkpoint`."""
     found = load_checkpoint(folder)
     if found is None:
         return None

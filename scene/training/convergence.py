@@ -1,4 +1,4 @@
-"""Whether training goes on to improve: the image loss, smoothed over the steps."""
+"""Whether training still improves, judged by the image loss smoothed over the steps."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ EVERY = 20  # steps between two points of the curve
 
 
 class SmoothedLoss:
-    """An exponential mean over all steps that were taken."""
+    """Exponential moving average of the loss over all steps taken."""
 
     def __init__(self) -> None:
-        self._mean: float | None = None  # of all steps but those that wait
-        self._waiting: list[Tensor] = []  # still on the device: reading one waits for all that was asked of it before
+        self._mean: float | None = None  # of all steps except those waiting
+        self._waiting: list[Tensor] = []  # still on the device: reading one would wait for all work queued before it
 
     def add(self, loss: Tensor) -> None:
         self._waiting.append(loss)
 
     def value(self) -> float:
-        """0 before the first step."""
+        """The average so far; 0 before the first step."""
         if self._waiting:
             for value in torch.stack(self._waiting).tolist():
                 self._mean = value if self._mean is None else 0.98 * self._mean + 0.02 * value
@@ -31,14 +31,14 @@ class SmoothedLoss:
         return 0.0 if self._mean is None else self._mean
 
     def load(self, value: float) -> None:
-        """Go on from an earlier `value`."""
+        """Continue from an earlier `value`."""
         self._mean = value
 
 
 def flat(curve: Sequence[Sequence[float]], patience: int) -> bool:
-    """The loss of the last ``patience`` steps is no better than that of the ``patience`` steps before.
+    """Whether the loss of the last ``patience`` steps is not noticeably better than that of the ``patience`` steps before them.
 
-    curve: (step, loss), a row every `EVERY` steps."""
+    curve: rows of (step, loss), one every `EVERY` steps."""
     rows = patience // EVERY
     if len(curve) < 2 * rows:
         return False

@@ -1,27 +1,27 @@
-"""Which frame a training step looks at: all of them in shuffled rounds, or a window of times that opens from the middle of the capture.
+"""Which frame a training step uses: all of them in shuffled rounds, or those of a time window that opens from the middle of the capture.
 
-A rest state that is learned from all times at once is an average, and what moved far is not in it: nothing is left that the
-deformation could carry. Where several cameras see one time, the rest state is therefore learned from the middle time alone, and the
-window opens step by step in both directions, so that each new time finds the motion of the one before it.
+A rest state learned from all times at once is an average that lacks whatever moved far, so there is nothing for the deformation to
+carry. If several cameras see the middle time, the rest state is therefore learned from that time alone. The window then opens step by
+step in both directions, so that each new time starts from the motion of its neighbour.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-MIN_CAMERAS = 4  # cameras at one time that show its shape without help from other times
-FRONT = 3  # newest times on either side, or
-FRONT_OF_ALL = 0.06  # this share of all times
-FRONT_SHARE = 0.5  # of the steps while the window opens
+MIN_CAMERAS = 4  # cameras at one time that are enough to show its shape without other times
+FRONT = 3  # the front is this many of the newest times on either side,
+FRONT_OF_ALL = 0.06  # or this share of all times if that is more
+FRONT_SHARE = 0.5  # of the steps while the window opens that use a frame of the front
 
 
 class Curriculum:
-    """The frame of each step, from seed and step alone, so that a resumed run sees what it would have seen.
+    """The frame of each step. It depends only on seed and step, so that a resumed run sees the same frames as an uninterrupted one.
 
-    train [n]: indices of the training frames. time [n] in [0, 1]: theirs. first: steps on the first window. last: step at which all times
-    are in. start: times to either side of the middle one that the first window holds. several: one time alone shows the scene
-    from several sides. With fewer than `MIN_CAMERAS` frames in the first
-    window, or last <= first, every frame is in from the start.
+    train [n]: indices of the training frames. time [n] in [0, 1]: their times. first: number of steps on the first window. last: step from
+    which all times are included. start: number of times on either side of the middle one in the first window. several: whether the
+    middle time alone shows the scene from several sides. With fewer than `MIN_CAMERAS` frames in the first
+    window, or if last <= first, all frames are included from the start.
     """
 
     def __init__(self, train: np.ndarray, time: np.ndarray, seed: int, first: int, last: int, start: int = 0) -> None:
@@ -36,14 +36,14 @@ class Curriculum:
         self.opens = enough and self.farthest > start and last > first
 
     def window(self, step: int) -> int:
-        """How many times away from the middle one the frames of this step may lie."""
+        """How many times away from the middle one the frames of step ``step`` may be."""
         if not self.opens:
             return self.farthest
         share = (step - self.first) / (self.last - self.first)
         return int(np.clip(self.start + np.ceil(share * (self.farthest - self.start)), self.start, self.farthest))
 
     def complete(self, step: int) -> bool:
-        """All times have been in for this and all later steps."""
+        """Whether all times are included at this step and all later ones."""
         return not self.opens or step >= self.last
 
     def frame(self, step: int) -> int:
@@ -59,7 +59,7 @@ class Curriculum:
         return int(rng.choice(self.train[eligible]))
 
     def probe(self, step: int, count: int) -> list[int]:
-        """Up to ``count`` different frames among those that training has reached."""
+        """Up to ``count`` different frames among those that the window includes at ``step``."""
         eligible = self.train[self.distance <= self.window(step)]
         rng = np.random.default_rng((self.seed, 1, step))
         return [int(i) for i in rng.permutation(eligible)[:count]]

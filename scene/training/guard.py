@@ -1,4 +1,4 @@
-"""A step that went wrong is rolled back and counted; a training that keeps going wrong stops with a clear message."""
+"""Non-finite steps are skipped and counted; training that produces too many in a row stops with a clear message."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ class TrainingDiverged(RuntimeError):
 
 
 def all_finite(values: Tensor) -> bool:
-    """Whether every number is finite. A sum tells ten times faster than a look at each; only one that overflowed needs the look."""
+    """Whether every number is finite. Testing the sum is ten times faster; each number is tested only if the sum is not finite."""
     return bool(torch.isfinite(values.sum())) or bool(torch.isfinite(values).all())
 
 
 class NonFiniteGuard:
-    """Checks loss and gradients before the optimiser moves anything, so a bad step never reaches the parameters."""
+    """Checks loss and gradients before the optimiser changes anything, so that a bad step never reaches the parameters."""
 
     def __init__(self) -> None:
         self.count = 0
         self._in_a_row = 0
 
     def accepts(self, loss: Tensor, parameters: dict[str, Tensor], iteration: int, frame: int) -> bool:
-        """True if the step may be taken. Raises `TrainingDiverged` after too many refusals in a row, naming step, frame and field."""
+        """Whether the step may be taken. Raises `TrainingDiverged`, naming step, frame and cause, after too many rejections in a row."""
         grads = {name: p.grad for name, p in parameters.items() if p.grad is not None}
-        # One question for all: each answer that leaves a GPU waits for all that was asked of it before.
+        # One test for all: reading a result back from a GPU waits for all work queued before it.
         sums = torch.stack([loss.detach(), *(g.sum() for g in grads.values())])
         doubtful = not bool(torch.isfinite(sums).all())
         bad = [name for name, g in grads.items() if not all_finite(g)] if doubtful else []
-        if not doubtful or (bool(torch.isfinite(loss)) and not bad):  # a sum may overflow though no number has
+        if not doubtful or (bool(torch.isfinite(loss)) and not bad):  # a sum may overflow although every number is finite
             self._in_a_row = 0
             return True
         self.count += 1

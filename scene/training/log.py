@@ -1,4 +1,4 @@
-"""What a training run tells of itself."""
+"""The record of a training run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 @dataclass
 class TrainingLog:
-    """What happened, for the artifact and the report. Curves hold [step, value, ...] rows."""
+    """What happened during training, for the artifact and the report. Curves are lists of [step, value, ...] rows."""
 
     loss: list[list[float]] = field(default_factory=list)
     psnr: list[list[float]] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""What one step minimises: the losses of Eq. 9 for one view, and the priors beside them."""
+"""What one step minimises: the losses of Eq. 9 for one view, plus the priors."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ from ..views import Views
 from .recipe import Recipe
 from .schedule import Phase
 
-WHOLE_EVERY = 8  # steps of which one looks at the whole image where the others look at the object alone
-RELINK_EVERY = 100  # steps between two searches for what carries each primitive
+WHOLE_EVERY = 8  # one step in so many uses the whole image where the others are cropped to the object
+RELINK_EVERY = 100  # steps between two searches for the parts of the motion that carry each primitive
 
 
 @dataclass(eq=False)
 class Judged:
-    """loss: what is minimised. image_loss: its part that compares pictures, detached. color, target [h, w, 3]; kept [h, w]: what counts."""
+    """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3]. kept [h, w]: the pixels
+    that count; None if all do."""
 
     loss: Tensor
     image_loss: Tensor
@@ -36,15 +37,15 @@ class Judged:
     kept: Tensor | None
 
     def psnr(self) -> float:
-        """Of the picture, where it counts."""
+        """PSNR in dB over the pixels that count."""
         share = 1.0 if self.kept is None else max(float(self.kept.float().mean()), 1e-6)
         mse = float((self.color.detach() - self.target).square().mean()) / share
         return -10 * float(np.log10(max(mse, 1e-10)))
 
 
 class Objective:
-    """unit: the viewing distance, world units. several: one time alone shows the scene from several sides. total: steps of the whole
-    training. measured_flow, measured_depth: see `Trainer`."""
+    """unit: the viewing distance, world units. several: whether one time alone shows the scene from several sides. total: number of steps
+    of the whole training. measured_flow, measured_depth: see `Trainer`."""
 
     def __init__(
         self,
@@ -72,7 +73,7 @@ class Objective:
         )
 
     def __call__(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int) -> Judged:
-        """``model`` seen as training frame ``i`` in step ``step``, counted from 0, up to spherical harmonics of ``sh_degree``."""
+        """Render ``model`` as training frame ``i`` with spherical harmonics up to ``sh_degree`` and judge it. ``step`` counts from 0."""
         views, s = self.views, self.settings
         window = None if step % WHOLE_EVERY == 0 else views.window(i, phase.scale)
         camera = views.rasterizer_camera(i, phase.scale, window)
@@ -88,13 +89,13 @@ class Objective:
             color = model.affine(color, views.recorded_by(i))
         target = views.target(i, phase.scale, window)
         kept = views.kept(i, phase.scale, window)
-        if kept is not None:  # what does not count is as it was drawn, and pulls at nothing
+        if kept is not None:  # where pixels do not count, the target is the render itself: no loss and no gradient
             target = torch.where(kept[..., None], target, color.detach())
         loss = photometric_loss(color, target, s.l1, s.ssim)
         if s.alpha and views.load_alpha is not None:
             wrong = (frame.alpha - views.alpha(i, phase.scale, window)).abs()
             loss = loss + s.alpha * (wrong if kept is None else wrong * kept).mean()
-        # As if the whole image had been looked at: there is nothing outside of the window.
+        # Scaled as a mean over the whole image: there is nothing outside the window.
         share = target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale)))
         loss = loss * share
         image_loss = loss.detach()

@@ -1,4 +1,4 @@
-"""Adam over named parameters whose rows come and go."""
+"""Adam over named parameters whose rows are added and removed during training."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ EPSILON = 1e-15
 
 
 class RowAdam:
-    """Adam with a name for every tensor, steps only for the rows (first axis) that got a gradient, and surgery on rows.
+    """Adam over named tensors that updates only the rows (first axis) that got a gradient, and whose rows can be replaced.
 
-    A row whose gradient is zero throughout was seen by no ray: it keeps its value and its moments. ``rates`` maps a name to a
-    function of progress in [0, 1] that gives the learning rate. Parameters are contiguous float32, on the CPU or a CUDA device, which
-    is not waited for. A step's number and rate are the host's: a CUDA graph would repeat the ones it was captured with.
+    A row whose gradient is all zero was seen by no ray: it keeps its value and its moments. ``rates`` maps each name to a function of
+    progress in [0, 1] that returns the learning rate. Parameters are contiguous float32 on the CPU or on a CUDA device; a step does not
+    synchronise the device. Step number and rate are host values: a CUDA graph would repeat those it was captured with.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class RowAdam:
         return dict(self._parameters)
 
     def step(self, progress: float, frozen: frozenset[str] = frozenset()) -> None:
-        """One step at ``progress`` in [0, 1]. Parameters without a gradient, and those whose name starts with one of ``frozen``, stay."""
+        """One step at ``progress`` in [0, 1]. Parameters without a gradient or whose owner (first part of the name) is ``frozen`` stay."""
         for name, p in self._parameters.items():
             if p.grad is None or not p.numel() or name.split(".")[0] in frozen:
                 continue
@@ -48,7 +48,7 @@ class RowAdam:
             p.grad = None
 
     def replace(self, name: str, new: Tensor, source: Tensor) -> None:
-        """Swap the tensor ``name`` for ``new``; row i keeps the moments of old row ``source[i]``, or starts at zero where that is -1."""
+        """Replace the tensor ``name`` by ``new``. Row i keeps the moments of old row ``source[i]``, or starts at zero if that is -1."""
         if name not in self._parameters:
             return
         self._parameters[name] = new
@@ -58,7 +58,7 @@ class RowAdam:
         kept = source >= 0
         for moment in ("exp_avg", "exp_avg_sq"):
             rows = torch.zeros_like(new, requires_grad=False)
-            if kept.any():  # with none kept, the other dimensions may differ as well
+            if kept.any():  # if no row is kept, the other dimensions may differ, too
                 rows[kept] = state[moment][source[kept]]
             state[moment] = rows
 
@@ -75,7 +75,7 @@ class RowAdam:
 
 
 def _step_rows(parameter: Tensor, grad: Tensor, first: Tensor, second: Tensor, step: int, rate: float, betas: tuple[float, float]) -> None:
-    """By the kernels of the parameter's device."""
+    """One step with the kernel for the parameter's device."""
     if parameter.device.type == "cuda":
         from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda.adam import adam_rows

@@ -1,4 +1,4 @@
-"""Learning rates: what each kind of parameter begins and ends with."""
+"""Learning rates: the first and the last rate of each kind of parameter."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Callable, Iterable
 from ..settings import TrainingSettings
 
 Rate = Callable[[float], float]
-ATTRIBUTES_END = 0.3  # of their first rates: those of means and motion settle what is where, these go on to fit its looks
+ATTRIBUTES_END = 0.3  # of the first rate: means and motion have to settle, appearance goes on learning
 
 
 def exponential(first: float, last: float) -> Rate:
-    """A rate that decays from ``first`` to ``last`` by a constant factor a step, as a function of progress in [0, 1]."""
+    """A rate that decays exponentially from ``first`` to ``last``, as a function of progress in [0, 1]."""
     return lambda progress: first * (last / first) ** min(max(progress, 0.0), 1.0)
 
 
 def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float, scale: float) -> dict[str, Rate]:
     """A rate for each parameter of ``names`` ("gaussians.means", "field.planes.space.0", "affine.offset", ...).
 
-    unit: the viewing distance, world units. scale: on the first rates of what a stage before has already trained.
+    unit: the viewing distance, world units. scale: factor on the first rates of parameters that an earlier stage has already trained.
     """
     s, k = settings, scale
     primitives: dict[str, Rate] = {
@@ -40,7 +40,7 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
         "offset": exponential(2e-3 * k, 2e-4),
     }
     planes, mlp = exponential(s.lr_field * k, s.lr_field / 10), exponential(s.lr_mlp * k, s.lr_mlp / 10)
-    # Nodes end at a fiftieth: each of their numbers moves thousands of primitives, and the last jitter would blur them all.
+    # Nodes end at a fiftieth: each of their parameters moves thousands of primitives, and jitter at the end would blur all of them.
     network = exponential(s.lr_nodes if k == 1 else s.lr_nodes / 50, s.lr_nodes / 50)
     bodies = exponential(1e-2 if k == 1 else 1e-4, 1e-4)
     radii, hyper = exponential(5e-3 * k, 5e-4), exponential(1e-4 * unit * k, 1e-5 * unit)

@@ -1,4 +1,4 @@
-"""When the parts of a training run happen, and the weights that depend on the kind of motion."""
+"""The schedule and the loss weights that depend on the kind of motion."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Recipe:
-    """What differs between motions. Times are fractions of all steps.
+    """What differs between kinds of motion. Times are fractions of all steps.
 
-    freeze_at: what has not moved by then leaves the motion. freeze_pixels: by how little, in px of the nearest camera. freeze_share: of
-    what moves, below which nothing leaves. spread_at: when the motion is spread anew over what is there. bodies_at: when parts that
-    turn are searched. opacity, still, inertia, spread: default weights of the terms of `TrainingSettings`. grow_until: default of its
-    `densify_until`. steady: growth adds an equal number in every round, not as many as the images bear. rounds: of density control at
-    most, if they went on to the last step. prune_at: when what the training views hardly blend is removed; the steps after it make up
-    for it.
+    freeze_at: when static Gaussians leave the motion. freeze_pixels: a Gaussian that travels less than this, in px of the nearest camera,
+    is static. freeze_share: if less than this share of the dynamic Gaussians is static, none leaves. spread_at: when the parts of the
+    motion are spread again over the Gaussians. bodies_at: when to search for turning parts. opacity, still, inertia, spread: defaults of
+    these weights of `TrainingSettings`. grow_until: default of its `densify_until`. steady: growth adds an equal number in every round,
+    instead of as many as the images allow. rounds: maximum number of rounds of density control, if they went on to the last step.
+    prune_at: when primitives that the training views hardly blend are removed; the steps that follow make up for the loss.
     """
 
     freeze_at: float = 0.45
@@ -54,4 +54,4 @@ NODES = Recipe(
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )
 FREE = Recipe(still=0.0, freeze_at=2.0, opens=False)
-RECIPES = {"planes": PLANES, "nodes": NODES, "free": FREE}  # by the kind in the config of a motion
+RECIPES = {"planes": PLANES, "nodes": NODES, "free": FREE}  # keyed by the "kind" in a motion's config

@@ -1,4 +1,4 @@
-"""The four training strategies of Table 3, as the phases that each of the two training stages goes through."""
+"""The four training strategies of Table 3, as the phases of the two training stages."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from ..settings import Strategy
 
 WARM_UP = 0.1  # of the coarse stage: the rest state is learned first, without motion
-ALTERNATION = 100  # steps for which one kind is refined while the other waits
+ALTERNATION = 100  # steps for which one kind is refined while the other is frozen
 HALF_RESOLUTION = 0.5
 QUARTER_RESOLUTION = 0.25
-NODE_WARM_UP, NODE_SMALL = 0.02, 0.1  # of the coarse stage with control nodes: without motion; on small images
+NODE_WARM_UP, NODE_SMALL = 0.02, 0.1  # fractions of the coarse stage with control nodes: without motion; on small images
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A run of steps under one rule.
+    """A run of steps with the same rules.
 
-    name: for people. iterations: steps. move: the deformation field takes part. scale: image size as a fraction of the full one.
-    alternation: steps after which the kinds take turns, 0 for both at once.
+    name: for people to read. iterations: number of steps. move: whether the motion takes part. scale: image size as a fraction of the full
+    size. alternation: number of steps after which Gaussians and convexes take turns; 0 trains both at once.
     """
 
     name: str
@@ -29,9 +29,9 @@ class Phase:
 
 
 def coarse_phases(strategy: Strategy, iterations: int, static: bool, full_from: float = 0.0, from_rest: bool = True) -> list[Phase]:
-    """Gaussians alone: a static warm-up, then deformation. Images have half their size up to the fraction ``full_from`` of the steps, then
-    their full size; ``progressive`` goes from a quarter to a half instead and leaves the full size to `fine`. ``joint`` ends after the
-    warm-up. Without ``from_rest`` there is no state of rest to begin with, and no warm-up.
+    """Gaussians alone: a static warm-up, then deformation. Images have half size up to the fraction ``full_from`` of the steps and full
+    size after it; ``progressive`` goes from a quarter to a half instead and leaves full size to `fine`. ``joint`` ends after the warm-up.
+    Without ``from_rest`` there is no rest state to learn first, and hence no warm-up.
     """
     first, last = (QUARTER_RESOLUTION, HALF_RESOLUTION) if strategy == "progressive" else (HALF_RESOLUTION, 1.0)
     change = round(iterations * (0.5 if strategy == "progressive" else full_from))
@@ -45,14 +45,14 @@ def coarse_phases(strategy: Strategy, iterations: int, static: bool, full_from: 
 
 
 def _split(name: str, move: bool, start: int, end: int, change: int, first: float, last: float) -> list[Phase]:
-    """Steps ``start`` to ``end``, at the size ``first`` before step ``change`` and ``last`` from there on."""
+    """Steps ``start`` to ``end``, at image scale ``first`` before step ``change`` and ``last`` from there on."""
     change = min(max(change, start), end)
     halves = [Phase(name, change - start, move, first), Phase(name, end - change, move, last)]
     return [phase for phase in halves if phase.iterations]
 
 
 def node_phases(iterations: int, scale: float) -> list[Phase]:
-    """For control nodes: a short static warm-up and the first motion on images of ``scale``, then images of full size."""
+    """Phases for control nodes: a short static warm-up and the first motion on images of ``scale``, then full-size images."""
     warm_up, small = round(iterations * NODE_WARM_UP), round(iterations * NODE_SMALL)
     phases = [Phase("warm-up", warm_up, False, scale), Phase("deformation", small - warm_up, True, scale)]
     phases.append(Phase("deformation", iterations - small, True))
@@ -60,14 +60,14 @@ def node_phases(iterations: int, scale: float) -> list[Phase]:
 
 
 def fine_phases(strategy: Strategy, coarse_iterations: int, iterations: int, static: bool) -> list[Phase]:
-    """Gaussians and convexes together; ``joint`` also does here what its coarse stage left out, ``alternating`` lets them take turns."""
+    """Gaussians and convexes together. ``joint`` adds the steps that its coarse stage left out; ``alternating`` trains them in turns."""
     left_over = coarse_iterations - round(coarse_iterations * WARM_UP) if strategy == "joint" and not static else 0
     alternation = ALTERNATION if strategy == "alternating" else 0
     return [Phase("refinement", left_over + iterations, move=not static, alternation=alternation)]
 
 
 def alike_since(phases: list[Phase], step: int) -> int:
-    """The step from which on, up to ``step``, all phases are of one image size and one rule: losses of before do not compare."""
+    """The first step from which, up to ``step``, all phases have the same scale and ``move``. Losses before it are not comparable."""
     start = since = 0
     for before, phase in zip([None, *phases], phases):
         if before is not None and (before.scale, before.move) != (phase.scale, phase.move):

@@ -1,8 +1,8 @@
-"""Parts that turn too fast for gradients to follow: found by where the error stays, and by the one rate of turning that explains it.
+"""Finds parts that turn too fast for gradients to follow: where the error stays, and the one rate of turning that explains it.
 
-A part that turns by a good share of its texture between two frames blurs to a ball, and no small change of its motion makes the ball
-sharper. So the rate is searched: at a steady angular velocity, every place of the part's surface must show one colour to all the views
-that look at it. The surface stands in as a sphere and the images are blurred accordingly; training refines what this finds.
+A part that turns by a large share of its texture between two frames blurs to a ball, and no small change of its motion makes the ball
+sharper. So the rate is searched: at the right steady angular velocity, every place on the part's surface shows one colour to all views
+that see it. A sphere stands in for the surface, and the images are blurred accordingly; training refines the result.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from torch.nn import functional as F
 from ..fibonacci import fibonacci_sphere
 from ..views import Views
 
-ERROR_SHARE = 0.15  # of the whole error: a part below is left alone
-CELLS = 50  # over the scene's longest side, in which the error is summed
+ERROR_SHARE = 0.15  # of the whole error: parts with less are left alone
+CELLS = 50  # along the scene's longest side; the error is summed in each
 SURFACE = 0.68  # radius of the sphere that stands in for the surface, as a share of the part's radius
 BLUR = 0.3  # of the sphere's radius
-PATCH = 64  # px across, for four and a half radii of the part
+PATCH = 64  # px across; a patch spans four and a half radii of the part
 DIRECTIONS = 300
 FASTEST = 22.0  # degrees a frame
-WINDOW = 6  # frames to either side in which the first search asks for one colour
-ACCEPT = 0.8  # the variance of colours must fall below this share of what it is without turning, in windows and over the capture
+WINDOW = 6  # frames to either side over which the first search expects one colour
+ACCEPT = 0.8  # the variance of colours must fall below this share of that without turning, in windows and over the capture
 MIN_FRAMES = 4 * WINDOW
 
 
 @dataclass(frozen=True)
 class Part:
-    """A compact cluster of Gaussians at rest that holds much of the error. centre [3] and radius in world units."""
+    """A compact cluster of Gaussians at rest with much of the error. centre [3] and radius in world units. share: of the whole error."""
 
     centre: np.ndarray
     radius: float
@@ -44,8 +44,8 @@ class Part:
 
 @dataclass(frozen=True)
 class Spin:
-    """A steady turn. omega: [3] rad per frame of the sequence, world axes. offset: [3] world units from the path that was given to the
-    centre of the turn. gain: the variance of colours with it, as a share of that without."""
+    """A steady turn. omega: [3] rad per frame of the sequence, world axes. offset: [3] world units, from the given path to the centre of
+    the turn. gain: the variance of colours with the turn, as a share of that without it."""
 
     omega: np.ndarray
     offset: np.ndarray
@@ -53,9 +53,9 @@ class Spin:
 
 
 def compact_parts(means: np.ndarray, error: np.ndarray) -> list[Part]:
-    """Connected places of ``means`` [N, 3] whose attributed ``error`` [N] stands out, largest share of the error first.
+    """Connected clusters of ``means`` [N, 3] whose attributed ``error`` [N] stands out, in decreasing order of their share of the error.
 
-    The error is summed in cells of space: growth puts Gaussians where the error is, so that each of them holds about as much.
+    The error is summed over cells of space, because growth puts Gaussians where the error is until each has about the same error.
     """
     if len(means) < 16 or error.sum() <= 0:
         return []
@@ -66,7 +66,7 @@ def compact_parts(means: np.ndarray, error: np.ndarray) -> list[Part]:
     of = of.reshape(-1)
     mass = np.bincount(of, error, len(cells))
     hot = np.flatnonzero(mass > 3 * np.median(mass))
-    pairs = cKDTree(cells[hot]).query_pairs(1.8, output_type="ndarray")  # neighbours, those over a corner included
+    pairs = cKDTree(cells[hot]).query_pairs(1.8, output_type="ndarray")  # neighbours, including diagonal ones
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(hot), len(hot)))
     _, label = connected_components(graph, directed=False)
     place = np.full(len(cells), -1)
@@ -86,8 +86,8 @@ def compact_parts(means: np.ndarray, error: np.ndarray) -> list[Part]:
 class SpinSearch:
     """Looks for the steady turn of one part.
 
-    views: posed images. frames [n]: indices of views in order of time. path [n, 3]: where the part's centre was seen to go, world units.
-    radius: of the part.
+    views: posed images. frames [n]: indices of views in order of time. path [n, 3]: observed path of the part's centre, world units.
+    radius: of the part, world units.
     """
 
     def __init__(self, views: Views, frames: np.ndarray, path: np.ndarray, radius: float) -> None:
@@ -109,7 +109,7 @@ class SpinSearch:
         return focal * cam[:, :2] / z[:, None] + self.K[:, :2, 2], 2.25 * self.radius * self.K[:, 0, 0] / z
 
     def _patch(self, views: Views, f: int) -> Tensor:
-        """[3, PATCH, PATCH], the part and its surroundings, blurred by `BLUR` of the sphere."""
+        """[3, PATCH, PATCH]: the part and its surroundings, blurred by `BLUR` of the sphere's radius."""
         half = float(self.half[f])
         scale = min(1.0, PATCH / (2 * half))
         image = views.target(int(self.frames[f]), 2.0 ** round(float(np.log2(max(scale, 1 / 16))))).cpu().numpy()
@@ -122,8 +122,8 @@ class SpinSearch:
         return torch.from_numpy(cv2.GaussianBlur(patch, (0, 0), sigma)).permute(2, 0, 1)
 
     def variance(self, omega: Tensor, offset: Tensor, first: int, last: int) -> Tensor:
-        """[C] mean variance, over the sphere, of the colours that frames ``first`` to ``last`` see, for C turns ``omega`` [C, 3] in rad a
-        frame about the path moved by ``offset`` [3]."""
+        """[C] mean over the sphere of the variance of the colours that frames ``first`` to ``last`` see, for C turns ``omega`` [C, 3] in
+        rad a frame about the path moved by ``offset`` [3]."""
         f = torch.arange(first, last + 1)
         turns = rotation_vectors((f - 0.5 * (first + last))[None, :, None] * omega[:, None])
         normal = torch.einsum("cfij,nj->cfni", turns, self.directions)
@@ -149,7 +149,7 @@ class SpinSearch:
         return torch.cat([sum(self.variance(o, offset, *w) for w in windows) / len(windows) for o in omega.split(size)])  # type: ignore[misc]
 
     def find(self) -> Spin | None:
-        """The turn that explains the colours best, or None where none does so much better than no turn."""
+        """The turn that explains the colours best, or None if none is much better than no turn."""
         if self.count < MIN_FRAMES:
             return None
         degree = np.pi / 180
@@ -162,7 +162,7 @@ class SpinSearch:
         omega, offset = self._descend(candidates[variance.topk(6, largest=False).indices], offset)
         half = WINDOW
         while 2 * half < self.count - 1:
-            # Twenty-five degrees at the window's ends is about what the blur forgives.
+            # The blur tolerates an error of about 25 degrees at the ends of the window.
             half = min(3 * half, self.count // 2)
             step = 25 * degree / half
             with torch.no_grad():
@@ -177,7 +177,7 @@ class SpinSearch:
         return Spin(turning[0].numpy(), offset.numpy(), gains[-1])
 
     def _descend(self, omega: Tensor, offset: Tensor, half: int = WINDOW, steps: int = 40) -> tuple[Tensor, Tensor]:
-        """The best of ``omega`` [C, 3] after gradient steps on each and on an offset of its own: ([1, 3], [3])."""
+        """The best of ``omega`` [C, 3] after gradient steps on each together with its own offset: ([1, 3], [3])."""
         best = (float("inf"), omega[:1], offset)
         rate = 10 * np.pi / 180 / half
         for start in omega:
@@ -194,7 +194,7 @@ class SpinSearch:
 
 
 def lattice(reach: float, steps: int) -> Tensor:
-    """[(2 steps + 1)^3, 3] points of a cube around zero, ``reach`` to each side."""
+    """[(2 steps + 1)^3, 3] grid points of a cube around zero that extends ``reach`` to each side."""
     line = torch.linspace(-reach, reach, 2 * steps + 1)
     return torch.cartesian_prod(line, line, line)
 

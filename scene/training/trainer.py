@@ -1,4 +1,4 @@
-"""The training loop: one view a step, density control, checkpoints, and a stop when nothing improves any more."""
+"""The training loop: one view a step, density control, checkpoints, and a stop when the loss no longer improves."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from .turning import leave_only_bodies
 class Trainer:
     """Trains ``model`` in place on ``views``.
 
-    phases: what to do, in order. settings: see `TrainingSettings`. budget: most Gaussians. lr_scale: factor on the rates of what a stage
-    before has already trained. measured_flow: for frame i the flow to its next frame [H, W, 2] px and a weight [H, W], or None where there
-    is none. measured_depth: of what stands still. checkpoints: folder of this run; a state found there is continued. advance:
-    called with (steps, note). log: a line for people.
+    phases: run in this order. settings: see `TrainingSettings`. budget: maximum number of Gaussians. lr_scale: factor on the rates of
+    parameters that an earlier stage has already trained. measured_flow: returns for frame i the flow to the camera's next frame [H, W, 2]
+    px and a weight [H, W], or None if there is none. measured_depth: of the static scene. checkpoints: folder of this run; training
+    continues from a state found there. advance: called with (steps, note). log: called with a line for people to read.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Trainer:
         self.density = DensityControl(*common, budget, grow, self._event)
 
     def run(self) -> TrainingLog:
-        """All phases, from a checkpoint where there is one."""
+        """Run all phases, starting from a checkpoint if there is one."""
         self._resume()
         started, spent = time.monotonic(), self.log.seconds
         saved = started
@@ -90,7 +90,7 @@ class Trainer:
                 if self.iteration % 10 == 0 or self.iteration == self.total:
                     self.advance(10 if self.iteration % 10 == 0 else self.iteration % 10, self._note(phase))
                 self._after_step(now)
-                if self._converged():  # before the checkpoint, which then says so
+                if self._converged():  # before saving, so that the checkpoint records it
                     self._leave_out(phase, phase.iterations - step - 1, last=done + phase.iterations == self.total)
                 if self.checkpoints is not None and time.monotonic() - saved > self.settings.checkpoint_seconds:
                     self._save()
@@ -102,7 +102,7 @@ class Trainer:
         return self.log
 
     def _step(self, phase: Phase, step: int) -> None:
-        """Step ``step`` of ``phase``: one view, and what it asks of the parameters."""
+        """Step ``step`` of ``phase``: render one view and update the parameters."""
         model, optimiser = self.model, self.learned.optimiser
         i = self.curriculum.frame(self.iteration)
         judged = self.objective(model, i, self.iteration, phase, self._sh_degree())
@@ -124,12 +124,12 @@ class Trainer:
             self.log.loss.append([self.iteration, self.loss.value()])
 
     def _sh_degree(self) -> int:
-        """Colours begin without a direction; a degree joins with every sixth of the steps."""
+        """Colours start independent of direction; one degree is added after every sixth of the steps."""
         highest = self.model.sh_degree if self.settings.sh_degree is None else self.settings.sh_degree
         return min(highest, self.iteration * 6 // max(self.total, 1)) if self.grow else highest
 
     def _frozen(self, phase: Phase, step: int) -> frozenset[str]:
-        """The kinds whose turn it is not, where they take turns."""
+        """The kinds that do not train in this step, if they take turns."""
         if not phase.alternation or not len(self.model.convexes):
             return frozenset()
         turn = (step // phase.alternation) % 2
@@ -143,8 +143,8 @@ class Trainer:
         self.density.after_step(self.iteration, phase, self.motion.bodies_alone)
 
     def _converged(self) -> bool:
-        """The loss no longer improves, and nothing came or went meanwhile: each removal costs some loss, which the steps after it make up
-        for."""
+        """Whether the loss has stopped improving while no primitive was added or removed: each removal costs some loss, which the steps
+        after it make up for."""
         progress = self.iteration / max(self.total, 1)
         if self.iteration % 100 or progress < max(0.5, self.density.grow_until):
             return False
@@ -154,7 +154,7 @@ class Trainer:
         return flat(self.log.loss, self.settings.patience)
 
     def _leave_out(self, phase: Phase, steps: int, last: bool) -> None:
-        """The rest of ``phase``, which has converged. Losses of before say nothing of the next phase."""
+        """Skip the rest of ``phase``, which has converged. Earlier losses say nothing about the next phase."""
         self._left_out, self.learned.changed = self._left_out + steps, self.iteration
         if last:
             self.log.stopped = f"converged after {self.iteration} of {self.total} steps"

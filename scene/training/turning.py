@@ -1,4 +1,4 @@
-"""A part that was found to spin becomes a rigid body that turns at the rate found, with fresh Gaussians around its centre."""
+"""Makes a part that was found to spin a rigid body that turns at the rate found, with new Gaussians around its centre."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from ..primitives import GaussianSet
 from ..views import Views
 from .spin import Part, Spin, SpinSearch, compact_parts
 
-BODY = 1.2  # radius of the body over the part's: what the part's ragged rim left out belongs to it
-FRESH = 1500  # Gaussians that a body begins with
+BODY = 1.2  # radius of the body relative to the part's, to include what the part's ragged rim left out
+FRESH = 1500  # Gaussians that a body starts with
 MOST_PARTS = 3
-MEDIAN, SMOOTH = 5, 1.5  # frames: window of a median, standard deviation of a mean, over the path of a part
-FRAMES_PER_KEY = 2  # one key a frame lost 2.3 dB on validation views of a tumbling cube against one for two
+MEDIAN, SMOOTH = 5, 1.5  # frames: median window and standard deviation of the Gaussian that smooth the path of a part
+FRAMES_PER_KEY = 2  # one key a frame instead lost 2.3 dB on validation views of a tumbling cube
 
 
 def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: int, log: Callable[[str], None]) -> Tensor | None:
-    """Search the parts that hold much of the ``error`` [N] of the Gaussians for steady turns and make each that turns a rigid body.
+    """Search for steady turns in the parts with much of the ``error`` [N] of the Gaussians, and make each part that turns a rigid body.
 
-    What is one already is left alone. Needs a model that `ControlNodes` move, whose motion is replaced. Returns, for each row of the new
-    ``model.gaussians``, the row it was before (-1: new), or None where nothing turns.
+    Existing bodies are left alone. The model must be moved by `ControlNodes`; its motion is replaced. Returns the old row of each row of
+    the new ``model.gaussians`` (-1 if new), or None if nothing turns.
     """
     source = None
     error = torch.where(bound_to_bodies(model), 0.0, error)
@@ -47,13 +47,13 @@ def bodies_for_turning_parts(model: Model, views: Views, error: Tensor, seed: in
 
 
 def bound_to_bodies(model: Model) -> Tensor:
-    """[N] bool: the Gaussians that go with a rigid body."""
+    """[N] bool: the Gaussians that belong to a rigid body."""
     assert isinstance(model.field, ControlNodes)
     return model.field.in_bodies(model.links(model.gaussians))
 
 
 def leave_only_bodies(model: Model, parameters: dict[str, Tensor]) -> None:
-    """Take the gradients of all ``parameters`` (by name, as the trainer has them) that belong to no rigid body."""
+    """Clear the gradients of all ``parameters`` (by the trainer's names) that do not belong to a rigid body."""
     others = ~bound_to_bodies(model)
     for name, parameter in parameters.items():
         if parameter.grad is None or name.startswith("field.bodies."):
@@ -66,11 +66,11 @@ def leave_only_bodies(model: Model, parameters: dict[str, Tensor]) -> None:
 
 @torch.no_grad()
 def part_path(model: Model, part: Part, times: np.ndarray) -> np.ndarray:
-    """[n, 3] where the mean of the part's Gaussians is at ``times`` [n], world units, without the jumps of single frames."""
+    """[n, 3] mean position of the part's Gaussians at ``times`` [n], world units, with jumps in single frames smoothed out."""
     means = model.gaussians.means.detach()
     members = ((means - torch.tensor(part.centre, device=means.device)).norm(dim=1) <= part.radius).nonzero()[:, 0]
     path = np.stack([model.centres_at(members, float(t)).mean(0).cpu().numpy() for t in times])
-    # A smear is carried wherever it looks best; what turns in it goes on more steadily.
+    # The blurred part is placed wherever it looks best in each frame; the real part moves more steadily.
     return gaussian_filter1d(median_filter(path, (MEDIAN, 1), mode="nearest"), SMOOTH, axis=0, mode="nearest")
 
 

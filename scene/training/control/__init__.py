@@ -1,1 +1,1 @@
-"""What comes and goes while a model learns: primitives, and parts of the motion."""
+"""What is added and removed while a model learns: primitives, and parts of the motion."""

@@ -1,7 +1,7 @@
-"""Adaptive control under a budget: primitives are added where the error is and removed where they add nothing.
+"""Density control within a budget: primitives are added where the error is and removed where they contribute nothing.
 
-What a primitive is responsible for is measured, not guessed: an extra channel that is zero everywhere is rendered with it, and the
-gradient of sum(error * channel) by the primitive's own value is sum over pixels of blending weight times error.
+What a primitive is responsible for is measured, not guessed. An extra channel that is zero everywhere is rendered along. The gradient of
+sum(error * channel) with respect to a primitive's value in it is the sum over pixels of its blending weight times the error.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from ...primitives import ConvexSet, GaussianSet, PrimitiveSet
 from ...rotation import quats_to_matrices
 from ...views import Views
 
-LEAST_LIFE = 0.5  # of probed views, within a primitive's lifetime; with less they say nothing about it
+LEAST_LIFE = 0.5  # number of probed views within a primitive's lifetime below which they say nothing about it
 
 
 @dataclass
 class Responsibility:
-    """For [N] Gaussians and [M] convexes: blending weight in px of a full-size image, as a mean over the probed views whose image holds the
-    primitive's centre, infinite where hardly any was of its lifetime; weight times error, as a mean over the probed views of its lifetime;
-    and the share of these views that its life makes up, in [0, 1]."""
+    """For [N] Gaussians and [M] convexes. weight: blending weight in px of a full-size image, as a mean over the probed views whose image
+    contains the primitive's centre; infinite if hardly any probed view is within its lifetime. error: weight times error, as a mean over
+    the probed views within its lifetime. life: the share of the probed views within its lifetime, in [0, 1]."""
 
     weight_gaussians: Tensor
     weight_convexes: Tensor
@@ -35,7 +35,7 @@ class Responsibility:
 
 
 def measure_responsibility(model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility:
-    """Render ``frames`` and attribute their absolute error (mean over channels) to the primitives that blended it."""
+    """Render ``frames`` and attribute their absolute error (mean over channels) to the primitives blended at each pixel."""
     n, m = len(model.gaussians), len(model.convexes)
     device = model.device
     total = [torch.zeros(n, 2, device=device), torch.zeros(m, 2, device=device)]
@@ -72,11 +72,12 @@ def measure_responsibility(model: Model, views: Views, frames: list[int], move: 
 
 
 def survivors(primitives: PrimitiveSet, min_opacity: float, weight: Tensor | None = None, min_weight: float = 0.0) -> Tensor:
-    """Indices (long) to keep: opaque enough, finite, and of a mean ``weight`` [N] (px a view) of at least ``min_weight``.
+    """Indices (long) to keep: opaque enough, finite, and with a mean ``weight`` [N] (px a view) of at least ``min_weight``.
 
-    What hides behind surfaces is all but free of loss in the training views and floats into others: on D-NeRF lego, dropping a trained
+    Primitives hidden behind surfaces cost almost no loss in the training views but show up in others: on D-NeRF lego, dropping a trained
     model's Gaussians below 0.2 px a view cost 0.07 dB on training views and gained 1.2 dB on held-out ones. The mean must be over many
-    views: judged by 16 views in every round, surfaces that few cameras of a rig see were lost, 0.7 dB on held-out cameras of `basketball`.
+    views: when it was over 16 views in every round, surfaces seen by few cameras of a rig were lost, which cost 0.7 dB on held-out cameras
+    of `basketball`.
     """
     keep = primitives.opacities.detach() >= min_opacity
     for parameter in primitives.parameters.values():
@@ -87,9 +88,9 @@ def survivors(primitives: PrimitiveSet, min_opacity: float, weight: Tensor | Non
 
 
 def split_along_longest_axis(gaussians: GaussianSet, index: Tensor) -> tuple[GaussianSet, Tensor]:
-    """Each Gaussian of ``index`` becomes two halves along its longest axis; the others stay.
+    """Split each Gaussian of ``index`` into two along its longest axis; the others stay.
 
-    The children sit half a standard deviation to either side; their axis shrinks to 0.6, the others to 0.9, and their opacity is
+    The children lie half a standard deviation to either side. Their longest axis shrinks to 0.6 and the others to 0.9, and their opacity is
     1 - sqrt(1 - o), so that two of them stacked are as opaque as their parent. Returns the new set and, for each of its rows, the old row
     whose optimiser state it keeps (-1 for children).
     """
@@ -121,10 +122,10 @@ def split_along_longest_axis(gaussians: GaussianSet, index: Tensor) -> tuple[Gau
 
 @torch.no_grad()
 def keep_small(convexes: ConvexSet, radius: float) -> None:
-    """Shrink those of ``convexes`` about their centroids that reach farther from it than ``radius``, world units, in place.
+    """Shrink, in place, the ``convexes`` that reach farther than ``radius`` (world units) from their centroid, about their centroid.
 
-    A convex is for an edge. One that has grown hides behind its own front what sticks out: on D-NeRF lego, the largest 6 % of them cost
-    0.9 dB on validation views, which look past that front, and gain 0.04 dB on test views.
+    A convex is meant for an edge. A large one hides, behind its own front, parts that stick out: on D-NeRF lego, the largest 6 % of the
+    convexes cost 0.9 dB on validation views, which look past that front, and gained 0.04 dB on test views.
     """
     points = convexes.points
     centres = points.mean(1, keepdim=True)
@@ -133,6 +134,6 @@ def keep_small(convexes: ConvexSet, radius: float) -> None:
 
 
 def choose_to_split(gaussians: GaussianSet, error: Tensor, count: int) -> Tensor:
-    """The ``count`` Gaussians with the largest attributed ``error`` [N]; those that no probed pixel saw are never chosen."""
+    """Indices of the ``count`` Gaussians with the largest attributed ``error`` [N]; those that no probed pixel saw are never chosen."""
     count = min(count, int((error > 0).sum()))
     return error.topk(count).indices.sort().values if count > 0 else torch.zeros(0, dtype=torch.long, device=error.device)

@@ -1,4 +1,4 @@
-"""What moves: primitives that stay where they are leave the deformation field, which is where most of a step's time goes."""
+"""Which primitives are dynamic: static ones leave the deformation field, where most of the time of a step is spent."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from torch import Tensor
 from ...model import Model
 from ...views import Views
 
-TIMES = 12  # sampled over the capture to measure how far a primitive travels
-STILL_PIXELS = 0.3  # travels less than this, seen from the nearest training camera: does not move
+TIMES = 12  # times sampled over the capture to measure how far a primitive travels
+STILL_PIXELS = 0.3  # primitives that travel less than this, seen from the nearest training camera, are static
 
 
 def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean displacement [m, 3] and largest distance from it [m], world units, over the capture, of the Gaussians ``index``."""
+    """Mean displacement [m, 3] of the Gaussians ``index`` over the capture and the largest distance from it [m], world units."""
     assert model.field is not None
     with torch.no_grad():
         rest = model.gaussians.means[index]
@@ -26,8 +26,8 @@ def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIXELS, share: float = 0.0) -> int:
-    """Take Gaussians that travel less than ``pixels`` out of the field, at their mean position, unless they are less than ``share`` of
-    those in it: picking the others out would cost more than it saves. Returns how many."""
+    """Take Gaussians that travel less than ``pixels`` out of the field and fix them at their mean position. If they are less than ``share``
+    of those in the field, none leaves, because selecting the others would cost more than it saves. Returns how many left."""
     index = model.gaussians.dynamic.nonzero()[:, 0]
     if model.field is None or not len(index):
         return 0
@@ -44,9 +44,9 @@ def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIX
 
 
 def dynamic_from_masks(points: np.ndarray, views: Views, looks: Iterable[tuple[int, np.ndarray]], share: float) -> np.ndarray:
-    """Which of ``points`` [P, 3] may move: they project onto what moves in at least ``share`` of the looks that see them. [P] bool.
+    """Which of ``points`` [P, 3] may move, as [P] bool: those on moving pixels in at least ``share`` of the looks that see them.
 
-    looks: frame number -> [H, W] uint8, 255 where something moves. A point that no look sees counts as moving.
+    looks: pairs of a frame number and a mask [H, W] uint8, 255 for moving pixels. A point that no look sees counts as dynamic.
     """
     seen = np.zeros(len(points))
     moving = np.zeros(len(points))

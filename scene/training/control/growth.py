@@ -17,18 +17,18 @@ from .density import choose_to_split, measure_responsibility, split_along_longes
 from .hidden import seen_share
 from .learned_model import LearnedModel
 
-FIRST_ROUND = 200  # step before which nothing comes or goes
+FIRST_ROUND = 200  # no round before this step
 DENSIFY_EVERY = 100
-PROBE_VIEWS, FINAL_VIEWS = 16, 120  # whose error says where to grow; whose blending says what to remove at the end
-MOST_FOR_ONE = 4  # Gaussians at most, for each of the budget, which counts those that are there at a time
-SMALL_SHARE = 0.6  # of the budget, on small images of a rig, whose cameras see more than one image holds
-GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot tell more of them apart
+PROBE_VIEWS, FINAL_VIEWS = 16, 120  # views whose error decides where to grow; views whose blending decides what to remove at the end
+MOST_FOR_ONE = 4  # maximum ratio of all Gaussians to the budget, which limits those present at one time
+SMALL_SHARE = 0.6  # of the budget, while a rig trains on small images: its cameras together see more than one image shows
+GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot distinguish more Gaussians
 
 
 class DensityControl:
-    """Adds primitives to ``learned`` where the error is, and removes those that add nothing.
+    """Adds primitives to ``learned`` where the error is, and removes those that contribute nothing.
 
-    phases: of the whole training. budget: most Gaussians. grow: whether any are added. event: told what happened.
+    phases: of the whole training. budget: maximum number of Gaussians. grow: whether any are added. event: called with what happened.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class DensityControl:
         self._hidden_at = {round(share * total) for share in recipe.hidden_at} if grow and settings.hidden else set()
 
     def after_step(self, step: int, phase: Phase, bodies_alone: bool) -> None:
-        """What is due when ``step`` steps are done. bodies_alone: only what goes with a rigid body may multiply."""
+        """Do what is due after ``step`` steps. bodies_alone: only Gaussians that belong to a rigid body may be split."""
         if step in self._hidden_at:
             self._remove_hidden(step, phase)
         if step == self._last_removal < self.total:
@@ -62,18 +62,18 @@ class DensityControl:
             self.round(step, phase, bodies_alone)
 
     def finish(self, step: int) -> None:
-        """The last removal, where the training ended before it was due."""
+        """The last removal, if training ended before it was due."""
         if step < self._last_removal or self._last_removal >= self.total:
             self._remove_hardly_seen(step)
 
     def round(self, step: int, phase: Phase, bodies_alone: bool = False) -> None:
-        """What has faded is removed; Gaussians are added where the error is."""
+        """One round: remove primitives that have faded, and add Gaussians where the error is."""
         self._prune(step)
         if not self.grow:
             return
         model, progress = self.learned.model, step / max(self.total, 1)
         measured = measure_responsibility(model, self.views, self.curriculum.probe(step, PROBE_VIEWS), phase.move, phase.scale)
-        alive = round(float(measured.life_gaussians.sum()))  # what is not there at a time costs nothing then
+        alive = round(float(measured.life_gaussians.sum()))  # Gaussians absent at a time cost nothing then
         room = min(self._most(phase) - alive, MOST_FOR_ONE * self.budget - len(model.gaussians))
         if room <= 0:
             return
@@ -84,7 +84,7 @@ class DensityControl:
         self.learned.replace(*split_along_longest_axis(model.gaussians, chosen), step)
 
     def _most(self, phase: Phase) -> int:
-        """Gaussians that the images of ``phase`` bear."""
+        """The maximum number of Gaussians that the images of ``phase`` allow."""
         if phase.scale == 1:
             return self.budget
         width, height = self.views.size(phase.scale)
@@ -92,7 +92,7 @@ class DensityControl:
         return min(self.budget, max(round(GAUSSIANS_PER_PIXEL * width * height), of_cameras))
 
     def _prune(self, step: int, weights: tuple[Tensor | None, Tensor | None] = (None, None)) -> None:
-        """Remove what is all but transparent and, where ``weights`` in px a view are known, what is hardly blended."""
+        """Remove primitives that are nearly transparent and, if ``weights`` in px a view are given, those that are hardly blended."""
         model = self.learned.model
         for primitives, weight in zip((model.gaussians, model.convexes), weights):
             keep = survivors(primitives, self.settings.min_opacity, weight, self.settings.min_weight)
@@ -100,7 +100,7 @@ class DensityControl:
                 self.learned.replace(primitives.select(keep), keep, step)
 
     def _remove_hidden(self, step: int, phase: Phase) -> None:
-        """What no view sees for what stands in front of it."""
+        """Remove Gaussians that no view sees because others are in front of them."""
         gaussians = self.learned.model.gaussians
         probed = self.curriculum.probe(step, FINAL_VIEWS)
         seen = seen_share(self.learned.model, self.views, probed, phase.move, phase.scale)
@@ -109,7 +109,7 @@ class DensityControl:
         self.learned.replace(gaussians.select(keep), keep, step)
 
     def _remove_hardly_seen(self, step: int) -> None:
-        """What the training views hardly blend."""
+        """Remove primitives that the training views hardly blend."""
         model = self.learned.model
         measured = measure_responsibility(model, self.views, self.curriculum.probe(self.total, FINAL_VIEWS), self._ends_moving, 0.5)
         before = len(model.gaussians), len(model.convexes)

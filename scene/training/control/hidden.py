@@ -1,8 +1,8 @@
-"""Which Gaussians no training view sees because others stand in front of them.
+"""Finds Gaussians that no training view sees because others are in front of them.
 
-Seeds fill a whole silhouette, and what lies behind a surface helps to paint it as long as that is not quite opaque. Training views then
-look right through a surface that is a fog in depth, and views from elsewhere, which look past the surface or on another background, show
-what is behind. Removing it while there is time to go on makes the surface opaque instead.
+Seeds fill a whole silhouette, and Gaussians behind a surface help to colour it as long as it is not quite opaque. The surface is then fog
+spread out in depth: training views look right, but views from elsewhere, which look past the surface or on another background, show what is
+behind it. Removing the hidden Gaussians early enough lets training make the surface opaque instead.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from ...model import Model, inside_image
 from ...rotation import quats_to_matrices
 from ...views import Views
 
-LEAST = 0.05  # px: of a smaller footprint nothing is said
+LEAST = 0.05  # px; smaller footprints are not judged
 
 
 def seen_share(model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Tensor:
-    """[N] of each Gaussian the share of its own footprint that reaches the camera, in that of ``frames`` which sees most of it.
+    """[N] share of each Gaussian's own footprint that reaches the camera, in whichever of ``frames`` sees most of it.
 
-    Infinite for those that no frame could see. A Gaussian in front of all else has 1; one behind surfaces of opacity a has 1 - a. The
-    blending weight is measured as in `density.measure_responsibility`, the footprint is `footprint`.
+    Infinite for those that no frame could see. A Gaussian in front of everything else has 1; one behind surfaces of opacity a has 1 - a.
+    The blending weight is measured as in `density.measure_responsibility` and divided by `footprint`.
     """
     count, device = len(model.gaussians), model.device
     best = torch.full((count,), -1.0, device=device)
@@ -46,8 +46,8 @@ def seen_share(model: Model, views: Views, frames: list[int], move: bool, scale:
 
 
 def footprint(camera: Camera, gaussians: Gaussians) -> Tensor:
-    """[N] px: the sum of each one's opacity over a picture that holds nothing else, 2 pi o sqrt(det S) with the projected covariance S
-    (Zwicker et al. 2001), for centres in front of the camera."""
+    """[N] px: the sum of each Gaussian's alpha over an image of that Gaussian alone, 2 pi o sqrt(det S) with opacity o and projected
+    covariance S (Zwicker et al. 2001), for centres in front of the camera."""
     R, T = (part.to(gaussians.means) for part in (camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]))
     fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
     x, y, z = (gaussians.means @ R.T + T).unbind(1)

@@ -1,4 +1,4 @@
-"""A model and the optimiser of its parameters, which stay together while primitives and the motion come and go."""
+"""A model and the optimiser of its parameters, kept in step while primitives and the motion are replaced."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ..rates import learning_rates
 
 
 class LearnedModel:
-    """``model``, whose parameters ``optimiser`` changes. ``changed``: the step at which primitives or the motion last came or went.
+    """``model``, whose parameters ``optimiser`` updates. ``changed``: the step at which primitives or the motion were last replaced.
 
-    unit: the viewing distance, world units. lr_scale: factor on the rates of what a stage before has already trained.
+    unit: the viewing distance, world units. lr_scale: factor on the rates of parameters that an earlier stage has already trained.
     """
 
     def __init__(self, model: Model, settings: TrainingSettings, unit: float, lr_scale: float) -> None:
@@ -27,7 +27,7 @@ class LearnedModel:
         self.changed = 0
 
     def replace(self, new: PrimitiveSet, source: Tensor, step: int) -> None:
-        """Go on with other primitives of a kind; row i keeps the optimiser's moments of old row ``source[i]``, or begins anew at -1."""
+        """Continue with a new set of a kind. Row i keeps the optimiser's moments of old row ``source[i]``; at -1 it starts afresh."""
         self.changed = step
         if isinstance(new, GaussianSet):
             self.model.gaussians = new
@@ -38,7 +38,7 @@ class LearnedModel:
             self.optimiser.replace(f"{new.KIND}.{name}", parameter, source)
 
     def renew(self, motion: Any, step: int) -> None:
-        """Go on with another motion, some of whose parameters may be those of the one before."""
+        """Continue with another motion, which may share parameters with the previous one."""
         self.changed = step
         self.model.field = motion
         self.model.relink()
@@ -48,7 +48,7 @@ class LearnedModel:
                 self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
 
     def tensors(self) -> dict[str, Tensor]:
-        """All of it by name, for a checkpoint."""
+        """All tensors by name, for a checkpoint."""
         model = self.model
         tensors = {f"parameter/{name}": p for name, p in self._named().items() if not name.startswith("field.")}
         tensors |= {f"optimiser/{name}": value for name, value in self.optimiser.state().items()}
@@ -60,7 +60,7 @@ class LearnedModel:
         return tensors
 
     def load(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
-        """Inverse of `tensors`. ``state``: what the checkpoint says beside them, with the model's config."""
+        """Inverse of `tensors`. ``state``: the JSON values of the checkpoint, which include the model's config."""
         restore(self.model, tensors, state)
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})

@@ -1,4 +1,4 @@
-"""What happens to the motion while it is learned: it is spread anew, parts that turn become bodies, and what does not move leaves it."""
+"""Changes to the motion during training: its parts are spread again, turning parts become bodies, and static Gaussians leave it."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .density import measure_responsibility
 from .dynamics import freeze_still_gaussians
 from .learned_model import LearnedModel
 
-# A new body's way is found on small images first, with all else at rest: steps on each size, at most this share of all steps.
+# New bodies settle on small images first, with everything else frozen: scales, steps at each scale, and the most as a share of all steps.
 SETTLE_SCALES, SETTLE_STEPS, SETTLE_SHARE = (0.125, 0.25, 0.5), 1000, 0.03
-SOLID = 0.2  # opacity of Gaussians over which the motion is spread
-SEARCH_VIEWS = 120  # whose error says where a part may turn
+SOLID = 0.2  # the motion is spread over Gaussians more opaque than this
+SEARCH_VIEWS = 120  # views whose error shows where a part may turn
 
 
 class MotionControl:
     """Changes the motion of ``learned`` when the recipe says so.
 
-    phases: of the whole training. event: told what happened. say: told what goes on.
+    phases: of the whole training. event: called with what happened. say: called with what is going on.
 
-    bodies_alone: new bodies find their way, and nothing else learns; as of the last `settling`.
+    bodies_alone: whether new bodies are settling while nothing else learns, as of the last `settling`.
     """
 
     def __init__(
@@ -45,20 +45,20 @@ class MotionControl:
         self.total = sum(phase.iterations for phase in phases)
         self._event, self._say = event, say
         self.bodies_alone = False
-        self._spread = 0  # times that the motion has been spread anew
-        self._searched = 0  # times that parts that turn were looked for
-        self._joined: int | None = None  # step at which the last body joined
+        self._spread = 0  # how often the motion has been spread again
+        self._searched = 0  # how often turning parts have been searched for
+        self._joined: int | None = None  # step at which the last body was added
         self._froze = False
 
     def settling(self, phase: Phase, step: int) -> Phase:
-        """``phase``, on smaller images while new bodies find their way."""
+        """``phase``, with smaller images while new bodies settle."""
         each = max(1, min(SETTLE_STEPS, round(SETTLE_SHARE * self.total)))
         turn = (step - self._joined) // each if self._joined is not None else len(SETTLE_SCALES)
         self.bodies_alone = turn < len(SETTLE_SCALES)
         return replace(phase, scale=min(phase.scale, SETTLE_SCALES[turn])) if self.bodies_alone else phase
 
     def after_step(self, step: int, phase: Phase, skipped: dict[str, int]) -> None:
-        """What is due when ``step`` steps are done. ``skipped`` is told how many Gaussians left the motion."""
+        """Do what is due after ``step`` steps. The number of Gaussians that left the motion is written to ``skipped``."""
         progress = step / max(self.total, 1)
         self._spread_anew(step, progress)
         if self._searched < len(self.recipe.bodies_at) and progress >= self.recipe.bodies_at[self._searched]:
@@ -71,7 +71,7 @@ class MotionControl:
             self._event(f"step {step}: {count} of {len(model.gaussians)} Gaussians do not move and left the field")
 
     def state(self) -> dict[str, Any]:
-        """For a checkpoint, as JSON."""
+        """JSON values for a checkpoint."""
         return {"froze": self._froze, "motion": [self._spread, self._searched, self._joined]}
 
     def load(self, state: dict[str, Any]) -> None:
@@ -80,7 +80,7 @@ class MotionControl:
         self._spread, self._searched, self._joined = state["motion"]
 
     def _spread_anew(self, step: int, progress: float) -> None:
-        """Where the recipe says so, over what is opaque by then."""
+        """Spread the motion over the opaque Gaussians, if it is due by the recipe."""
         model = self.learned.model
         if model.field is None or self._spread >= len(self.recipe.spread_at) or progress < self.recipe.spread_at[self._spread]:
             return
@@ -93,7 +93,7 @@ class MotionControl:
         self._event(f"step {step}: the motion is spread anew")
 
     def _search_bodies(self, step: int, phase: Phase) -> None:
-        """Parts that hold much of the error and turn too fast for gradients."""
+        """Search for parts that have much of the error and turn too fast for gradients."""
         self._searched, model = self._searched + 1, self.learned.model
         self._say("looking for parts that turn")
         probed = self.curriculum.probe(step, SEARCH_VIEWS)
