@@ -1,7 +1,7 @@
 """Reads and writes whole arrays directly from and to their chunk files, byte for byte as zarr stores them.
 
-Reading compares each file with the manifest. It takes half of zarr's time for an array that does not compress, and a little less than
-half for one that does, because zarr passes every chunk through an event loop and copies it more than once.
+Reading compares each file with the manifest. It takes half of zarr's time for an array that does not compress, and slightly less than
+zarr's time for one that does: zarr passes every chunk through an event loop and copies it more than once.
 """
 
 from __future__ import annotations
