@@ -1,4 +1,5 @@
-// Pack, a vector of doubles that serves math/ as the scalar type, to process several primitives at once. Each instruction set has its width.
+// Pack, a vector of doubles that serves as the scalar type of math/, to process several primitives at once. Its width depends on the
+// instruction set.
 #pragma once
 #include <cstdint>
 

@@ -1,4 +1,5 @@
-// Interface of the kernels from primitives to records and back, many at a time. Compiled once for each instruction set; plain data only, as in blend.h.
+// The interface of the kernels from primitives to records and back, many at a time. They are compiled once for each instruction set. Plain
+// data only, as in blend.h.
 #pragma once
 #include <cstdint>
 

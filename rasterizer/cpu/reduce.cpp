@@ -1,4 +1,4 @@
-// The backward pass: first over the tiles; then each primitive's slots are summed and propagated back to the inputs. Sums are taken in double
+// The backward pass: first over the tiles; then each primitive's slots are summed and propagated back to the inputs. Sums are in double and
 // in a fixed order, so the number of threads does not change a single bit.
 #include <vector>
 

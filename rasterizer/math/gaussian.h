@@ -77,8 +77,8 @@ E4DGS_HD Truth<T> project_gaussian(const Camera<T>& cam, const S* mean, const S*
     return good;
 }
 
-// The factor f for the exponent in alpha = 2^(log2(opacity) - u^2 - v^2) with u = f[0] dx + f[1] dy, v = f[2] dy and (dx, dy) = pixel - mean:
-// a triangular factor of the inverse covariance. Again there is no cancellation, because squares are only added.
+// f for the exponent in alpha = 2^(log2(opacity) - u^2 - v^2), where u = f[0] dx + f[1] dy, v = f[2] dy and (dx, dy) = pixel - mean.
+// It is a triangular factor of the inverse covariance. Again there is no cancellation, because squares are only added.
 template <class T>
 E4DGS_HD void exponent_factor(const GaussianView<T>& v, T* f) {
     const T half = sqrt(T(0.5 * kLog2E));
