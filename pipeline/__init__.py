@@ -1,4 +1,4 @@
-"""Stages, keys, store, plan and runner of a workflow; knows nothing of 3D. See DESIGN.md."""
+"""The stages, keys, store, plan and runner of a workflow. Nothing here knows about 3D. See DESIGN.md."""
 
 from .earlier import Earlier
 from .errors import ArtifactError, CaptureError, DamagedError, PipelineError, SettingsError, StageError

@@ -1,4 +1,4 @@
-"""Earlier results of a stage from which parts are taken over: items, such as pairs of frames, that are what they were."""
+"""Finds an earlier result of a stage from which unchanged items, such as pairs of frames, can be reused."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .storage.artifact import Artifact
 if TYPE_CHECKING:
     from .storage.store import Store
 
-RECENT = 8  # results of other captures that are looked at, those used last; more would make plans slow in a store of thousands
+RECENT = 8  # most recently used results per store that are considered; more would make planning slow in a store of thousands
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """A result of the same code and settings, held as long as this lives. ``rows``: number of an item in the result that is to be made
-    -> its number in this one; ``total``: items of the result that is to be made."""
+    """A result with the same code and settings, held for the lifetime of this object. ``rows`` maps the index of an item in the result
+    to be made to its index in this one. ``total``: number of items in the result to be made."""
 
     artifact: Artifact
     rows: Mapping[int, int]
@@ -30,12 +30,12 @@ class Earlier:
 
     @property
     def new(self) -> int:
-        """Items that have to be made."""
+        """Number of items that have to be computed."""
         return self.total - len(self.rows)
 
 
 def item_digests(job: Job, stage: Stage, inputs: Mapping[str, Artifact | None]) -> list[str]:
-    """A digest for each of `Stage.item_parts`, the inputs being known; [] for a stage whose result is made as a whole alone."""
+    """One digest for each of `Stage.item_parts`, given the inputs; [] for a stage whose result has no separate items."""
     if not stage.items:
         return []
     digests = job.capture_files if stage.reads_capture else {}
@@ -44,8 +44,8 @@ def item_digests(job: Job, stage: Stage, inputs: Mapping[str, Artifact | None]) 
 
 
 def find_earlier(job: Job, stage: Stage, parts: Mapping[str, Any], key: str, inputs: Mapping[str, Artifact | None]) -> Earlier | None:
-    """The result that has most items of the one that is to be made under ``key``, among the scene's last and those used last; None where
-    there is none. Its bytes have not been looked at."""
+    """The earlier result that shares the most items with the one to be made under ``key``. Candidates are the scene's last result and the
+    most recently used ones. None if no candidate shares an item. The bytes of the result have not been checked."""
     if not stage.items:
         return None
     wanted: list[str] | None = None
@@ -59,7 +59,7 @@ def find_earlier(job: Job, stage: Stage, parts: Mapping[str, Any], key: str, inp
         if wanted is None:
             try:
                 wanted = item_digests(job, stage, inputs)
-            except ArtifactError:  # an input is damaged; the run finds it, and asks again
+            except ArtifactError:  # an input is damaged; the run will detect that and ask again
                 return None
         row_of = {digest: row for row, digest in enumerate(items)}
         rows = {number: row_of[digest] for number, digest in enumerate(wanted) if digest in row_of}
@@ -71,7 +71,7 @@ def find_earlier(job: Job, stage: Stage, parts: Mapping[str, Any], key: str, inp
         return None
     try:
         return Earlier(where[0].open(stage.name, where[1]), best, len(wanted))
-    except ArtifactError:  # it went away just now, or a file of it did
+    except ArtifactError:  # the result, or one of its files, has just been removed
         job.refused.add(where[0].path(stage.name, where[1]))
         return find_earlier(job, stage, parts, key, inputs)
 
@@ -93,12 +93,12 @@ def _candidates(job: Job, stage: Stage, key: str) -> Iterator[tuple[Store, str]]
 
 
 def _items(manifest: Mapping[str, Any], parts: Mapping[str, Any]) -> list[str]:
-    """The items of a result, [] where it was made by other code, with other settings, or on another class of devices."""
+    """The items of a result; [] if it was made by different code, with different settings, or on another class of device."""
     provenance = manifest["provenance"]
     alike = _own(provenance.get("parts", {})) == _own(parts)
     return provenance.get("items", []) if alike else []
 
 
 def _own(parts: Mapping[str, Any]) -> dict[str, Any]:
-    """Key parts without what the items' digests stand for."""
+    """Key parts without the inputs and the capture, which the items' digests cover."""
     return {name: value for name, value in deciding(parts).items() if name not in ("inputs", "capture")}

@@ -1,16 +1,16 @@
-"""The errors that reach a user; each message names the file, frame or field and says what to do next."""
+"""The errors that users see. Each message names the file, frame or field and says what to do next."""
 
 import unicodedata
 from pathlib import Path
 
 _DIRECTIONS = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
-LONGEST = 1000  # characters of a message that quotes files which nobody has read
+LONGEST = 1000  # characters of a message that may quote arbitrary text from a capture's files
 
 
 def one_line(text: str) -> str:
-    """``text`` with line breaks, control characters and broken Unicode written as escapes, and its middle left out where it is long.
+    """``text`` with line breaks, control characters and invalid Unicode written as escapes. A long text is shortened in the middle.
 
-    A name in a capture could otherwise break the line, or move a terminal's cursor.
+    Otherwise a name in a capture could break the line or move the terminal's cursor.
     """
     if len(text) > LONGEST:
         text = f"{text[: LONGEST - 300]} ... {text[-295:]}"
@@ -18,13 +18,13 @@ def one_line(text: str) -> str:
 
 
 def is_odd(character: str) -> bool:
-    """A control character, a line separator, half of a surrogate pair, or what turns the direction of writing: no plain text. Joiners and
-    spaces of all kinds, which names of files do have, are."""
+    """Whether a character is not plain text: a control character, a line separator, half of a surrogate pair, or one that changes the
+    writing direction. Joiners and all kinds of spaces count as plain text, because file names do contain them."""
     return unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp") or character in _DIRECTIONS
 
 
 class PipelineError(Exception):
-    """Base of every error that is shown as one message, without a traceback."""
+    """Base class of all errors that are shown as one message, without a traceback."""
 
     exit_code = 1
 
@@ -34,7 +34,7 @@ class StageError(PipelineError):
 
 
 class CaptureError(PipelineError):
-    """The capture cannot be used as it is: exit code 2. Its message is one line of printable text, whatever the capture's names hold."""
+    """The capture cannot be used as it is: exit code 2. The message is one line of printable text, whatever names the capture contains."""
 
     exit_code = 2
 
@@ -53,7 +53,7 @@ class ArtifactError(PipelineError):
 
 
 class DamagedError(ArtifactError):
-    """An artifact is not as it was written. ``problem`` names the file and says what is wrong; the message adds what to do."""
+    """An artifact differs from what was written. ``problem`` names the file and says what is wrong; the message adds what to do."""
 
     def __init__(self, path: Path, file: str, what: str, advice: str = "run the stage again") -> None:
         super().__init__(f"{path / file}: {what}; {advice}")

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and their digests."""
+"""Atomic file writes, and digests of files."""
 
 import json
 import os
@@ -12,11 +12,11 @@ from blake3 import blake3
 
 from .machine.threads import thread_count, waiting_threads
 
-_FEW, _SMALL = 16, 1 << 20  # files, and bytes of each, that are digested before threads have begun
+_FEW, _SMALL = 16, 1 << 20  # up to this many files, of up to this many bytes each, starting threads would not pay off
 
 
 def canonical_json(value: Any) -> bytes:
-    """One byte string for equal values: sorted keys, no spaces."""
+    """JSON bytes that are identical for equal values: sorted keys, no spaces."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
 
 
@@ -34,7 +34,7 @@ def digest_file(path: Path) -> str:
 
 
 def digest_files(root: Path, files: Iterable[str | Path]) -> dict[str, str]:
-    """Relative name (``/`` as separator) -> digest, in sorted order; several files at a time where that is worth threads."""
+    """Relative name (``/`` as separator) -> digest, in sorted order. Uses threads if there are enough files or large ones."""
     names = sorted(Path(file).as_posix() for file in files)
     if len(names) <= _FEW and all(os.path.getsize(root / name) <= _SMALL for name in names):
         return {name: digest_file(root / name) for name in names}
@@ -43,7 +43,7 @@ def digest_files(root: Path, files: Iterable[str | Path]) -> dict[str, str]:
 
 
 def sizes(root: Path) -> dict[str, int]:
-    """Relative name -> bytes of every regular file below ``root``. A link or device counts as -1, so it matches nothing."""
+    """Relative name -> size in bytes of every file below ``root``. A link or device counts as -1, which matches no size."""
     found: dict[str, int] = {}
     pending = [("", str(root))]
     while pending:
@@ -59,7 +59,7 @@ def sizes(root: Path) -> dict[str, int]:
 
 
 def sync_file(path: Path) -> None:
-    """Asks the system to have a file, or a folder's list of names, on disk."""
+    """Calls fsync on a file or on a folder (its directory entries)."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -76,7 +76,7 @@ def sync_tree(root: Path, files: Iterable[str]) -> None:
 
 
 def write_atomically(path: Path, data: bytes | str) -> None:
-    """Replaces ``path`` in one step: a reader, or a crash, sees the old content or the new, never a part."""
+    """Replaces ``path`` in one step: readers see either the old or the new content, never a part of it, even after a crash."""
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
@@ -89,7 +89,7 @@ def write_atomically(path: Path, data: bytes | str) -> None:
     except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
         if isinstance(error, OSError) and error.filename is None:
-            error.filename = str(path)  # a write that fails does not say where
+            error.filename = str(path)  # the error of a failed write does not name the file
         raise
     sync_file(path.parent)
 
@@ -100,7 +100,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file, or None when it is absent or not JSON."""
+    """The content of a JSON file, or None if the file cannot be read or is not JSON."""
     try:
         return json.loads(path.read_bytes())
     except (OSError, ValueError):

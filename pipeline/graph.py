@@ -1,4 +1,4 @@
-"""The stages of a workflow in the order in which they run."""
+"""The stages of a workflow, in the order in which they run."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -8,7 +8,7 @@ from .stage import Stage
 
 
 class Graph:
-    """A directed acyclic graph of stages: every stage is listed after its inputs. Raises ValueError when it is not."""
+    """A directed acyclic graph of stages. Raises ValueError unless every stage is listed once and after its inputs."""
 
     def __init__(self, stages: Sequence[Stage]) -> None:
         self.stages: dict[str, Stage] = {}
@@ -29,11 +29,11 @@ class Graph:
 
     @property
     def settings(self) -> dict[str, type[Settings]]:
-        """Settings class of every stage, by name."""
+        """The settings class of every stage, by stage name."""
         return {stage.name: stage.settings for stage in self}
 
     def needed_for(self, targets: Iterable[str]) -> list[Stage]:
-        """The targets and everything that they read, directly or not, in running order."""
+        """The targets and every stage that they read directly or indirectly, in running order."""
         wanted: set[str] = set()
         pending = list(targets)
         while pending:
@@ -45,7 +45,7 @@ class Graph:
 
 
 def check_targets(graph_names: Iterable[str], target: str) -> list[str] | None:
-    """``"all"`` -> None (every stage), a stage's name -> that name alone; raises SettingsError for anything else."""
+    """``"all"`` -> None (every stage); a stage's name -> a list of just that name. Raises SettingsError for anything else."""
     names = list(graph_names)
     if target == "all":
         return None

@@ -1,4 +1,4 @@
-"""One run of a workflow on one capture: everything that its keys depend on."""
+"""One run of a workflow on one capture, with everything that its keys depend on."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .storage.store import Store
 
 @dataclass
 class Job:
-    """``settings`` holds an instance for every stage of the graph; ``device`` is "cpu" or "cuda".
+    """``settings`` holds one instance for every stage of the graph. ``device`` is "cpu" or "cuda".
 
-    also: stores that are only read, whose results are taken over into ``store`` instead of computed.
+    also: stores that are only read. A result found in one of them is copied into ``store`` instead of being computed.
     """
 
     graph: Graph
@@ -30,11 +30,11 @@ class Job:
     records: Records
     device: str = "cpu"
     also: Sequence[Store] = ()
-    refused: set[Path] = field(default_factory=set)  # results in any store that turned out to be damaged, and are not asked for again
+    refused: set[Path] = field(default_factory=set)  # results, in any store, that turned out to be damaged and are not tried again
 
     @cached_property
     def capture_files(self) -> dict[str, str]:
-        """Content digests of the capture's files, computed once and only when a stage asks for them. Raises CaptureError."""
+        """Content digests of the capture's files, computed once, when a stage first needs them. Raises CaptureError."""
         return capture_files(self.capture)
 
     @cached_property
@@ -43,6 +43,6 @@ class Job:
         return digest_of_files(self.capture_files)
 
     def parts(self, stage: Stage, inputs: Mapping[str, str | None]) -> dict[str, Any]:
-        """Key parts of a stage, given the content digests of its inputs (None: skipped)."""
+        """Key parts of a stage, given the content digests of its inputs (None for a skipped input)."""
         capture = self.capture_digest if stage.reads_capture else None
         return key_parts(stage, self.settings[stage.name], inputs, capture, self.device)

@@ -1,4 +1,4 @@
-"""Cache keys: everything that decides a stage's result, and nothing else (never a time stamp)."""
+"""Cache keys. A key covers everything that determines a stage's result and nothing else; in particular, no time stamps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .stage import Capture, Stage
 
 
 def capture_files(capture: Capture) -> dict[str, str]:
-    """Relative name -> BLAKE3 of the content of each file of a capture. Raises CaptureError for one that cannot be read."""
+    """Relative name -> BLAKE3 digest of the content, for each file of a capture. Raises CaptureError if a file cannot be read."""
     try:
         return digest_files(Path(capture.root), capture.files)
     except OSError as error:
@@ -25,17 +25,17 @@ def capture_files(capture: Capture) -> dict[str, str]:
 
 
 def capture_digest(capture: Capture) -> str:
-    """BLAKE3 over the relative names and contents of all files of a capture. Raises CaptureError for a file that cannot be read."""
+    """BLAKE3 digest of the relative names and contents of all files of a capture. Raises CaptureError if a file cannot be read."""
     return digest_of_files(capture_files(capture))
 
 
 def digest_of_files(digests: Mapping[str, str]) -> str:
-    """One digest of what `capture_files` found."""
+    """One digest of the mapping that `capture_files` returns."""
     return digest_bytes(canonical_json(digests))
 
 
 def settings_parts(settings: Settings) -> dict[str, Any]:
-    """The settings as JSON; a ``Path`` field counts with the content of the file that it names."""
+    """The settings as JSON. A ``Path`` field is represented by the content digest of the file it names."""
     parts = settings.model_dump(mode="json")
     for name in type(settings).model_fields:
         value = getattr(settings, name)
@@ -54,11 +54,11 @@ def _file_digest(name: str, path: Path) -> str:
 
 
 def key_parts(stage: Stage, settings: Settings, inputs: Mapping[str, str | None], capture: str | None, device: str) -> dict[str, Any]:
-    """What a stage's result depends on, as JSON.
+    """Everything that a stage's result depends on, as JSON.
 
-    ``inputs`` maps input stages to the content digests of their artifacts (None: skipped). Content, not keys: an input that was
-    made again and came out equal leaves this key as it was, and the rerun stops there. ``code`` also has the digest of each source file,
-    for people. Raises StageError for a stage whose source cannot be found.
+    ``inputs`` maps input stages to the content digests of their artifacts (None: skipped). Contents are used rather than keys, so that an
+    input that was recomputed with an identical result leaves this key unchanged and the rerun stops there. ``code`` also lists the digest
+    of each source file, for display only. Raises StageError for a stage whose source cannot be found.
     """
     parts: dict[str, Any] = {
         "stage": stage.name,
@@ -74,10 +74,10 @@ def key_parts(stage: Stage, settings: Settings, inputs: Mapping[str, str | None]
 
 
 def key_of(parts: Mapping[str, Any]) -> str:
-    """32 hex digits that name a result in the store."""
+    """The 32 hex digits that name a result in the store."""
     return digest_bytes(canonical_json(deciding(parts)))[:32]
 
 
 def deciding(parts: Mapping[str, Any]) -> dict[str, Any]:
-    """Key parts without the names of source files: one that merely moves changes no key."""
+    """Key parts without the list of source files, so that moving a file does not change a key."""
     return {**parts, "code": parts["code"]["digest"]} if "code" in parts else dict(parts)

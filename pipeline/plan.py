@@ -1,4 +1,4 @@
-"""What a run would do, stage by stage, and why; nothing runs and nothing heavy is imported."""
+"""What a run would do, stage by stage, and why. Planning runs no stage and imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from .storage.artifact import Artifact
 
 @dataclass(frozen=True)
 class Row:
-    """A stage in the plan. ``reason`` says why it is in its state, ``task`` what it does for this capture ("" for rows that are skipped).
-    ``key`` and ``parts`` are unknown (None) while an input has still to be made."""
+    """A stage in the plan. ``reason`` says why it is in its state, ``task`` what it does for this capture ("" for skipped rows).
+    ``key`` and ``parts`` are None while an input has not been made yet, because they are unknown until then."""
 
     stage: str
     state: Literal["cached", "run", "skip"]
@@ -30,9 +30,9 @@ class Row:
     parts: Mapping[str, Any] | None = None
     artifact: Artifact | None = None  # of a cached row
     task: str = ""
-    damage: str = ""  # which file of the result that lies there is damaged, and how
-    source: Path | None = None  # another store, from which a cached row's result has still to be taken over
-    earlier: Earlier | None = None  # of a row that runs: the result from which items are taken over
+    damage: str = ""  # which file of the stored result is damaged, and how
+    source: Path | None = None  # for a cached row: another store that holds the result, which has yet to be copied into this one
+    earlier: Earlier | None = None  # for a row that runs: the earlier result whose items are reused
 
     def as_json(self) -> dict[str, Any]:
         shown = {"stage": self.stage, "state": self.state, "reason": self.reason, "task": self.task}
@@ -40,9 +40,9 @@ class Row:
 
 
 def make_plan(job: Job, targets: Iterable[str] | None = None, force: Collection[str] = ()) -> list[Row]:
-    """Rows for the targets (default: all stages) and what they need, in running order.
+    """Rows for the targets (default: all stages) and the stages they need, in running order.
 
-    ``force`` names stages that run although they are cached.
+    ``force`` names stages that run even if they are cached.
     """
     names = list(job.graph.stages) if targets is None else list(targets)
     rows: dict[str, Row] = {}
@@ -56,7 +56,7 @@ def make_plan(job: Job, targets: Iterable[str] | None = None, force: Collection[
 
 
 def assess(job: Job, stage: Stage, inputs: Mapping[str, Artifact | None], forced: bool = False) -> Row:
-    """The row of a stage whose inputs are known (None: skipped)."""
+    """The row of a stage whose inputs are all known (None for a skipped input)."""
     settings = job.settings[stage.name]
     applies = stage.applies(job.capture.facts, settings)
     if not applies.needed:
@@ -87,10 +87,10 @@ def assess(job: Job, stage: Stage, inputs: Mapping[str, Artifact | None], forced
 
 
 def _elsewhere(job: Job, stage: str, key: str) -> tuple[Path, Artifact] | None:
-    """The first of the other stores that has a result, and the result."""
+    """The first of the other stores that has this result, together with the result; None if no store has it."""
     for store in job.also:
         if store.has(stage, key) and store.path(stage, key) not in job.refused:
-            with suppress(ArtifactError):  # what is wrong in a store that we only read is its owner's to mend
+            with suppress(ArtifactError):  # we only read this store, so repairing it is left to its owner
                 return store.root, store.open(stage, key)
     return None
 
@@ -110,7 +110,8 @@ def _run_reason(job: Job, stage: Stage, parts: Mapping[str, Any], key: str) -> s
 
 
 def _unknown(job: Job, stage: Stage, waiting: list[Row], forced: bool) -> Row:
-    """A stage behind one that runs: its key is known once that one is done, and an equal result would stop the rerun there."""
+    """The row of a stage that waits for another one. Its key is known only once that one is done; if the other's result comes out
+    unchanged, this stage need not run."""
     reason = f"after {', '.join(row.stage for row in waiting)}"
     record = job.records.read(stage.name)
     if record is None:

@@ -1,4 +1,4 @@
-"""What was last run for one scene: the key parts of every stage, so that a rerun can say what changed."""
+"""Records of the last run of every stage for one scene: the key parts, so that a rerun can say what changed."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 
 from .files import read_json, write_json
 
-SHOWN = 4  # source files that are named where several have changed
-_ABSENT = "(absent)"  # a field that only the other version of a stage has
+SHOWN = 4  # at most this many changed source files are listed by name
+_ABSENT = "(absent)"  # stands for a field that only one version of a stage has
 
 
 class Records:
-    """One JSON file a stage in a scene's folder: ``{"key", "parts", "digest"}`` of the stage's last result."""
+    """One JSON file per stage in a scene's folder: ``{"key", "parts", "digest"}`` of the stage's last result."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
 
     def read(self, stage: str) -> dict[str, Any] | None:
-        """The record of a stage's last result, or None."""
+        """The record of a stage's last result, or None if there is no valid record."""
         record = read_json(self.folder / f"{stage}.json")
         valid = isinstance(record, dict) and isinstance(record.get("key"), str) and isinstance(record.get("parts"), dict)
         return record if valid else None
@@ -31,7 +31,7 @@ class Records:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """Which key fields differ, one line each: ``settings.iterations: 3000 -> 2000``."""
+    """The key fields that differ, one line each: ``settings.iterations: 3000 -> 2000``."""
     lines = []
     for field in sorted({*old, *new}):
         before, after = old.get(field), new.get(field)
@@ -43,7 +43,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
                     lines.append(_line(field, name, before.get(name, _ABSENT), after.get(name, _ABSENT)))
         elif field == "code":
             lines += changed_files(before, after)
-        elif field == "version":  # of a result that has no code in its key
+        elif field == "version":  # from older results, whose keys did not contain the code
             continue
         elif field == "capture":
             lines.append("the capture's files have another content")
@@ -53,7 +53,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 
 
 def changed_files(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> list[str]:
-    """Which source files differ: ``scene/training/rates.py has changed``. Files that have moved do not."""
+    """The source files that differ: ``scene/training/rates.py has changed``. A file that merely moved is not listed."""
     if before is None or after is None:
         return ["made by an earlier version, whose keys did not hold the code"]
     if before["digest"] == after["digest"]:
@@ -71,7 +71,7 @@ def changed_files(before: Mapping[str, Any] | None, after: Mapping[str, Any] | N
 
 
 def _listed(files: Sequence[str]) -> str:
-    """At most `SHOWN` names, and how many more there are."""
+    """Lists at most `SHOWN` names and says how many more there are."""
     shown, more = list(files[:SHOWN]), len(files) - SHOWN
     if more > 0:
         return f"{', '.join(shown)} and {more} more"

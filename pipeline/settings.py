@@ -1,6 +1,6 @@
-"""Settings of a stage: frozen, complete, ranges checked, and written as ``stage.key=value`` on the command line.
+"""Settings of a stage: frozen, complete and range-checked. On the command line they are written as ``stage.key=value``.
 
-The same object makes the command line, the cache key and the record that replays a run.
+The command line, the cache key and the record for replaying a run are all derived from the same object.
 """
 
 import difflib
@@ -15,9 +15,9 @@ from .errors import SettingsError
 
 
 class Settings(BaseModel):
-    """Base of every stage's settings. Give each field a range and a description (``Field(8, ge=0, description=...)``).
+    """Base class of every stage's settings. Give each field a range and a description (``Field(8, ge=0, description=...)``).
 
-    A field of type ``Path`` counts in the cache key with the content of the file, not with its name.
+    A field of type ``Path`` enters the cache key as the content of the file, not its name.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
@@ -33,10 +33,10 @@ def split_assignment(text: str) -> tuple[str, str, str]:
 
 
 def build_settings(classes: Mapping[str, type[Settings]], assignments: Iterable[tuple[str, Any]]) -> dict[str, Settings]:
-    """Settings of every stage: defaults, then the assignments in order (a later one wins).
+    """The settings of every stage: the defaults, then the assignments in order (a later one wins).
 
-    ``classes`` maps stage names to settings classes. An assignment is ``("stage.key", value)``; a value that is a string
-    is parsed by the field's type. Raises SettingsError that lists the valid keys or the field's range.
+    ``classes`` maps stage names to settings classes. An assignment is ``("stage.key", value)``; a string value is parsed
+    according to the field's type. Raises a SettingsError that lists the valid keys or the field's range.
     """
     values: dict[str, dict[str, Any]] = {stage: {} for stage in classes}
     for name, value in assignments:
@@ -58,7 +58,7 @@ def build_settings(classes: Mapping[str, type[Settings]], assignments: Iterable[
 
 
 def describe(stage: str, key: str, field: FieldInfo) -> str:
-    """One line about a setting: its type, range, default and description."""
+    """One line that describes a setting: its type, range, default and description."""
     kind = getattr(field.annotation, "__name__", None) if not getattr(field.annotation, "__args__", None) else None
     kind = kind or str(field.annotation).replace("typing.", "").replace("pathlib.", "")
     limits = []

@@ -1,4 +1,4 @@
-"""What a stage is, and what it is given when it runs."""
+"""The base class of stages, and what a stage is given when it runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Capture(Protocol):
-    """Input files of a run. ``facts`` are known from names and headers alone; ``files`` are relative to ``root``."""
+    """The input files of a run. ``facts`` come from file names and headers only. ``files`` are relative to ``root``."""
 
     @property
     def root(self) -> Path: ...
@@ -48,8 +48,8 @@ class Applies:
 
 @dataclass(frozen=True)
 class Given:
-    """What a result is made from. ``digests``: relative name of each file of the capture -> digest of its content; empty for a stage that
-    does not read the capture."""
+    """What a result is made from. ``digests`` maps the relative name of each of the capture's files to the digest of its content; it is
+    empty for a stage that does not read the capture."""
 
     capture: Capture
     facts: Mapping[str, Any]
@@ -59,35 +59,35 @@ class Given:
 
 
 class Stage:
-    """One step of a workflow: reads artifacts, writes one artifact. Subclasses set the class attributes and write ``run``.
+    """One step of a workflow: reads artifacts and writes one artifact. Subclasses set the class attributes and implement ``run``.
 
-    Its key holds the source that `run` reaches by import statements; what is imported under a computed name is not seen.
-    A stage must give the same arrays and attrs for the same key; what varies from run to run (timings) goes to ``ctx.out.info``.
+    The key covers the source that `run` reaches through import statements. Modules imported under a computed name are not detected.
+    A stage must produce the same arrays and attrs for the same key; values that vary from run to run (timings) go to ``ctx.out.info``.
     """
 
     name: ClassVar[str]  # CLI name and settings prefix
-    inputs: ClassVar[tuple[str, ...]] = ()  # names of stages; a skipped one arrives as None
+    inputs: ClassVar[tuple[str, ...]] = ()  # names of stages; the artifact of a skipped stage is None
     settings: ClassVar[type[Settings]] = Settings
-    reads_capture: ClassVar[bool] = False  # the capture's content digest enters the key
-    device_class: ClassVar[bool] = False  # results differ between cpu and cuda, the key says which
-    items: ClassVar[str] = ""  # what a result consists of ("pairs"), where items of an earlier one may be taken over
+    reads_capture: ClassVar[bool] = False  # if True, the key includes the content digest of the capture
+    device_class: ClassVar[bool] = False  # if True, results differ between cpu and cuda, and the key includes the device
+    items: ClassVar[str] = ""  # what a result consists of ("pairs"), if items of an earlier result may be reused
 
     def applies(self, facts: Mapping[str, Any], settings: Any) -> Applies:
-        """Whether there is anything to do; must be quick and import nothing heavy."""
+        """Whether the stage has anything to do. Must be quick and import nothing heavy."""
         return Applies.yes()
 
     def estimate(self, facts: Mapping[str, Any], settings: Any) -> float | None:
-        """Expected wall time in seconds, or None where nobody has measured it. ``facts["new_items"]`` is there where the others
-        are taken over from an earlier result."""
+        """Expected wall time in seconds, or None if it has not been measured. If items of an earlier result are reused,
+        ``facts["new_items"]`` is the number of items left to compute."""
         return None
 
     def item_parts(self, given: Given) -> Sequence[Any]:
-        """For each item, in their order, all that decides it beside code, settings and device class, as JSON. Quick, like `applies`: a
-        plan asks for it as soon as the inputs are known."""
+        """For each item, in order, everything that determines it other than code, settings and device class, as JSON. Must be quick, like
+        `applies`, because a plan calls it as soon as the inputs are known."""
         return ()
 
     def resources(self, facts: Mapping[str, Any], settings: Any, device: str) -> Resources:
-        """What it takes while it runs on ``device``; must be quick and import nothing heavy."""
+        """The resources the stage uses while it runs on ``device``. Must be quick and import nothing heavy."""
         return Resources(gpu=self.device_class and device == "cuda")
 
     def run(self, ctx: Context) -> None:
@@ -97,16 +97,16 @@ class Stage:
 
 @dataclass
 class Context:
-    """What a running stage may touch."""
+    """Everything that a running stage may use."""
 
     capture: Capture
     facts: Mapping[str, Any]
     settings: Any  # the stage's own Settings instance
     inputs: Mapping[str, Artifact | None]
     out: ArtifactWriter
-    checkpoints: Path  # survives a kill, belongs to this key, emptied once the stage is published
+    checkpoints: Path  # folder for this key only; survives a kill and is removed once the result is published
     device: str  # "cpu" | "cuda"
     log: Callable[[str], None]  # one line for the user and the report
     progress: Callable[[int, str], Progress]  # progress(total, label)
-    earlier: Earlier | None = None  # a result that has some of the items already; all of its bytes were read and found sound
-    lends: bool = True  # a stage sets it to False where its result has no items after all
+    earlier: Earlier | None = None  # an earlier result that already has some of the items; every byte of it has been verified
+    lends: bool = True  # a stage sets this to False if its result has no reusable items after all

@@ -1,4 +1,4 @@
-"""Which setting, input or source file of a stage changed since the stage last ran for a scene."""
+"""Explains which setting, input or source file of a stage has changed since the stage last ran for a scene."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from .plan import make_plan
 
 
 def explain(job: Job, stage: str) -> list[str]:
-    """Sentences for a person: the stage's own row, then the rows of those it waits for, nearest cause last. Raises SettingsError."""
+    """Lines for the user: first the stage's own row, then the rows of the stages that it waits for, nearest ones first. Raises
+    SettingsError."""
     rows = {row.stage: row for row in make_plan(job, [stage])}
     verb = {"cached": "would be reused", "run": "would run", "skip": "would be skipped"}
     lines = [f"{stage} {verb[rows[stage].state]}: {rows[stage].reason}"]

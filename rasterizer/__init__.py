@@ -1,4 +1,4 @@
-"""Primitives to images, with gradients: 3D Gaussians and smooth convexes blended in one pass. See DESIGN.md."""
+"""Differentiable rendering of primitives: 3D Gaussians and smooth convexes, blended in one pass. See DESIGN.md."""
 
 from .rasterize import rasterize
 from .types import Camera, Convexes, Frame, Gaussians

@@ -1,4 +1,4 @@
-"""The CPU backend: a torch.autograd.Function around the C++ kernels. float32; bit-equal for any number of threads."""
+"""The CPU backend: a torch.autograd.Function around the C++ kernels. float32; results are bit-identical for any number of threads."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ LEADING = 3  # K, cam_from_world and background come before the primitives' fiel
 
 
 def rasterize_cpu(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor) -> Frame:
-    """Render with the C++ kernels; see `rasterize`, which checks the arguments and makes them uniform before it calls this.
+    """Render with the C++ kernels. Called by `rasterize`, which has checked the arguments and made them uniform.
 
-    All tensors of primitives and the background are contiguous float32 on the CPU; extras of both kinds have one width E. K and
+    The primitives' tensors and the background are contiguous float32 on the CPU; the extras of both kinds have the same width E. K and
     cam_from_world may be float32 or float64 and are used in float64. Gradients are computed only for inputs that require them.
     """
     tensors = [camera.K.double(), camera.cam_from_world[:3].double(), background]
@@ -56,7 +56,7 @@ class _Rasterize(torch.autograd.Function):
         ctx.kept = _cpu.forward(camera, gaussians, convexes, frame, keep, torch.get_num_threads())
         ctx.set_materialize_grads(False)
         if keep:
-            # Versions are checked by autograd: an input changed in place between forward and backward is an error, not a wrong gradient.
+            # Autograd checks versions: changing an input in place between forward and backward is an error, not a wrong gradient.
             ctx.save_for_backward(frame["alpha"], frame["depth"], *tensors)
         visible = frame["visible_gaussians"].bool(), frame["visible_convexes"].bool()
         ctx.mark_non_differentiable(*visible)
@@ -69,7 +69,7 @@ class _Rasterize(torch.autograd.Function):
         grad: dict[str, Any] = {name: None if g is None else g.float().contiguous() for name, g in zip(IMAGES, grads)}
         grad |= {"alpha_image": alpha.detach(), "depth_image": depth.detach()}
         wanted = ctx.needs_input_grad[3:]
-        # The kernels write every row of a primitive's gradient; K has places that nothing reaches.
+        # The kernels write every row of the primitives' gradients. In K's gradient, some entries are never written.
         make = [torch.zeros_like] * LEADING + [torch.empty_like] * (len(tensors) - LEADING)
         out = [new(t) if need and t is not None else None for new, need, t in zip(make, wanted, tensors)]
         camera: dict[str, Any] = {
@@ -80,7 +80,7 @@ class _Rasterize(torch.autograd.Function):
         convexes = dict(zip(CONVEX_FIELDS, out[LEADING + len(GAUSSIAN_FIELDS) :]))
         _cpu.backward(ctx.kept, grad, camera, gaussians, convexes, torch.get_num_threads())
         if camera["camera"] is not None:
-            limit = torch.finfo(torch.float32).max  # scales at the end of float32's range would give infinities here
+            limit = torch.finfo(torch.float32).max  # scales near the end of float32's range would give infinities here
             intrinsics = camera["camera"].clamp_(-limit, limit)
             if out[0] is not None:
                 out[0][0, 0], out[0][1, 1], out[0][0, 2], out[0][1, 2] = intrinsics[:4]

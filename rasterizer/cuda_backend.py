@@ -1,4 +1,4 @@
-"""The CUDA backend: a torch.autograd.Function around the kernels. float32; sums in a fixed order where torch is asked for determinism."""
+"""The CUDA backend: a torch.autograd.Function around the kernels. float32; sums in a fixed order if torch is set to be deterministic."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ LEADING = 3  # K, cam_from_world and background come before the primitives' fiel
 
 
 def rasterize_cuda(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor) -> Frame:
-    """Render with the CUDA kernels; see `rasterize`, which checks the arguments and makes them uniform before it calls this.
+    """Render with the CUDA kernels. Called by `rasterize`, which has checked the arguments and made them uniform.
 
-    All tensors of primitives are contiguous float32 on one device; extras of both kinds have one width E. Camera and background may lie on
-    the CPU, which saves waiting for the device. Gradients are computed only for inputs that require them; with
-    `torch.use_deterministic_algorithms(True)` they are bit-equal from run to run.
+    The primitives' tensors are contiguous float32 on one device; the extras of both kinds have the same width E. The camera and the
+    background may be on the CPU, which avoids waiting for the device. Gradients are computed only for inputs that require them. With
+    `torch.use_deterministic_algorithms(True)` they are bit-identical from run to run.
 
-    Raises what `launcher_for` raises, MemoryError and torch.OutOfMemoryError where the frame does not fit.
+    Raises what `launcher_for` raises; MemoryError and torch.OutOfMemoryError if the frame does not fit.
     """
     launcher = launcher_for(gaussians.means.device)
     tensors = [camera.K, camera.cam_from_world, background]
@@ -51,7 +51,7 @@ class _Rasterize(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         if keep:
             ctx.launcher, ctx.view, ctx.state = launcher, view, state
-            # Versions are checked by autograd: an input changed in place between forward and backward is an error, not a wrong gradient.
+            # Autograd checks versions: changing an input in place between forward and backward is an error, not a wrong gradient.
             ctx.save_for_backward(images["alpha"], images["depth"], *tensors)
         visible = state.visible.bool()
         seen = visible[: inputs.n], visible[inputs.n :]
@@ -72,7 +72,7 @@ class _Rasterize(torch.autograd.Function):
         except torch.OutOfMemoryError as cause:
             raise torch.OutOfMemoryError(_what_to_lower(inputs, True, cause)) from cause
         if wanted["camera"]:
-            limit = torch.finfo(torch.float32).max  # scales at the end of float32's range would give infinities here
+            limit = torch.finfo(torch.float32).max  # scales near the end of float32's range would give infinities here
             numbers = found["camera"].clamp(-limit, limit)
             fx, fy, cx, cy = numbers[:4].unbind()
             zero = torch.zeros_like(fx)
@@ -85,7 +85,7 @@ class _Rasterize(torch.autograd.Function):
 
 
 def _names(inputs: Inputs) -> list[str]:
-    """The gradients' names in the order of the tensors; a kind has either sh or colors, the other one's name leads nowhere."""
+    """Names of the gradients, in the order of the tensors. A kind has either sh or colors; no gradient has the name of the other one."""
     names = ["K", "cam_from_world", "background"]
     for kind, owner, fields in (("gaussians", inputs.gaussians, GAUSSIAN_FIELDS), ("convexes", inputs.convexes, CONVEX_FIELDS)):
         for field in fields:

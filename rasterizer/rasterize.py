@@ -1,4 +1,4 @@
-"""The public entry: checks its arguments, makes both kinds uniform, and hands them to one backend."""
+"""The public entry point: checks its arguments, brings both kinds of primitive into a uniform form, and calls one backend."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Owner = TypeVar("Owner", Camera, Gaussians, Convexes)
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
 POINTS = (3, 8)
-FAR_CAMERA = 1e3  # world units; beyond it float32 coordinates lose more than a hundredth of a pixel, so the scene is recentred
+FAR_CAMERA = 1e3  # world units; beyond this, float32 coordinates are off by more than a hundredth of a pixel, so the scene is recentred
 
 
 def rasterize(
@@ -31,18 +31,18 @@ def rasterize(
     """Render Gaussians and convexes, depth-sorted together and blended front to back in one pass (Edge4DGS, Eq. 1-7).
 
     camera: see `Camera`. gaussians, convexes: see `Gaussians`, `Convexes`; either may be None or empty.
-    background: [3] float, added to the colour behind what the primitives cover; None is black.
-    backend: "cpu" (C++ kernels, float32), "cuda" (float32), "reference" (plain torch, float64), or "auto" for the kernels of
-        the device on which the tensors are.
-    validate: True raises on non-finite or out-of-range values of primitives; False culls those primitives alone, with zero
-        gradient. A non-finite camera or background always raises.
+    background: [3] float, the colour behind the primitives; None is black.
+    backend: "cpu" (C++ kernels, float32), "cuda" (float32), "reference" (plain torch, float64), or "auto", which selects the
+        kernels for the device of the tensors.
+    validate: if True, non-finite or out-of-range values of a primitive raise an error. If False, only the affected primitives are
+        culled, with zero gradient. A non-finite camera or background always raises.
 
-    Inputs are float32 or float64 tensors on one device; gradients reach every one of them, K and cam_from_world included. Beside
-    primitives on a CUDA device, camera and background may stay on the CPU, which saves waiting for the device. Inside the capture of a
-    CUDA graph their values are not checked.
+    Inputs are float32 or float64 tensors on one device. Gradients flow to all of them, including K and cam_from_world. If the primitives
+    are on a CUDA device, the camera and the background may stay on the CPU, which avoids waiting for the device. Their values are not
+    checked while a CUDA graph is being captured.
 
-    Raises TypeError for what is not a float tensor, ValueError for shapes and values (both name the field), RuntimeError
-    where the backend cannot be loaded.
+    Raises TypeError for anything that is not a float tensor, ValueError for bad shapes and values (both name the field), RuntimeError
+    if the backend cannot be loaded.
     """
     capturing = torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
     check_camera(camera, values=not capturing)
@@ -98,7 +98,7 @@ def rasterize(
 
 
 def _check(name: str, value: object, shape: tuple[int | None, ...], device: torch.device | None = None) -> None:
-    """Refuse what is not a float32/float64 tensor of this shape (None: any length) on this device (None: any)."""
+    """Raise unless the value is a float32 or float64 tensor of this shape (None: any length) on this device (None: any)."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
     if value.dtype not in (torch.float32, torch.float64):
@@ -111,7 +111,7 @@ def _check(name: str, value: object, shape: tuple[int | None, ...], device: torc
 
 
 def _device_of(camera: Camera, gaussians: Gaussians | None, convexes: Convexes | None) -> torch.device:
-    """The device that all tensors must be on: the camera's, or the primitives' where that is a CUDA device and the camera's is the CPU."""
+    """The device that all tensors must be on: the camera's, or the primitives' if those are on a CUDA device and the camera on the CPU."""
     for value in (getattr(gaussians, "means", None), getattr(convexes, "points", None)):
         if isinstance(value, Tensor) and value.device.type == "cuda" and camera.K.device.type == "cpu":
             return value.device
@@ -150,7 +150,7 @@ def _check_convexes(convexes: Convexes) -> None:
 
 
 def _check_looks(kind: str, owner: Gaussians | Convexes, n: int) -> None:
-    """Colours, SH and extras: the same rules for both kinds."""
+    """Check colours, SH and extras. The rules are the same for both kinds of primitive."""
     if (owner.sh is None) == (owner.colors is None):
         raise ValueError(f"{kind}: give exactly one of sh and colors, got {'neither' if owner.sh is None else 'both'}")
     if owner.colors is not None:
@@ -164,7 +164,7 @@ def _check_looks(kind: str, owner: Gaussians | Convexes, n: int) -> None:
 
 
 def _pad_extras(gaussians: Gaussians, convexes: Convexes) -> tuple[Gaussians, Convexes]:
-    """Give both kinds extras of one width: zeros for a kind without, width 0 where neither has any."""
+    """Give both kinds extras of the same width: zeros for a kind that has none, width 0 if neither has any."""
     ours, theirs = gaussians.extras, convexes.extras
     if ours is not None and theirs is not None and ours.shape[1] != theirs.shape[1]:
         raise ValueError(f"gaussians.extras and convexes.extras must have one width, got {list(ours.shape)} and {list(theirs.shape)}")
@@ -191,21 +191,21 @@ def _empty_convexes(camera: Camera, device: torch.device | None = None) -> Conve
 
 
 def _cast(owner: Owner, dtype: torch.dtype) -> Owner:
-    """Every tensor of a dataclass as a contiguous tensor of this dtype, still attached to the graph."""
+    """Convert every tensor of a dataclass to a contiguous tensor of this dtype that stays attached to the autograd graph."""
     values = {field.name: getattr(owner, field.name) for field in fields(owner)}
     changes: dict[str, Any] = {name: value.to(dtype).contiguous() for name, value in values.items() if isinstance(value, Tensor)}
     return replace(owner, **changes)
 
 
 def _recentre(camera: Camera, gaussians: Gaussians, convexes: Convexes) -> tuple[Camera, Gaussians, Convexes]:
-    """Move scene and camera together so that a far camera sits near the origin before coordinates are rounded to float32.
+    """Translate scene and camera together, so that a far camera is near the origin before coordinates are rounded to float32.
 
-    The image is the same (means - c and t + R c for any fixed c). So are the gradients, except for the part of
-    cam_from_world's that points off the rigid transforms, through the view direction of SH; hence only where it pays.
+    The image stays the same (means - c and t + R c for any fixed c). So do the gradients, except for the component of
+    cam_from_world's gradient that leaves the rigid transforms and comes from the view direction of SH. So this is done only if it pays off.
     """
     world = camera.cam_from_world.double()
     with torch.no_grad():
-        centre = (-world[:3, :3].T @ world[:3, 3]).to(torch.float32)  # exactly representable in either dtype
+        centre = (-world[:3, :3].T @ world[:3, 3]).to(torch.float32)  # exactly representable in both dtypes
     if float(centre.norm()) <= FAR_CAMERA:
         return camera, gaussians, convexes
     moved = world[:, 3:] + world[:, :3] @ centre.double()[:, None]

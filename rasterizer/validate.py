@@ -1,4 +1,4 @@
-"""Which values are acceptable: of a camera (raises), and of each primitive (a mask for culling, or an error that names it)."""
+"""Checks of values: of a camera (raises), and of each primitive (gives a mask for culling, or an error that names the primitive)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from torch import Tensor
 
 from .types import Camera, Convexes, Gaussians
 
-SKEW = 1e-6  # of fx; below it is rounding of whoever composed K
-LAST_ROW = 1e-3  # largest deviation of cam_from_world's last row from 0 0 0 1; more than that is a transposed matrix
+SKEW = 1e-6  # relative to fx; smaller skew is taken for a rounding error in K
+LAST_ROW = 1e-3  # largest deviation of cam_from_world's last row from 0 0 0 1; a larger one suggests a transposed matrix
 
 _RANGES: dict[str, tuple[str, Callable[[Tensor], Tensor]]] = {
     "scales": ("> 0", lambda x: x > 0),
@@ -24,7 +24,7 @@ _RANGES: dict[str, tuple[str, Callable[[Tensor], Tensor]]] = {
 
 
 def check_camera(camera: Camera, values: bool = True) -> None:
-    """Raise TypeError or ValueError, naming the field, unless this camera can be rendered from. Without `values` none is looked at."""
+    """Raise a TypeError or ValueError that names the field if this camera cannot be used. ``values=False`` reads no tensor values."""
     if not isinstance(camera, Camera):
         raise TypeError(f"camera must be a Camera, got {type(camera).__name__}")
     for name, shape in (("K", (3, 3)), ("cam_from_world", (4, 4))):
@@ -47,7 +47,7 @@ def check_camera(camera: Camera, values: bool = True) -> None:
         raise ValueError(f"camera.near must be positive and finite, got {camera.near}")
     if not values:
         return
-    # One transfer: on another device each would wait for all that was asked of it before.
+    # One transfer, because on another device every transfer waits for all work queued before it.
     numbers = torch.cat([camera.K.detach().double().flatten(), camera.cam_from_world.detach().double().flatten()]).tolist()
     K, pose = [numbers[at : at + 3] for at in (0, 3, 6)], [numbers[at : at + 4] for at in (9, 13, 17, 21)]
     for name, rows in (("K", K), ("cam_from_world", pose)):
@@ -63,9 +63,9 @@ def check_camera(camera: Camera, values: bool = True) -> None:
 
 
 def bad_values(owner: Gaussians | Convexes) -> dict[str, Tensor]:
-    """Per field, [N] bool: the primitives whose value there is non-finite or out of range.
+    """For each field, [N] bool: the primitives whose value in that field is non-finite or out of range.
 
-    Judged after rounding to float32, so that all backends cull the same primitives whatever they compute in.
+    Values are judged after rounding to float32, so that all backends cull the same primitives, whatever precision they compute in.
     """
     found = {}
     for field in fields(owner):
@@ -81,12 +81,12 @@ def bad_values(owner: Gaussians | Convexes) -> dict[str, Tensor]:
 
 
 def usable(owner: Gaussians | Convexes) -> Tensor:
-    """[N] bool: the primitives all of whose values are finite and in range; the others are culled."""
+    """[N] bool: True for primitives whose values are all finite and in range. The others are culled."""
     return ~torch.stack(list(bad_values(owner).values())).any(0)
 
 
 def check_values(owner: Gaussians | Convexes) -> None:
-    """Raise a ValueError that names field and index of the first bad value of each kind of field."""
+    """Raise a ValueError that names the first field with a bad value, and the index of the first primitive that has one there."""
     kind = type(owner).__name__.lower()
     for name, bad in bad_values(owner).items():
         if not bool(bad.any()):

@@ -1,1 +1,1 @@
-"""The source that a stage's run reaches, as digests: keys hold them, so that no result of other code is ever taken for this one's."""
+"""Digests of the source code that a stage's run reaches. They are part of the key, so a result of different code is never reused."""

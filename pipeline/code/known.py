@@ -1,4 +1,4 @@
-"""What source files count as, kept on disk: parsing a few hundred of them would take most of a second at each start."""
+"""Keeps the parsed form of source files on disk. Parsing a few hundred of them would take most of a second at each start."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ..files import digest_bytes, write_atomically
 from .native_source import NativeSource, read_native
 from .python_source import PythonSource, read_python
 
-PYTHON = "python{}.{}".format(*sys.version_info)  # an older one may not parse what a later one does
-MOST = 5000  # files that are remembered; beyond it, those found first go
+PYTHON = "python{}.{}".format(*sys.version_info)  # an older version may fail to parse what a newer one accepts
+MOST = 5000  # files to remember; beyond that, the oldest entries are dropped
 
 
 class KnownSources:
-    """Found by the digest of a file's content, never by its name or time. A file of the cache that is damaged, or of a folder that cannot
-    be used, is no error: then everything is parsed."""
+    """A cache of parsed sources. Entries are found by the digest of a file's content, never by its name or modification time. If the cache
+    file is damaged or its folder cannot be used, that is not an error: everything is parsed again."""
 
     def __init__(self) -> None:
         self._known: dict[str, dict[str, Any]] | None = None
@@ -38,11 +38,11 @@ class KnownSources:
         return NativeSource(**self._get(kind, data, lambda: asdict(read_native(name, data))))
 
     def save(self) -> None:
-        """Writes what has been parsed since the last time, if anything."""
+        """Writes the cache file if anything was parsed since it was last written."""
         if not self._new or self._known is None or (path := cache_file()) is None:
             return
         self._new = False
-        with suppress(OSError):  # it is parsed again next time
+        with suppress(OSError):  # the files are parsed again next time
             files = dict(list(self._known.items())[-MOST:])
             content = json.dumps({"by": _readers(), "files": files}, separators=(",", ":"))
             write_atomically(path, f"{digest_bytes(content.encode())}\n{content}")
@@ -58,7 +58,7 @@ class KnownSources:
 
 
 def cache_file() -> Path | None:
-    """In $E4DGS_CACHE, else in e4dgs in $XDG_CACHE_HOME or ~/.cache, as compiled kernels are; None where there is no home either."""
+    """The cache file: in $E4DGS_CACHE, or else in e4dgs/ below $XDG_CACHE_HOME or ~/.cache. None if there is no home folder either."""
     chosen, base = os.environ.get("E4DGS_CACHE"), os.environ.get("XDG_CACHE_HOME", "")
     try:
         folder = Path(chosen).expanduser() if chosen else (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "e4dgs"
@@ -77,6 +77,6 @@ def _load() -> dict[str, dict[str, Any]]:
 
 
 def _readers() -> str:
-    """Digest of the code that says what a file counts as."""
+    """Digest of the code that turns a file into its entry here."""
     here = Path(__file__).parent
     return digest_bytes((here / "python_source.py").read_bytes() + (here / "native_source.py").read_bytes())

@@ -1,7 +1,7 @@
-"""What of a C++, CUDA or CMake file can decide a result: everything but comments and white space.
+"""The part of a C++, CUDA or CMake file that can affect a result: everything except comments and white space.
 
-`python native_source.py ROOT FILE` writes a list of what the sources of all packages in ROOT count as. The build calls it, because an
-installed package has no C++ sources.
+`python native_source.py ROOT FILE` writes a list with the digests and includes of the native sources of all packages in ROOT. The build
+calls it, because an installed package has no C++ sources.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from blake3 import blake3  # nothing of ours is imported here: the build runs this file alone
+from blake3 import blake3  # imports nothing from this package, because the build runs this file on its own
 
-CPU = (".cpp", ".cc", ".c", ".h", ".hpp", ".inl", "CMakeLists.txt")  # ends of the names of files that compiled modules are made of
+CPU = (".cpp", ".cc", ".c", ".h", ".hpp", ".inl", "CMakeLists.txt")  # name endings of the files that compiled modules are built from
 CUDA = (".cu", ".cuh")
 LIST = "native_sources.json"
 
@@ -31,14 +31,14 @@ _INCLUDE = re.compile(r'^\s*#\s*include\s*"([^"]+)"', re.MULTILINE)
 
 @dataclass(frozen=True)
 class NativeSource:
-    """``digest``: of the code, "" where there is none. ``includes``: the names that it includes in quotes."""
+    """``digest``: of the code, "" if there is none. ``includes``: the names in its ``#include "..."`` lines."""
 
     digest: str
     includes: list[str] = field(default_factory=list)
 
 
 def read_native(name: str, data: bytes) -> NativeSource:
-    """What a file of this name and content counts as."""
+    """The `NativeSource` of a file with this name and content."""
     text = data.decode(errors="surrogateescape").replace("\\\r\n", "").replace("\\\n", "")
     cmake = name.endswith("CMakeLists.txt")
     text = (_CMAKE_COMMENTS if cmake else _COMMENTS).sub(lambda found: " " if found["comment"] else found[0], text)
@@ -61,7 +61,7 @@ def native_files(folder: Path) -> list[str]:
 
 
 def write_list(root: Path, target: Path) -> None:
-    """For each native source of the packages in ``root``, by its path: its `NativeSource`."""
+    """Writes ``target``, a JSON file that maps the path of each native source of the packages in ``root`` to its `NativeSource`."""
     packages = [folder for folder in sorted(root.iterdir()) if (folder / "__init__.py").is_file()]
     files = {f"{package.name}/{name}": package / name for package in packages for name in native_files(package)}
     found = {name: asdict(read_native(name, path.read_bytes())) for name, path in files.items()}

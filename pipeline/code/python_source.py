@@ -1,4 +1,4 @@
-"""What of a Python file can decide a result: no comments, docstrings or formatting, and nothing that only a plan asks for."""
+"""The part of a Python file that can affect a result: no comments, docstrings or formatting, and nothing that only planning uses."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 
 from ..files import digest_bytes
 
-PLANNING = ("applies", "estimate", "resources")  # methods of stages that a plan asks, and a run does not
-UNUSED = ("__all__", "__version__")  # names at the top of a file whose values decide nothing
-_UNTOLD = ("ctx", "kind", "type_comment", "type_ignores")  # fields of a tree that follow from others, or are comments
+PLANNING = ("applies", "estimate", "resources")  # methods of a stage that are called for planning but not by the run
+UNUSED = ("__all__", "__version__")  # module-level names whose values cannot affect a result
+_UNTOLD = ("ctx", "kind", "type_comment", "type_ignores")  # fields of a syntax tree that follow from other fields, or are comments
 
 
 @dataclass(frozen=True)
 class PythonSource:
-    """``digest``: of the code, "" where there is none. Of relative imports it holds the names and not the places, so that a file may move.
+    """``digest``: of the code, "" if there is none. For a relative import it covers the names but not the module, so that a file may move.
 
-    ``imports``: (dots, module, names) of each import anywhere in the file, in order; no names for ``import module``. Imports for type
-    checkers alone are left out. ``names``: what is bound at the top of the file. ``later``: of a file whose ``__getattr__`` finds
-    names when they are asked for, what it looks them up in (``{"Model": ".model"}``); neither counts as code.
+    ``imports``: (dots, module, names) of each import anywhere in the file, in order; names is empty for ``import module``. Imports that
+    only type checkers see are left out. ``names``: names bound at module level. ``later``: for a file whose ``__getattr__`` imports names
+    on demand, the dict in which it looks them up (``{"Model": ".model"}``). Neither that dict nor ``__getattr__`` counts as code.
     """
 
     digest: str
@@ -29,7 +29,7 @@ class PythonSource:
 
 
 def read_python(data: bytes) -> PythonSource:
-    """The same for all versions of Python that can parse the file. What cannot be parsed counts byte for byte."""
+    """Returns the same for every version of Python that can parse the file. A file that cannot be parsed counts byte for byte."""
     try:
         tree = ast.parse(data)
     except (SyntaxError, ValueError):
@@ -42,20 +42,20 @@ def read_python(data: bytes) -> PythonSource:
 
 
 def _without_index(statements: list[ast.stmt], reader: _Reader) -> list[ast.stmt]:
-    """Statements of a file without `UNUSED` names, and without what only finds names later, of which the reader is told."""
+    """The statements of a file without `UNUSED` names and without the machinery for lazy imports, which is recorded in ``reader``."""
     lazy = [part for part in statements if isinstance(part, ast.FunctionDef) and part.name in ("__getattr__", "__dir__")]
     indices = [part for part in statements if isinstance(part, ast.Assign) and _index(part.value)] if lazy else []
     for part in indices:
         reader.later |= _index(part.value)
     unused = [part for part in statements if isinstance(part, ast.Assign) and _last_name(part.targets[0]) in UNUSED]
-    if not indices:  # `__getattr__` is a function like others
+    if not indices:  # no lookup dict, so `__getattr__` is an ordinary function
         return [part for part in statements if part not in unused]
     reader.names += [part.name for part in lazy]
     return [part for part in statements if part not in (*lazy, *indices, *unused)]
 
 
 def _index(node: ast.AST) -> dict[str, str]:
-    """Names and the modules that they are found in, where this is a dict of such."""
+    """The entries of a dict literal that maps names to relative modules; {} for anything else."""
     if not isinstance(node, ast.Dict):
         return {}
     pairs = [(getattr(key, "value", None), getattr(value, "value", None)) for key, value in zip(node.keys, node.values)]
@@ -64,20 +64,20 @@ def _index(node: ast.AST) -> dict[str, str]:
 
 
 class _Reader:
-    """Writes a tree down, field by field. Fields that are empty are left out, since later versions of Python add such."""
+    """Writes out a syntax tree field by field. Empty fields are left out, because newer versions of Python add such fields."""
 
     def __init__(self) -> None:
         self.out: list[str] = []
         self.imports: list[tuple[int, str, list[str]]] = []
         self.names: list[str] = []
         self.later: dict[str, str] = {}
-        self._inside = 0  # functions and classes around
+        self._inside = 0  # number of enclosing functions and classes
 
     def node(self, node: ast.AST) -> None:
         if isinstance(node, ast.Constant):
             self.out.append(f"{type(node.value).__name__} {node.value!a}")
         elif isinstance(node, ast.Pass) or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
-            return  # a docstring, or nothing at all
+            return  # a docstring, another constant that stands alone, or `pass`
         elif isinstance(node, ast.If) and _last_name(node.test) == "TYPE_CHECKING":
             self._value(node.orelse)
         elif isinstance(node, (ast.Import, ast.ImportFrom)):
@@ -98,7 +98,7 @@ class _Reader:
             if name == "keywords" and isinstance(node, ast.Call) and _last_name(node.func) == "Field":
                 value = [keyword for keyword in value if keyword.arg != "description"]  # the docstring of a setting
             if isinstance(node, ast.JoinedStr):
-                value = [part for part in value if getattr(part, "value", None) != ""]  # some versions of Python put such there
+                value = [part for part in value if getattr(part, "value", None) != ""]  # some Python versions add empty strings
             self.out.append(name)
             self._value(value)
         self.out.append(")")

@@ -14,15 +14,15 @@ from ..stage import Stage
 from .package import Package
 from .sources import File, Sources
 
-ENGINE = __name__.rpartition(".")[0].rpartition(".")[0]  # it decides when a stage runs, and not what its arrays hold
-DIGITS = 16  # of a file's digest, which only names what changed
+ENGINE = __name__.rpartition(".")[0].rpartition(".")[0]  # the pipeline package: decides when a stage runs, not what its arrays hold
+DIGITS = 16  # digits kept of a file's digest; these only serve to name the files that changed
 _FOUND: dict[tuple[type, bool], dict[str, Any]] = {}
 
 
 def code_of(stage: type[Stage], cuda: bool = False) -> dict[str, Any]:
-    """``digest`` of all source that a stage's run reaches, and ``files``, the digest of each file by its name. Found once a process.
+    """``digest`` of all source that a stage's run reaches, and ``files``: the digest of each file by name. Computed once per process.
 
-    cuda: it runs on a GPU, whose kernels count, too. Raises StageError for a stage that was not read from a file.
+    cuda: whether the stage runs on a GPU; then its CUDA kernels count too. Raises StageError for a stage that was not defined in a file.
     """
     if (stage, cuda) not in _FOUND:
         _FOUND[stage, cuda] = reached(stage, _sources(_packages(stage)), cuda)
@@ -30,17 +30,17 @@ def code_of(stage: type[Stage], cuda: bool = False) -> dict[str, Any]:
 
 
 def code_now(stage: type[Stage], cuda: bool = False) -> dict[str, Any]:
-    """As `code_of`, of what the files hold now."""
+    """Like `code_of`, but for the current contents of the files."""
     return reached(stage, _sources.__wrapped__(_packages(stage)), cuda)
 
 
 def sources_of(packages: Mapping[str, Iterable[str | Path]]) -> Sources:
-    """The files of top-level packages, given the folders in which they lie."""
+    """The `Sources` of top-level packages, given the folders of each."""
     return Sources({name: Package([Path(one) for one in folders]) for name, folders in packages.items()}, without=ENGINE)
 
 
 def _packages(stage: type[Stage]) -> frozenset[str]:
-    """Top-level packages whose source is first-party: the stage's own, and the one that holds this engine."""
+    """The top-level packages whose source is first-party: the stage's own, and the one that contains this engine."""
     return frozenset(name.partition(".")[0] for name in (ENGINE, _module(stage)))
 
 
@@ -51,7 +51,7 @@ def _sources(names: frozenset[str]) -> Sources:
 
 
 def reached(stage: type[Stage], sources: Sources, cuda: bool = False) -> dict[str, Any]:
-    """What `code_of` says, of these source files."""
+    """What `code_of` returns, computed from these sources."""
     ours = {*sources.packages, _module(stage).partition(".")[0]}
     pending = [file for one in stage.__mro__ if _module(one).partition(".")[0] in ours for file in _files_of(one, sources)]
     found: set[File] = set()
@@ -64,7 +64,7 @@ def reached(stage: type[Stage], sources: Sources, cuda: bool = False) -> dict[st
                 pending += sources.cuda_beside(file)
     sources.save()
     own = _module(stage).partition(".")[0]
-    digests = {file: digest for file in sorted(found) if (digest := sources.digest(file))}  # what holds no code does not count
+    digests = {file: digest for file in sorted(found) if (digest := sources.digest(file))}  # files without code do not count
     return {
         "digest": digest_bytes(canonical_json(sorted(sources.state(file) for file in digests))),
         "files": {_shown(file, own): digest[:DIGITS] for file, digest in digests.items()},
@@ -72,7 +72,7 @@ def reached(stage: type[Stage], sources: Sources, cuda: bool = False) -> dict[st
 
 
 def _files_of(one: type, sources: Sources) -> list[File]:
-    """The file in which a class of ours is defined, and what Python runs before it."""
+    """The file that defines a first-party class, and the files that Python runs before it. [] for classes of the engine."""
     top, *parts = _module(one).split(".")
     if f"{_module(one)}.".startswith(f"{ENGINE}."):
         return []
@@ -84,11 +84,11 @@ def _files_of(one: type, sources: Sources) -> list[File]:
 
 
 def _shown(file: File, own: str) -> str:
-    """``scene/model.py``; of another package than the stage's own with that package before it."""
+    """``scene/model.py``; a file of another package than the stage's own has that package's name in front."""
     return Path(file.name).name if not file.package else file.name if file.package == own else f"{file.package}/{file.name}"
 
 
 def _module(one: type) -> str:
-    """The name of a class's module, also where that is run as a script."""
+    """The name of a class's module, even when that module is run as a script."""
     spec = getattr(sys.modules.get(one.__module__), "__spec__", None)
     return spec.name if spec is not None else one.__module__

@@ -1,4 +1,4 @@
-"""The source files of some packages: what each counts as, and which files it imports or includes."""
+"""The source files of some packages: the digest of each, and which files it imports or includes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .python_source import PythonSource
 
 
 class File(NamedTuple):
-    """``name``: below its package; a path where it is in none. ``compiled``: as it was when it was compiled."""
+    """``name``: path within the package, or the full path of a file in no package. ``compiled``: the file as the build compiled it."""
 
     package: str
     name: str
@@ -24,7 +24,7 @@ class File(NamedTuple):
 
 
 class Sources:
-    """Nothing is read before it is asked for, and nothing twice. ``without``: a package whose files do not count."""
+    """Every file is read only when needed, and only once. ``without``: a package whose files do not count."""
 
     def __init__(self, packages: Mapping[str, Package], without: str) -> None:
         self.packages, self._without = packages, without
@@ -38,23 +38,24 @@ class Sources:
         self._known.save()
 
     def digest(self, file: File) -> str:
-        """Of a file's code; "" where there is none."""
+        """Digest of a file's code, "" if it has none."""
         return self._of_native(file).digest if _is_native(file) else self._of_python(file).digest
 
     def leads(self, file: File) -> list[File]:
-        """The files that a file imports or includes, and those that Python runs on the way to them."""
+        """The files that a file imports or includes, and the package files that Python runs on the way to them."""
         return self._found(file)[1]
 
     def _state(self, file: File, depth: int = 2) -> str:
-        """The digest of a file together with what it imports by relative names: these say nothing themselves, so that it may move. Two
-        deep, so that files which only hand names on are told apart by where they have them from."""
+        """The digest of a file combined with the digests of the files it imports from by relative imports. The file's own digest leaves
+        out the module of a relative import, so that a file may move. Goes two levels deep, so that files that only re-export names are
+        told apart by where the names come from."""
         if depth == 0 or _is_native(file):
             return self.digest(file)
         return digest_bytes(canonical_json([self.digest(file), *(self.state(to, depth - 1) for to in self._found(file)[0])]))
 
     def module(self, top: str, parts: Sequence[str], runs: bool = False) -> list[File]:
-        """A module and the packages around it, the module first; [] where there is none. runs: a package that is imported for itself may be
-        run as a program."""
+        """The file of a module followed by those of the packages that contain it; [] if there is none. runs: include the ``__main__``
+        module of a package, because a package that is imported by itself may be run as a program."""
         package = self.packages[top]
         name = package.module(tuple(parts))
         if name is None or f"{'.'.join([top, *parts])}.".startswith(f"{self._without}."):
@@ -65,7 +66,7 @@ class Sources:
         return [File(top, one) for one in found if one]
 
     def cuda_beside(self, file: File) -> list[File]:
-        """The CUDA sources in a file's folder, which are compiled when they run."""
+        """The CUDA sources in a file's folder. They are compiled at run time."""
         if file.package not in self.packages:
             return []
         folder = os.path.dirname(file.name)
@@ -91,7 +92,7 @@ class Sources:
         return self._native[file]
 
     def _found(self, file: File) -> tuple[list[File], list[File]]:
-        """What a file imports by relative names, in order, and all that it leads to."""
+        """The Python files that a file imports from by relative imports, in order, and all the files that it leads to."""
         if file not in self._leads:
             self._leads[file] = self._included(file) if _is_native(file) else self._imported(file)
         return self._leads[file]
@@ -108,14 +109,14 @@ class Sources:
         for level, module, names in self._of_python(file).imports:
             base = package[: len(package) - level + 1] if level else []
             if level and not base:
-                continue  # there is no package that it could be relative to
+                continue  # there is no enclosing package that the import could be relative to
             targets, around = self._import([*base, *filter(None, module.split("."))], names)
             relative += [one for one in targets if level and not _is_native(one)]
             leads |= dict.fromkeys((*targets, *around))
         return relative, list(leads)
 
     def _import(self, module: list[str], names: Sequence[str]) -> tuple[list[File], list[File]]:
-        """The files that ``from module import names`` means, and what is run on the way there. Nothing for what is not of our packages."""
+        """The files that ``from module import names`` refers to, and those that run on the way. Both are empty for third-party modules."""
         top, *parts = module or [""]
         if top not in self.packages:
             return [], []
@@ -128,7 +129,8 @@ class Sources:
         return [one for targets, _ in found for one in targets], [*itself, *(one for _, around in found for one in around)]
 
     def _member(self, top: str, parts: list[str], name: str, itself: list[File]) -> tuple[list[File], list[File]]:
-        """The files that a name of a package means: of a module in it, of what it finds later, of a compiled module, or its own."""
+        """The files that a name in a package refers to: a module in it, a lazily imported name, a compiled module, or the package's own
+        file."""
         if inner := self.module(top, [*parts, name], runs=True):
             return inner[:1], inner[1:]
         source = self._of_python(itself[0]) if itself else PythonSource("")
@@ -137,12 +139,12 @@ class Sources:
         if name in source.later:
             return self._import([top, *parts, *filter(None, source.later[name].split("."))], [name])
         targets = self._compiled(top, parts, name)
-        if not targets and "__getattr__" in source.names:  # it may be any of them
+        if not targets and "__getattr__" in source.names:  # the name may come from any module of the package
             targets = [File(top, one) for one in self.packages[top].below(parts)]
         return targets or itself[:1], []
 
     def _compiled(self, top: str, parts: list[str], name: str) -> list[File]:
-        """What a compiled module is made of; where that is not told, the module itself."""
+        """The sources that a compiled module is built from or, if they are unknown, the module itself."""
         package = self.packages[top]
         return [File(top, one, True) for one in package.sources(parts) or package.compiled(parts, name)]
 

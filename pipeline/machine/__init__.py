@@ -1,1 +1,1 @@
-"""What a stage takes of a machine: threads, memory."""
+"""A stage's use of the machine: threads and memory."""

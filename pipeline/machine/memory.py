@@ -1,4 +1,4 @@
-"""Peak memory of one stage, helper processes included."""
+"""Peak memory of one stage, including helper processes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from types import TracebackType
 import psutil
 
 _SAMPLE_SECONDS = 0.05
-_CHILDREN_EVERY = 20  # listing children walks the process table, so it is done once a second
+_CHILDREN_EVERY = 20  # samples; listing children walks the process table, so it is done only once a second
 
 
 class PeakMemory:
-    """``with PeakMemory() as peak: ...`` then ``peak.mb``: largest resident set of this process and its children, in MB (1e6 bytes).
+    """``with PeakMemory() as peak: ...``, then ``peak.mb``: largest resident set of this process and its children, in MB (1e6 bytes).
 
-    The kernel's own high-water mark is reset at the start and read at the end where it allows that; samples cover the rest.
+    The kernel's own high-water mark is reset at the start and read at the end, where the kernel allows that. Samples cover the rest.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What a stage takes of a machine while it runs."""
+"""The resources that a stage uses while it runs."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Resources:
-    """As far as it is known before the stage runs; who starts several at a time plans with it.
+    """An estimate made before the stage runs. A caller that runs several stages at a time uses it for scheduling.
 
-    cores: that it keeps busy; None: as many as it is given. memory_gb: at its peak, 1e9 bytes. gpu: whether it computes there.
+    cores: cores kept busy; None means as many as it is given. memory_gb: peak memory in units of 1e9 bytes. gpu: whether it uses the GPU.
     """
 
     cores: int | None = None

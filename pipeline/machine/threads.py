@@ -4,7 +4,7 @@ import os
 
 
 def thread_count(most: int | None = None) -> int:
-    """OMP_NUM_THREADS where it is set, as a batch does for each stage, else the cores that this process may use; ``most`` at most."""
+    """OMP_NUM_THREADS if set (a batch sets it for each stage), else the number of cores this process may use; at most ``most``."""
     said = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0]
     affinity = getattr(os, "sched_getaffinity", None)
     count = int(said) if said.isdigit() and int(said) else len(affinity(0)) if affinity else os.cpu_count() or 1
@@ -12,5 +12,5 @@ def thread_count(most: int | None = None) -> int:
 
 
 def waiting_threads() -> int:
-    """For work that mostly waits for a disk: two for each of `thread_count`, up to eight."""
+    """Number of threads for work that mostly waits for the disk: twice `thread_count`, up to eight."""
     return min(8, 2 * thread_count())

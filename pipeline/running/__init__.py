@@ -1,1 +1,1 @@
-"""Running a plan: in order, what a run trusts, and how one stage is built."""
+"""Runs a plan: the runner, the checks of the artifacts it uses, and the build of one stage."""

@@ -1,4 +1,4 @@
-"""Builds one stage: runs it, publishes what it wrote, and writes down how it was made."""
+"""Builds one stage: runs it, publishes what it wrote, and records how it was made."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a stage. ``seconds`` and ``peak_rss_mb`` are those of the run that made the artifact, also when it is cached."""
+    """What happened to a stage. ``seconds`` and ``peak_rss_mb`` describe the run that made the artifact, even if it is cached now."""
 
     stage: str
     state: Literal["ran", "cached", "skipped"]
@@ -41,7 +41,7 @@ class Outcome:
 
 
 class Builder:
-    """``report(message)`` receives lines for the user; ``libraries`` are distributions whose versions enter the provenance."""
+    """``report(message)`` receives lines for the user. ``libraries`` are distributions whose versions are recorded in the provenance."""
 
     def __init__(
         self, job: Job, report: Callable[[str], None], console: Console | None, code_version: str, libraries: Sequence[str]
@@ -50,10 +50,11 @@ class Builder:
         self._code_version, self._libraries = code_version, libraries
 
     def build(self, stage: Stage, inputs: Mapping[str, Artifact | None], row: Row, forced: bool) -> Outcome:
-        """Hold the key's lock. forced: checkpoints of earlier runs are dropped. Raises what the stage raises, as a PipelineError."""
+        """Builds the stage. The caller must hold the key's lock. forced: checkpoints of earlier runs are dropped first. Whatever the stage
+        raises arrives as a PipelineError."""
         job, key, parts = self.job, row.key, row.parts
         assert key is not None and parts is not None
-        if not row.damage:  # has been said
+        if not row.damage:  # damage has already been reported
             self._report(f"{stage.name}: {row.reason}")
         if forced:
             job.store.drop_checkpoints(stage.name, key)

@@ -1,4 +1,4 @@
-"""Progress of a long loop: a bar with the time left on a terminal, a line now and then elsewhere, nothing for quick things."""
+"""Progress of a long loop: a bar with the time left on a terminal, an occasional line elsewhere, and nothing for short loops."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console
 
-_QUIET_SECONDS = 1.0  # a loop that ends before shows nothing
+_QUIET_SECONDS = 1.0  # a loop that ends sooner shows nothing
 _LINE_SECONDS = 10.0
 
 
@@ -23,7 +23,7 @@ class Progress:
         self._task: Any = None
 
     def advance(self, n: int = 1, note: str = "") -> None:
-        """``n`` more units are done; ``note`` is shown beside the bar."""
+        """Counts ``n`` more units as done. ``note`` is shown beside the bar."""
         self.done += n
         now = time.monotonic()
         if self._console is None or now - self._start < _QUIET_SECONDS:
@@ -57,7 +57,7 @@ class Progress:
         return f"  {self.label}: {self.done}/{self.total} ({percent:.0f} %), {duration(left)} left{', ' + note if note else ''}"
 
     def close(self) -> None:
-        """Takes the bar away; called at the end of the ``with``."""
+        """Removes the bar. Called at the end of the ``with`` block."""
         if self._bar is not None:
             self._bar.stop()
             self._bar = None

@@ -1,4 +1,4 @@
-"""Runs a plan: in order, one stage at a time, reusing every result whose key is in the store."""
+"""Runs the stages of a plan in order, one at a time, and reuses every result whose key is in the store."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Runner:
-    """``report(message)`` receives lines for the user; ``libraries`` are distributions whose versions enter the provenance."""
+    """``report(message)`` receives lines for the user. ``libraries`` are distributions whose versions are recorded in the provenance."""
 
     def __init__(
         self,
@@ -40,12 +40,12 @@ class Runner:
         force: Collection[str] = (),
         finished: Callable[[Outcome], None] = lambda outcome: None,
     ) -> list[Outcome]:
-        """Outcomes of the targets (default: all stages) and what they need. ``finished`` is called after each stage.
+        """Runs the targets (default: all stages) and the stages they need; returns their outcomes. ``finished`` is called after each stage.
 
-        A result that turns out to be damaged goes to the store's quarantine and is made again: sizes, descriptions and attrs of everything
-        are checked, and every byte of what a stage that runs will read.
-        Raises StageError (NoRoomError where a disk is full), CaptureError or SettingsError; a stage that fails or is interrupted leaves its
-        checkpoints and nothing else.
+        A result that turns out to be damaged is moved to the store's quarantine and made again. The sizes, descriptions and attrs of all
+        results are checked, and so is every byte of the inputs of a stage that runs.
+        Raises StageError (NoRoomError if a disk is full), CaptureError or SettingsError. A stage that fails or is interrupted leaves
+        nothing behind but its checkpoints.
         """
         with said_when_full(self.job.store.root):
             return self._until_whole(targets, force, finished)
@@ -59,14 +59,14 @@ class Runner:
                 return self._all(stages, force, finished, ran)
             except Damaged as found:
                 if (found.stage, found.key) in seen:
-                    raise found.error from None  # a disk that spoils what was just written is not for us to mend
+                    raise found.error from None  # the disk damages what was just written, so trying again is pointless
                 seen.add((found.stage, found.key))
                 self._trusted.set_aside(found)
 
     def _all(
         self, stages: Sequence[Stage], force: Collection[str], finished: Callable[[Outcome], None], ran: dict[str, Outcome]
     ) -> list[Outcome]:
-        """One pass over the stages. ``ran``: those that an earlier pass of this run has made, which is known of them in this one."""
+        """One pass over the stages. ``ran``: outcomes of the stages built in an earlier pass of this run; this pass adds its own."""
         outcomes: dict[str, Outcome] = {}
         for stage in stages:
             inputs = {name: outcomes[name].artifact for name in stage.inputs}

@@ -1,4 +1,4 @@
-"""What a run trusts: artifacts of which it has read every byte; and what becomes of those that turn out to be damaged."""
+"""The artifacts that a run trusts because it has read every byte of them, and the handling of those that turn out to be damaged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..storage.room import said_when_full
 
 
 class Damaged(Exception):
-    """A result that the run counts on is not as it was written."""
+    """A result that the run depends on differs from what was written."""
 
     def __init__(self, stage: str, key: str, error: DamagedError) -> None:
         super().__init__(stage)
@@ -23,7 +23,7 @@ class Damaged(Exception):
 
 
 class Trusted:
-    """The artifacts that one run has read, or written, as a whole. ``report(message)`` receives lines for the user."""
+    """The artifacts that one run has fully read or written itself. ``report(message)`` receives lines for the user."""
 
     def __init__(self, job: Job, report: Callable[[str], None]) -> None:
         self.job, self._report = job, report
@@ -33,7 +33,8 @@ class Trusted:
         self._whole[id(artifact)] = artifact
 
     def check(self, inputs: Mapping[str, Artifact | None]) -> None:
-        """Reads every byte of a stage's inputs, once a run: far quicker than a stage, and none computes on damage."""
+        """Reads every byte of a stage's inputs, once per run. That is far quicker than a stage, and no stage computes on damaged data.
+        Raises Damaged."""
         for name, artifact in inputs.items():
             if artifact is None or id(artifact) in self._whole:
                 continue
@@ -44,7 +45,8 @@ class Trusted:
             self.add(artifact)
 
     def lender(self, stage: Stage, row: Row, inputs: Mapping[str, Artifact | None]) -> Row:
-        """The row, every byte of what items are taken over from read; what is damaged is left alone, and the next best looked for."""
+        """Verifies every byte of the earlier result whose items the row reuses. If it is damaged, it is not used (and goes to quarantine if
+        it lies in our own store), and the next best result is tried. Returns the row to build."""
         while row.earlier is not None and id(row.earlier.artifact) not in self._whole:
             artifact, place = row.earlier.artifact, None
             try:
@@ -61,7 +63,8 @@ class Trusted:
         return row
 
     def take_over(self, stage: Stage, row: Row) -> Row | None:
-        """The row with its result in our store; None where that of the other store is damaged. Hold the key's lock."""
+        """Copies the row's result from the other store into ours and returns the updated row, or None if the other store's result is
+        damaged. The caller must hold the key's lock."""
         assert row.key is not None and row.artifact is not None
         if row.damage:
             self.quarantine(stage.name, row.key, row.damage)
@@ -79,13 +82,13 @@ class Trusted:
         return replace(row, artifact=artifact, source=None, damage="")
 
     def set_aside(self, found: Damaged) -> None:
-        """Into the quarantine, unless it is whole by now."""
+        """Moves a damaged result to the quarantine, unless it has been repaired in the meantime."""
         with self.job.store.lock(found.stage, found.key):
             if not self.job.store.has(found.stage, found.key) or not self.job.store.problem(found.stage, found.key):
-                return  # another run was faster, and has made it again
+                return  # another run has already dealt with it
             self.quarantine(found.stage, found.key, found.error.problem)
 
     def quarantine(self, stage: str, key: str, problem: str) -> None:
-        """Hold the key's lock."""
+        """Moves a result to the quarantine and reports it. The caller must hold the key's lock."""
         place = self.job.store.quarantine(stage, key)
         self._report(f"{stage}: damaged: {problem}; moved to {place}, and made again")

@@ -1,1 +1,1 @@
-"""Artifacts and the store that keeps them."""
+"""Artifacts, and the store that holds them."""

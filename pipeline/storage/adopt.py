@@ -1,4 +1,4 @@
-"""Taking a result over from another store: every byte is compared with its manifest before it counts."""
+"""Copies a result from another store. Every byte is compared with the manifest before the result is accepted."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from .store import Store
 
 
 def adopt(store: Store, source: Artifact, stage: str, key: str) -> Artifact:
-    """Links the files of ``source``, a result of another store, into this one, or copies them where that cannot be. Hold the key's lock.
+    """Links the files of ``source``, a result of another store, into this store, or copies those that cannot be linked. The caller must
+    hold the key's lock.
 
-    The source is only read. Raises DamagedError that names the source's file where it does not verify; OSError where it cannot be written.
+    The source is only read. Raises DamagedError, naming the source's file, if it does not verify; OSError if it cannot be written.
     """
     folder = store.root / "tmp" / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
     target = store.path(stage, key)
@@ -24,7 +25,7 @@ def adopt(store: Store, source: Artifact, stage: str, key: str) -> Artifact:
         for name in source.manifest["files"]:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             _link(source.path / name, folder / name)
-        # Copied, never linked: it carries who uses the result in this store, and when it was used last.
+        # The manifest is copied, never linked: its locks say who uses the result in this store, its mtime when it was last used.
         shutil.copyfile(source.path / MANIFEST, folder / MANIFEST)
         try:
             Artifact(folder).verify()
@@ -42,5 +43,5 @@ def adopt(store: Store, source: Artifact, stage: str, key: str) -> Artifact:
 def _link(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
-    except OSError:  # another file system, or a file of somebody else
+    except OSError:  # on another file system, or owned by another user
         shutil.copyfile(source, target)

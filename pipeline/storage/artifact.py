@@ -1,4 +1,4 @@
-"""Reading an artifact: nothing is believed without a valid manifest."""
+"""Reading an artifact. Nothing is trusted without a valid manifest."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ AGAIN = "run the stage again with --force"
 
 
 def content_digest(files: Mapping[str, list[Any]]) -> str:
-    """Digest of names, dtypes, shapes, chunks and bytes of the arrays and of attrs; ``info`` and provenance are left out.
+    """Digest of the names, dtypes, shapes, chunks and bytes of the arrays, and of attrs. It leaves out ``info`` and the provenance.
 
-    It covers the stored files (array metadata and encoded chunks), so it follows from the manifest alone.
+    It is taken over the stored files (array metadata and encoded chunks), so the manifest alone is enough to compute it.
     """
     return digest_bytes(canonical_json({name: entry[1] for name, entry in files.items() if name != INFO}))
 
 
 def seal(manifest: Mapping[str, Any]) -> str:
-    """Digest of a manifest without its own ``seal`` field."""
+    """Digest of a manifest, excluding its own ``seal`` field."""
     return digest_bytes(canonical_json({name: value for name, value in manifest.items() if name != "seal"}))
 
 
@@ -52,11 +52,11 @@ def parse_manifest(path: Path, content: bytes) -> dict[str, Any]:
 
 
 class Artifact:
-    """One published zarr v3 group. Opening it checks the manifest and the size of every file, which costs no decoding.
+    """One published zarr v3 group. Opening it checks the manifest and the size of every file, without decoding anything.
 
-    As long as the object lives, nobody who collects garbage takes the artifact away (see `hold`).
-    Raises DamagedError when the manifest is missing or damaged, or a file is missing, cut short or not listed; ArtifactError when it
-    cannot be read for another reason.
+    As long as this object exists, garbage collection does not remove the artifact (see `hold`).
+    Raises DamagedError if the manifest is missing or damaged, or if a file is missing, has the wrong size or is not listed; ArtifactError
+    if the artifact cannot be read for another reason.
     """
 
     def __init__(self, path: Path) -> None:
@@ -65,7 +65,7 @@ class Artifact:
         try:
             found = sizes(self.path)
         except OSError as error:
-            raise _unreadable(self.path, "", error) from error  # also: another process has just moved it away
+            raise _unreadable(self.path, "", error) from error  # possibly another process has just moved it away
         found.pop(MANIFEST, None)
         for name, (size, _) in self.manifest["files"].items():
             if name not in found:
@@ -86,7 +86,7 @@ class Artifact:
 
     @property
     def digest(self) -> str:
-        """Content digest, 64 hex digits; equal for equal arrays and attrs."""
+        """Content digest, 64 hex digits. Equal arrays and attrs have equal digests."""
         return self.manifest["digest"]
 
     @property
@@ -96,12 +96,12 @@ class Artifact:
 
     @cached_property
     def attrs(self) -> dict[str, Any]:
-        """JSON values that belong to the content."""
+        """JSON values that are part of the content."""
         return json.loads(self._checked("zarr.json")).get("attributes", {})
 
     @cached_property
     def info(self) -> dict[str, Any]:
-        """JSON values that do not belong to the content: timings, curves, what was skipped."""
+        """JSON values that are not part of the content: timings, curves, what was skipped."""
         return json.loads(self._checked(INFO))
 
     def _checked(self, name: str) -> bytes:
@@ -135,13 +135,13 @@ class Artifact:
             raise ArtifactError(f"{self.path}: there is no array {name!r}; it has {', '.join(self.names()) or 'none'}")
 
     def array(self, name: str) -> zarr.Array:
-        """The array without reading it; slices are read and checked (crc32c) chunk by chunk. Raises ArtifactError for a wrong name.
+        """The array, not yet read. Slices are read and checked (crc32c) chunk by chunk. Raises ArtifactError for an unknown name.
 
-        Reading a slice raises DamagedError where a chunk's file is gone.
+        Reading a slice raises DamagedError if the file of a chunk is missing.
         """
         self._known(name)
         if name not in self._described:
-            self._checked(f"{name}/zarr.json")  # a shape or dtype that was changed would otherwise be believed
+            self._checked(f"{name}/zarr.json")  # otherwise a modified shape or dtype would go unnoticed
             self._described.add(name)
         array: Any = self._group[name]
         return array
@@ -151,8 +151,8 @@ class Artifact:
         return set()
 
     def read(self, name: str, part: Any = ...) -> np.ndarray:
-        """A whole array, each file of which is compared with the manifest, or the ``part`` that an index or a slice chooses. Raises
-        ArtifactError when a chunk is damaged."""
+        """A whole array, with every file compared with the manifest, or only the ``part`` that an index or slice selects. Raises
+        ArtifactError if a chunk is damaged."""
         self._known(name)
         try:
             layout = layout_of(json.loads(self._checked(f"{name}/zarr.json"))) if part is ... else None
@@ -164,9 +164,9 @@ class Artifact:
         return data
 
     def verify(self, arrays: bool = True) -> None:
-        """Reads every byte and compares it with the manifest; without ``arrays`` only the descriptions, attrs and info, which is quick.
+        """Reads every byte and compares it with the manifest. With ``arrays=False``, only the descriptions, attrs and info, which is quick.
 
-        Raises DamagedError that names the first damaged file.
+        Raises a DamagedError that names the first damaged file.
         """
         names = [name for name in self.manifest["files"] if arrays or name.endswith(".json")]
         if not arrays:
@@ -185,7 +185,8 @@ class Artifact:
 
 
 def _unreadable(path: Path, name: str, error: OSError) -> ArtifactError:
-    """Damage where a file is gone or its disk gives nothing back; what may be well tomorrow (permissions, too many open files) is not."""
+    """DamagedError if a file is gone or the disk cannot read it. Problems that may be temporary (permissions, too many open files) do not
+    count as damage and give an ArtifactError."""
     if error.errno in (errno.ENOENT, errno.EIO, errno.EISDIR, errno.ENOTDIR):
         file = os.path.relpath(error.filename, path) if error.filename else name
         return DamagedError(path, file, f"cannot be read ({error.strerror})", AGAIN)

@@ -1,7 +1,7 @@
-"""Whole arrays straight from and to their chunk files, byte for byte as zarr stores them.
+"""Reads and writes whole arrays directly from and to their chunk files, byte for byte as zarr stores them.
 
-Reading compares each file with the manifest. It takes half of zarr's time where an array does not compress and a little less where it
-does: zarr hands every chunk through an event loop and copies it more than once.
+Reading compares each file with the manifest. It takes half of zarr's time for an array that does not compress, and slightly less than
+zarr's time for one that does: zarr passes every chunk through an event loop and copies it more than once.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 _TYPES = {"bool": "?", "float16": "<f2", "float32": "<f4", "float64": "<f8"}
 _TYPES |= {f"{sign}int{8 * size}": f"<{kind}{size}" for sign, kind in (("", "i"), ("u", "u")) for size in (1, 2, 4, 8)}
-LEVEL = 1  # of zstd
-_FEW = 1 << 20  # bytes that are not worth threads
-_CRC = 4  # bytes at the end of a chunk, for readers that have no manifest
+LEVEL = 1  # compression level of zstd
+_FEW = 1 << 20  # bytes; for arrays up to this size, threads are not worth it
+_CRC = 4  # bytes of the checksum at the end of a chunk, for readers that have no manifest
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How an array lies in files. chunk: shape of one; those at the upper ends are stored whole, too."""
+    """How an array is stored in files. chunk: the shape of one chunk; chunks at the upper ends of the array are stored at full size too."""
 
     shape: tuple[int, ...]
     chunk: tuple[int, ...]
@@ -41,7 +41,7 @@ class Layout:
 
 
 def layout_of(description: Mapping[str, Any]) -> Layout | None:
-    """The layout that a zarr.json describes; None where it is another than those that are read here."""
+    """The layout that a zarr.json describes, or None if this module does not support it."""
     grid, keys = description.get("chunk_grid", {}), description.get("chunk_key_encoding", {})
     codecs = description.get("codecs", [])
     names = [codec["name"] for codec in codecs]
@@ -62,7 +62,7 @@ def layout_of(description: Mapping[str, Any]) -> Layout | None:
 
 
 def write_chunks(path: Path, name: str, layout: Layout, array: np.ndarray) -> None:
-    """Writes all chunks of the array ``name`` of the artifact at ``path``, whose description is there already. Raises OSError."""
+    """Writes all chunks of the array ``name`` of the artifact at ``path``. Its zarr.json must exist already. Raises OSError."""
     import numpy as np
     from google_crc32c import value as crc32c
     from numcodecs.zstd import Zstd
@@ -71,7 +71,7 @@ def write_chunks(path: Path, name: str, layout: Layout, array: np.ndarray) -> No
 
     def one(place: tuple[int, ...]) -> None:
         block = array[_within(place, layout)]
-        if block.shape != layout.chunk:  # at an upper end, where a chunk is stored whole
+        if block.shape != layout.chunk:  # at an upper end; the chunk is padded with zeros to its full size
             whole = np.zeros(layout.chunk, layout.dtype)
             whole[tuple(slice(0, size) for size in block.shape)] = block
             block = whole
@@ -84,19 +84,19 @@ def write_chunks(path: Path, name: str, layout: Layout, array: np.ndarray) -> No
                 target.write(content)
                 target.write(crc32c(content).to_bytes(_CRC, "little"))
         except OSError as error:
-            error.filename = error.filename or str(file)  # a write that fails does not say where
+            error.filename = error.filename or str(file)  # the error of a failed write does not name the file
             raise
 
     _for_all(one, layout, array.nbytes)
 
 
 def read_chunks(path: Path, name: str, layout: Layout, files: Mapping[str, list[Any]]) -> np.ndarray:
-    """The array ``name`` of the artifact at ``path``; ``files`` is its manifest's. Raises DamagedError that names a file; OSError."""
+    """The array ``name`` of the artifact at ``path``. ``files`` is from its manifest. Raises DamagedError, naming the file, or OSError."""
     import numpy as np
 
     out = np.empty(layout.shape, layout.dtype)
     decode = _decoder(layout)
-    room = threading.local()  # each thread reads its chunks into one buffer: fresh memory costs more than reading
+    room = threading.local()  # each thread reuses one buffer for its chunks, because fresh memory costs more than the reading
 
     def one(place: tuple[int, ...]) -> None:
         file, target = _file(name, place), out[_within(place, layout)]
@@ -120,7 +120,8 @@ def _file(name: str, place: tuple[int, ...]) -> str:
 
 
 def _within(place: tuple[int, ...], layout: Layout) -> tuple[Any, ...]:
-    """What an array is indexed with for a chunk. It gives a view also of an array of no dimensions, where () would give a scalar apart."""
+    """The index that selects a chunk's part of an array. The trailing ``...`` makes it return a view even of a 0-dimensional array, where
+    an index of () would return a separate scalar."""
     return *(slice(k * chunk, min((k + 1) * chunk, size)) for k, chunk, size in zip(place, layout.chunk, layout.shape)), ...
 
 
@@ -135,7 +136,7 @@ def _for_all(one: Callable[[tuple[int, ...]], None], layout: Layout, nbytes: int
 
 
 def _read(path: Path, file: str, name: str, files: Mapping[str, list[Any]], room: threading.local) -> memoryview:
-    """A chunk file's content, if it is what was written; it lies in ``room`` until the next one."""
+    """The content of a chunk file, checked against the manifest. It stays in ``room`` until the thread reads the next chunk."""
     import numpy as np
 
     damaged = f"array {name!r} is damaged: its content is not what was written"

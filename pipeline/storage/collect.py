@@ -1,4 +1,4 @@
-"""Removing results that nobody needs, beside runs that go on: nothing that is live, pinned, in use or being built is taken."""
+"""Garbage collection, safe while runs are in progress: nothing that is live, pinned, in use or being built is removed."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .artifact import MANIFEST
 from .pins import Pins
 from .store import Store
 
-Live = Callable[[], Container[tuple[str, str]]]  # (stage, key) of the results that must stay, as of now
+Live = Callable[[], Container[tuple[str, str]]]  # (stage, key) of the results that must stay, at the time of the call
 
 
 @dataclass(frozen=True)
 class Item:
-    """A result, or something else that was left (then ``key`` is empty and ``stage`` its place in the store). used: seconds since 1970."""
+    """A result, or some other leftover (then ``key`` is empty and ``stage`` is its place in the store). used: seconds since 1970."""
 
     stage: str
     key: str
@@ -35,7 +35,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Collected:
-    """What was removed; what would have been but is in use or being built; bytes of the results that are left."""
+    """What was removed; what would have been removed but is in use or being built; and the bytes of the remaining results."""
 
     removed: list[Item]
     busy: list[Item]
@@ -43,7 +43,7 @@ class Collected:
 
 
 def unused(store: Store, live: Live, keep_bytes: int | None = None, older_than: float | None = None) -> tuple[list[Item], int]:
-    """The results that `collect` would remove, and the bytes of all results."""
+    """The results that `collect` would remove, and the total bytes of all results."""
     items = [item for entry in store.entries() if (item := _item(store, *entry)) is not None]
     needed, pinned = live(), Pins(store).results()
     chosen = sorted((item for item in items if not _in(item, needed) and not _in(item, pinned)), key=lambda item: item.used)
@@ -62,15 +62,15 @@ def unused(store: Store, live: Live, keep_bytes: int | None = None, older_than: 
 
 
 def collect(store: Store, live: Live, keep_bytes: int | None = None, older_than: float | None = None) -> Collected:
-    """Removes results that are neither ``live`` nor pinned, and what dead runs and damage have left.
+    """Removes results that are neither ``live`` nor pinned, and the remains of dead runs and of damaged results.
 
-    keep_bytes: of results; only as many go as it takes to have no more, those first that were used longest ago. older_than: seconds;
-    what was used since stays, and checkpoints of runs that nobody has gone on with for so long go, too.
-    ``live`` is asked twice: a run may have taken up a result between the first answer and its removal. Such a result is put back.
+    keep_bytes: removes only as many results as needed to get down to this size, least recently used first. older_than: seconds; keeps
+    everything used within that time, and also removes checkpoints that no run has touched for that long.
+    ``live`` is called twice, because a run may start using a result between the first call and the removal. Such a result is put back.
     """
     with store.lock("collect", "all"):
         for place in _trash(store):
-            _put_back(store, place)  # what a collection that died had taken; it is decided anew
+            _put_back(store, place)  # left by a collection that died; this one decides about it again
         chosen, total = unused(store, live, keep_bytes, older_than)
         taken: list[tuple[Item, Path]] = []
         busy: list[Item] = []
@@ -93,7 +93,7 @@ def collect(store: Store, live: Live, keep_bytes: int | None = None, older_than:
 
 
 def _item(store: Store, stage: str, key: str) -> Item | None:
-    """None where it went away meanwhile."""
+    """The item of a result, or None if it has disappeared in the meantime."""
     path = store.path(stage, key)
     try:
         manifest = path / MANIFEST
@@ -114,7 +114,7 @@ def _put_back(store: Store, place: Path) -> None:
     stage, key, _ = place.name.rsplit("-", 2)
     with store.lock_if_free(stage, key) as free:
         if not free:
-            return  # a run makes it again just now; the next collection looks once more
+            return  # a run is just making it again; the next collection will deal with it
         if store.has(stage, key):
             _remove(store, place)
         else:
@@ -122,7 +122,8 @@ def _put_back(store: Store, place: Path) -> None:
 
 
 def _remove(store: Store, place: Path) -> None:
-    """Removes a result from the trash for good; one that a crash leaves half of must not lie there, else it would be put back."""
+    """Deletes a result from the trash. It moves to ``tmp`` first, because a result half deleted by a crash would be put back from the
+    trash."""
     gone = store.root / "tmp" / place.name
     gone.parent.mkdir(parents=True, exist_ok=True)
     os.rename(place, gone)
@@ -130,7 +131,7 @@ def _remove(store: Store, place: Path) -> None:
 
 
 def _remains(store: Store, older_than: float | None) -> list[Item]:
-    """Removes half-written results, quarantine, and forgotten checkpoints."""
+    """Removes half-written results, quarantined results, and abandoned checkpoints."""
     before = time.time() - (older_than or 0.0)
     found = [Item(f"tmp/{name}", "", 0, 0.0) for name in store.sweep()]
     for folder in sorted((store.root / "quarantine").glob("*-*-*-*")):
@@ -149,7 +150,7 @@ def _remains(store: Store, older_than: float | None) -> list[Item]:
 
 
 def _time_of(name: str) -> float:
-    """When something went into quarantine, which its name says; a name that does not is old."""
+    """When something went into quarantine, taken from its name. A name without a time counts as old."""
     with suppress(ValueError):
         return calendar.timegm(time.strptime(name.rsplit("-", 2)[1], "%Y%m%dT%H%M%SZ"))
     return 0.0

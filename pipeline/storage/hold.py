@@ -1,6 +1,6 @@
-"""Who uses an artifact holds it: a shared lock on its manifest, which the system frees when the user dies.
+"""A process that uses an artifact holds a shared lock on its manifest. The operating system frees the lock if the process dies.
 
-It works on read-only file systems and needs no files of its own. Who wants to remove an artifact takes the same lock alone, see `alone`.
+This works on read-only file systems and needs no extra files. To remove an artifact, take an exclusive lock on the same file (`alone`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ Mark = tuple[int, int]  # device and inode of the manifest
 
 
 def hold(owner: object, manifest: Path) -> tuple[bytes, Mark]:
-    """The content of a manifest, which is held from now on until ``owner`` is no more. Raises OSError, FileNotFoundError above all.
+    """Reads a manifest and holds it until ``owner`` is garbage-collected. Raises OSError, most often FileNotFoundError.
 
-    Where the file system knows no locks the content is read all the same: nobody can remove anything there (`alone` raises).
+    If the file system has no locks, the content is read anyway: nothing can be removed there, because `alone` raises.
     """
     while True:
         descriptor = os.open(manifest, os.O_RDONLY | os.O_CLOEXEC)
@@ -26,7 +26,7 @@ def hold(owner: object, manifest: Path) -> tuple[bytes, Mark]:
             with suppress(OSError):
                 fcntl.flock(descriptor, fcntl.LOCK_SH)
             mark = _mark(os.fstat(descriptor))
-            if is_held_at(mark, manifest):  # else it was taken away between the two calls
+            if is_held_at(mark, manifest):  # otherwise it was moved away between opening and locking
                 content = _read(descriptor)
                 weakref.finalize(owner, os.close, descriptor)
                 descriptor = -1
@@ -37,7 +37,7 @@ def hold(owner: object, manifest: Path) -> tuple[bytes, Mark]:
 
 
 def is_held_at(mark: Mark, manifest: Path) -> bool:
-    """Whether the manifest that was held lies there still."""
+    """Whether the manifest that is held is still the one at this path."""
     try:
         return _mark(os.stat(manifest)) == mark
     except FileNotFoundError:
@@ -46,12 +46,13 @@ def is_held_at(mark: Mark, manifest: Path) -> bool:
 
 @contextmanager
 def alone(manifest: Path) -> Iterator[bool]:
-    """True while no other holds the artifact, and none can begin to; False at once where one does. Nobody holds what has no manifest.
+    """Yields True if nobody else holds the artifact; then nobody can start to until the block ends. Yields False, without waiting, if
+    somebody does. An artifact without a manifest is held by nobody.
 
-    Raises OSError where it cannot be locked.
+    Raises OSError if it cannot be locked.
     """
     try:
-        descriptor = os.open(manifest, os.O_RDWR | os.O_CLOEXEC)  # network file systems lock alone only what is open for writing
+        descriptor = os.open(manifest, os.O_RDWR | os.O_CLOEXEC)  # network file systems lock exclusively only files open for writing
     except FileNotFoundError:
         yield True
         return

@@ -1,4 +1,4 @@
-"""zarr's view of an artifact's folder, in which a chunk that is gone is an error; zarr itself takes it for zeros."""
+"""A zarr store for an artifact's folder in which a missing chunk is an error. Plain zarr would read it as zeros."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class ListedStore(LocalStore):
-    """Reads the artifact at ``path``. files: names that its manifest lists; reading one that is no longer there raises DamagedError."""
+    """Reads the artifact at ``path``. files: the names in its manifest; reading one of them that no longer exists raises DamagedError."""
 
     def __init__(self, path: Path, files: Container[str]) -> None:
         super().__init__(path, read_only=True)

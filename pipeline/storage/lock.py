@@ -1,4 +1,4 @@
-"""The right to do something alone, across processes: an exclusive lock on a file, which the system frees when its holder dies."""
+"""Mutual exclusion between processes: an exclusive lock on a file. The operating system frees it if its holder dies."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from pathlib import Path
 
 from ..errors import StageError
 
-_POLL_SECONDS = 0.05  # asked again and again: a network file system may take long to wake who waits
+_POLL_SECONDS = 0.05  # the lock is polled, because a network file system may be slow to wake a waiting process
 _NONE = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)
 _TAKEN = (errno.EAGAIN, errno.EACCES)
 
 
 @contextmanager
 def locked(path: Path, wait: bool = True, waiting: Callable[[], object] | None = None) -> Iterator[bool]:
-    """True with the lock; without ``wait`` False at once, and no lock, where another holds it. The file is made and stays.
+    """Yields True while holding the lock. With ``wait=False``, yields False at once if another process holds it. The lock file is created
+    if needed and never removed.
 
-    ``waiting()`` is called once when another holds it. Raises StageError where the file system has no locks, OSError for what else fails.
+    ``waiting()`` is called once before waiting for another holder. Raises StageError if the file system has no locks, OSError for any
+    other failure.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Open for writing, since network file systems lock alone only such files.
+    # Open for writing, because network file systems allow exclusive locks only on such files.
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         free = _try(descriptor, path)
@@ -39,9 +41,9 @@ def locked(path: Path, wait: bool = True, waiting: Callable[[], object] | None =
 
 
 def is_locked(path: Path) -> bool:
-    """Whether somebody holds the lock now. It works on a read-only file system, too.
+    """Whether somebody holds the lock now. This also works on a read-only file system.
 
-    Where the file system has no locks nobody can tell, which counts as held.
+    If the file system has no locks, there is no way to tell, and the lock counts as held.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

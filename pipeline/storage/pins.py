@@ -1,4 +1,4 @@
-"""Results that stay whatever is collected: a named list of keys each, a file in the store."""
+"""Pins protect results from garbage collection. Each pin is a named list of keys, stored as a file in the store."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Pins:
         self._store, self._folder = store, store.root / "pins"
 
     def add(self, name: str, results: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-        """Pins results under ``name``, with those that are pinned there already; returns all of these.
+        """Adds results to the pin ``name`` and returns everything that it now contains.
 
-        Raises SettingsError for a name that is no file's, ArtifactError where a result is not in the store; then nothing is pinned.
+        Raises SettingsError if ``name`` is not a valid file name, ArtifactError if a result is not in the store; then nothing is added.
         """
         before = self.read(name)
         pinned = [*before, *(result for result in results if result not in before)]
         write_json(self._path(name), {"results": pinned})
-        # Asked after the pin lies there: whoever collects looks at the pins once more after he has taken something.
+        # Checked after the pin is written, because a collection reads the pins again after it has moved something away.
         gone = [f"{stage}/{key}" for stage, key in pinned if not self._store.has(stage, key)]
         if gone:
             if before:
@@ -38,7 +38,7 @@ class Pins:
         return pinned
 
     def remove(self, name: str) -> bool:
-        """False where there is no such pin."""
+        """Removes a pin. Returns False if there is no such pin."""
         try:
             self._path(name).unlink()
         except FileNotFoundError:
@@ -46,7 +46,7 @@ class Pins:
         return True
 
     def read(self, name: str) -> list[tuple[str, str]]:
-        """(stage, key) of what is pinned under a name. Raises ArtifactError for a file that is no list of results."""
+        """(stage, key) of the results pinned under a name. Raises ArtifactError if the file is not a list of results."""
         path = self._path(name)
         if not path.exists():
             return []
@@ -65,7 +65,7 @@ class Pins:
         return sorted(path.stem for path in self._folder.glob("*.json"))
 
     def results(self) -> dict[tuple[str, str], list[str]]:
-        """(stage, key) of everything that is pinned -> the names of its pins."""
+        """(stage, key) of every pinned result -> the names of its pins."""
         found: dict[tuple[str, str], list[str]] = {}
         for name in self.names():
             for result in self.read(name):

@@ -1,4 +1,4 @@
-"""A full disk is said in one message: which file, how much has been written, and how much is free."""
+"""Reports a full disk in one message: which file, how much has been written, and how much is free."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ..errors import StageError
 from ..files import sizes
 
 _FULL = {errno.ENOSPC: "No space left on device", errno.EDQUOT: "Disk quota exceeded"}
-_FEW = 100  # files that a file system has room for, from which on their number is no matter
+_FEW = 100  # below this many free inodes, the message also says how many more files fit
 
 
 class NoRoomError(StageError):
-    """A file system, or somebody's quota on it, is full: exit code 1."""
+    """A file system, or the user's quota on it, is full: exit code 1."""
 
 
 @contextmanager
 def said_when_full(place: Path, what: str = "", partial: Path | None = None, needed: int = 0) -> Iterator[None]:
-    """Raises NoRoomError where the block fails because a disk is full; other errors pass.
+    """Raises NoRoomError if the block fails because a disk is full. Other errors pass through.
 
-    place: a folder on the file system that is written to. what: put before the message. partial: a folder with what has been written so
-    far, and needed: bytes that all of it takes, where that is known.
+    place: a folder on the file system being written to. what: text to put in front of the message. partial: a folder with what has been
+    written so far. needed: total bytes required, or 0 if unknown.
     """
     try:
         yield
@@ -47,19 +47,19 @@ def said_when_full(place: Path, what: str = "", partial: Path | None = None, nee
 
 
 def _full(error: BaseException | None) -> tuple[str, str] | None:
-    """Path ("" where it is not known) and the system's words, if a full disk is behind an error."""
+    """(path, the system's words) if an error was caused by a full disk, else None. The path is "" if it is not known."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in _FULL:
-            return str(error.filename2 or error.filename or ""), _FULL[error.errno]  # the second is where to, of copies and moves
+            return str(error.filename2 or error.filename or ""), _FULL[error.errno]  # filename2 is the target of a copy or move
         for words in _FULL.values():
-            if words in str(error):  # from a library that writes by itself
+            if words in str(error):  # raised by a library that reports the system's words only
                 return "", words
         error = error.__cause__ or error.__context__
     return None
 
 
 def _places(*paths: Path) -> list[Path]:
-    """The nearest existing folders of these, and the one for temporary files; one a file system."""
+    """The nearest existing folder of each path, and the folder for temporary files; only one for each file system."""
     found: dict[int, Path] = {}
     for path in (*paths, Path(tempfile.gettempdir())):
         with suppress(OSError):

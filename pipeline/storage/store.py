@@ -1,4 +1,4 @@
-"""The store of a workspace: results by key, each published whole or not at all."""
+"""The store of a workspace: results by key, each published completely or not at all."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _INTERNAL = ("locks", "tmp", "checkpoints", "quarantine", "pins", "trash")
 
 
 class Store:
-    """``<stage>/<key>/`` artifacts, ``tmp/`` for what is being written, ``checkpoints/<stage>-<key>/``, ``locks/``, ``pins/``, and
-    ``quarantine/`` and ``trash/`` for what is damaged and what is being removed.
+    """Contains the artifacts ``<stage>/<key>/``, ``tmp/`` for those being written, ``checkpoints/<stage>-<key>/``, ``locks/``, ``pins/``,
+    ``quarantine/`` for damaged artifacts and ``trash/`` for those being removed.
 
-    Whoever holds the lock of a key is the only one who builds it, so whatever lies in ``tmp`` for that key was left by a dead run.
+    Only the holder of a key's lock builds that key. So when the lock is taken, anything in ``tmp`` for that key was left by a dead run.
     """
 
     def __init__(self, root: Path) -> None:
@@ -36,20 +36,20 @@ class Store:
         return self.root / stage / key
 
     def checkpoints(self, stage: str, key: str) -> Path:
-        """Where a stage keeps its progress for exactly this key; not created here."""
+        """The folder in which a stage keeps its progress for exactly this key. It is not created here."""
         return self.root / "checkpoints" / f"{stage}-{key}"
 
     def has(self, stage: str, key: str) -> bool:
-        """Whether something lies under this key; opening it says whether it is valid."""
+        """Whether there is anything under this key. Only opening it shows whether it is valid."""
         return self.path(stage, key).is_dir()
 
     def open(self, stage: str, key: str) -> Artifact:
-        """The artifact under a key, which nobody removes as long as the object lives. Raises ArtifactError when there is none or it is
-        damaged (DamagedError)."""
+        """The artifact under a key. It is not removed as long as the returned object exists. Raises ArtifactError if there is none or it
+        is damaged (DamagedError)."""
         return Artifact(self.path(stage, key))
 
     def manifest(self, stage: str, key: str) -> dict[str, Any] | None:
-        """The manifest of an artifact, which is not held and whose files are not looked at; None where there is none that is valid."""
+        """The manifest of an artifact, or None if there is no valid one. The artifact is not held and its files are not checked."""
         path = self.path(stage, key)
         try:
             return parse_manifest(path, (path / MANIFEST).read_bytes())
@@ -57,7 +57,7 @@ class Store:
             return None
 
     def problem(self, stage: str, key: str) -> str:
-        """What is wrong with an artifact, after reading all of it; "" where all is well. Raises ArtifactError where it cannot be read."""
+        """Reads all of an artifact and says what is wrong with it, "" if nothing is. Raises ArtifactError if it cannot be read."""
         try:
             self.open(stage, key).verify()
         except DamagedError as error:
@@ -65,9 +65,10 @@ class Store:
         return ""
 
     def quarantine(self, stage: str, key: str) -> Path:
-        """Moves what lies under a key to ``quarantine/<stage>-<key>-<UTC time>`` in one rename; returns the new place. Hold the key's lock.
+        """Moves what is stored under a key to ``quarantine/<stage>-<key>-<UTC time>-<random>`` in one rename and returns the new path. The
+        caller must hold the key's lock.
 
-        Nothing is deleted: a person may still want to look at it.
+        Nothing is deleted, because somebody may still want to inspect it.
         """
         folder = self.root / "quarantine"
         folder.mkdir(parents=True, exist_ok=True)
@@ -77,27 +78,27 @@ class Store:
         return target
 
     def quarantine_damaged(self, stage: str, key: str) -> Path | None:
-        """`quarantine`, where the artifact is damaged and no process builds it; None where it stays."""
+        """Like `quarantine`, but only if the artifact is damaged and no process is building it. None if it stays where it is."""
         with self.lock_if_free(stage, key) as free:
             return self.quarantine(stage, key) if free and self.has(stage, key) and self.problem(stage, key) else None
 
     def touch(self, stage: str, key: str) -> None:
-        """Notes that a result was used now: its manifest's time of change, by which the oldest are chosen when something has to go."""
-        with suppress(OSError):  # not ours, or not to be written: it only looks older than it is
+        """Records that a result was used now, as its manifest's modification time. Collection uses it to pick the oldest results."""
+        with suppress(OSError):  # owned by another user, or read-only: the result merely looks older than it is
             os.utime(self.path(stage, key) / MANIFEST)
 
     @contextmanager
     def lock(self, stage: str, key: str, waiting: Any = None) -> Iterator[None]:
-        """The exclusive right to build a key, across processes; the system frees it when its holder dies.
+        """The exclusive right to build a key, across processes. The operating system frees it if its holder dies.
 
-        ``waiting()`` is called once when another process holds it. Raises StageError where the file system has no locks.
+        ``waiting()`` is called once if another process holds the lock. Raises StageError if the file system has no locks.
         """
         with locked(self._lock(stage, key), waiting=waiting):
             yield
 
     @contextmanager
     def lock_if_free(self, stage: str, key: str) -> Iterator[bool]:
-        """`lock`, but False at once, and without the right, where another process holds it."""
+        """Like `lock`, but does not wait: yields False, without the lock, if another process holds it."""
         with locked(self._lock(stage, key), wait=False) as free:
             yield free
 
@@ -106,7 +107,7 @@ class Store:
 
     @contextmanager
     def writing(self, stage: str, key: str) -> Iterator[ArtifactWriter]:
-        """A writer in a temporary folder, removed at the end unless published. Hold the key's lock around it."""
+        """A writer in a temporary folder, which is removed at the end unless it was published. The caller must hold the key's lock."""
         self._sweep_key(stage, key)
         folder = self.root / "tmp" / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
         folder.mkdir(parents=True)
@@ -118,9 +119,9 @@ class Store:
         shutil.rmtree(folder, ignore_errors=True)
 
     def publish(self, writer: ArtifactWriter, stage: str, key: str, provenance: Mapping[str, Any]) -> Artifact:
-        """Finishes the writer and moves its folder into place in one rename; then drops the key's checkpoints.
+        """Finishes the writer, moves its folder into place in one rename, and drops the key's checkpoints.
 
-        An artifact that was there (a forced or damaged one) is moved aside first and put back if the move fails.
+        An artifact that is already there (from a forced run, or damaged) is moved aside first and put back if the rename fails.
         """
         writer.finish(provenance)
         target = self.path(stage, key)
@@ -142,20 +143,20 @@ class Store:
         return Artifact(target)
 
     def drop_checkpoints(self, stage: str, key: str) -> None:
-        """Removes what lies there in one step: nobody goes on from half of a checkpoint. Hold the key's lock."""
+        """Removes the key's checkpoints in one step: no run must continue from half of one. The caller must hold the key's lock."""
         self.drop(self.checkpoints(stage, key), f"{stage}-{key}")
 
     def drop(self, folder: Path, name: str) -> None:
-        """Removes a folder of the store by way of ``tmp/<name>-...``, which a crash leaves to `sweep`."""
+        """Removes a folder of the store by first moving it to ``tmp/<name>-...``. After a crash, `sweep` removes what is left there."""
         with suppress(OSError):
             os.rmdir(folder)
-            return  # it was empty
+            return  # the folder was empty
         place = self.root / "tmp" / f"{name}-{uuid.uuid4().hex[:8]}"
         try:
             os.rename(folder, place)
-        except OSError:  # there is none, or no ``tmp``
+        except OSError:  # there is no such folder, or no ``tmp``
             place = folder
-        for _ in range(2):  # what failed once may go the second time
+        for _ in range(2):  # a removal that failed may succeed the second time
             shutil.rmtree(place, ignore_errors=True)
 
     def _sweep_key(self, stage: str, key: str) -> None:
@@ -163,7 +164,7 @@ class Store:
             shutil.rmtree(folder, ignore_errors=True)
 
     def sweep(self) -> list[str]:
-        """Removes what dead runs left in ``tmp``; whatever a living process builds is locked and stays. Returns the names removed."""
+        """Removes what dead runs left in ``tmp`` and returns the names. What a live process is building is locked and stays."""
         removed = []
         for folder in sorted((self.root / "tmp").glob("*-*-*")):
             stage, key, _ = folder.name.rsplit("-", 2)
@@ -174,30 +175,31 @@ class Store:
         return removed
 
     def entries(self) -> list[tuple[str, str]]:
-        """(stage, key) of everything that lies in the store, valid or not."""
+        """(stage, key) of everything in the store, valid or not."""
         if not self.root.is_dir():
             return []
         stages = sorted(folder for folder in self.root.iterdir() if folder.is_dir() and folder.name not in _INTERNAL)
         return [(folder.name, entry.name) for folder in stages for entry in sorted(folder.iterdir()) if entry.is_dir()]
 
     def latest(self, stage: str, count: int) -> list[str]:
-        """Keys of up to ``count`` results of a stage, those used last first."""
+        """Keys of up to ``count`` results of a stage, most recently used first."""
         used = []
         with suppress(FileNotFoundError), os.scandir(self.root / stage) as entries:
             for entry in entries:
-                with suppress(OSError):  # it is being removed, or was never finished
+                with suppress(OSError):  # the result is being removed, or was never finished
                     used.append((os.stat(Path(entry.path) / MANIFEST).st_mtime_ns, entry.name))
         return [key for _, key in heapq.nlargest(count, used)]
 
     def remove(self, stage: str, key: str) -> bool:
-        """Removes an artifact at once (a crash leaves all of it or nothing). False when a process builds or uses it."""
+        """Removes an artifact in one step (after a crash it is there completely or not at all). False if a process builds or uses it."""
         place = self.take(stage, key, "tmp")
         if place is not None:
             shutil.rmtree(place, ignore_errors=True)
         return place is not None
 
     def take(self, stage: str, key: str, folder: str) -> Path | None:
-        """Moves an artifact that no process builds or uses to another folder of the store, in one rename; None where it stays."""
+        """Moves an artifact to another folder of the store in one rename and returns its new path. None if it stays, because a process
+        builds or uses it or because it cannot be locked."""
         place = self.root / folder / f"{stage}-{key}-{uuid.uuid4().hex[:8]}"
         place.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -206,18 +208,18 @@ class Store:
                     return None
                 os.rename(self.path(stage, key), place)
         except FileNotFoundError:
-            return place  # nothing lies there: it is gone, as was asked for
+            return place  # there is nothing to move, so the result is gone, as requested
         except OSError:
-            return None  # it cannot be locked, or belongs to somebody else
+            return None  # it cannot be locked, or is owned by another user
         return place
 
     def verify(self) -> list[tuple[str, str, str]]:
-        """Digests everything again: (stage, key, problem) with an empty problem where all is well. Nothing is changed."""
+        """Reads and checks everything: (stage, key, problem), with an empty problem if all is well. Changes nothing."""
         return [(stage, key, self.problem(stage, key)) for stage, key in self.entries()]
 
 
 def _discard(folder: Path) -> None:
-    """Removes a folder into which zarr's threads may still write: after the first error nobody waits for the others."""
+    """Removes a folder that zarr's threads may still be writing to, because zarr does not wait for them after the first error."""
     for _ in range(10):
         shutil.rmtree(folder, ignore_errors=True)
         time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""Writing an artifact: complete arrays with checksums, and the manifest last."""
+"""Writing an artifact: complete arrays with checksums, then the manifest."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     import zarr
 
 _CHUNK_BYTES = 16 << 20
-_KINDS = "biuf"  # bool, integers, floats: nothing that would need pickle
+_KINDS = "biuf"  # bool, integers and floats; nothing that would need pickle
 
 
 class ArtifactWriter:
-    """Fills a folder that nobody reads yet; the store publishes it. ``attrs`` is content, ``info`` is not (timings belong there)."""
+    """Fills a folder that nobody reads until the store publishes it. ``attrs`` is part of the content; ``info`` is not (use it for
+    timings)."""
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
@@ -37,7 +38,7 @@ class ArtifactWriter:
         return zarr.open_group(self.path, mode="a", zarr_format=3)
 
     def write(self, name: str, array: np.ndarray, unit: str = "", doc: str = "") -> None:
-        """Writes a whole array (bool, integer or float of any shape), in chunks along the first axis when it is large."""
+        """Writes a whole array (bool, integer or float, any shape). A large array is split into chunks along the first axis."""
         import numpy as np
 
         array = np.asarray(array)
@@ -47,13 +48,13 @@ class ArtifactWriter:
         chunks = (first, *array.shape[1:]) if array.ndim else ()
         created = self.create(name, array.shape, array.dtype, chunks, unit, doc)
         layout = layout_of(created.metadata.to_dict())
-        if layout is None:  # big-endian numbers, or a version of zarr that describes arrays in another way
+        if layout is None:  # big-endian numbers, or a version of zarr that describes arrays differently
             created[...] = array
         else:
             write_chunks(self.path, name, layout, array)
 
     def create(self, name: str, shape: Sequence[int], dtype: Any, chunks: Sequence[int], unit: str = "", doc: str = "") -> zarr.Array:
-        """A new array to fill in parts; every chunk must have been written when the stage ends. Raises StageError for other dtypes."""
+        """A new array to be filled in parts. Every chunk must be written by the end of the stage. Raises StageError for other dtypes."""
         import numpy as np
         from zarr.codecs import Crc32cCodec, ZstdCodec
 
@@ -72,9 +73,9 @@ class ArtifactWriter:
         )
 
     def finish(self, provenance: Mapping[str, Any]) -> str:
-        """Writes attrs, info and the manifest and has everything on disk; returns the content digest.
+        """Writes attrs, info and the manifest, makes sure that everything is on disk, and returns the content digest.
 
-        Raises StageError when a chunk was never written: a reader would see zeros there.
+        Raises StageError if a chunk was never written, because a reader would see zeros there.
         """
         try:
             json.dumps([self.attrs, self.info], allow_nan=False)
@@ -86,7 +87,7 @@ class ArtifactWriter:
             written = sum(1 for file in sizes(self.path / name) if file != "zarr.json")
             if written != expected:
                 raise StageError(f"array {name!r}: {expected - written} of its {expected} chunks were never written")
-        (self.path / INFO).write_bytes((json.dumps(self.info, indent=2, ensure_ascii=False) + "\n").encode())  # synced with all the rest
+        (self.path / INFO).write_bytes((json.dumps(self.info, indent=2, ensure_ascii=False) + "\n").encode())  # synced below with the rest
         found = sizes(self.path)
         digests = digest_files(self.path, found)
         files = {name: [found[name], digest] for name, digest in digests.items()}

@@ -1,5 +1,5 @@
-// Backward: the tile's primitives from the last blended one to the first. Each pixel carries its transmittance T, divided back
-// by (1 - alpha), and `behind`, the gradient's share of everything behind; with f = dL/dw of a layer,
+// The backward pass of a tile, from the last blended primitive to the first. Each pixel keeps its transmittance T, which is restored by
+// dividing by (1 - alpha), and `behind`, the contribution of everything behind to the gradient. With f = dL/dw of a layer,
 // dL/dalpha = T f - behind / (1 - alpha). Included by blend.inl.
 
 template <bool DEPTH, bool EXTRAS>
@@ -48,7 +48,7 @@ void backward_tile_impl(const BackwardJob& job, int tile, float* scratch) {
             const char* to = reinterpret_cast<const char*>(job.slots + (uint64_t(soon.slot) << 2));
             for (int at = 0; at < (soon.primitive < job.n_gaussians ? 64 : 128); at += 64) __builtin_prefetch(to + at, 1);
         }
-        uint32_t open = 0;  // blocks in which a pixel goes on to here
+        uint32_t open = 0;  // blocks in which some pixel reaches this layer
         for (int k = 0; k < 16; k += kWidth) open |= bits(load(block_last + k) >= set1(index)) << k;
         const uint32_t mask = job.masks[begin + index] & open;
         if (!mask) continue;

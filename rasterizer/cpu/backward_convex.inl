@@ -1,12 +1,12 @@
-// The layer of a convex, as in backward_layers.inl. With E = 2^(rho lse) and p_i the softmax of the lines L_i, its sums are, after colour 3 and z,
-// g, h lse and h (lse - sum_i p_i L_i), where h = -dL/d(ln E), and for each edge h p_i (X, Y, 1). The third is what tau's gradient consists of:
-// from the others it would be a small difference of large numbers. Included by blend.inl.
+// The layer of a convex, as in backward_layers.inl. With E = 2^(rho lse) and p_i the softmax of the lines L_i, its sums after colour 3 and
+// z are g, h lse and h (lse - sum_i p_i L_i), where h = -dL/d(ln E), and for each edge h p_i (X, Y, 1). The third one gives tau's
+// gradient. Computed from the others, that would be a small difference of large numbers. Included by blend.inl.
 
-// What a block adds to an edge's sums is split into the block's place, here, and the pixel's place in the block, which is the same in
-// all blocks and waits for edge_sums().
+// The coordinates in an edge's sums are split into the block's position, added here, and the pixel's position in the block, which is the
+// same in all blocks and is added in convex_layer().
 struct EdgeSums {
     Float p;     // sum h p_i
-    Float x, y;  // times the block's first pixel (of its k-th vector)
+    Float x, y;  // the same, times the coordinates of the block's first pixel (in its k-th vector)
 };
 
 __attribute__((always_inline)) inline void add_edge(EdgeSums& to, Float p, Float x, Float y) {
@@ -15,7 +15,7 @@ __attribute__((always_inline)) inline void add_edge(EdgeSums& to, Float p, Float
     to.y = fma(p, y, to.y);
 }
 
-// A block that lies inside the hull: only the opacity is felt.
+// Blocks that lie inside the hull, where alpha depends only on the opacity.
 template <bool DEPTH, bool EXTRAS>
 __attribute__((noinline)) void inside_layer(const Walk& walk, const Item& item, int32_t index, uint32_t mask, float opacity, Float* sums) {
     for (; mask; mask &= mask - 1)
@@ -23,7 +23,7 @@ __attribute__((noinline)) void inside_layer(const Walk& walk, const Item& item, 
             sums[4] = sums[4] + layer_backward<DEPTH, EXTRAS>(walk, 16 * __builtin_ctz(mask) + k * kWidth, item, index, set1(opacity), all(), sums);
 }
 
-// N: of the convex's points. offset [16][kMaxPoints]: L_i - top at the blocks' centres.
+// N: number of the convex's points. offset [16][kMaxPoints]: L_i - top at the blocks' centres.
 template <bool DEPTH, bool EXTRAS, int N>
 __attribute__((noinline)) void gentle_layer(const Walk& walk, const Item& item, const ConvexItem& convex, const float* offset, int32_t index,
                                             uint32_t mask, Float* sums, EdgeSums* edges) {
@@ -61,7 +61,7 @@ __attribute__((noinline)) void gentle_layer(const Walk& walk, const Item& item, 
     for (int i = 0; i < kConvexEdges; ++i) sums[i] = sums[i] + own[i];
 }
 
-// N: of the bits in `those`, the edges that matter in the block.
+// N: number of bits in `those`, which marks the edges that matter in the block.
 template <bool DEPTH, bool EXTRAS, int N>
 __attribute__((always_inline)) inline void sharp_block(const Walk& walk, const Item& item, const ConvexItem& convex, uint32_t those, int32_t index,
                                                        int b, Float* sums, EdgeSums* edges) {
@@ -101,7 +101,7 @@ __attribute__((noinline)) void sharp_layer(const Walk& walk, const Item& item, c
     }
 }
 
-// out [32]: the sums, about the tile's first pixel.
+// out [32]: the sums, with coordinates relative to the tile's first pixel.
 template <bool DEPTH, bool EXTRAS>
 void convex_layer(const Walk& walk, const Item& item, ConvexItem& convex, int points, int32_t index, uint32_t mask, float* out) {
     Float sums[32];

@@ -1,21 +1,21 @@
-// One layer of a tile taken back through its pixels: what its gradients are made of, summed. Each kind is a function of its own, so
-// that each has all registers to itself. Included by blend.inl.
+// The backward pass of one layer of a tile: sums the terms of its gradients over the pixels. Each kind of primitive has its own function,
+// so that it can use all registers. Included by blend.inl.
 
-struct TileGrads {  // in the order of TilePixels
+struct TileGrads {  // pixels in the order of TilePixels
     alignas(64) float transmittance[kPixels], behind[kPixels];
     alignas(64) float red[kPixels], green[kPixels], blue[kPixels];
-    alignas(64) float z[kPixels], depth[kPixels];  // gradient of sum w z: depth's over alpha; and depth = sum w z / alpha
+    alignas(64) float z[kPixels], depth[kPixels];  // z: gradient of sum w z, which is depth's gradient / alpha; depth = sum w z / alpha
     alignas(64) int32_t last[kPixels];
 };
 
-struct Walk {  // what a layer is taken back through
+struct Walk {  // the state of the backward pass that all layers share
     TileGrads* px;
-    const float* extra;  // [extras, kPixels] gradients of the image's
-    float* extra_sums;   // [extras, 16] of the layer's
+    const float* extra;  // [extras, kPixels] gradients of the image's extras
+    float* extra_sums;   // [extras, 16] sums for the layer's extras
     int extras;
 };
 
-// What both kinds share at one vector of pixels. g: dL/dalpha alpha where alpha is not capped.
+// The part that both kinds share, at one vector of pixels. Returns g = dL/dalpha alpha where alpha is not capped, else 0.
 template <bool DEPTH, bool EXTRAS>
 __attribute__((always_inline)) inline Float layer_backward(const Walk& walk, int at, const Item& item, int32_t index, Float raw, Mask counted,
                                                            Float* sums) {
@@ -32,8 +32,8 @@ __attribute__((always_inline)) inline Float layer_backward(const Walk& walk, int
     sums[2] = fma(w, blue, sums[2]);
     if constexpr (DEPTH) {
         const Float z = load(px.z + at);
-        // depth is a mean: a layer moves it by its distance from it, and what lies behind, all together, not at all. Taken as two large
-        // terms instead, both over a small alpha, a faint pixel's gradient would be rounding.
+        // Depth is a weighted mean, so a layer changes it by its own distance from the mean, while everything behind, taken together, does
+        // not. Written as two large terms, each divided by a small alpha, the gradient of a faint pixel would be rounding noise.
         f = fma(z, set1(item.z) - load(px.depth + at), f);
         sums[3] = fma(w, z, sums[3]);
     }
@@ -49,7 +49,7 @@ __attribute__((always_inline)) inline Float layer_backward(const Walk& walk, int
     return keep(raw < set1(kMaxAlpha), alpha * fnma(behind, inverse, before * f));
 }
 
-// Unrolled: the compiler's own idea, a string instruction, takes longer to start than to run.
+// Unrolled by hand, because the compiler would use a string instruction, which takes longer to start than to run.
 template <int N>
 __attribute__((always_inline)) inline void clear(Float* v) {
 #pragma GCC unroll 32

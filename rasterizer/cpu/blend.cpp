@@ -1,4 +1,4 @@
-// Runs the kernels over the tiles, and chooses them by what the processor has.
+// Runs the kernels over the tiles, and selects the kernels that suit the processor.
 #include "blend.h"
 
 #include <algorithm>

@@ -1,5 +1,5 @@
-// The blending of one tile, compiled once for each instruction set. Plain data only: nothing here may instantiate a template
-// that other translation units share, or the linker could keep the copy that older processors cannot run.
+// The interface for blending one tile, compiled once for each instruction set. Plain data only: nothing here may instantiate a template
+// that other translation units share, or the linker could keep a copy that older processors cannot run.
 #pragma once
 #include <cstdint>
 
@@ -10,7 +10,7 @@ namespace e4dgs {
 struct TileJob {
     int width, height, tiles_x;
     uint32_t n_gaussians;
-    int points;  // of every convex
+    int points;  // number of points of every convex
     const GaussianRecord* gaussians;
     const ConvexRecord* convexes;
     const float *gaussian_extras, *convex_extras;  // [n, extras] or null
@@ -29,14 +29,14 @@ struct ForwardJob : TileJob {
 };
 
 struct BackwardJob : TileJob {
-    const float *grad_color, *grad_alpha, *grad_depth, *grad_extras;  // of the frame, each may be null
-    const float *alpha, *depth;                                      // the frame's, read where grad_depth is given
-    float* slots;        // gradients a (tile, primitive) pair
+    const float *grad_color, *grad_alpha, *grad_depth, *grad_extras;  // gradients of the frame; each may be null
+    const float *alpha, *depth;                                      // images of the frame; read only if grad_depth is given
+    float* slots;        // gradients of each (tile, primitive) pair
     uint8_t* touched;    // [units] 1 at the first unit of every slot that was written
     double* grad_background;  // [tiles, 3] gradient, may be null
 };
 
-// How many floats of scratch, aligned to 64 bytes, a tile wants for its extras.
+// Number of floats of scratch memory, aligned to 64 bytes, that a tile needs for its extras.
 inline int64_t scratch_floats(int extras) { return int64_t(extras) * (kTile * kTile + 16) + 16; }
 
 struct Kernels {
@@ -45,7 +45,7 @@ struct Kernels {
     void (*backward)(const BackwardJob&, int tile, float* scratch);
 };
 
-const Kernels& kernels();  // the best that this processor runs
-bool select_kernels(const char* name);  // for tests; false where the processor lacks it
+const Kernels& kernels();  // the best ones for this processor
+bool select_kernels(const char* name);  // for tests; false if the processor does not support them
 
 }  // namespace e4dgs

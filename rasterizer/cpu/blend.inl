@@ -1,5 +1,5 @@
-// The blending of one tile, forward and backward, for one instruction set: a blend_*.cpp defines E4DGS_ISA, includes its
-// simd_*.h and then this. Blocks of 4 x 4 pixels are the unit of skipping and stopping.
+// Blends one tile, forward and backward, for one instruction set: a blend_*.cpp defines E4DGS_ISA, includes its simd_*.h and then this
+// file. Skipping and stopping work on blocks of 4 x 4 pixels.
 #include "blend.h"
 
 namespace E4DGS_ISA {

@@ -1,5 +1,5 @@
-// Which tiles a convex may touch: for each row of tiles, the range of x that the polygon of its edges, moved out to its support
-// (alpha >= 1/255), takes within the row's pixel centres. Gaussians: project_spans.inl.
+// Which tiles a convex may touch: for each row of tiles, the range of x that its support covers within the row's pixel centres. The
+// support (alpha >= 1/255) is bounded by the polygon of the convex's edges, moved outward. For Gaussians, see project_spans.inl.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,7 +12,7 @@ namespace e4dgs {
 inline int first_tile(double low) { return int(std::ceil((low - (kTile - 0.5)) / kTile)); }
 inline int last_tile(double high) { return int(std::floor((high - 0.5) / kTile)); }
 
-// The polygon L_i <= limit for every edge, a little larger where a corner lies between the rows.
+// The polygon in which L_i <= limit for every edge. The range is slightly too large if a corner lies between the rows.
 class ConvexBounds {
 public:
     explicit ConvexBounds(const ConvexRecord& r) : n_(0) {

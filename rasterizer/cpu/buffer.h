@@ -1,4 +1,4 @@
-// Memory without the zeroing of std::vector: most of what a frame allocates is written before it is read.
+// An array that, unlike std::vector, does not zero its memory: most of what a frame allocates is written before it is read.
 #pragma once
 #include <cstddef>
 #include <type_traits>

@@ -1,10 +1,10 @@
-// A smooth convex at a vector of pixels. Included by blend.inl.
+// The alpha of a smooth convex at a vector of pixels. Included by blend.inl.
 
 template <int N>
 struct ConvexValue {
     Float edge[N];      // 2^(L_i - top)
-    Float relative[N];  // L_i - top, of sharp convexes
-    Float sum, spread;  // of edge; log2 sum
+    Float relative[N];  // L_i - top; only for sharp convexes
+    Float sum, spread;  // sum of edge; log2 sum
     Float lse;          // log2 sum 2^L_i
     Float outside;      // 1 - M
 };
@@ -18,7 +18,7 @@ __attribute__((always_inline)) inline Float sum_of(const Float* v) {
 // alpha before the cap, from lse.
 template <int N>
 __attribute__((always_inline)) inline Float convex_alpha_of(const ConvexItem& item, ConvexValue<N>& value, Mask& counted) {
-    // Beyond 2^30 on either side M is 0 or 1 as far as alpha goes.
+    // Beyond these limits, M is 0 or 1 to within alpha's precision.
     const Float E = exp2(min(max(set1(item.rho) * value.lse, set1(-60.0f)), set1(30.0f)));
     const Float inside = reciprocal(set1(1.0f) + E);
     value.outside = E * inside;
@@ -27,7 +27,7 @@ __attribute__((always_inline)) inline Float convex_alpha_of(const ConvexItem& it
     return alpha;
 }
 
-// N: of the convex's points, as many as it can have edges. lane: of the block's 16 pixels, where the vector begins.
+// N: number of the convex's points, which is its largest number of edges. lane: index of the vector's first pixel among the block's 16.
 template <int N>
 __attribute__((always_inline)) inline Float gentle_alpha(const ConvexItem& item, int block, int lane, ConvexValue<N>& value, Mask& counted) {
     for (int i = 0; i < N; ++i) value.edge[i] = set1(item.level[block][i]) * load(item.growth[i] + lane);
@@ -37,7 +37,7 @@ __attribute__((always_inline)) inline Float gentle_alpha(const ConvexItem& item,
     return convex_alpha_of(item, value, counted);
 }
 
-// N: the number of bits in `edges`, those that matter in the block.
+// N: number of bits in `edges`, which marks the edges that matter in the block.
 template <int N>
 __attribute__((always_inline)) inline Float sharp_alpha(const ConvexItem& item, uint32_t edges, Float X, Float Y, ConvexValue<N>& value, Mask& counted) {
     Float line[N], top;
@@ -66,7 +66,7 @@ struct Count {
     static constexpr int value = N;
 };
 
-// f(Count<n>()): loops over edges are unrolled for each number of them.
+// Calls f(Count<n>()), so that loops over edges are unrolled for each number of edges.
 template <class F>
 __attribute__((always_inline)) inline void for_count(int n, F&& f) {
     switch (n) {

@@ -1,10 +1,11 @@
-// Which blocks of a tile a convex may touch, and what of it matters in which. Included by blend.inl.
+// Finds which blocks of a tile a convex may touch, and which of its edges matter in each. Included by blend.inl.
 
-// Octaves, times the sharpness rho where that is above 1: beyond it lse = top + log2 sum would lose digits that alpha shows.
+// Limit in octaves for the rise of an edge, times the sharpness rho if that is above 1. Beyond it, lse = top + log2 sum would lose digits
+// that are visible in alpha.
 constexpr float kGentle = 24.0f;
-constexpr float kHalf = 0.5f * (kBlock - 1);  // from a block's centre to its outer pixels
+constexpr float kHalf = 0.5f * (kBlock - 1);  // distance from a block's centre to its outer pixels
 
-// Bit c of byte r goes to bit r of byte c.
+// Transposes an 8x8 bit matrix: bit c of byte r goes to bit r of byte c.
 inline uint64_t transposed(uint64_t x) {
     uint64_t t = (x ^ (x >> 7)) & 0x00aa00aa00aa00aaull;
     x ^= t ^ (t << 7);
@@ -14,7 +15,7 @@ inline uint64_t transposed(uint64_t x) {
     return x ^ t ^ (t << 28);
 }
 
-// For vectors over (block, edge), of eight edges a block.
+// The block centres repeated for vectors over (block, edge), with eight edges per block.
 struct EdgeCentres {
     alignas(64) float x[16 * kMaxPoints], y[16 * kMaxPoints];
     constexpr EdgeCentres() : x(), y() {
@@ -24,14 +25,14 @@ struct EdgeCentres {
 constexpr EdgeCentres kEdgeCentres;
 static_assert(kMaxPoints == 8);
 
-// top of the blocks that the vector from element `at` of level holds.
+// The values of top for the blocks covered by a vector that starts at element `at` of level.
 inline Float tops(const float* top, int at) {
     const Float first = set1(top[at / 8]);
     if constexpr (kWidth <= 8) return first;
     return select(load(kEdgeCentres.x + at) >= set1(kEdgeCentres.x[at] + 0.5f), set1(top[at / 8 + 1]), first);
 }
 
-// growth and level of the blocks in `wanted`; offset: [16 blocks][8], L_i(centre) - top, where that is asked for.
+// Computes growth, and level for the blocks in `wanted`. offset [16 blocks][8]: L_i(centre) - top; may be null.
 inline void prepare_gentle(ConvexItem& c, int points, uint32_t wanted, float* offset) {
     for (int i = 0; i < points; ++i)
         for (int k = 0; k < kVectors; ++k) {
@@ -45,7 +46,7 @@ inline void prepare_gentle(ConvexItem& c, int points, uint32_t wanted, float* of
         for (int at = 8 * b; at < 8 * (b + kAtOnce); at += kWidth) {
             const int edge = at % 8;
             const Float line = fma(load(c.a + edge), load(kEdgeCentres.x + at), fma(load(c.b + edge), load(kEdgeCentres.y + at), load(c.c + edge)));
-            // exp2 goes no lower. What is stored must not either: p over, of a slot without an edge, would be 2^-126 kNoEdge.
+            // exp2 saturates here. The stored value must too: in a slot without an edge, p times it would otherwise be 2^-126 kNoEdge.
             const Float over = max(line - tops(c.top, at), set1(-126.0f));
             if (offset) store(offset + at, over);
             store(c.level[0] + at, exp2(over));
@@ -53,8 +54,8 @@ inline void prepare_gentle(ConvexItem& c, int points, uint32_t wanted, float* of
     }
 }
 
-// The blocks in which alpha may count. What is prepared are those among `wanted`.
-// An edge 2^-22 / max(rho, 1) below another one at every pixel does not matter: all of them together change
+// Returns the blocks in which alpha may count. Prepares the data only for those that are also in `wanted`.
+// An edge that is 2^-22 / max(rho, 1) below another one at every pixel does not matter: all such edges together change
 // ln E = rho ln 2 lse by less than 2e-6.
 inline uint32_t convex_blocks(ConvexItem& c, int points, uint32_t wanted, float* offset = nullptr) {
     constexpr float kInside = 26.0f;

@@ -1,26 +1,26 @@
-// Forward: a chunk of the tile's primitives is gathered and tested against its blocks; then each block that still lets light
-// through walks the primitives that may touch it with its pixels in registers. Included by blend.inl.
+// The forward pass of a tile. A chunk of the tile's primitives is gathered and tested against its blocks. Then each block that still has
+// unfinished pixels walks the primitives that may touch it, with its pixels in registers. Included by blend.inl.
 
 struct TilePixels {  // lane l of block b is pixel (4 (b % kSide) + l % 4, 4 (b / kSide) + l / 4)
-    alignas(64) float falling[kPixels];        // transmittance as if nothing stopped: below the line, the pixel has stopped
-    alignas(64) float transmittance[kPixels];  // of stopped pixels, behind their last blended layer
+    alignas(64) float falling[kPixels];        // transmittance as if no pixel ever stopped; a pixel below the threshold has stopped
+    alignas(64) float transmittance[kPixels];  // for stopped pixels: behind their last blended layer
     alignas(64) float red[kPixels], green[kPixels], blue[kPixels], z[kPixels], weight[kPixels];
-    alignas(64) int32_t last[kPixels];         // of stopped pixels, the entry before the one that stopped them
+    alignas(64) int32_t last[kPixels];         // for stopped pixels: the entry before the one that stopped them
 };
 
-constexpr int kConvexChunk = 32;  // of them stay in the nearest cache, which a block's walk reads again and again
+constexpr int kConvexChunk = 32;  // this many fit into the L1 cache, and every block's walk reads them again
 
 struct Chunk {
     alignas(64) Item items[kChunk];
     ConvexItem convexes[kConvexChunk];
     alignas(64) uint16_t masks[kChunk];
-    uint64_t lists[16][kChunk / 64];  // by block, a bit for each item that may touch it
+    uint64_t lists[16][kChunk / 64];  // for each block, a bit for each item that may touch it
     uint64_t seen[kChunk / 64];       // items that a block has walked past
     int n_convexes, points;
-    float nearest;  // depth of the tile's first item; depths of all are taken from there, so that few digits of a mean are rounded away
+    float nearest;  // depth of the tile's first item; all depths are relative to it, so that a mean loses few digits to rounding
 };
 
-// A pixel has stopped where `falling` went below the line: seldom, so it costs the walk one comparison.
+// Records the pixels that have just stopped because `falling` went below the threshold. This is rare and costs the walk one comparison.
 __attribute__((noinline)) void stop_pixels(float* transmittance, int32_t* last, Float before, Float falling, int32_t index) {
     const Float line = set1(kMinTransmittance);
     const Mask fresh = (before >= line) & (falling < line);
@@ -28,7 +28,7 @@ __attribute__((noinline)) void stop_pixels(float* transmittance, int32_t* last, 
     store(last, select(fresh, set1(index), load(last)));
 }
 
-// False once all of the block's pixels have stopped. first: index in the tile of the chunk's first item.
+// Returns false once all of the block's pixels have stopped. first: index of the chunk's first item in the tile's list.
 template <bool EXTRAS, bool CONVEXES>
 inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk& chunk, int32_t first) {
     Float falling[kVectors], red[kVectors], green[kVectors], blue[kVectors], z[kVectors], weight[kVectors], X[kVectors], Y[kVectors];
@@ -79,7 +79,7 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk
                 green[k] = fma(w, set1(item.color[1]), green[k]);
                 blue[k] = fma(w, set1(item.color[2]), blue[k]);
                 z[k] = fma(w, set1(item.z), z[k]);
-                weight[k] = weight[k] + w;  // 1 - transmittance loses the small ones' digits, which depth is divided by
+                weight[k] = weight[k] + w;  // depth is divided by this sum; 1 - transmittance would lose the digits of small weights
                 if (EXTRAS && item.extras)
                     for (int e = 0; e < extras; ++e) {
                         float* p = extra + kPixels * e + 16 * b + k * kWidth;
@@ -113,7 +113,7 @@ done:
     return alive;
 }
 
-// From planes in the order of blocks to `count` <= 4 pixels of a row of the image.
+// Copies `count` <= 4 pixels of a plane in block order to a row of the image.
 inline void copy_lanes(const float* from, float* to, int count) {
     if (count == 4) return void(__builtin_memcpy(to, from, 16));
     for (int i = 0; i < count; ++i) to[i] = from[i];
@@ -151,7 +151,7 @@ inline void write_pixels(const ForwardJob& job, TilePixels& px, const float* ext
         }
 }
 
-// Gathers items from entry `at` on, and which blocks each may touch; how many.
+// Gathers items starting at entry `at`, with the blocks that each may touch. Returns their number.
 inline int gather_chunk(const ForwardJob& job, uint64_t at, uint64_t end, int x0, int y0, uint32_t alive, Chunk& chunk) {
     const int most = end - at < kChunk ? int(end - at) : kChunk;
     chunk.n_convexes = 0, chunk.points = job.points;
@@ -208,7 +208,7 @@ void forward_tile_impl(const ForwardJob& job, int tile, float* extra) {
         for (int word = 0; word < kChunk / 64; ++word)
             for (uint64_t m = chunk.seen[word]; m; m &= m - 1) {
                 const uint32_t id = job.entries[at + 64 * word + __builtin_ctzll(m)].primitive;
-                // Several tiles may write the same 1.
+                // Atomic, because several tiles may write the same 1.
                 uint8_t* flag = id < job.n_gaussians ? job.visible_gaussians + id : job.visible_convexes + (id - job.n_gaussians);
                 __atomic_store_n(flag, uint8_t(1), __ATOMIC_RELAXED);
             }

@@ -1,7 +1,7 @@
-// A Gaussian at a vector of pixels, and which blocks of a tile it may touch. Included by blend.inl.
+// The alpha of a Gaussian at a vector of pixels, and which blocks of a tile it may touch. Included by blend.inl.
 
-// Blocks whose pixel centres may meet the disc u^2 + v^2 <= radius^2, by three separating axes: the block's own two edges and
-// the line from the disc's centre to the block's. A block is a parallelogram in the (u, v) plane.
+// Blocks whose pixel centres may intersect the disc u^2 + v^2 <= radius^2, tested with three separating axes: the block's own two edges and
+// the line from the disc's centre to the block's centre. A block is a parallelogram in the (u, v) plane.
 inline uint32_t gaussian_blocks(const Item& g, float radius) {
     constexpr float h = 0.5f * (kBlock - 1);
     const float r = radius + 1e-4f;
@@ -21,7 +21,7 @@ inline uint32_t gaussian_blocks(const Item& g, float radius) {
     return mask & kAllBlocks;
 }
 
-// Before the cap; `counted` where it is at least 1/255, garbage elsewhere.
+// alpha before the cap. `counted` is true where alpha is at least 1/255; elsewhere the returned value is meaningless.
 inline Float gaussian_alpha(const Item& g, Float X, Float Y, Float& u, Float& v, Mask& counted) {
     u = fma(set1(g.f0), X, fma(set1(g.f1), Y, set1(g.u)));
     v = fma(set1(g.f2), Y, set1(g.v));

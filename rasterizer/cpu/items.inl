@@ -1,6 +1,6 @@
-// What a tile needs of each primitive: its record in the tile's coordinates. Included by blend.inl.
+// The data that a tile needs of each primitive: its record in the tile's coordinates. Included by blend.inl.
 
-constexpr int kVectors = 16 / kWidth;  // a block of 4 x 4 pixels; lanes run along x, then y
+constexpr int kVectors = 16 / kWidth;  // vectors per block of 4 x 4 pixels; lanes run along x, then y
 constexpr int kChunk = 128;
 
 alignas(64) constexpr float kLaneX[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
@@ -22,27 +22,27 @@ struct alignas(64) Item {
     float f0, f1, f2, u, v, exponent;  // Gaussians: u = f0 X + f1 Y + u0, v = f2 Y + v0
     float color[3], z;
     int32_t convex;                    // index into the chunk's convexes, -1 for a Gaussian
-    const float* extras;               // null: zeros
+    const float* extras;               // null counts as zeros
 };
 
-// Lines L_i = a_i X + b_i Y + c_i of the edges, twice, so that two blocks can be worked on at once; lines beyond the last edge's are
-// constant, far below all others, and add nothing.
+// The lines L_i = a_i X + b_i Y + c_i of the edges, stored twice, so that two blocks can be processed at once. Lines beyond the last edge
+// are constant and far below all others, so they add nothing.
 struct ConvexItem {
     alignas(64) float a[16], b[16], c[16];
     float opacity, rho, limit;
     int n;
-    // No edge rises by more than kGentle octaves from a block's centre: 2^L_i is a product of what the pixel's place in the block
-    // gives, the same in all blocks, and of what the block's centre gives, so that a pixel costs one product an edge.
+    // True if no edge rises by more than kGentle octaves from a block's centre. Then 2^L_i is the product of a factor for the pixel's
+    // position in the block, which is the same in all blocks, and a factor for the block's centre, so a pixel costs one product per edge.
     bool gentle;
-    uint16_t inside;             // blocks that lie inside: M is 1 there, to rounding
-    uint8_t edges[16];           // of a sharp convex, by block: the edges that matter, a bit each
-    alignas(64) float growth[kMaxPoints][16];  // of a gentle one, by pixel of a block: 2^(L_i - L_i(centre))
+    uint16_t inside;             // blocks that lie inside the hull: M is 1 there, up to rounding
+    uint8_t edges[16];           // for a sharp convex, by block: the edges that matter, one bit each
+    alignas(64) float growth[kMaxPoints][16];  // for a gentle convex, by pixel of a block: 2^(L_i - L_i(centre))
     alignas(64) float level[16][kMaxPoints];   // by block: 2^(L_i(centre) - top)
     alignas(64) float top[16];                 // by block: max_i L_i(centre)
 };
 
-// Records lie in the order of the input, a tile visits them in order of depth.
-// Inlined by force: the compiler takes a function that only prefetches for one without effect, and drops its calls.
+// Records are stored in input order, but a tile visits them in depth order.
+// Always inlined: the compiler assumes that a function that only prefetches has no effect, and drops calls of it.
 __attribute__((always_inline)) inline void prefetch(const TileJob& job, uint32_t id) {
     if (id < job.n_gaussians) return __builtin_prefetch(&job.gaussians[id]);
     const char* record = reinterpret_cast<const char*>(&job.convexes[id - job.n_gaussians]);
@@ -58,7 +58,7 @@ typedef int64_t EightWords __attribute__((vector_size(64)));
 typedef float EightFloats __attribute__((vector_size(32)));
 static_assert(kMaxPoints == 8);
 
-// As floats within +-1e30, so that sums of them stay finite.
+// Writes the values twice, as floats clamped to +-1e30, so that sums of them stay finite.
 __attribute__((always_inline)) inline void twice(const EightDoubles& from, float* to) {
     constexpr EightFloats most = {1e30f, 1e30f, 1e30f, 1e30f, 1e30f, 1e30f, 1e30f, 1e30f};
     EightFloats v = __builtin_convertvector(from, EightFloats);

@@ -1,4 +1,4 @@
-// The Python face of the CPU kernels: dictionaries of arrays in, arrays filled in place. Only cpu_backend.py calls it.
+// The Python interface of the CPU kernels: takes dictionaries of arrays and fills arrays in place. Only cpu_backend.py calls it.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
@@ -20,7 +20,7 @@ namespace {
 template <class T>
 using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 
-// The array under `key` with these many elements; null where the dictionary has None or nothing. `held` keeps it alive.
+// The array under `key`, which must have `size` elements; null if the dictionary has no such key or None. `held` keeps it alive.
 template <class T>
 T* array(const nb::dict& from, const char* key, int64_t size, std::vector<nb::object>* held = nullptr) {
     if (!from.contains(key) || nb::object(from[key]).is_none()) return nullptr;
@@ -34,7 +34,7 @@ T* array(const nb::dict& from, const char* key, int64_t size, std::vector<nb::ob
 
 int64_t length(const nb::dict& from, const char* key, int axis) { return int64_t(nb::cast<Array<float>>(from[key]).shape(axis)); }
 
-// A frame's state, with the inputs that its backward pass reads again.
+// A frame's state, with the inputs that its backward pass reads.
 struct Frame {
     State state;
     std::vector<nb::object> inputs;
@@ -148,7 +148,7 @@ void backward_frame(const Frame& frame, const nb::dict& grad, const nb::dict& ca
 
 NB_MODULE(_cpu, m) {
     m.doc() = "CPU kernels of e4dgs.rasterizer.";
-    nb::set_leak_warnings(false);  // an autograd graph that is still alive when Python exits is no leak of ours
+    nb::set_leak_warnings(false);  // an autograd graph that is still alive when Python exits is not a leak here
     nb::register_exception_translator([](const std::exception_ptr& error, void*) {
         try {
             std::rethrow_exception(error);

@@ -1,4 +1,5 @@
-// Several primitives at once: a vector of doubles that math/ takes for its scalar type. One width for each instruction set.
+// Pack, a vector of doubles that serves as the scalar type of math/, to process several primitives at once. Its width depends on the
+// instruction set.
 #pragma once
 #include <cstdint>
 
@@ -22,13 +23,13 @@ typedef double Doubles __attribute__((vector_size(8 * kLanes)));
 typedef int64_t Words __attribute__((vector_size(8 * kLanes)));
 static_assert(kLanes <= 8);
 
-struct Truths {  // all bits of a lane are set where it holds
+struct Truths {  // all bits of a lane are set if the condition holds there
     Words w;
     friend Truths operator&(Truths a, Truths b) { return {a.w & b.w}; }
     friend Truths operator|(Truths a, Truths b) { return {a.w | b.w}; }
 };
 
-struct Indices {  // of a point, a lane each
+struct Indices {  // one point index per lane
     int64_t at[kLanes];
 };
 
@@ -65,7 +66,7 @@ struct Pack {
         return out;
 #endif
     }
-    // Of positive normal numbers, with a relative error below 1e-13: 2 atanh((m - 1) / (m + 1)) for m in [sqrt 1/2, sqrt 2).
+    // For positive normal numbers, with a relative error below 1e-13. Uses 2 atanh((m - 1) / (m + 1)) for m in [sqrt 1/2, sqrt 2).
     friend Pack log2(Pack a) {
         const Words bits = reinterpret_cast<Words>(a.v), exponent = (bits - 0x3fe6a09e667f3bcdll) >> 52;
         const Doubles m = reinterpret_cast<Doubles>(bits - (exponent << 52)), s = (m - 1.0) / (m + 1.0), z = s * s;
@@ -95,7 +96,7 @@ inline bool none(Truths t) {
     return any == 0;
 }
 
-// What is asked for and not used: a gradient that nobody wants, at no cost.
+// A gradient that is not needed: what is added to it is discarded at no cost.
 struct Nothing {
     template <class U> void operator+=(const U&) {}
     template <class U> void operator-=(const U&) {}

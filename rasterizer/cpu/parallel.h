@@ -1,12 +1,12 @@
-// One parallel loop for all stages. Work is handed out in blocks whose limits do not depend on the number of threads, so
-// whatever is accumulated a block is the same for any number.
+// The parallel loop for all stages. Work is split into blocks whose boundaries do not depend on the number of threads, so whatever
+// is accumulated per block is the same for any number.
 #pragma once
 #include <atomic>
 #include <cstdint>
 
 namespace e4dgs {
 
-// f(first, last, block) over [0, n) in blocks of `grain`.
+// Calls f(first, last, block) for [0, n) in blocks of `grain`.
 template <class F>
 void parallel_blocks(int64_t n, int64_t grain, int threads, F&& f) {
     const int64_t blocks = (n + grain - 1) / grain;

@@ -17,12 +17,12 @@
 namespace e4dgs {
 namespace {
 
-constexpr size_t kSmall = size_t(1) << 18;       // smaller ones are malloc's business
+constexpr size_t kSmall = size_t(1) << 18;       // smaller buffers are left to malloc
 constexpr size_t kHugePage = size_t(1) << 21;
 #if defined(__SANITIZE_ADDRESS__)
-constexpr size_t kMostKept = 0;  // every buffer has an end of its own that the sanitizer watches
+constexpr size_t kMostKept = 0;  // no reuse, so that the sanitizer can watch the end of every buffer
 #else
-constexpr size_t kMostKept = size_t(512) << 20;  // bytes; the rest goes back at once
+constexpr size_t kMostKept = size_t(512) << 20;  // bytes; memory beyond that is freed at once
 #endif
 
 std::mutex mutex;
@@ -35,13 +35,13 @@ Memory allocate(size_t bytes) {
     void* data = std::aligned_alloc(alignment, capacity);
     if (!data) throw std::bad_alloc();
 #if defined(__linux__) && defined(MADV_HUGEPAGE)
-    if (alignment == kHugePage) madvise(data, capacity, MADV_HUGEPAGE);  // a wish: without it all still works
+    if (alignment == kHugePage) madvise(data, capacity, MADV_HUGEPAGE);  // only a hint: everything works without it
 #endif
     return {data, capacity};
 }
 
 #if defined(__linux__)
-// The first number after `key` in a file of the kernel's; false where there is none ("max" in a control group).
+// Reads the first number after `key` in a file of the kernel's. Returns false if there is none ("max" in a control group).
 bool number_in(const char* path, const std::string& key, size_t& value) {
     std::ifstream file(path);
     for (std::string word; file >> word;)
@@ -93,7 +93,7 @@ void give_memory(Memory memory) {
                 kept.push_back(memory);
                 kept_bytes += memory.capacity;
                 return;
-            } catch (const std::bad_alloc&) {  // then it goes back
+            } catch (const std::bad_alloc&) {  // then the memory is freed below
             }
         }
     }

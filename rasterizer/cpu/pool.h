@@ -1,5 +1,5 @@
-// Where buffers get their memory: what a frame gave back is kept for the next one, in huge pages, because first touches of fresh
-// pages and misses of the address cache cost as much as some of the kernels.
+// The memory pool for buffers. Memory that a frame gives back is kept for the next one, in huge pages, because page faults on fresh
+// memory and TLB misses cost as much as some of the kernels.
 #pragma once
 #include <cstddef>
 #include <stdexcept>
@@ -13,11 +13,11 @@ struct Memory {
 
 Memory take_memory(size_t bytes);  // aligned to 64 bytes; throws std::bad_alloc
 void give_memory(Memory memory);
-size_t release_memory();    // what is kept goes back to the system; bytes
-size_t most_kept_memory();  // bytes; 0 in builds whose sanitizer watches the end of every buffer
-size_t free_memory();       // bytes that this process could still get, as far as the system says
+size_t release_memory();    // returns all kept memory to the system; the number of bytes
+size_t most_kept_memory();  // largest number of bytes kept; 0 in builds whose sanitizer watches the end of every buffer
+size_t free_memory();       // bytes that this process could still get, according to the system
 
-// What would not fit is refused before it is tried: Python sees a MemoryError.
+// Thrown before trying to allocate something that cannot fit. Python sees a MemoryError.
 class TooLarge : public std::runtime_error {
     using std::runtime_error::runtime_error;
 };

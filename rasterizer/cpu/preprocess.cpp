@@ -1,4 +1,4 @@
-// Every primitive on its own: cull, project, colour; many at a time, see project.inl.
+// Processes every primitive on its own: cull, project, colour. Works on many at a time, see project.inl.
 #include "parallel.h"
 #include "project.h"
 #include "state.h"

@@ -1,4 +1,5 @@
-// Primitives to records and back, many at a time, compiled once for each instruction set. Plain data only, as in blend.h.
+// The interface of the kernels from primitives to records and back, many at a time. They are compiled once for each instruction set. Plain
+// data only, as in blend.h.
 #pragma once
 #include <cstdint>
 
@@ -8,13 +9,13 @@
 namespace e4dgs {
 
 constexpr double kSlack = 1e-4;  // supports are enlarged by this much (in exponents) so that rounding never cuts a visible pixel
-constexpr int kProjectBlock = 256;  // primitives that are worked on together; a multiple of every vector's width
+constexpr int kProjectBlock = 256;  // primitives that are processed together; a multiple of every vector width
 
 template <class Record>
 struct ProjectJob {
     const SceneInput* scene;
     Record* records;
-    double* depth;  // NaN where culled
+    double* depth;  // NaN if culled
     TileBox* boxes;
 };
 
@@ -25,15 +26,15 @@ struct BackprojectJob {
     const uint32_t* slot_begin;
     const float* slots;
     const uint8_t* touched;
-    uint32_t units;  // of a slot
-    bool extras;     // they carry gradients
+    uint32_t units;  // size of a slot
+    bool extras;     // whether the slots contain gradients of extras
     Grad out;
 };
 
 struct SpanJob {
     const GaussianRecord* records;
     const TileBox* boxes;
-    const uint32_t* begin;  // by Gaussian, where in `spans` its rows begin
+    const uint32_t* begin;  // for each Gaussian, where its rows begin in `spans`
     Span* spans;
     int width, height;      // px
 };
@@ -43,7 +44,7 @@ using ProjectConvexes = ProjectJob<ConvexRecord>;
 using BackprojectGaussians = BackprojectJob<GaussianRecord, GaussianGrad>;
 using BackprojectConvexes = BackprojectJob<ConvexRecord, ConvexGrad>;
 
-// All but spans work on the primitives first..last, at most kProjectBlock of them. camera [16] is written, may be null.
+// All except spans process the primitives first..last, at most kProjectBlock of them. camera [16] is written; it may be null.
 struct ProjectKernels {
     void (*gaussians)(const ProjectGaussians&, int64_t first, int64_t last);
     void (*convexes)(const ProjectConvexes&, int64_t first, int64_t last);
@@ -52,6 +53,6 @@ struct ProjectKernels {
     void (*convexes_back)(const BackprojectConvexes&, int64_t first, int64_t last, double* camera);
 };
 
-const ProjectKernels& project_kernels();  // of the same instruction set as kernels()
+const ProjectKernels& project_kernels();  // for the same instruction set as kernels()
 
 }  // namespace e4dgs

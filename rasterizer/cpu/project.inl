@@ -1,6 +1,6 @@
-// Primitives to records and back, for one instruction set: a project_*.cpp defines E4DGS_ISA, includes its simd_*.h and then
-// this. math/ is instantiated for Pack alone: an instance for double would be shared with other translation units, and the linker
-// could keep the copy that older processors cannot run.
+// Converts primitives to records and back, for one instruction set: a project_*.cpp defines E4DGS_ISA, includes its simd_*.h and then
+// this file. math/ is instantiated only for Pack: an instance for double would be shared with other translation units, and the linker
+// could keep a copy that older processors cannot run.
 #include "pack.h"
 //
 #include "convex.h"
@@ -16,7 +16,7 @@ using namespace e4dgs;
 
 #include "elementary.inl"
 
-constexpr double kLargest = 3.4028234663852886e38;  // of a float
+constexpr double kLargest = 3.4028234663852886e38;  // largest float
 
 inline Camera<Pack> camera_of(const Camera<double>& from) {
     Camera<Pack> to;
@@ -29,7 +29,7 @@ inline Camera<Pack> camera_of(const Camera<double>& from) {
 
 inline Pack lanes_of(const double* from) { return *reinterpret_cast<const Doubles*>(from); }
 
-// Rows of `width` floats at the indices, one a lane: columns[c] holds column c.
+// Loads the rows of `width` floats at the indices, one row per lane; columns[c] receives column c.
 __attribute__((always_inline)) inline void load_rows(const float* from, int width, const int64_t* index, Pack* columns) {
     for (int l = 0; l < kLanes; ++l)
         for (int c = 0; c < width; ++c) reinterpret_cast<double*>(columns)[c * kLanes + l] = double(from[index[l] * width + c]);
@@ -38,7 +38,7 @@ __attribute__((always_inline)) inline void load_rows(const float* from, int widt
 inline void store_lanes(Pack from, double* to) { *reinterpret_cast<Doubles*>(to) = from.v; }
 
 inline bool finite(const float* x, int64_t n) {
-    uint32_t bad = 0;  // on the bits, so that the loop is vectorised
+    uint32_t bad = 0;  // tested on the bits, so that the loop is vectorised
     for (int64_t i = 0; i < n; ++i) {
         uint32_t word;
         __builtin_memcpy(&word, x + i, 4);
@@ -62,9 +62,9 @@ inline bool usable(const Looks& in, int64_t i, int extras) {
 inline int floor_of(double a) { return int(a); }                            // a >= 0
 inline int ceil_of(double a) { return int(a) + (a > double(int(a))); }      // a > -1
 
-// The tiles that lie between pixel coordinates, all of them in the image; false: none, it lies between pixel centres.
+// The tiles that a range of pixel coordinates within the image overlaps. Returns false if the range contains no pixel centre.
 inline bool tile_box(double low_x, double high_x, double low_y, double high_y, TileBox& box) {
-    // Tile t holds the pixel centres kTile t + 0.5 ... kTile t + kTile - 0.5.
+    // Tile t contains the pixel centres kTile t + 0.5 ... kTile t + kTile - 0.5.
     const int x0 = ceil_of((low_x - (kTile - 0.5)) / kTile), x1 = floor_of((high_x - 0.5) / kTile) + 1;
     const int y0 = ceil_of((low_y - (kTile - 0.5)) / kTile), y1 = floor_of((high_y - 0.5) / kTile) + 1;
     if (x0 >= x1 || y0 >= y1) return false;

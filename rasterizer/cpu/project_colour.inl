@@ -1,5 +1,5 @@
-// Colours of a vector of primitives from spherical harmonics, and back. Directions and the basis are Packs; the coefficients, which
-// are most of the work, are taken row by row as they lie in memory. Included by project.inl.
+// Colours of a vector of primitives from spherical harmonics, and back. Directions and the basis are Packs. The coefficients, which
+// are most of the work, are processed row by row, as stored in memory. Included by project.inl.
 
 template <int D>
 struct ShBasis {
@@ -14,7 +14,7 @@ struct ShBasis {
         for (int k = 0; k < K; ++k) store_lanes(B[k], values[k]);
     }
 
-    // Before the clamp at 0.
+    // The colour before the clamp at 0.
     void colour(int lane, const float* sh, float* out) const {
         float red = 0.5f, green = 0.5f, blue = 0.5f;
         for (int k = 0; k < K; ++k) {
@@ -35,7 +35,7 @@ void sh_colours(const Camera<Pack>& camera, const Pack* position, const float* s
     }
 }
 
-// dcolour [3][lanes]; grad (may be null) is written for lanes that are `mine`, dposition is added to.
+// dcolour [3][lanes]. Writes grad (may be null) for the lanes in `mine`; adds to dposition.
 template <int D, class G>
 void sh_colours_backward(const Camera<Pack>& camera, const Pack* position, const float* sh, const int64_t* index, const bool* mine,
                          const double (*dcolour)[kLanes], float* grad, Pack* dposition, G& camera_grad) {

@@ -1,6 +1,6 @@
-// Convexes to records. One with a bad value is culled here and touches nobody else. Included by project.inl.
+// Converts convexes to records. A convex with a bad value is culled here and does not affect any other. Included by project.inl.
 
-// A convex's points [K][3], and their mean.
+// Loads the points [K][3] of the convexes, and their means.
 inline void load_points(const ConvexInput& in, const int64_t* index, Pack* points, Pack* centre) {
     const int K = in.points_each;
     load_rows(in.points, 3 * K, index, points);
@@ -9,8 +9,9 @@ inline void load_points(const ConvexInput& in, const int64_t* index, Pack* point
         for (int j = 0; j < 3; ++j) centre[j] += points[3 * k + j] / Pack(K);
 }
 
-// The box of the polygon L_i <= limit for every edge. Normals (A, B) turn once around from edge to edge, so the extreme in a direction is
-// bounded by the two edges whose normals enclose it: never too small, and exact where both touch the polygon.
+// The bounding box of the polygon in which L_i <= limit for every edge. The normals (A, B) turn once around from edge to edge, so the
+// extreme in a direction is bounded by the two edges whose normals enclose it. The box is never too small, and exact if both edges touch
+// the polygon.
 inline void polygon_box(const ConvexView<Pack>& v, const Pack* A, const Pack* B, const Pack* C, Pack limit, Pack x0, Pack y0, Pack& low_x,
                         Pack& high_x, Pack& low_y, Pack& high_y) {
     constexpr double kLoose = 1e-6;  // px
@@ -20,7 +21,7 @@ inline void polygon_box(const ConvexView<Pack>& v, const Pack* A, const Pack* B,
         const Pack Ai = A[i], Bi = B[i], Aj = next(A), Bj = next(B), none(0);
         const Pack det = Ai * Bj - Aj * Bi, ri = limit - C[i], rj = limit - next(C);
         const Truths meet = v.edge[i] & (det > none);
-        const Pack x = x0 + (ri * Bj - rj * Bi) / det, y = y0 + (Ai * rj - Aj * ri) / det;  // where the two meet
+        const Pack x = x0 + (ri * Bj - rj * Bi) / det, y = y0 + (Ai * rj - Aj * ri) / det;  // where the two edges intersect
         high_x = choose(meet & (Bi <= none) & (Bj > none) & (x < high_x), x + Pack(kLoose), high_x);
         low_x = choose(meet & (Bi >= none) & (Bj < none) & (x > low_x), x - Pack(kLoose), low_x);
         high_y = choose(meet & (Ai >= none) & (Aj < none) & (y < high_y), y + Pack(kLoose), high_y);
@@ -37,7 +38,7 @@ inline void project_convex_lanes(const ProjectConvexes& job, const Camera<Pack>&
     load_rows(in.tau, 1, index, &tau), load_rows(in.kappa, 1, index, &kappa);
     alignas(64) double lane[8][kLanes];
     for (int l = 0; l < kLanes; ++l) {
-        constexpr float inverse = 1.0f / kMinAlpha;  // fainter ones never reach the cut
+        constexpr float inverse = 1.0f / kMinAlpha;  // fainter convexes never reach kMinAlpha
         const float opacity = in.opacities[index[l]];
         lane[0][l] = double(opacity), lane[1][l] = opacity * inverse > 1.0f && opacity <= 1.0f ? double(inverse) * double(opacity) - 1.0 : 0.0;
         job.depth[index[l]] = __builtin_nan("");
@@ -53,7 +54,7 @@ inline void project_convex_lanes(const ProjectConvexes& job, const Camera<Pack>&
     to_camera(camera, centre, c);
     const Pack x0 = camera.fx * c[0] / c[2] + camera.cx, y0 = camera.fy * c[1] / c[2] + camera.cy, rho = kappa / tau;
     edge_lines(camera, view, tau, x0, y0, A, B, C);
-    // alpha >= kMinAlpha where tau S / ln 2 <= limit
+    // alpha >= kMinAlpha if tau S / ln 2 <= limit
     const Pack exact = log2(choose(good, over, Pack(1))) * tau / kappa, limit = exact + Pack(kSlack) + Pack(1e-5) * fabs(exact);
     Pack sum = limit + x0 + y0;
     for (int k = 0; k < view.slots; ++k) {

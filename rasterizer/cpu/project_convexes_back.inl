@@ -1,10 +1,10 @@
-// Convexes' sums go back through hull, projection and colour to the inputs. Included by project.inl.
+// Propagates the sums of convexes back through hull, projection and colour to the inputs. Included by project.inl.
 
 struct ConvexRows {
     static constexpr int kMost = kConvexEdges + 3 * kMaxPoints;
 
     static int shape(const BackprojectConvexes& job, int64_t i) {
-        // Of a culled one the record may be empty.
+        // The record of a culled convex may be empty.
         return job.slot_begin[i] < job.slot_begin[i + 1] ? kConvexEdges + 3 * job.records[i].n : 0;
     }
 

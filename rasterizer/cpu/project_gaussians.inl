@@ -1,6 +1,6 @@
-// Gaussians to records. One with a bad value is culled here and touches nobody else. Included by project.inl.
+// Converts Gaussians to records. A Gaussian with a bad value is culled here and does not affect any other. Included by project.inl.
 
-// logs: log2 of the opacities, garbage where an opacity is bad.
+// logs: log2 of the opacities; meaningless if an opacity is bad.
 inline void project_lanes(const ProjectGaussians& job, const Camera<Pack>& camera, const int64_t* index, int count, const float* logs) {
     const SceneInput& scene = *job.scene;
     const GaussianInput& in = scene.gaussians;
@@ -9,7 +9,7 @@ inline void project_lanes(const ProjectGaussians& job, const Camera<Pack>& camer
     load_rows(in.opacities, 1, index, &opacity);
     Truths good = bounded(mean, 3) & bounded(quat, 4) & bounded(scale, 3);
     for (int j = 0; j < 3; ++j) good = good & (scale[j] > Pack(0));
-    good = good & (opacity >= Pack(double(kMinAlpha))) & (opacity <= Pack(1));  // fainter ones never reach the cut
+    good = good & (opacity >= Pack(double(kMinAlpha))) & (opacity <= Pack(1));  // fainter Gaussians never reach kMinAlpha
     for (int l = 0; l < kLanes; ++l) job.depth[index[l]] = __builtin_nan("");
     if (none(good)) return;
 

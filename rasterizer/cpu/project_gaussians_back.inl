@@ -1,4 +1,4 @@
-// Gaussians' sums go back through projection and colour to the inputs. Included by project.inl.
+// Propagates the sums of Gaussians back through projection and colour to the inputs. Included by project.inl.
 
 struct GaussianRows {
     static constexpr int kMost = kSlotShape + kGaussianShape;  // colour 3, z, then the moments

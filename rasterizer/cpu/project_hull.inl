@@ -1,8 +1,8 @@
-// The hulls of a vector of convexes at once: points sorted from left to right, then a point is a corner of the lower hull if it lies
-// below every line from one on its left to one on its right; likewise above. Where points lie on a line or upon one another, that convex
-// alone goes through the scan of hull.h. Included by project.inl.
+// The hulls of a vector of convexes at once. With points sorted from left to right, a point is a corner of the lower hull if it lies below
+// every line from a point on its left to a point on its right; likewise for the upper hull. If points are collinear or coincide, only that
+// convex goes through the scan of hull.h. Included by project.inl.
 
-constexpr double kClearTurn = 4 * kFlatTurn;  // of the squared extent; the scan takes the same corners if all turns are beyond it
+constexpr double kClearTurn = 4 * kFlatTurn;  // relative to the squared extent; if all turns are larger, the scan finds the same corners
 
 struct LanePlane {
     const Pack *px, *py;
@@ -11,7 +11,8 @@ struct LanePlane {
     double y(int i) const { return py[i].v[lane]; }
 };
 
-// By bit: the sorted points on the lower hull from left to right, then those on the upper one from right to left. unsure: by lane.
+// Bits that mark the sorted points on the lower hull from left to right, then those on the upper hull from right to left. unsure: lanes
+// that need the scan.
 inline Words hull_path(const ConvexView<Pack>& v, Words* order, Words& unsure) {
     const int n = v.points;
     Pack x[kMaxPoints], y[kMaxPoints], low_y = v.y[0], high_y = v.y[0];
@@ -31,7 +32,7 @@ inline Words hull_path(const ConvexView<Pack>& v, Words* order, Words& unsure) {
     const Pack extent = larger(x[n - 1] - x[0], high_y - low_y), clear = Pack(kClearTurn) * extent * extent;
     Truths lower[kMaxPoints], upper[kMaxPoints], sure = clear >= Pack(0);
     for (int i = 0; i < n; ++i) lower[i] = upper[i] = sure;
-    // Points above one another have no order from left to right.
+    // Points with the same x have no order from left to right.
     for (int i = 0; i + 1 < n; ++i) sure = sure & (x[i + 1] - x[i] > Pack(kClearTurn) * extent);
     for (int i = 0; i < n; ++i)
         for (int j = i + 1; j < n; ++j) {

@@ -1,5 +1,5 @@
-// What both kinds do on the way back: a primitive's slots are summed in the order of its tiles, in double; rows that no tile touched
-// become zero. Included by project.inl.
+// The part of the backward pass that both kinds share: the slots of a primitive are summed in tile order, in double, and rows of primitives
+// that no tile touched become zero. Included by project.inl.
 
 inline void clear_row(float* to, int64_t i, int width) {
     if (to) __builtin_memset(to + i * width, 0, sizeof(float) * size_t(width));
@@ -10,7 +10,7 @@ inline void zero_looks(const Looks& in, const LooksGrad& out, int extras, int64_
     clear_row(out.sh, i, (in.degree + 1) * (in.degree + 1) * 3), clear_row(out.extras, i, extras);
 }
 
-// False where no tile touched the primitive. count: of floats in a slot, before the extras.
+// Returns false if no tile touched the primitive. count: number of floats in a slot before the extras.
 template <class Job>
 __attribute__((always_inline)) inline bool sum_slots(const Job& job, int64_t i, int count, double* sums) {
     bool any = false;
@@ -33,7 +33,7 @@ __attribute__((always_inline)) inline bool sum_slots(const Job& job, int64_t i, 
     return true;
 }
 
-// Beyond float32's range (scales at its very end) a gradient is its largest number, not an infinity.
+// A gradient beyond float32's range (from scales near the end of it) becomes the largest float, not an infinity.
 __attribute__((always_inline)) inline void write_rows(float* to, const Pack* from, int width, const int64_t* index, const bool* mine) {
     if (!to) return;
     alignas(64) double lane[3 * kMaxPoints][kLanes];
@@ -48,7 +48,7 @@ inline double sum_of_lanes(Pack a) {
     return sum;
 }
 
-// f(grad), where grad costs nothing if nobody asked for it.
+// Calls f(grad). If the camera's gradient is not needed, grad costs nothing.
 template <class F>
 void with_camera_grad(double* camera, F&& f) {
     if (!camera) {
@@ -67,9 +67,9 @@ void with_camera_grad(double* camera, F&& f) {
     }
 }
 
-// Kind: kMost sums, shape(job, i) of them in a slot; zero(job, i); lanes(job, camera, index, mine, sums [kMost][lanes], grad), where
-// lanes that are not `mine` repeat another row, with sums of zero. A primitive's lane depends on its own number alone: what happens to
-// others must not change a bit, also of the camera's gradient.
+// Kind provides kMost, the largest number of sums; shape(job, i), their number in a slot; zero(job, i); and lanes(job, camera, index, mine,
+// sums [kMost][lanes], grad), where lanes that are not `mine` repeat another row with sums of zero. A primitive's lane depends only on its
+// index, because other primitives must not change a single bit, not even of the camera's gradient.
 template <class Kind, class Job, class G>
 void backproject(const Job& job, int64_t first, int64_t last, G& grad) {
     const Camera<Pack> camera = camera_of(job.scene->camera);

@@ -1,5 +1,5 @@
-// For each row of tiles, the tiles that a Gaussian's support may touch: the range of x that the ellipse u^2 + v^2 <= radius^2 takes
-// within the row's pixel centres. A vector of Gaussians at a time, row by row of each one's box. Included by project.inl.
+// For each row of tiles, the tiles that a Gaussian's support may touch: the range of x that the ellipse u^2 + v^2 <= radius^2 covers
+// within the row's pixel centres. Processes a vector of Gaussians at a time, row by row of their boxes. Included by project.inl.
 
 inline void gaussian_spans_lanes(const SpanJob& job, const uint32_t* ids, int count) {
     alignas(64) double lane[8][kLanes];
@@ -14,7 +14,7 @@ inline void gaussian_spans_lanes(const SpanJob& job, const uint32_t* ids, int co
     }
     const Pack x = lanes_of(lane[0]), y = lanes_of(lane[1]), f0 = lanes_of(lane[2]), f1 = lanes_of(lane[3]), f2 = lanes_of(lane[4]), radius = lanes_of(lane[5]);
     const Pack first_row = lanes_of(lane[6]), radius2 = radius * radius, inverse = Pack(1) / f0, high_y = radius / f2;
-    const Pack rightmost = Pack(0) - high_y * f1 / sqrt(f1 * f1 + f2 * f2);  // the y, from the centre, where the ellipse's right end lies
+    const Pack rightmost = Pack(0) - high_y * f1 / sqrt(f1 * f1 + f2 * f2);  // y of the ellipse's right end, relative to the centre
     const auto within = [](Pack v, Pack low, Pack high) { return larger(smaller(v, high), low); };
     const auto half = [&](Pack dy) {
         const Pack v = f2 * dy;

@@ -1,5 +1,5 @@
-// The backward pass: the tiles', then each primitive's slots summed and taken back to the inputs. Sums run in a fixed order in double, so
-// threads do not change a bit.
+// The backward pass: first over the tiles; then each primitive's slots are summed and propagated back to the inputs. Sums are in double and
+// in a fixed order, so the number of threads does not change a single bit.
 #include <vector>
 
 #include "parallel.h"

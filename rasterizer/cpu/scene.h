@@ -1,5 +1,5 @@
-// What the Python side hands in, as plain pointers. All arrays are C-contiguous float32; a null pointer means "not given" for
-// an input and "not asked for" for a gradient.
+// The arguments from Python as plain pointers. All arrays are C-contiguous float32. A null pointer means "not given" for
+// an input and "not requested" for a gradient.
 #pragma once
 #include <cstdint>
 
@@ -10,7 +10,7 @@ namespace e4dgs {
 struct Looks {
     const float* opacities = nullptr;  // [n]
     const float* sh = nullptr;         // [n, (degree+1)^2, 3]
-    const float* colors = nullptr;     // [n, 3], exactly one of the two
+    const float* colors = nullptr;     // [n, 3]; exactly one of sh and colors is given
     const float* extras = nullptr;     // [n, E]
     int degree = 0;
 };
@@ -30,7 +30,7 @@ struct SceneInput {
     Camera<double> camera;
     GaussianInput gaussians;
     ConvexInput convexes;
-    int extras = 0;  // channels E
+    int extras = 0;  // number of channels E
     float background[3] = {0, 0, 0};
 };
 
@@ -42,9 +42,9 @@ struct FrameOutput {
     uint8_t *visible_gaussians = nullptr, *visible_convexes = nullptr;
 };
 
-struct FrameGrad {  // null: zero
+struct FrameGrad {  // null counts as zero
     const float *color = nullptr, *alpha = nullptr, *depth = nullptr, *extras = nullptr;
-    const float *alpha_image = nullptr, *depth_image = nullptr;  // the frame itself, where `depth` is given
+    const float *alpha_image = nullptr, *depth_image = nullptr;  // images of the frame; needed if `depth` is given
 };
 
 struct LooksGrad {

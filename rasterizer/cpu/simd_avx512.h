@@ -1,4 +1,4 @@
-// Vectors of 16 floats on AVX-512. The three simd_*.h headers offer the same names; blend.inl is written in terms of them.
+// Vectors of 16 floats on AVX-512. The three simd_*.h headers define the same names, which blend.inl uses.
 #pragma once
 #include <immintrin.h>
 
@@ -74,7 +74,7 @@ inline void sum_lanes(const Float* v, float* out) {
     _mm512_storeu_ps(out, single(pairs(column[0], column[1]), pairs(column[2], column[3])));
 }
 
-// lists[b] = which of the 128 masks have bit b.
+// lists[b]: which of the 128 masks have bit b set.
 inline void lists_of_bits(const uint16_t* masks, uint64_t (*lists)[2]) {
     __m512i part[4];
     for (int p = 0; p < 4; ++p) part[p] = _mm512_load_si512(masks + 32 * p);

@@ -38,7 +38,7 @@ inline Float keep(Mask m, Float a) { return {reinterpret_cast<float4>(reinterpre
 inline uint32_t bits(Mask m) { return (m.m[0] & 1) | (m.m[1] & 2) | (m.m[2] & 4) | (m.m[3] & 8); }
 inline Float reciprocal(Float a) { return {1.0f / a.v}; }
 
-// Adding 1.5 * 2^23 leaves the nearest integer in the low bits; wants |a| < 2^22.
+// Adding 1.5 * 2^23 leaves the nearest integer in the low bits. Requires |a| < 2^22.
 inline Float nearest(Float a) {
     const float4 magic = set1(12582912.0f).v;
     return {(a.v + magic) - magic};

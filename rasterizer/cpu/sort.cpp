@@ -1,5 +1,5 @@
-// Depth order: a radix sort of the depths as floats, then runs of equal floats put right by their full precision. Stable, so
-// ties keep the order of the input, Gaussians before convexes; a stable order is the same for any number of threads.
+// Sorts by depth: a radix sort of the depths as floats, then runs of equal floats are sorted by full precision. The sort is stable, so
+// ties keep the order of the input (Gaussians before convexes), and the result is the same for any number of threads.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -15,15 +15,15 @@ struct Key {
     uint32_t bits, primitive;
 };
 
-constexpr int kMostBits = 11;  // of a digit
+constexpr int kMostBits = 11;  // largest number of bits in a digit
 
-struct Ranges {  // contiguous shares of n things; so large because waking threads eight times costs more than it saves below
+struct Ranges {  // contiguous ranges of n items, at least 262144 each: for fewer, waking the threads eight times costs more than it saves
     int64_t n, count;
     Ranges(int64_t size, int threads) : n(size), count(std::max<int64_t>(1, std::min<int64_t>(threads, size / 262144))) {}
     int64_t begin(int64_t r) const { return n * r / count; }
 };
 
-// By the digit of `width` bits from `shift` on: each range counts, then fills its own places.
+// Sorts by the digit of `width` bits that starts at bit `shift`: each range counts, then fills its own places.
 void scatter(const Buffer<Key>& from, Buffer<Key>& to, int64_t n, int shift, int width, int threads) {
     const Ranges ranges(n, threads);
     const uint32_t buckets = 1u << width, mask = buckets - 1;
@@ -44,7 +44,8 @@ void scatter(const Buffer<Key>& from, Buffer<Key>& to, int64_t n, int shift, int
     });
 }
 
-// The keys of what was not culled, in the order of the input, from the least depth's bits on: positive floats sort like their bits.
+// Collects the keys of the primitives that were not culled, in input order. A key is the depth's bits minus those of the smallest depth;
+// positive floats sort like their bits.
 int64_t collect(const State& state, Buffer<Key>& keys, uint32_t& most, int threads) {
     const int64_t total = int64_t(state.depth.size());
     const Ranges ranges(total, threads);

@@ -1,4 +1,4 @@
-// Which tiles of each row a primitive may touch, and how many in all: in the order of the input, while its record is at hand.
+// Finds which tiles of each row a primitive may touch, and how many in total. Runs in input order, while the record is in the cache.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -20,13 +20,13 @@ Span span_of_row(const State& state, const ConvexBounds& bounds, const TileBox& 
     const double ya = ty * kTile + 0.5, yb = std::min(ya + kTile - 1, height - 0.5);
     if (!bounds.x_range(ya, yb, low, high)) return {0, 0};
     low = std::max(low, 0.5), high = std::min(high, width - 0.5);
-    if (!(low <= high)) return {0, 0};  // before anything becomes an integer: it may lie far outside
+    if (!(low <= high)) return {0, 0};  // checked before converting to integers, because the range may lie far outside
     const int a = std::max(first_tile(low), int(box.x0)), b = std::min(last_tile(high) + 1, int(box.x1));
     if (a >= b) return {0, 0};
     return {uint16_t(a), uint16_t(b)};
 }
 
-// The rows of the boxes that are wide in both directions, of primitives first..last; span_begin counts from this block's first row.
+// The spans of primitives first..last whose boxes are wide in both directions. span_begin is relative to this block's first row.
 void block_spans(State& state, int64_t first, int64_t last, std::vector<Span>& spans) {
     const int64_t n = state.scene.gaussians.n;
     uint32_t wide[kGrain], rows = 0;
@@ -60,7 +60,7 @@ uint32_t tiles_of(const State& state, int64_t id, const std::vector<Span>& spans
     return tiles;
 }
 
-// Before the large arrays: of (tile, primitive) pairs, and with gradients of their slots.
+// Called before the large arrays are allocated: those of (tile, primitive) pairs and, with gradients, of their slots.
 void refuse_what_cannot_fit(const State& state, uint64_t units, uint64_t rows, bool keep) {
     const uint64_t least = uint64_t(std::min(state.gaussian_units(), state.convex_units())), pairs = units / least;
     const uint64_t bytes = pairs * (sizeof(Entry) + sizeof(uint16_t)) + rows * sizeof(Span) + (keep ? units * (16 + 1) : 0);
@@ -85,7 +85,7 @@ void find_spans(State& state, bool keep, int threads) {
     state.slot_begin.resize(total + 1);
     state.span_begin.resize(total);
     parallel_blocks(total, kGrain, threads, [&](int64_t first, int64_t last, int64_t block) {
-        std::vector<Span> mine;  // what threads write to often lies apart
+        std::vector<Span> mine;  // local to the block, so that threads do not write to adjacent memory
         uint64_t sum = 0;
         block_spans(state, first, last, mine);
         for (int64_t id = first; id < last; ++id) {

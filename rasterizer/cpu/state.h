@@ -1,4 +1,4 @@
-// What a frame's forward pass computes and its backward pass needs again.
+// The state of a frame that its forward pass computes and its backward pass needs.
 #pragma once
 #include <cstdint>
 #include <vector>
@@ -9,7 +9,7 @@
 
 namespace e4dgs {
 
-// Floats a (tile, primitive) pair's gradients: color 3, z 1, shape, extras E; rounded up to whole units.
+// Number of units (of 4 floats) for the gradients of a (tile, primitive) pair: color 3, z 1, shape, extras E, rounded up.
 inline int slot_units(int shape, int extras) { return (4 + shape + extras + 3) / 4; }
 
 struct State {
@@ -17,11 +17,11 @@ struct State {
     int tiles_x = 0, tiles_y = 0;
     Buffer<GaussianRecord> gaussians;
     Buffer<ConvexRecord> convexes;
-    Buffer<double> depth;         // [N+M], z; NaN where culled or in no tile
+    Buffer<double> depth;         // [N+M], z; NaN if culled or in no tile
     Buffer<TileBox> boxes;        // [N+M]
-    Buffer<uint32_t> span_begin;  // [N+M] of wide boxes: where in `spans` their rows begin
+    Buffer<uint32_t> span_begin;  // [N+M] for wide boxes: where their rows begin in `spans`
     Buffer<Span> spans;
-    Buffer<uint32_t> order;       // the others, front to back
+    Buffer<uint32_t> order;       // primitives that were not culled, front to back
     Buffer<uint32_t> slot_begin;  // [N+M+1], in units of 4 floats
     Buffer<uint64_t> tile_begin;  // [tiles + 1]
     Buffer<Entry> entries;        // by tile, front to back
@@ -35,7 +35,7 @@ struct State {
 };
 
 void preprocess(State& state, int threads);              // records, depth, boxes
-void find_spans(State& state, bool keep, int threads);   // TooLarge; span_begin, spans, slot_begin
+void find_spans(State& state, bool keep, int threads);   // span_begin, spans, slot_begin; throws TooLarge
 void sort_by_depth(State& state, int threads);           // order
 void distribute(State& state, int threads);              // tile_begin, entries
 void blend_forward(State& state, const FrameOutput& out, bool keep, int threads);

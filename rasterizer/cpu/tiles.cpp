@@ -1,5 +1,5 @@
-// Hands the depth-sorted primitives out to the tiles that they may touch: count, prefix sums, fill. Contiguous ranges of the
-// order are counted and filled separately and put side by side, so the result is the same for any number of ranges.
+// Distributes the depth-sorted primitives to the tiles that they may touch: count, prefix sums, fill. Contiguous ranges of the
+// order are counted and filled separately and placed one after another, so the result is the same for any number of ranges.
 #include <algorithm>
 
 #include "parallel.h"
@@ -8,7 +8,7 @@
 namespace e4dgs {
 namespace {
 
-constexpr int kAhead = 16;  // boxes are visited in order of depth, which is no order in memory
+constexpr int kAhead = 16;  // prefetch distance: boxes are visited in depth order, which is random in memory
 
 // f(row, first, last) for each row of tiles of primitive `id`.
 template <class F>
@@ -28,10 +28,10 @@ void distribute(State& state, int threads) {
     const uint32_t n_gaussians = uint32_t(state.scene.gaussians.n);
     const int tiles = state.tiles();
     const int64_t n = int64_t(state.order.size());
-    // More ranges than threads: what is near covers most tiles.
+    // Use more ranges than threads, because near primitives cover the most tiles.
     const int64_t ranges = threads <= 1 ? 1 : std::max<int64_t>(1, std::min<int64_t>(4 * threads, n / 512));
     const auto limit = [&](int64_t r) { return n * r / ranges; };
-    Buffer<uint64_t> at(size_t(ranges) * tiles);  // first counts, then where each range's next entry of a tile goes
+    Buffer<uint64_t> at(size_t(ranges) * tiles);  // first the counts, then the position of each range's next entry in a tile
     std::fill(at.begin(), at.end(), 0);
 
     parallel_blocks(ranges, 1, threads, [&](int64_t r, int64_t, int64_t) {

@@ -1,15 +1,15 @@
 // A primitive's alpha at the two pixels of a lane, (X, Y) and (X, Y + 4) in the tile's coordinates, before the cap. Forward and backward
-// include this one text, so that both decide alike which pixels count. Features: POINTS.
+// both include this file, so that they agree on which pixels count. Features: POINTS.
 #pragma once
 #include "tile_items.cuh"
 
 namespace e4dgs {
 
-constexpr float kLaneStep = 4.0f;  // px, between a lane's pixels
+constexpr float kLaneStep = 4.0f;  // px, distance between the two pixels of a lane
 
 struct GaussianAlpha {
     float u, v, alpha;
-    bool counted;  // alpha is at least 1/255; it means nothing elsewhere
+    bool counted;  // whether alpha is at least 1/255; otherwise alpha is meaningless
 
     __device__ __forceinline__ void at(const float4& a, const float4& b, float X, float Y) {
         u = fmaf(a.z, X, fmaf(a.w, Y, a.x));
@@ -24,13 +24,13 @@ struct GaussianAlpha {
 struct ConvexAlpha {
     float edge[POINTS];     // 2^(L_i - top)
     float over[POINTS];     // L_i - top
-    float sum, spread;      // of edge; log2 sum
+    float sum, spread;      // sum of edge; log2 sum
     float lse;              // log2 sum_i 2^L_i
     float outside;          // 1 - M
     float alpha;
     bool counted;
 
-    // lines: a b c - of each edge.
+    // lines: a, b, c and an unused value for each edge.
     __device__ __forceinline__ void at(const float4* lines, float opacity, float rho, float X, float Y) {
         float top = -3e38f;
 #pragma unroll
@@ -47,7 +47,7 @@ struct ConvexAlpha {
         }
         spread = log2_approx(sum);
         lse = top + spread;
-        // Beyond 2^30 on either side M is 0 or 1 as far as alpha goes.
+        // Beyond these limits, M is 0 or 1 to within alpha's precision.
         const float E = exp2_approx(fminf(fmaxf(rho * lse, -60.0f), 30.0f)), inside = reciprocal(1.0f + E);
         outside = E * inside;
         alpha = opacity * inside;

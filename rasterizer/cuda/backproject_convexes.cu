@@ -1,5 +1,5 @@
-// Convexes' sums go back through hull, projection and colour to the inputs, a thread each, in double. Features: POINTS, SH_DEGREE (-1:
-// colors), CAMERA.
+// Propagates the sums of convexes back through hull, projection and colour to the inputs, one thread per convex, in double. Features:
+// POINTS, SH_DEGREE (-1: colors), CAMERA.
 #include "camera_sum.cuh"
 #include "convex_hull.cuh"
 #include "inputs.cuh"
@@ -7,7 +7,8 @@
 
 using namespace e4dgs;
 
-// sums: see kConvexSums. Gradients may be null; their rows are written where `visible`, and must be zero elsewhere. camera_rows [blocks, 16].
+// sums: see kConvexSums. Gradients may be null; only rows of visible convexes are written, so they must be zero before. camera_rows
+// [blocks, 16].
 extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
     backproject_convexes(const double* camera, int width, int height, int n, const float* points, const float* taus, const float* kappas,
                          const float* opacities, const float* looks, const ConvexRecord* records, const uint8* visible, const float* sums, float* dpoints,

@@ -1,4 +1,5 @@
-// Gaussians' sums go back through projection and colour to the inputs, a thread each, in double. Features: SH_DEGREE (-1: colors), CAMERA.
+// Propagates the sums of Gaussians back through projection and colour to the inputs, one thread per Gaussian, in double. Features:
+// SH_DEGREE (-1: colors), CAMERA.
 #include "camera_sum.cuh"
 #include "inputs.cuh"
 #include "records.cuh"
@@ -7,7 +8,8 @@
 
 using namespace e4dgs;
 
-// sums: see kGaussianSums. Gradients may be null; their rows are written where `visible`, and must be zero elsewhere. camera_rows [blocks, 16].
+// sums: see kGaussianSums. Gradients may be null; only rows of visible Gaussians are written, so they must be zero before. camera_rows
+// [blocks, 16].
 extern "C" __global__ void __launch_bounds__(kBackThreads)
     backproject_gaussians(const double* camera, int width, int height, int n, const float* means, const float* quats, const float* scales,
                           const float* opacities, const float* looks, const GaussianRecord* records, const uint8* visible, const float* sums, float* dmeans,

@@ -1,4 +1,4 @@
-"""Gradients of an image's to its primitives' and its camera's, on the GPU."""
+"""The backward pass on the GPU: from gradients of the images to gradients of primitives and camera."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ CONVEX_EDGES = 7
 def backward(
     launcher: Launcher, inputs: Inputs, state: State, images: dict[str, Tensor], grads: dict[str, Tensor | None], wanted: dict[str, bool]
 ) -> dict[str, Tensor]:
-    """The gradients that are `wanted`, by name: "camera" [16] float64 (fx fy cx cy, then the 3x4 of cam_from_world), "background" [3], and
-    "gaussians.means", ..., "convexes.looks", "convexes.extras", each in its input's shape.
+    """The `wanted` gradients by name: "camera" [16] float64 (fx fy cx cy, then the 3x4 of cam_from_world), "background" [3], and
+    "gaussians.means", ..., "convexes.looks", "convexes.extras", each in the shape of its input.
 
-    images: alpha and depth, as `forward` made them; grads: of color, alpha, depth and extras, contiguous float32 or None.
+    images: alpha and depth from `forward`. grads: gradients of color, alpha, depth and extras, contiguous float32 or None.
     """
     out = _zeros(inputs, wanted)
     if wanted.get("background"):
@@ -42,7 +42,7 @@ def backward(
 
 
 def _zeros(inputs: Inputs, wanted: dict[str, bool]) -> dict[str, Tensor]:
-    """Gradients that start at zero: rows of what no pixel blends stay so."""
+    """Gradients initialised to zero. Rows of primitives that no pixel blends stay zero."""
     found = {}
     for name, kind in (("gaussians", inputs.gaussians), ("convexes", inputs.convexes)):
         fields = ("means", "quats", "scales", "opacities") if name == "gaussians" else ("points", "tau", "kappa", "opacities")
@@ -56,7 +56,7 @@ def _zeros(inputs: Inputs, wanted: dict[str, bool]) -> dict[str, Tensor]:
 def _sums(
     launcher: Launcher, inputs: Inputs, state: State, images: dict[str, Tensor], grads: dict[str, Tensor | None], out: dict[str, Tensor]
 ) -> tuple[Tensor, Tensor]:
-    """What the pixels give to each primitive, [n, GAUSSIAN_SUMS] and [m, *]; its extras' gradients are written to `out`."""
+    """Sums over the pixels for each primitive, [n, GAUSSIAN_SUMS] and [m, *]. Gradients of extras are written to `out`."""
     n, m, device, pairs = inputs.n, inputs.m, inputs.device, state.entries.shape[0]
     convex_sums = CONVEX_EDGES + 3 * inputs.points
     gaussians = torch.zeros(n, GAUSSIAN_SUMS, dtype=torch.float32, device=device)
@@ -85,7 +85,7 @@ def _sums(
 def _backproject(
     launcher: Launcher, inputs: Inputs, state: State, sums: tuple[Tensor, Tensor], out: dict[str, Tensor], camera: bool
 ) -> Tensor:
-    """Writes the gradients in `out`; returns the camera's as rows [*, 16] to be added up."""
+    """Writes the gradients into `out`. Returns the camera's gradient as rows [*, 16], still to be summed."""
     g, c, n, m = inputs.gaussians, inputs.convexes, inputs.n, inputs.m
     blocks, convex_blocks = -(-n // THREADS), -(-m // THREADS)
     rows = torch.zeros(blocks + convex_blocks if camera else 0, 16, dtype=torch.float64, device=inputs.device)

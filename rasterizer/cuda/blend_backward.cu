@@ -1,7 +1,8 @@
-// A tile's primitives from the last blended one to the first. Each pixel carries its transmittance T, divided back by (1 - alpha), and
-// `behind`, the gradient's share of everything behind; with f = dL/dw of a layer, dL/dalpha = T f - behind / (1 - alpha). A warp adds what
-// its 64 pixels give to a primitive before anything leaves the registers; a tile's four warps meet in shared memory; so global memory sees
-// one addition a number, primitive and tile. Features: POINTS, EXTRAS, DEPTH (1: the depth image has a gradient).
+// The backward pass of a tile, from the last blended primitive to the first. Each pixel keeps its transmittance T, which is restored by
+// dividing by (1 - alpha), and `behind`, the contribution of everything behind to the gradient. With f = dL/dw of a layer,
+// dL/dalpha = T f - behind / (1 - alpha). A warp sums over its 64 pixels before anything leaves the registers, and the four warps of a tile
+// combine their sums in shared memory. So there is one addition to global memory per value, primitive and tile. Features: POINTS, EXTRAS,
+// DEPTH (1: the depth image has a gradient).
 #include "alpha.cuh"
 #include "warp_sum.cuh"
 
@@ -13,32 +14,32 @@ namespace e4dgs {
 
 constexpr int kBatch = POINTS ? 32 : 64;
 constexpr int kShapeSums = kConvexSums > kGaussianSums ? kConvexSums : kGaussianSums;
-constexpr int kSums = kShapeSums + EXTRAS;  // of a slot
+constexpr int kSums = kShapeSums + EXTRAS;  // number of sums in a slot
 
 struct Pixel {
     float transmittance, behind, red, green, blue;
-    float z, depth;  // gradient of sum w z: depth's over alpha; and the mean that it is
+    float z, depth;  // z: gradient of sum w z, which is depth's gradient / alpha; depth: the weighted mean itself
     float extra[EXTRAS ? EXTRAS : 1];
     int last;
 };
 
-struct Layer {  // what both kinds share
+struct Layer {  // the values that both kinds have
     float z;
     float4 tint;
     const float* extras;
-    int index;  // in the tile's list
+    int index;  // position in the tile's list
 };
 
-// Adds to sums: color 3, z; to extras. Returns dL/dalpha alpha, 0 where alpha is capped.
+// Adds color 3 and z to sums, and adds to extras. Returns dL/dalpha alpha, or 0 if alpha is capped.
 __device__ __forceinline__ float layer_backward(Pixel& px, const Layer& layer, float raw, bool counted, float* sums, float* extras) {
     const float alpha = counted && px.last >= layer.index ? fminf(raw, kMaxAlpha) : 0.0f;
-    // Refined once: over thousands of layers of one alpha, the same error of the approximation would add up in the transmittance.
+    // The reciprocal is refined once. Otherwise, over thousands of layers with the same alpha, its error would add up in the transmittance.
     const float through = 1.0f - alpha, rough = reciprocal(through), inverse = fmaf(rough, fmaf(-through, rough, 1.0f), rough);
     const float before = px.transmittance * inverse, behind = px.behind, w = before * alpha;
     float f = fmaf(px.red, layer.tint.x, fmaf(px.green, layer.tint.y, px.blue * layer.tint.z));
     sums[0] = fmaf(w, px.red, sums[0]), sums[1] = fmaf(w, px.green, sums[1]), sums[2] = fmaf(w, px.blue, sums[2]);
 #if DEPTH
-    // depth is a mean: a layer moves it by its distance from it, and what lies behind, all together, not at all.
+    // Depth is a weighted mean, so a layer changes it by its own distance from the mean, while everything behind, taken together, does not.
     f = fmaf(px.z, layer.z - px.depth, f);
     sums[3] = fmaf(w, px.z, sums[3]);
 #endif
@@ -52,7 +53,7 @@ __device__ __forceinline__ float layer_backward(Pixel& px, const Layer& layer, f
     return raw < kMaxAlpha ? alpha * fmaf(-behind, inverse, before * f) : 0.0f;
 }
 
-// The totals of v [V] go to `shape`, those from V - EXTRAS on to `extras`.
+// Sums v [V] over the warp. The totals go to `shape`, except for the last EXTRAS, which go to `extras`.
 template <int V>
 __device__ __forceinline__ void add_up(float* v, int lane, float* shape, float* extras) {
     const int mine = warp_total_of<V>(lane);
@@ -61,7 +62,7 @@ __device__ __forceinline__ void add_up(float* v, int lane, float* shape, float* 
     (mine < V - EXTRAS ? shape[mine] : extras[mine - (V - EXTRAS)]) = total;
 }
 
-// v [SHAPE + EXTRAS]: all of a layer's sums.
+// Sums v [SHAPE + EXTRAS], all sums of a layer, over the warp and writes the totals to `row`.
 template <int SHAPE>
 __device__ __forceinline__ void add_layer(float* v, int lane, float* row) {
     if constexpr (next_power(SHAPE + EXTRAS) == next_power(SHAPE) && SHAPE + EXTRAS <= 32) {
@@ -78,9 +79,10 @@ __device__ __forceinline__ void add_layer(float* v, int lane, float* row) {
 
 using namespace e4dgs;
 
-// Gradients of images may be null: zero. alpha and depth: the frame's, read where DEPTH is 1. touched: see blend_forward. Without slots, sums
-// are added to gaussian_sums [n, kGaussianSums], convex_sums [m, kConvexSums] and dextras [*, channels] atomically, in no fixed order; with
-// them each (tile, primitive) pair's go to a row of slots [pairs, kSums], at its number in `pair` [entries].
+// Gradients of images may be null, which counts as zero. alpha and depth: images of the frame, read if DEPTH is 1. touched: see
+// blend_forward. Without slots, the sums are added to gaussian_sums [n, kGaussianSums], convex_sums [m, kConvexSums] and dextras [*,
+// channels] atomically, in no fixed order. With slots [pairs, kSums], the sums of each (tile, primitive) pair are written to the row given
+// by `pair` [entries].
 extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
     blend_backward(const GaussianRecord* gaussians, const ConvexRecord* convexes, const float* gaussian_extras, const float* convex_extras, int n_gaussians,
                    int channels, int first_channel, const int* begins, const int* entries, const uint8* touched, int width, int height, const float* background,
@@ -136,7 +138,7 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
 
     for (int top = furthest + 1; top > 0; top -= kBatch) {
         const int first = top > kBatch ? top - kBatch : 0, n = top - first;
-        __syncthreads();  // the batch before has left shared memory
+        __syncthreads();  // nobody uses the previous batch in shared memory any more
         if (thread < n) {
             const int at = begin + first + thread, id = entries[at];
             uint32 mark = touched[at];
@@ -146,7 +148,7 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
 #if POINTS
                 if (mark & kConvexMark) {
                     const ConvexRecord& r = convexes[id - n_gaussians];
-                    items[thread][1] = make_float4(float(x0 + 0.5 - r.x0), float(y0 + 0.5 - r.y0), 0.0f, 0.0f);  // from its centre to the tile's first pixel
+                    items[thread][1] = make_float4(float(x0 + 0.5 - r.x0), float(y0 + 0.5 - r.y0), 0.0f, 0.0f);  // convex's centre to tile's origin
                 }
 #endif
             }
@@ -227,7 +229,7 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
             };
             float sum = sum_of(c);
 #if POINTS
-            if (convex && c >= kConvexEdges && c < kConvexSums) {  // (X, Y) are counted from the convex's centre
+            if (convex && c >= kConvexEdges && c < kConvexSums) {  // (X, Y) become relative to the convex's centre
                 const int part = (c - kConvexEdges) % 3;
                 if (part < 2) sum += (part ? items[j][1].y : items[j][1].x) * sum_of(c - part + 2);
             }
@@ -243,8 +245,8 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
     }
 }
 
-// For deterministic sums: the slots of each primitive, added in the order of its pairs, in double. A thread a primitive and column; order and ends
-// as in write_pairs. Adds to what is there, so that launches for more extras add to the same sums.
+// For deterministic sums: adds the slots of each primitive in the order of its pairs, in double. One thread per primitive and column;
+// order and ends as in write_pairs. Adds to the existing values, so that launches for more extras add to the same sums.
 extern "C" __global__ void __launch_bounds__(256)
     sum_slots(int n, int n_gaussians, const int64* order, const int64* ends, int64 room, const float* slots, int channels, int first_channel, float* gaussian_sums,
               float* convex_sums, float* gaussian_dextras, float* convex_dextras) {

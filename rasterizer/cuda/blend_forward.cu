@@ -1,5 +1,5 @@
-// A block blends a tile, each of its four warps a region of 8 x 8 pixels, a lane two of them. The tile's primitives come through shared
-// memory a batch at a time; a warp walks only those that may touch its region. Features: POINTS, EXTRAS.
+// A block blends one tile, each of its four warps a region of 8 x 8 pixels, and each lane two pixels. The tile's primitives are loaded into
+// shared memory in batches. A warp walks only those that may touch its region. Features: POINTS, EXTRAS.
 #include "alpha.cuh"
 
 namespace e4dgs {
@@ -9,7 +9,7 @@ constexpr int kBatch = kBlendThreads;
 struct Pixel {
     float transmittance, red, green, blue, z, weight;
     float extra[EXTRAS ? EXTRAS : 1];
-    int last;   // of a stopped pixel, the entry before the one that stopped it
+    int last;   // for a stopped pixel: the entry before the one that stopped it
     bool open;
 
     __device__ __forceinline__ bool stops(float alpha) const { return open && transmittance - transmittance * alpha < kMinTransmittance; }
@@ -19,7 +19,7 @@ struct Pixel {
         transmittance = transmittance - transmittance * alpha;
         red = fmaf(w, color.x, red), green = fmaf(w, color.y, green), blue = fmaf(w, color.z, blue);
         z = fmaf(w, item_z, z);
-        weight += w;  // 1 - transmittance loses the small ones' digits, which depth is divided by
+        weight += w;  // depth is divided by this sum; 1 - transmittance would lose the digits of small weights
 #pragma unroll
         for (int e = 0; e < EXTRAS; ++e) extra[e] = fmaf(w, extras[e], extra[e]);
     }
@@ -29,9 +29,9 @@ struct Pixel {
 
 using namespace e4dgs;
 
-// begins [tiles + 1], entries [begins[tiles]]: the tiles' lists. touched [entries] gets a bit for each region that blends the entry, and
-// visible [primitives] a 1; touched, transmittance and last may be null where nobody goes backward, color, alpha and depth where
-// another launch wrote them. channels, first_channel: of all extras, those that this launch blends are EXTRAS from the first on.
+// begins [tiles + 1], entries [begins[tiles]]: the lists of the tiles. touched [entries] gets a bit for each region that blends the entry,
+// and visible [primitives] gets a 1. touched, transmittance and last may be null if no backward pass follows; color, alpha and depth may
+// be null if another launch wrote them. channels: number of all extras; this launch blends EXTRAS of them, starting at first_channel.
 extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
     blend_forward(const GaussianRecord* gaussians, const ConvexRecord* convexes, const float* gaussian_extras, const float* convex_extras, int n_gaussians,
                   int channels, int first_channel, const int* begins, const int* entries, int width, int height, const float* background, float* color,
@@ -46,14 +46,14 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
     const int lane_x = region % 2 * kRegion + lane % kRegion, lane_y = region / 2 * kRegion + lane / kRegion;
     const float X = float(lane_x), Y = float(lane_y);
     const int begin = begins[tile], end = begins[tile + 1];
-    const float nearest = begin < end ? depth_of(all, entries[begin]) : 0.0f;  // depths are taken from there, so that few digits of a mean are rounded away
+    const float nearest = begin < end ? depth_of(all, entries[begin]) : 0.0f;  // origin of depths, so that means lose few digits
 
     Pixel px[kLanePixels];
 #pragma unroll
     for (int p = 0; p < kLanePixels; ++p) {
         px[p] = Pixel{1.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, {}, end - begin - 1, x0 + lane_x < width && y0 + lane_y + 4 * p < height};
     }
-    bool alive = __any_sync(kAllLanes, px[0].open || px[1].open);  // the warp
+    bool alive = __any_sync(kAllLanes, px[0].open || px[1].open);  // whether the warp has open pixels
 
     for (int at = begin; at < end; at += kBatch) {
         if (!__syncthreads_or(alive)) break;

@@ -1,4 +1,5 @@
-// The gradient that primitives hand back to the camera: summed over a block in a fixed order, a row of 16 a block. Features: CAMERA (1: asked for).
+// The camera's gradient from the primitives: summed over a block in a fixed order, one row of 16 per block. Features: CAMERA (1: it is
+// needed).
 #pragma once
 #include "warp_sum.cuh"
 //
@@ -23,7 +24,7 @@ __device__ inline CameraPart no_camera_part() {
     return part;
 }
 
-// rows [blocks, 16]: fx fy cx cy, then the 3x4 of cam_from_world. All of the block's threads must come here.
+// rows [blocks, 16]: fx fy cx cy, then the 3x4 of cam_from_world. All threads of the block must call this.
 __device__ inline void add_camera_parts(const CameraPart& part, double* rows) {
     __shared__ double warps[kBackThreads / 32][16];
     const int lane = int(threadIdx.x) % 32, warp = int(threadIdx.x) / 32;
@@ -42,7 +43,7 @@ __device__ inline void add_camera_parts(const CameraPart& part, double* rows) {
     rows[16 * int64(blockIdx.x) + threadIdx.x] = sum;
 }
 #else
-// Takes what is added to it and forgets it.
+// Discards what is added to it.
 struct Nothing {
     __device__ void operator+=(double) {}
     __device__ void operator-=(double) {}

@@ -1,4 +1,4 @@
-"""Room for a frame's pairs where the device must not be waited for: inside a CUDA graph, whose buffers are fixed when it is captured."""
+"""Space for a frame's pairs inside a CUDA graph, where waiting for the device is not allowed and buffers are fixed at capture."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import torch
 
 from .state import Inputs
 
-SPARE = 1.5  # times what the last frame of this size took
+SPARE = 1.5  # factor on the most pairs that a frame of this size has taken so far
 
 _TAKEN: dict[tuple[torch.device, int, int], int] = {}
 
 
 def room_of(inputs: Inputs) -> int | None:
-    """None, or inside a capture how many pairs to make room for: `SPARE` times what the last frame of this device and size took before.
+    """None outside of a capture. Inside one, the number of pairs to allocate: `SPARE` times the most that a frame on this device and of
+    this size has taken so far, plus 1024.
 
-    Raises RuntimeError inside a capture without such a frame.
+    Raises RuntimeError inside a capture if there was no such frame.
     """
     if inputs.device.type != "cuda" or not torch.cuda.is_current_stream_capturing():
         return None
@@ -28,6 +29,6 @@ def room_of(inputs: Inputs) -> int | None:
 
 
 def took(inputs: Inputs, pairs: int) -> None:
-    """Remember a frame's number of pairs, the most of those of its device and size."""
+    """Remember a frame's number of pairs if it is the largest so far for its device and size."""
     key = inputs.device, inputs.width, inputs.height
     _TAKEN[key] = max(pairs, _TAKEN.get(key, 0))

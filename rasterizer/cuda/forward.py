@@ -1,4 +1,4 @@
-"""Primitives to an image on the GPU: project, sort by depth, list by tile, blend."""
+"""The forward pass on the GPU: project the primitives, sort them by depth, list them by tile, blend."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from . import programs
 from .runtime import Launcher
 from .state import Inputs, State, looks_of
 
-THREADS = 128  # of a block of the kernels that take a thread a primitive
+THREADS = 128  # threads per block in the kernels that use one thread per primitive
 MOST_PAIRS = 2**31 - 1
 
 
 def forward(
     launcher: Launcher, inputs: Inputs, keep: bool, deterministic: bool, room: int | None = None
 ) -> tuple[dict[str, Tensor], State]:
-    """The images (color, alpha, depth, extras) and the state; with `keep` the state holds what `backward` needs.
+    """The images (color, alpha, depth, extras) and the state. With `keep`, the state contains what `backward` needs.
 
-    room: pairs of a tile and a primitive to make room for, where the device must not be waited for (inside a CUDA graph); those beyond it,
-        which lie furthest away, are left out. None: wait for the number and take exactly as many.
+    room: number of (tile, primitive) pairs to allocate when waiting for the device is not allowed (inside a CUDA graph). Pairs beyond
+        it, which are the furthest away, are left out. None: wait for the number and allocate exactly that many.
 
-    Raises MemoryError for more pairs than can be numbered, torch.OutOfMemoryError as torch does.
+    Raises MemoryError if there are more pairs than can be numbered, torch.OutOfMemoryError as torch does.
     """
     state = _lists(launcher, inputs, deterministic, room)
     return _blend(launcher, inputs, state, keep), state
@@ -55,7 +55,7 @@ def _lists(launcher: Launcher, inputs: Inputs, deterministic: bool, room: int | 
         )
     keys = torch.empty(pairs, dtype=torch.int16 if inputs.tiles < programs.SHORT_KEYS else torch.int32, device=device)
     primitives = torch.empty(pairs, dtype=torch.int32, device=device)
-    if room is not None:  # a key that no pair fills stays behind all tiles
+    if room is not None:  # keys that no pair fills sort behind all tiles
         keys.fill_(inputs.tiles)
         primitives.zero_()
     launcher.launch(tiles, "write_pairs", blocks, THREADS, *common, order, ends, c_int64(pairs), keys, primitives)
@@ -105,6 +105,6 @@ def _blend(launcher: Launcher, inputs: Inputs, state: State, keep: bool) -> dict
 
 
 def primitives_of(inputs: Inputs, state: State) -> tuple[Tensor | c_int32 | None, ...]:
-    """What both blending kernels read of the primitives."""
+    """The primitives' arguments that both blending kernels share."""
     extras = inputs.extras(inputs.gaussians), inputs.extras(inputs.convexes)
     return state.gaussians, state.convexes, *extras, c_int32(inputs.n), c_int32(inputs.channels)

@@ -1,11 +1,11 @@
-// The camera, and the looks that both kinds share: colour from SH or given, extras that must be finite.
+// Reads the camera, and the looks that both kinds have: colours (from SH or given directly) and extras, which must be finite.
 #pragma once
 #include "device.cuh"
 //
 #include "sh.h"
 
 #if !defined(SH_DEGREE)
-#define SH_DEGREE -1  // colours are given
+#define SH_DEGREE -1  // colours are given directly
 #endif
 
 namespace e4dgs {
@@ -25,7 +25,7 @@ __device__ inline Camera<double> camera_of(const double* numbers, int width, int
     return cam;
 }
 
-// looks: sh [n, (D+1)^2, 3], or colors [n, 3] where SH_DEGREE is -1.
+// looks: sh [n, (D+1)^2, 3], or colors [n, 3] if SH_DEGREE is -1.
 __device__ inline bool usable_looks(const float* looks, const float* extras, int channels, int64 i) {
     constexpr int width = 3 * (SH_DEGREE < 0 ? 1 : kShCoefficients);
     bool good = true;
@@ -45,7 +45,7 @@ __device__ inline void color_of(const Camera<double>& cam, const double* positio
 #endif
 }
 
-// dlooks may be null; dposition is added to.
+// dlooks may be null. Adds to dposition.
 template <class G>
 __device__ inline void color_backward(const Camera<double>& cam, const double* position, const float* looks, int64 i, const double* dcolor, float* dlooks,
                                       double* dposition, G& grad) {

@@ -1,4 +1,4 @@
-"""Our kernels as programs: one for each set of features that a call uses, so that nobody pays for what others ask."""
+"""The kernels as programs. Each set of features has its own program, so a call pays only for the features it uses."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pathlib import Path
 from .runtime import Program
 
 HERE = Path(__file__).resolve().parent
-CHANNELS = 8  # extras that one launch blends; for more there are more launches
-SHORT_KEYS = 2**15 - 1  # fewer tiles than this have numbers of 16 bits, which are sorted in half the time
+CHANNELS = 8  # extras that one launch blends; more extras need more launches
+SHORT_KEYS = 2**15 - 1  # with fewer tiles than this, tile numbers have 16 bits and sorting takes half the time
 
 
 @cache
 def program(name: str, **features: int) -> Program:
-    """The .cu file of this name beside this one, with these features; the same object each time."""
+    """The program of the .cu file with this name in this folder, with these features. Returns the same object each time."""
     return Program(HERE / f"{name}.cu", tuple(sorted((key.upper(), value) for key, value in features.items())))
 
 
 def project_gaussians(degree: int) -> Program:
-    """degree: of SH, -1 where colours are given."""
+    """degree: degree of the SH, -1 if colours are given directly."""
     return program("project_gaussians", sh_degree=degree)
 
 
@@ -28,7 +28,7 @@ def project_convexes(points: int, degree: int) -> Program:
 
 
 def tiles(points: int, key_bits: int) -> Program:
-    """points: of each convex, 0 where there is none."""
+    """points: number of points of each convex, 0 if there are no convexes."""
     return program("tiles", points=points, key_bits=key_bits)
 
 
@@ -51,7 +51,7 @@ def backproject_convexes(points: int, degree: int, camera: bool) -> Program:
 def needed(
     points: int = 0, degree: int = 3, extras: int = 0, depth: bool = False, camera: bool = False, backward: bool = True
 ) -> list[Program]:
-    """All programs that rendering such a scene takes: to compile them beside one another before the first frame (`warm_up`)."""
+    """All programs needed to render such a scene. Use it to compile them in parallel before the first frame (`warm_up`)."""
     found = [project_gaussians(degree), tiles(points, 16), blend_forward(points, min(extras, CHANNELS))]
     if points:
         found.append(project_convexes(points, degree))
@@ -62,8 +62,8 @@ def needed(
     return found
 
 
-ARCHITECTURES = ("sm_80", "sm_86", "sm_89", "sm_90")  # whose registers and spills are recorded
-# What CI compiles for every architecture: every file, at the ends of what its features ask of registers.
+ARCHITECTURES = ("sm_80", "sm_86", "sm_89", "sm_90")  # register counts and spills are recorded for these
+# What CI compiles for every architecture: every file, with the features that need the fewest and the most registers.
 RECORDED: dict[str, Program] = {
     str(one): one
     for one in (

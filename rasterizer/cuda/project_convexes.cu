@@ -1,5 +1,5 @@
-// Convexes to records, a thread each, in double: cull, project, hull, colour. One with a bad value is culled here and touches nobody else.
-// Features: POINTS, SH_DEGREE (-1: colors).
+// Converts convexes to records, one thread per convex, in double: cull, project, hull, colour. A convex with a bad value is culled here
+// and does not affect any other. Features: POINTS, SH_DEGREE (-1: colors).
 #include "convex_hull.cuh"
 #include "inputs.cuh"
 #include "records.cuh"
@@ -11,15 +11,16 @@ struct ConvexInputs {
     int channels;
 };
 
-// The box of the polygon L_i <= limit for every edge. Normals (A, B) turn once around from edge to edge, so the extreme in a direction
-// is bounded by the two edges whose normals enclose it: never too small, and exact where both touch the polygon.
+// The bounding box of the polygon in which L_i <= limit for every edge. The normals (A, B) turn once around from edge to edge, so the
+// extreme in a direction is bounded by the two edges whose normals enclose it. The box is never too small, and exact if both edges touch
+// the polygon.
 __device__ inline void polygon_box(int n, const double* A, const double* B, const double* C, double limit, double x0, double y0, double* low, double* high) {
     constexpr double loose = 1e-6;  // px
     for (int i = 0; i < n; ++i) {
         const int j = i + 1 < n ? i + 1 : 0;
         const double det = A[i] * B[j] - A[j] * B[i], ri = limit - C[i], rj = limit - C[j];
         if (!(det > 0.0)) continue;
-        const double x = x0 + (ri * B[j] - rj * B[i]) / det, y = y0 + (A[i] * rj - A[j] * ri) / det;  // where the two meet
+        const double x = x0 + (ri * B[j] - rj * B[i]) / det, y = y0 + (A[i] * rj - A[j] * ri) / det;  // where the two edges intersect
         if (B[i] <= 0.0 && B[j] > 0.0 && x < high[0]) high[0] = x + loose;
         if (B[i] >= 0.0 && B[j] < 0.0 && x > low[0]) low[0] = x - loose;
         if (A[i] >= 0.0 && A[j] < 0.0 && y < high[1]) high[1] = y + loose;
@@ -30,7 +31,7 @@ __device__ inline void polygon_box(int n, const double* A, const double* B, cons
 __device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam, int64 i, ConvexRecord& record, TileBox& box, double& depth) {
     const float *points = in.points + 3 * POINTS * i, opacity = in.opacities[i];
     const double tau = in.tau[i], kappa = in.kappa[i];
-    constexpr float inverse = 1.0f / kMinAlpha;  // fainter ones never reach the cut
+    constexpr float inverse = 1.0f / kMinAlpha;  // fainter convexes never reach kMinAlpha
     bool good = opacity * inverse > 1.0f && opacity <= 1.0f && tau > 0.0 && is_bounded(tau) && kappa > 0.0 && is_bounded(kappa);
     for (int j = 0; j < 3 * POINTS; ++j) good = good && is_finite(points[j]);
     ConvexView<double> view;
@@ -41,7 +42,7 @@ __device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam
     to_camera(cam, centre, c);
     const double x0 = cam.fx * c[0] / c[2] + cam.cx, y0 = cam.fy * c[1] / c[2] + cam.cy, rho = kappa / tau;
     edge_lines(cam, view, tau, x0, y0, A, B, C);
-    // alpha >= kMinAlpha where tau S / ln 2 <= limit
+    // alpha >= kMinAlpha if tau S / ln 2 <= limit
     const double exact = log2(double(inverse) * double(opacity) - 1.0) * tau / kappa, limit = exact + kSlack + 1e-5 * fabs(exact);
     double sum = limit + x0 + y0;
     for (int k = 0; k < view.slots; ++k) sum += fabs(A[k]) + fabs(B[k]) + fabs(C[k]);
@@ -67,7 +68,7 @@ __device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam
 
 using namespace e4dgs;
 
-// depth [n]: z of the centroid, infinite where culled. boxes [n]: empty where culled.
+// depth [n]: z of the centroid, infinite if culled. boxes [n]: empty if culled.
 extern "C" __global__ void __launch_bounds__(128)
     project_convexes(const double* camera, int width, int height, int n, const float* points, const float* tau, const float* kappa, const float* opacities,
                      const float* looks, const float* extras, int channels, ConvexRecord* records, double* depth, TileBox* boxes) {

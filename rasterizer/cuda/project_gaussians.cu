@@ -1,5 +1,5 @@
-// Gaussians to records, a thread each, in double: cull, project, colour. One with a bad value is culled here and touches nobody else.
-// Features: SH_DEGREE (-1: colors).
+// Converts Gaussians to records, one thread per Gaussian, in double: cull, project, colour. A Gaussian with a bad value is culled here and
+// does not affect any other. Features: SH_DEGREE (-1: colors).
 #include "inputs.cuh"
 #include "records.cuh"
 //
@@ -15,7 +15,7 @@ struct GaussianInputs {
 __device__ inline bool project(const GaussianInputs& in, const Camera<double>& cam, int64 i, GaussianRecord& record, TileBox& box,
                                double& depth) {
     const float *mean = in.means + 3 * i, *quat = in.quats + 4 * i, *scale = in.scales + 3 * i, opacity = in.opacities[i];
-    bool good = opacity >= kMinAlpha && opacity <= 1.0f;  // fainter ones never reach the cut
+    bool good = opacity >= kMinAlpha && opacity <= 1.0f;  // fainter Gaussians never reach kMinAlpha
     for (int j = 0; j < 3; ++j) good = good && is_finite(mean[j]) && is_finite(scale[j]) && scale[j] > 0.0f;
     for (int j = 0; j < 4; ++j) good = good && is_finite(quat[j]);
     GaussianView<double> view;
@@ -45,7 +45,7 @@ __device__ inline bool project(const GaussianInputs& in, const Camera<double>& c
 
 using namespace e4dgs;
 
-// depth [n]: z, infinite where culled. boxes [n]: empty where culled.
+// depth [n]: z, infinite if culled. boxes [n]: empty if culled.
 extern "C" __global__ void __launch_bounds__(128)
     project_gaussians(const double* camera, int width, int height, int n, const float* means, const float* quats, const float* scales,
                       const float* opacities, const float* looks, const float* extras, int channels, GaussianRecord* records, double* depth, TileBox* boxes) {

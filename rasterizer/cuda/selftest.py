@@ -1,8 +1,8 @@
-"""Whether the CUDA kernels compute here what the CPU kernels do: asked once before anything is entrusted to them.
+"""Checks that the CUDA kernels give the same results as the CPU kernels on this machine. Run once before the GPU is used.
 
     python -m e4dgs.rasterizer.cuda.selftest
 
-A small scene of both kinds, its images and gradients. Exit code 0, or 1 and one line that says what is wrong.
+Compares the images and gradients of a small scene with both kinds of primitive. Exit code 0, or 1 with one line about what is wrong.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from torch import Tensor
 from .. import Camera, Convexes, Gaussians, rasterize
 
 WIDTH, HEIGHT = 40, 24
-LIMIT = 1e-3  # relative L2 distance of images and of each gradient; a pixel or two may lie on a threshold
+LIMIT = 1e-3  # relative L2 distance of images and of each gradient; leaves room for a pixel or two on a threshold
 
 
 def problem(device: str) -> str | None:
-    """One line about what is wrong with backend "cuda" on this device, or None."""
+    """One line about what is wrong with backend "cuda" on this device, or None if nothing is."""
     try:
         want, got = _results("cpu", "cpu"), _results("cuda", device)
-    except Exception as cause:  # whatever breaks is the answer
+    except Exception as cause:  # any failure is the answer
         return f"the CUDA kernels do not run here: {type(cause).__name__}: {str(cause).splitlines()[0] if str(cause) else ''}"
     for name, value in want.items():
         distance = float((got[name].cpu() - value).norm() / value.norm().clamp(min=1e-12))

@@ -1,4 +1,4 @@
-"""What a frame on the GPU is made of: its inputs, and what its forward pass computes and its backward pass needs again."""
+"""The inputs of a frame on the GPU, and the state that its forward pass computes and its backward pass needs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TILE = 16  # px, as in device.cuh
 
 @dataclass(eq=False)
 class Inputs:
-    """camera: [17] float64, fx fy cx cy, R, t, near. All tensors of primitives are contiguous float32 on one device; extras of both
+    """camera: [17] float64: fx fy cx cy, R, t, near. The primitives' tensors are contiguous float32 on one device; the extras of both
     kinds have `channels` columns."""
 
     camera: Tensor
@@ -39,7 +39,7 @@ class Inputs:
 
     @property
     def points(self) -> int:
-        """K, or 0 where there are no convexes: kernels without them are smaller."""
+        """K, or 0 if there are no convexes, because kernels without convexes are smaller."""
         return self.convexes.points.shape[1] if self.m else 0
 
     @property
@@ -52,14 +52,14 @@ class Inputs:
 
 @dataclass(eq=False)
 class State:
-    """With None nobody goes backward.
+    """touched, transmittance and last are None if no backward pass follows.
 
     gaussians [n, 64], convexes [m, *] uint8: records. boxes [n + m, 4] int16.
     order [n + m] int64: primitives from front to back; ends [n + m] int64: running sums of their numbers of pairs.
-    begins [tiles + 1] int32, entries [pairs] int32: the tiles' lists.
-    pair [pairs] int64: which pair, in order of depth, an entry is; None unless sums must be deterministic.
-    visible [n + m] uint8; touched [pairs] uint8: the regions of its tile that blend an entry, a bit each.
-    transmittance [H, W] float32 and last [H, W] int32: of each pixel behind its last layer.
+    begins [tiles + 1] int32, entries [pairs] int32: the lists of the tiles.
+    pair [pairs] int64: the index of each entry's pair in order of depth; None unless sums must be deterministic.
+    visible [n + m] uint8. touched [pairs] uint8: one bit for each region of the tile that blends the entry.
+    transmittance [H, W] float32: behind each pixel's last layer; last [H, W] int32: each pixel's last entry.
     """
 
     gaussians: Tensor
@@ -77,7 +77,7 @@ class State:
 
 
 def camera_numbers(camera: Camera, device: torch.device) -> Tensor:
-    """`Inputs.camera` of this camera, on this device, without waiting for it."""
+    """`Inputs.camera` for this camera on this device, computed without waiting for the device."""
     K, pose = camera.K.detach().double(), camera.cam_from_world.detach().double()
     near = torch.full((1,), camera.near, dtype=torch.float64, device=K.device)
     intrinsics = torch.stack([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
@@ -85,7 +85,7 @@ def camera_numbers(camera: Camera, device: torch.device) -> Tensor:
 
 
 def looks_of(kind: Gaussians | Convexes) -> tuple[Tensor, int]:
-    """sh and its degree, or colors and -1."""
+    """(sh, its degree), or (colors, -1) if colours are given directly."""
     if kind.sh is None:
         assert kind.colors is not None
         return kind.colors, -1

@@ -1,5 +1,5 @@
-// What a tile needs of its primitives: their records in the tile's own coordinates, in shared memory, and which of its regions each may
-// touch. (0, 0) is the centre of the tile's first pixel. Features: POINTS, EXTRAS (channels, at most 8 a launch).
+// The data that a tile needs of its primitives: their records in the tile's own coordinates, in shared memory, and which of its regions
+// each may touch. (0, 0) is the centre of the tile's first pixel. Features: POINTS, EXTRAS (channels, at most 8 per launch).
 #pragma once
 #include "records.cuh"
 
@@ -9,16 +9,18 @@
 
 namespace e4dgs {
 
-// float4s of an item: Gaussians u0 v0 f0 f1, f2 exponent z -, r g b -; convexes opacity rho z -, - - - -, r g b -, then a b c - of each edge.
+// The float4s of an item (- is unused). Gaussian: u0 v0 f0 f1, f2 exponent z -, r g b -. Convex: opacity rho z -, - - - -, r g b -, a b c
+// - per edge.
 constexpr int kItemWords = 3 + POINTS;
-// Blocks that should fit on a multiprocessor at once: what registers may be used for it. Left to itself, the compiler spills a few to fit one more.
+// Blocks that should fit on a multiprocessor at once, which limits the registers. Without this, the compiler spills a few to fit one more
+// block.
 constexpr int kResident = POINTS ? (EXTRAS > 2 ? 3 : EXTRAS ? 4 : 5) : (EXTRAS > 2 ? 5 : 7);
-constexpr uint32 kConvexMark = 0x80;  // beside the bits of the regions
+constexpr uint32 kConvexMark = 0x80;  // set in addition to the bits of the regions
 
 struct Primitives {
     const GaussianRecord* gaussians;
     const ConvexRecord* convexes;
-    const float *gaussian_extras, *convex_extras;  // [n, channels]; null: zeros
+    const float *gaussian_extras, *convex_extras;  // [n, channels]; null counts as zeros
     int n_gaussians, channels, first_channel;
 };
 
@@ -29,8 +31,8 @@ __device__ inline float depth_of(const Primitives& all, int id) {
     return all.gaussians[id].z;
 }
 
-// Regions whose pixel centres may meet the disc u^2 + v^2 <= radius^2, by three separating axes: the region's own two edges and the line
-// from the disc's centre to the region's. A region is a parallelogram in the (u, v) plane.
+// Regions whose pixel centres may intersect the disc u^2 + v^2 <= radius^2, tested with three separating axes: the region's own two edges
+// and the line from the disc's centre to the region's centre. A region is a parallelogram in the (u, v) plane.
 __device__ inline uint32 gaussian_regions(float f0, float f1, float f2, float u0, float v0, float radius) {
     constexpr float h = 0.5f * (kRegion - 1);
     const float r = radius + 1e-4f, side = sqrtf(f1 * f1 + f2 * f2), high_v = r + h * f2, high_n = r * side + h * f0 * f2;
@@ -73,7 +75,7 @@ __device__ inline uint32 gather_convex(const ConvexRecord& r, double ox, double 
         const float a = within(A), b = within(B), c = within(C), reach = h * (fabsf(a) + fabsf(b));
         item[3 + i] = make_float4(a, b, c, 0.0f);
 #pragma unroll
-        for (int k = 0; k < kRegions; ++k)  // the least that the largest line can be somewhere in the region
+        for (int k = 0; k < kRegions; ++k)  // a lower bound of the largest line in the region
             top[k] = fmaxf(top[k], fmaf(a, h + float(k % 2 * kRegion), fmaf(b, h + float(k / 2 * kRegion), c)) - reach);
     }
     uint32 mask = kConvexMark;
@@ -83,7 +85,7 @@ __device__ inline uint32 gather_convex(const ConvexRecord& r, double ox, double 
 }
 #endif
 
-// The regions that primitive `id` may touch, kConvexMark for a convex; its item and extras [EXTRAS] are written.
+// Returns the regions that primitive `id` may touch, with kConvexMark set for a convex. Writes its item and its extras [EXTRAS].
 __device__ inline uint32 gather(const Primitives& all, int id, double ox, double oy, float nearest, float4* item, float* extras) {
     const bool convex = id >= all.n_gaussians;
     const int index = convex ? id - all.n_gaussians : id;

@@ -1,6 +1,6 @@
-// From projected primitives to each tile's list: how many tiles a primitive may touch, its (tile, primitive) pairs in order of depth,
-// and after a stable sort by tile where each tile's pairs begin. Features: POINTS, KEY_BITS (16: fewer
-// than 2^15 tiles, half the passes of the sort).
+// From projected primitives to each tile's list: counts the tiles that a primitive may touch, writes its (tile, primitive) pairs in depth
+// order and, after a stable sort by tile, finds where each tile's pairs begin. Features: POINTS, KEY_BITS (16: fewer than 2^15 tiles, half
+// the passes of the sort).
 #include "records.cuh"
 
 #if !defined(KEY_BITS)
@@ -15,26 +15,26 @@ using Key = short;
 using Key = int;
 #endif
 
-// The tiles of one row that a support takes, last excluded.
+// The tiles of one row that a support covers; last is exclusive.
 struct Span {
     int first, last;
 };
 
 __device__ inline Span span_between(double low, double high, const TileBox& box, int width) {
     low = larger(low, 0.5), high = smaller(high, width - 0.5);
-    if (!(low <= high)) return {0, 0};  // before anything becomes an integer: it may lie far outside
+    if (!(low <= high)) return {0, 0};  // checked before converting to integers, because the range may lie far outside
     const int a = int(ceil((low - (kTile - 0.5)) / kTile)), b = int(floor((high - 0.5) / kTile)) + 1;
     return {a > box.x0 ? a : box.x0, b < box.x1 ? b : box.x1};
 }
 
-// The range of x that the ellipse u^2 + v^2 <= radius^2 takes within a row's pixel centres.
+// The range of x that the ellipse u^2 + v^2 <= radius^2 covers within a row's pixel centres.
 struct GaussianBounds {
     double x, y, f1, f2, inverse, radius2, high_y, rightmost;
 
     __device__ explicit GaussianBounds(const GaussianRecord& r) {
         x = r.x, y = r.y, f1 = r.f[1], f2 = r.f[2], inverse = 1.0 / r.f[0];
         radius2 = double(r.radius) * double(r.radius), high_y = double(r.radius) / f2;
-        rightmost = -high_y * f1 / sqrt(f1 * f1 + f2 * f2);  // the y, from the centre, where the ellipse's right end lies
+        rightmost = -high_y * f1 / sqrt(f1 * f1 + f2 * f2);  // y of the ellipse's right end, relative to the centre
     }
     __device__ double half(double dy) const {
         const double v = f2 * dy;
@@ -50,7 +50,7 @@ struct GaussianBounds {
 };
 
 #if POINTS
-// The polygon L_i <= limit for every edge, a little larger where a corner lies between the rows.
+// The polygon in which L_i <= limit for every edge. The range is slightly too large if a corner lies between the rows.
 struct ConvexBounds {
     const ConvexRecord& r;
 
@@ -74,7 +74,7 @@ struct ConvexBounds {
 };
 #endif
 
-// f(row, span) for each row of tiles with a span that is not empty.
+// Calls f(row, span) for each row of tiles whose span is not empty.
 template <class Bounds, class F>
 __device__ inline void for_rows(const Bounds& bounds, const TileBox& box, int width, int height, F&& f) {
     for (int row = box.y0; row < box.y1; ++row) {
@@ -86,8 +86,8 @@ __device__ inline void for_rows(const Bounds& bounds, const TileBox& box, int wi
     }
 }
 
-// Tiles of the primitive; written to `tiles` [room], as row * tiles_x + column, where that is given. One function for counting and for writing,
-// never inlined: compiled twice it could round differently, and count other tiles than it writes.
+// Returns the number of tiles of the primitive. If `tiles` [room] is given, writes them there as row * tiles_x + column. The same function
+// counts and writes and is never inlined: compiled twice, it could round differently and write other tiles than it counted.
 __device__ __noinline__ int tiles_of(const GaussianRecord* gaussians, const ConvexRecord* convexes, int n_gaussians, int id, TileBox box, int width,
                                      int height, Key* tiles, int room) {
     const int tiles_x = (width + kTile - 1) / kTile;
@@ -96,7 +96,7 @@ __device__ __noinline__ int tiles_of(const GaussianRecord* gaussians, const Conv
         for (int x = span.first; x < span.last; ++x, ++count)
             if (tiles && count < room) tiles[count] = Key(row * tiles_x + x);
     };
-    if (box.x1 - box.x0 <= 1 || box.y1 - box.y0 <= 1) {  // nothing to gain from looking closer
+    if (box.x1 - box.x0 <= 1 || box.y1 - box.y0 <= 1) {  // a closer look gains nothing
         for (int row = box.y0; row < box.y1; ++row) take(row, Span{box.x0, box.x1});
     } else if (id < n_gaussians) {
         for_rows(GaussianBounds(gaussians[id]), box, width, height, take);
@@ -119,7 +119,7 @@ extern "C" __global__ void __launch_bounds__(128)
     if (i < n) counts[i] = tiles_of(gaussians, convexes, n_gaussians, i, boxes[i], width, height, nullptr, 0);
 }
 
-// order [n]: primitives from front to back; ends [n]: sums of their counts up to and with each. Pairs beyond `room` are left out.
+// order [n]: primitives from front to back; ends [n]: inclusive running sums of their counts. Pairs beyond `room` are left out.
 extern "C" __global__ void __launch_bounds__(128, 7)
     write_pairs(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
                 const int64* order, const int64* ends, int64 room, Key* tiles, int* primitives) {
@@ -132,7 +132,7 @@ extern "C" __global__ void __launch_bounds__(128, 7)
     for (int k = 0; k < count; ++k) primitives[begin + k] = id;
 }
 
-// sorted [n]: tiles of all pairs, ascending. begins [tiles + 1] is written in full.
+// sorted [n]: tiles of all pairs, ascending. Every element of begins [tiles + 1] is written.
 extern "C" __global__ void __launch_bounds__(256) find_tiles(int64 n, const Key* sorted, int tiles, int* begins) {
     const int64 i = int64(blockIdx.x) * blockDim.x + threadIdx.x;
     if (i > n) return;

@@ -1,6 +1,6 @@
-// Many sums over a warp at once. Summing V values one after another takes 5 V exchanges; here lanes share the values out among
-// themselves while they add: with each exchange a lane hands half of its values over and keeps the other half, so that V <= 32 values
-// take about V exchanges, and each total ends in a lane of its own, ready for one store or one atomic by all lanes together.
+// Many sums over a warp at once. Summing V values one after another takes 5 V exchanges. Here the lanes divide the values among
+// themselves while they add: in each step a lane gives away half of its values and keeps the other half. So V <= 32 values
+// take about V exchanges, and each total ends up in its own lane, ready for one store or one atomic by all lanes together.
 #pragma once
 #include "device.cuh"
 
@@ -8,7 +8,7 @@ namespace e4dgs {
 
 __host__ __device__ constexpr int next_power(int n) { return n <= 1 ? 1 : 2 * next_power((n + 1) / 2); }
 
-// Halving from HALF values on, lanes `OFFSET` apart; COUNT values are left.
+// One step and all later ones: exchanges up to HALF of the COUNT values that are left with the lane `OFFSET` away.
 template <int COUNT, int HALF, int OFFSET, class T>
 __device__ __forceinline__ void warp_halve(T* v, int lane) {
     if constexpr (OFFSET > 0) {
@@ -20,7 +20,7 @@ __device__ __forceinline__ void warp_halve(T* v, int lane) {
                     const T keep = upper ? v[i + HALF] : v[i], give = upper ? v[i] : v[i + HALF];
                     v[i] = keep + __shfl_xor_sync(kAllLanes, give, OFFSET);
                 } else {
-                    v[i] = v[i] + __shfl_xor_sync(kAllLanes, v[i], OFFSET);  // nobody to swap with: both lanes keep it
+                    v[i] = v[i] + __shfl_xor_sync(kAllLanes, v[i], OFFSET);  // there is no value to swap it with, so both lanes keep it
                 }
             }
             warp_halve<(COUNT < HALF ? COUNT : HALF), HALF / 2, OFFSET / 2>(v, lane);
@@ -31,7 +31,7 @@ __device__ __forceinline__ void warp_halve(T* v, int lane) {
     }
 }
 
-// Which of V values' totals a lane holds after warp_totals; -1 where another lane holds the same.
+// The index of the total, among V, that a lane holds after warp_totals; -1 if it is a duplicate of another lane's.
 template <int V>
 __device__ __forceinline__ int warp_total_of(int lane) {
     constexpr int steps = 5;
@@ -54,7 +54,7 @@ __device__ __forceinline__ int warp_total_of(int lane) {
     return at;
 }
 
-// v [V], V <= 32, of every lane; returns the total that warp_total_of names. Destroys v.
+// Sums v [V], V <= 32, over all lanes. Each lane gets the total whose index warp_total_of returns. Destroys v.
 template <int V, class T>
 __device__ __forceinline__ T warp_totals(T* v, int lane) {
     static_assert(V <= 32);

@@ -1,4 +1,4 @@
-// A pinhole camera (OpenCV axes, pixel centres at +0.5) and the gradient that a primitive hands back to it.
+// A pinhole camera (OpenCV axes, pixel centres at +0.5) and the gradient that primitives propagate to it.
 #pragma once
 #include "constants.h"
 
@@ -31,7 +31,7 @@ E4DGS_HD void to_camera(const Camera<T>& cam, const S* world, T* p) {
         p[i] = cam.R[3 * i] * T(world[0]) + cam.R[3 * i + 1] * T(world[1]) + cam.R[3 * i + 2] * T(world[2]) + cam.t[i];
 }
 
-// dworld += R^T dp; the camera's share goes to grad.
+// dworld += R^T dp; the camera's gradient is added to grad.
 template <class T, class S, class G>
 E4DGS_HD void to_camera_backward(const Camera<T>& cam, const S* world, const T* dp, T* dworld, G& grad) {
     for (int i = 0; i < 3; ++i) {

@@ -1,4 +1,4 @@
-// The rules of blending that every backend shares, and what makes these headers usable from CUDA unchanged.
+// The blending constants that all backends share, and the helpers that let CUDA use these headers unchanged.
 #pragma once
 
 #if defined(__CUDACC__) || defined(__CUDACC_RTC__)
@@ -10,18 +10,18 @@
 
 namespace e4dgs {
 
-constexpr float kMinAlpha = 1.0f / 255.0f;        // a layer below it is skipped at that pixel
-constexpr float kMaxAlpha = 0.99f;                // alpha is capped here, without gradient
-constexpr float kMinTransmittance = 0.99e-4f;     // the layer that would take a pixel below it ends the pixel, not blended
+constexpr float kMinAlpha = 1.0f / 255.0f;        // a layer with a smaller alpha is skipped at that pixel
+constexpr float kMaxAlpha = 0.99f;                // alpha is capped at this value; a capped alpha has no gradient
+constexpr float kMinTransmittance = 0.99e-4f;     // a layer that would take a pixel's transmittance below this stops it and is not blended
 constexpr double kDilation = 0.3;                 // px^2, added to a Gaussian's 2D covariance
-constexpr double kDegenerateHull = 1e-5;          // area / squared extent at and below which a hull is culled
-constexpr double kFlatTurn = 1e-12;               // of the squared extent: turns within rounding make no corner
-constexpr int kMaxPoints = 8;                     // points of a convex
+constexpr double kDegenerateHull = 1e-5;          // a hull is culled if area / squared extent is not above this
+constexpr double kFlatTurn = 1e-12;               // relative to the squared extent: smaller turns may be rounding and make no corner
+constexpr int kMaxPoints = 8;                     // largest number of points of a convex
 
 constexpr double kLn2 = 0.6931471805599453;
 constexpr double kLog2E = 1.4426950408889634;
 
-// log2 of a number in (0, 1], for constants: not every device compiler has it as one.
+// log2 of a number in (0, 1] at compile time, because not every device compiler can evaluate log2 in a constant expression.
 E4DGS_HD constexpr double constant_log2(double a) {
     int octaves = 0;
     for (; a < 1.0; a *= 2) --octaves;
@@ -30,9 +30,9 @@ E4DGS_HD constexpr double constant_log2(double a) {
     for (int i = 1; i < 60; i += 2, power *= s * s) sum += power / i;
     return octaves + 2 * sum * kLog2E;
 }
-constexpr double kLog2MinAlpha = constant_log2(double(kMinAlpha));  // exponents below it are alphas below kMinAlpha
+constexpr double kLog2MinAlpha = constant_log2(double(kMinAlpha));  // exponents below this give alphas below kMinAlpha
 
-// What a comparison of two T gives: T may be a vector of numbers.
+// The result type of comparing two T, where T may be a vector of numbers.
 template <class T>
 struct TruthOf {
     using type = bool;
@@ -40,7 +40,7 @@ struct TruthOf {
 template <class T>
 using Truth = typename TruthOf<T>::type;
 
-// A number of a point for each number in a T.
+// A point index for each number in a T.
 template <class T>
 struct IndexOf {
     using type = int;

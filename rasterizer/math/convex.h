@@ -1,7 +1,7 @@
-// A smooth convex seen by a pinhole camera (Edge4DGS, Eq. 3-7): the hull of K projected points, one plane an edge, forward and
+// A smooth convex seen by a pinhole camera (Edge4DGS, Eq. 3-7): the hull of K projected points, with one plane per edge, forward and
 // backward. For a pixel ray d (d.z = 1) and z_c the z of the mean of all K points, H_i = u_i . (z_c d),
 // S = (1/tau) ln sum_i w_i exp(tau H_i) with w_i = K l_i / sum(l), alpha = opacity / (1 + exp(kappa S)).
-// T is a number or a vector of them, a convex each; hulls differ in their numbers of edges, so that a slot may hold no edge.
+// T is a number, or a vector of numbers for several convexes. Their hulls may have different numbers of edges, so a slot can be empty.
 #pragma once
 #include "camera.h"
 
@@ -9,20 +9,20 @@ namespace e4dgs {
 
 template <class T>
 struct ConvexView {
-    int points, slots;                         // K; how many slots hold edges
-    Truth<T> edge[kMaxPoints];                 // slot k holds one, which runs from corner k to corner k + 1
-    Index<T> corner[kMaxPoints + 1];           // numbers of points; beyond the last corner the first again
+    int points, slots;                         // K; number of slots in use
+    Truth<T> edge[kMaxPoints];                 // whether slot k holds an edge; it runs from corner k to corner k + 1
+    Index<T> corner[kMaxPoints + 1];           // point indices; after the last corner, the first one again
     T p[kMaxPoints][3];                        // all points, camera frame
     T x[kMaxPoints], y[kMaxPoints];            // all points in the plane (x/z, y/z)
-    T cx[kMaxPoints + 1], cy[kMaxPoints + 1];  // the corners there
+    T cx[kMaxPoints + 1], cy[kMaxPoints + 1];  // the corners in the plane
     T zc;                                      // z of the centroid
-    T length[kMaxPoints], perimeter;           // of the edges in the plane
+    T length[kMaxPoints], perimeter;           // edge lengths in the plane, and their sum
     T ex[kMaxPoints], ey[kMaxPoints];          // unit directions of the edges
     T u[kMaxPoints][3], inverse_norm[kMaxPoints];
 };
 
-// False: culled (a point nearer than near_z, or a hull that is a point, a line or a sliver). points [K][3], world.
-// find_corners(view, good) sets slots, edge and corner from x and y.
+// Returns false if the convex is culled (a point nearer than near_z, or a hull that is a point, a line or a sliver). points [K][3], world.
+// find_corners(view, good) computes slots, edge and corner from x and y.
 template <class T, class S, class F>
 E4DGS_HD Truth<T> project_convex(const Camera<T>& cam, const S* points, int count, ConvexView<T>& v, F&& find_corners) {
     v.points = count;
@@ -47,7 +47,7 @@ E4DGS_HD Truth<T> project_convex(const Camera<T>& cam, const S* points, int coun
         low_x = smaller(low_x, v.x[i]), high_x = larger(high_x, v.x[i]);
         low_y = smaller(low_y, v.y[i]), high_y = larger(high_y, v.y[i]);
     }
-    for (int k = 1; k + 1 < v.slots; ++k)  // triangles with a corner 0 twice are empty
+    for (int k = 1; k + 1 < v.slots; ++k)  // in empty slots, corner 0 appears twice and the triangle has no area
         area += T(0.5) * ((v.cx[k] - v.cx[0]) * (v.cy[k + 1] - v.cy[0]) - (v.cy[k] - v.cy[0]) * (v.cx[k + 1] - v.cx[0]));
     const T extent = larger(high_x - low_x, high_y - low_y);
     good = good & (area > T(kDegenerateHull) * extent * extent);
@@ -56,10 +56,10 @@ E4DGS_HD Truth<T> project_convex(const Camera<T>& cam, const S* points, int coun
     v.perimeter = T(0);
     for (int k = 0; k < v.slots; ++k) {
         const T dx = v.cx[k + 1] - v.cx[k], dy = v.cy[k + 1] - v.cy[k];
-        // In double, differences of float coordinates neither over- nor underflow.
+        // In double, differences of float coordinates neither overflow nor underflow.
         v.length[k] = choose(v.edge[k], sqrt(dx * dx + dy * dy), T(1));
         v.perimeter += choose(v.edge[k], v.length[k], T(0));
-        // normalize(b x a) with both at z = 1 and the edge at unit length: at least 1 long however short the edge.
+        // normalize(b x a) with both at z = 1 and the edge at unit length. The vector's length is at least 1, however short the edge.
         v.ex[k] = dx / v.length[k], v.ey[k] = dy / v.length[k];
         const T n0 = v.ey[k], n1 = -v.ex[k], n2 = v.cy[k] * v.ex[k] - v.cx[k] * v.ey[k];
         v.inverse_norm[k] = T(1) / sqrt(T(1) + n2 * n2);
@@ -74,7 +74,7 @@ E4DGS_HD T log_weight(const ConvexView<T>& v, int k) {  // log2 w_k
 }
 
 // L_i(pixel) = log2(w_i exp(tau H_i)) = A_i (px - x0) + B_i (py - y0) + C_i, so that tau S = ln 2 * log2 sum_i 2^L_i.
-// Slots without an edge are not to be read.
+// Do not read the results of slots without an edge.
 template <class T>
 E4DGS_HD void edge_lines(const Camera<T>& cam, const ConvexView<T>& v, T tau, T x0, T y0, T* A, T* B, T* C) {
     const T k = tau * v.zc * T(kLog2E), dx = (x0 - cam.cx) / cam.fx, dy = (y0 - cam.cy) / cam.fy;
@@ -85,10 +85,10 @@ E4DGS_HD void edge_lines(const Camera<T>& cam, const ConvexView<T>& v, T tau, T 
     }
 }
 
-// gA, gB, gC: gradients of the lines' coefficients, 0 in slots without an edge; drho: of kappa / tau; dz: of the centroid's depth. dspread:
-// sum over pixels of dL/d(rho lse) (lse - sum_i p_i L_i), with p the softmax of the lines: d(rho lse)/dtau = -(kappa / tau^2) (lse -
-// sum_i p_i (L_i - log2 w_i)). dpoints [K][3], dtau, dkappa are added to. A vanishing edge's gradient is gC_i / l_i with gC_i
-// proportional to w_i: finite.
+// gA, gB, gC: gradients of the lines' coefficients, 0 in slots without an edge. drho: gradient of kappa / tau. dz: gradient of the
+// centroid's depth. dspread: sum over pixels of dL/d(rho lse) (lse - sum_i p_i L_i), where p is the softmax of the lines, because
+// d(rho lse)/dtau = -(kappa / tau^2) (lse - sum_i p_i (L_i - log2 w_i)). Adds to dpoints [K][3], dtau and dkappa. The gradient of a
+// vanishing edge is gC_i / l_i; it stays finite because gC_i is proportional to w_i.
 template <class T, class S, class G>
 E4DGS_HD void project_convex_backward(const Camera<T>& cam, const ConvexView<T>& v, const S* points, T tau, T kappa, T x0, T y0,
                                       const T* gA, const T* gB, const T* gC, T drho, T dspread, T dz, T* dpoints, T& dtau, T& dkappa,

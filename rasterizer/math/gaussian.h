@@ -8,12 +8,12 @@ template <class T>
 struct GaussianView {
     T p[3];           // centre, camera frame
     T mean[2];        // px
-    T cov[3];         // xx, xy, yy of the 2D covariance, px^2, dilation included
+    T cov[3];         // xx, xy, yy of the 2D covariance, px^2, including the dilation
     T det;            // its determinant
     T q[4], q_scale;  // unit quaternion; q = q_scale * quat
-    T rot[9];         // of the quaternion
+    T rot[9];         // rotation matrix of the quaternion
     T m[9];           // rot * diag(scale)
-    T slope[2];       // x/z, y/z as the Jacobian uses them
+    T slope[2];       // x/z, y/z as used in the Jacobian (clamped)
     Truth<T> clamped[2];
     T tm[6];          // Jacobian * R, 2x3
     T b[6];           // tm * m, 2x3; cov = b b^T + 0.3 I
@@ -27,7 +27,7 @@ E4DGS_HD void clamp_slope(T slope, int size, T focal, T principal, T& value, Tru
     value = choose(slope < low, low, choose(slope > high, high, slope));
 }
 
-// False: culled (centre nearer than near_z, zero quaternion), the view means nothing.
+// Returns false if the Gaussian is culled (centre nearer than near_z, or zero quaternion); then the view is meaningless.
 template <class T, class S>
 E4DGS_HD Truth<T> project_gaussian(const Camera<T>& cam, const S* mean, const S* quat, const S* scale, GaussianView<T>& v) {
     to_camera(cam, mean, v.p);
@@ -35,7 +35,7 @@ E4DGS_HD Truth<T> project_gaussian(const Camera<T>& cam, const S* mean, const S*
     Truth<T> good = z >= T(cam.near_z);
     if (none(good)) return good;
 
-    // Divided by the largest component first, so that tiny and huge quaternions stay in range.
+    // Divide by the largest component first, so that tiny and huge quaternions stay in range.
     T largest = T(0);
     for (int i = 0; i < 4; ++i) largest = larger(largest, fabs(T(quat[i])));
     good = good & (largest > T(0));
@@ -72,13 +72,13 @@ E4DGS_HD Truth<T> project_gaussian(const Camera<T>& cam, const S* mean, const S*
     v.cov[0] = xx + dilation;
     v.cov[1] = b0[0] * b1[0] + b0[1] * b1[1] + b0[2] * b1[2];
     v.cov[2] = yy + dilation;
-    // |b0 x b1|^2 + 0.3 trace + 0.09: a sum of squares, which loses nothing to cancellation on needles.
+    // |b0 x b1|^2 + 0.3 trace + 0.09 is a sum of squares, so needle-shaped Gaussians suffer no cancellation.
     v.det = k0 * k0 + k1 * k1 + k2 * k2 + dilation * (xx + yy) + dilation * dilation;
     return good;
 }
 
-// The exponent of alpha = 2^(log2(opacity) - u^2 - v^2) with u = f[0] dx + f[1] dy, v = f[2] dy, (dx, dy) = pixel - mean:
-// a triangular factor of the inverse covariance. Again no cancellation: the squares are only ever added.
+// f for the exponent in alpha = 2^(log2(opacity) - u^2 - v^2), where u = f[0] dx + f[1] dy, v = f[2] dy and (dx, dy) = pixel - mean.
+// It is a triangular factor of the inverse covariance. Again there is no cancellation, because squares are only added.
 template <class T>
 E4DGS_HD void exponent_factor(const GaussianView<T>& v, T* f) {
     const T half = sqrt(T(0.5 * kLog2E));
@@ -88,7 +88,7 @@ E4DGS_HD void exponent_factor(const GaussianView<T>& v, T* f) {
     f[2] = half / sy;
 }
 
-// From the moments of the exponent's gradient over pixels, moments = sum g * (u, v, uu, uv, vv), to the gradients of the 2D
+// Converts the moments of the exponent's gradient over the pixels, moments = sum g * (u, v, uu, uv, vv), to the gradients of the 2D
 // mean [2] and covariance [3] (xx, xy counted once, yy).
 template <class T>
 E4DGS_HD void moments_backward(const T* f, const T* moments, T* dmean, T* dcov) {
@@ -102,9 +102,9 @@ E4DGS_HD void moments_backward(const T* f, const T* moments, T* dmean, T* dcov) 
     dcov[2] = c * (b0 * f[1] + b1 * f[2]);
 }
 
-// G is CameraGrad<T>, or something that ignores what is added to it.
+// G is CameraGrad<T>, or a type that ignores what is added to it.
 // dmean2 [2] px, dcov [3] with dL = dcov0 dxx + 2 dcov1 dxy + dcov2 dyy, dz: gradient of the centre's depth.
-// dmean, dquat, dscale are added to.
+// Adds to dmean, dquat and dscale.
 template <class T, class S, class G>
 E4DGS_HD void project_gaussian_backward(const Camera<T>& cam, const GaussianView<T>& v, const S* mean, const S* scale, const T* dmean2,
                                         const T* dcov, T dz, T* dmean, T* dquat, T* dscale, G& grad) {
@@ -137,7 +137,7 @@ E4DGS_HD void project_gaussian_backward(const Camera<T>& cam, const GaussianView
         grad.R[3 + j] += ay * dtm[3 + j];
         grad.R[6 + j] -= ax * v.slope[0] * dtm[j] + ay * v.slope[1] * dtm[3 + j];
     }
-    const T dx = cam.fx * dmean2[0] + choose(v.clamped[0], T(0), dsx);  // of x/z
+    const T dx = cam.fx * dmean2[0] + choose(v.clamped[0], T(0), dsx);  // gradient of x/z
     const T dy = cam.fy * dmean2[1] + choose(v.clamped[1], T(0), dsy);
     grad.fx += dax * iz + x * dmean2[0], grad.cx += dmean2[0];
     grad.fy += day * iz + y * dmean2[1], grad.cy += dmean2[1];

@@ -1,17 +1,18 @@
-// Which of a few points in the plane are corners of their hull.
+// Finds which of a few points in the plane are corners of their convex hull.
 #pragma once
 #include "constants.h"
 
 namespace e4dgs {
 
-// Plane: at.x(i), at.y(i) are point i's coordinates. Twice the signed area of the triangle a b c.
+// Twice the signed area of the triangle a b c. Plane: at.x(i), at.y(i) are the coordinates of point i.
 template <class Plane>
 E4DGS_HD auto turn(const Plane& at, int a, int b, int c) {
     return (at.x(b) - at.x(a)) * (at.y(c) - at.y(a)) - (at.y(b) - at.y(a)) * (at.x(c) - at.x(a));
 }
 
-// Graham's scan in Andrew's variant, counterclockwise from the leftmost (of those the lowest) point. Corners are the extreme points
-// only, with room for rounding (see kFlatTurn); of coincident points one is. How many there are; 0: no area.
+// Graham's scan in Andrew's variant, counterclockwise from the leftmost point (the lowest one if there are several). Only extreme points
+// are corners, with a tolerance for rounding (kFlatTurn), and only one of several coincident points. Returns their number; 0 if the hull
+// has no area.
 template <class Plane>
 E4DGS_HD int hull_corners(const Plane& at, int points, int* corner) {
     auto low_x = at.x(0), high_x = low_x, low_y = at.y(0), high_y = low_y;
@@ -40,7 +41,7 @@ E4DGS_HD int hull_corners(const Plane& at, int points, int* corner) {
         while (size > lower && !(turn(at, stack[size - 2], stack[size - 1], order[k]) > flat)) --size;
         stack[size++] = order[k];
     }
-    const int n = size - 1;  // the last is the first again
+    const int n = size - 1;  // the last point on the stack is the first one again
     if (n < 3 || n > m) return 0;
     for (int k = 0; k < n; ++k) corner[k] = stack[k];
     return n;

@@ -1,5 +1,5 @@
 // View-dependent colour from real spherical harmonics of degree 0 to 3, with the basis and signs of 3DGS
-// (Kerbl et al. 2023): colour = max(0, sum_k B_k(direction) c_k + 0.5), no gradient through the clamp.
+// (Kerbl et al. 2023): colour = max(0, sum_k B_k(direction) c_k + 0.5), without gradient through the clamp.
 #pragma once
 #include "camera.h"
 
@@ -33,7 +33,7 @@ E4DGS_HD void sh_basis(T x, T y, T z, T* B) {
     }
 }
 
-// d = sum_k s_k grad B_k, with B_k the polynomials above.
+// d = sum_k s_k grad B_k, where B_k are the polynomials above.
 template <int D, class T>
 E4DGS_HD void sh_basis_backward(T x, T y, T z, const T* s, T* d) {
     d[0] = d[1] = d[2] = T(0);
@@ -79,7 +79,7 @@ E4DGS_HD void sh_color(const Camera<T>& cam, const T* position, const S* sh, T* 
     }
 }
 
-// dcolor [3] -> dsh [(D+1)^2][3] (written), dposition (added), camera (added).
+// From dcolor [3]: writes dsh [(D+1)^2][3] (may be null) and adds to dposition and to the camera's gradient.
 template <int D, class T, class S, class G>
 E4DGS_HD void sh_color_backward(const Camera<T>& cam, const T* position, const S* sh, const T* dcolor, S* dsh, T* dposition,
                                 G& grad) {

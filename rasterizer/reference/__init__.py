@@ -1,4 +1,4 @@
-"""The oracle: the maths of the rasterizer in plain float64 torch, differentiated by autograd. No tiles, no tricks, no speed."""
+"""The reference: the rasterizer's maths in plain float64 torch, differentiated by autograd. No tiles, no tricks, and slow."""
 
 from .render import rasterize_reference
 

@@ -1,8 +1,8 @@
-"""What it takes to compare two renders: which pixels a threshold decides, and gradients of one scalar.
+"""Tools for comparing two renders: which pixels are decided by a threshold, and gradients of a scalar.
 
-An image has pixels that a threshold decides: an alpha a rounding error away from 1/255 or from the cap, a transmittance at the
-stop, two layers at the same depth. There both answers are right, and they may differ by as much as one layer. Everywhere else
-they agree tightly.
+At some pixels, rounding decides on which side of a threshold a value lies: an alpha within a rounding error of 1/255 or of the cap, a
+transmittance at the stop, two layers at the same depth. There, both results are correct and may differ by as much as one layer.
+Everywhere else they agree tightly.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ OUTPUTS = ("color", "alpha", "depth", "extras")
 
 @torch.no_grad()
 def projected(scene: Scene) -> tuple[Camera, Splats, Shapes]:
-    """The scene's camera and primitives as the reference sees them, in float64, without extras."""
+    """The scene's camera and its projected primitives from the reference, in float64 and without extras."""
     camera = _cast(scene.camera, torch.float64)
     gaussians = _cast(scene.gaussians or _empty_gaussians(camera), torch.float64)
     convexes = _cast(scene.convexes or _empty_convexes(camera), torch.float64)
@@ -37,7 +37,7 @@ def projected(scene: Scene) -> tuple[Camera, Splats, Shapes]:
 
 
 def raw_alphas(scene: Scene) -> tuple[Tensor, Tensor]:
-    """Alphas before cap and cut [H W, n] and depths [n], front to back, from the reference."""
+    """Alphas [H W, n] before the cap and the cutoff at 1/255, and depths [n], front to back, from the reference."""
     camera, splats, shapes = projected(scene)
     with torch.no_grad():
         pixels = pixel_centres(camera)
@@ -49,13 +49,13 @@ def raw_alphas(scene: Scene) -> tuple[Tensor, Tensor]:
 def decided_by_threshold(
     scene: Scene, alpha_band: float = ALPHA_BAND, stop_band: float = STOP_BAND, depth_band: float = DEPTH_BAND
 ) -> Tensor:
-    """[H, W] bool: pixels where some primitive is within a band of a threshold, so that rounding may decide."""
+    """[H, W] bool: pixels where some primitive is so close to a threshold (within the band) that rounding may decide."""
     raw, depths = raw_alphas(scene)
     _, blended = effective_alphas(raw)
     capped = raw.clamp(max=MAX_ALPHA)
     after = torch.cumprod(1 - torch.where(raw >= MIN_ALPHA, capped, 0.0), dim=1)  # as if no pixel ever stopped
     before = torch.cat([torch.ones_like(after[:, :1]), after], 1)[:, :-1]
-    reached = before >= MIN_TRANSMITTANCE * (1 - stop_band)  # layers behind the stop decide nothing
+    reached = before >= MIN_TRANSMITTANCE * (1 - stop_band)  # layers behind the stop do not matter
     near = ((raw - MIN_ALPHA).abs() < alpha_band) | ((raw - MAX_ALPHA).abs() < alpha_band)
     near |= (raw >= MIN_ALPHA) & ((after / MIN_TRANSMITTANCE - 1).abs() < stop_band)
     undecided = (near & reached).any(1)
@@ -65,7 +65,7 @@ def decided_by_threshold(
 
 
 def cotangents(frame: Frame, ignore: Tensor | None = None, seed: int = 0, outputs: tuple[str, ...] = OUTPUTS) -> dict[str, Tensor]:
-    """Fixed random weights for a scalar loss on each output, zero at the pixels `ignore` [H, W]."""
+    """Reproducible random weights for a scalar loss on each output; zero at the pixels in `ignore` [H, W]."""
     g = torch.Generator().manual_seed(seed)
     found = {}
     for name in outputs:
@@ -77,19 +77,19 @@ def cotangents(frame: Frame, ignore: Tensor | None = None, seed: int = 0, output
 
 
 def weigh(frame: Frame, weights: dict[str, Tensor]) -> Tensor:
-    """The scalar sum over outputs of weights . output, in the output's precision."""
+    """The scalar sum over all outputs of weights * output, in the precision of the outputs."""
     return torch.stack([(getattr(frame, name) * w.to(getattr(frame, name).dtype)).sum() for name, w in weights.items()]).sum()
 
 
 def gradients(scene: Scene, backend: str, weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Gradients of `weigh` with respect to every input of the scene; None becomes zeros."""
+    """Gradients of `weigh` with respect to every input of the scene; a gradient of None becomes zeros."""
     leaves = scene.leaves()
     weigh(scene.having(leaves).render(backend), weights).backward()
     return {name: torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for name, leaf in leaves.items()}
 
 
 def relative_l2(got: Tensor, want: Tensor) -> float:
-    """|got - want| / |want| in float64; where want is zero, 0 if got is too, else infinity."""
+    """|got - want| / |want| in float64. If want is zero: 0 if got is zero too, else infinity."""
     a, b = got.detach().double(), want.detach().double()
     size, distance = float(b.norm()), float((a - b).norm())
     return distance / size if size else (0.0 if distance == 0 else float("inf"))

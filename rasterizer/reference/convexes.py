@@ -1,4 +1,4 @@
-"""Smooth convexes: from K free points to opacity at a pixel (Edge4DGS, Eq. 3-7)."""
+"""Smooth convexes: from K free points to the alpha at a pixel (Edge4DGS, Eq. 3-7)."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ..validate import usable
 from .hull import extent, hull_area, hull_corners
 from .sh import colors_of
 
-DEGENERATE = 1e-5  # a hull whose area is not above this fraction of its squared extent is culled
+DEGENERATE = 1e-5  # a hull is culled unless its area is above this fraction of its squared extent
 
 
 @dataclass(eq=False)
 class Shapes:
-    """The m convexes that survive culling, in the input's order. A convex has up to K edges; the rest of its row is padding."""
+    """The m convexes that survive culling, in input order. A convex has up to K edges; the rest of its row is padding."""
 
-    index: Tensor  # [m] int64, which ones
+    index: Tensor  # [m] int64, indices in the input
     depths: Tensor  # [m] z of the centroid in camera coordinates
     normals: Tensor  # [m, K, 3] unit outward normals of the planes through the camera's centre and an edge
-    log_weights: Tensor  # [m, K] ln w_i, -inf where there is no edge
+    log_weights: Tensor  # [m, K] ln w_i; -inf where there is no edge
     tau: Tensor  # [m]
     kappa: Tensor  # [m]
     opacities: Tensor  # [m]
@@ -31,13 +31,13 @@ class Shapes:
 
 
 def project_convexes(camera: Camera, convexes: Convexes) -> Shapes:
-    """Cull (unusable values, any point nearer than `near`, degenerate hulls) and find the silhouettes of the rest."""
+    """Cull convexes (bad values, any point nearer than `near`, degenerate hull) and compute the outlines of the rest."""
     rotation, translation = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
     with torch.no_grad():
         z = (convexes.points @ rotation.T + translation)[..., 2]
         index = (usable(convexes) & (z >= camera.near).all(1)).nonzero()[:, 0]
 
-    # From here on only what passed: a culled primitive is not part of the graph, so its gradient is zero, never NaN.
+    # From here on, only survivors: a culled primitive is not part of the autograd graph, so its gradient is zero, never NaN.
     points = convexes.points[index] @ rotation.T + translation
     plane = points[..., :2] / points[..., 2:]  # (x/z, y/z)
     starts, ends, is_edge, kept = silhouettes(plane.detach())
@@ -45,15 +45,15 @@ def project_convexes(camera: Camera, convexes: Convexes) -> Shapes:
     a = torch.gather(plane, 1, starts[..., None].expand(-1, -1, 2))
     b = torch.gather(plane, 1, ends[..., None].expand(-1, -1, 2))
 
-    # The normal of the plane through the camera's centre and both corners is b x a, outward because the corners run with a
-    # positive shoelace sum. Normalising removes any positive factor, so it is taken with z = 1 and the edge at unit length,
-    # (b - a) / l = e: then b x a = (e_y, -e_x, a_y e_x - a_x e_y), at least 1 long however short the edge is.
+    # The normal of the plane through the camera's centre and both corners is b x a. It points outward because the corners are in
+    # the order with a positive shoelace sum. Normalising removes any positive factor, so we use z = 1 and an edge of unit length,
+    # (b - a) / l = e. Then b x a = (e_y, -e_x, a_y e_x - a_x e_y), whose length is at least 1 however short the edge is.
     lengths = torch.hypot(b[..., 0] - a[..., 0], b[..., 1] - a[..., 1])
     edge = (b - a) / lengths[..., None]
     normals = torch.stack([edge[..., 1], -edge[..., 0], a[..., 1] * edge[..., 0] - a[..., 0] * edge[..., 1]], -1)
     normals = normals / normals.norm(dim=-1, keepdim=True)
 
-    # w_i = K l_i / sum(l): alpha stays continuous when a point enters or leaves the hull.
+    # w_i = K l_i / sum(l) keeps alpha continuous when a point enters or leaves the hull.
     perimeter = (lengths * is_edge).sum(1, keepdim=True)
     log_weights = torch.log(lengths.shape[1] * lengths / perimeter).masked_fill(~is_edge, -torch.inf)
     assert convexes.extras is not None  # rasterize() has padded them
@@ -71,11 +71,11 @@ def project_convexes(camera: Camera, convexes: Convexes) -> Shapes:
 
 
 def silhouettes(plane: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The hulls of points [n, K, 2] in the plane (x/z, y/z), degenerate ones left out.
+    """The hulls of points [n, K, 2] in the plane (x/z, y/z), without degenerate ones.
 
-    Returns starts, ends [m, K] int64 (each edge's two points, running with a positive shoelace sum), is_edge [m, K] bool, and
-    kept [m] int64, the rows of `plane` that are not degenerate. Padding repeats the first edge, so that no unused number is
-    out of range.
+    Returns starts, ends [m, K] int64 (the two points of each edge, in the order with a positive shoelace sum), is_edge [m, K] bool, and
+    kept [m] int64, the rows of `plane` that are not degenerate. Padding repeats the first edge, so that unused entries stay finite and
+    in range.
     """
     starts, ends, is_edge, kept = [], [], [], []
     count = plane.shape[1]
@@ -94,14 +94,14 @@ def silhouettes(plane: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def is_degenerate(points: list[tuple[float, float]], corners: list[int]) -> bool:
-    """True where the hull is a point, a line or a sliver: area <= 1e-5 of the squared longer side of the bounding box."""
+    """Whether the hull is a point, a line or a sliver: its area is at most 1e-5 of the squared longer side of the bounding box."""
     return not hull_area(points, corners) > DEGENERATE * extent(points) ** 2
 
 
 def convex_alphas(shapes: Shapes, camera: Camera, pixels: Tensor) -> Tensor:
-    """[P, m] o M at pixels [P, 2], before the cap and the cut.
+    """[P, m] o M at pixels [P, 2], before the cap and the cutoff.
 
-    Ray d with d.z = 1, p = z_c d with z_c the centroid's z, H_i = u_i . p (Eq. 4, world units),
+    d is the pixel's ray with d.z = 1, and p = z_c d, where z_c is the z of the centroid. H_i = u_i . p (Eq. 4, world units),
     S = (1/tau) ln sum_i w_i exp(tau H_i) (Eq. 5), M = 1 / (1 + exp(kappa S)) (Eq. 6).
     """
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]

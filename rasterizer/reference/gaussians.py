@@ -1,4 +1,4 @@
-"""Gaussians: from 3D covariance to opacity at a pixel (EWA splatting as in 3DGS, with exact support)."""
+"""Gaussians: from the 3D covariance to the alpha at a pixel (EWA splatting as in 3DGS, with exact support)."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..types import Camera, Gaussians
 from ..validate import usable
 from .sh import colors_of
 
-DILATION = 0.3  # px^2, added to the 2D covariance's diagonal
+DILATION = 0.3  # px^2, added to the diagonal of the 2D covariance
 
 
 @dataclass(eq=False)
 class Splats:
-    """The n Gaussians that survive culling, in the input's order."""
+    """The n Gaussians that survive culling, in input order."""
 
-    index: Tensor  # [n] int64, which ones
+    index: Tensor  # [n] int64, indices in the input
     depths: Tensor  # [n] z of the centre in camera coordinates
     centres: Tensor  # [n, 2] px
     factors: Tensor  # [n, 2, 3] M, px; the 2D covariance is M M^T + 0.3 I
@@ -28,8 +28,8 @@ class Splats:
 
 
 def rotations(quats: Tensor) -> Tensor:
-    """[n, 3, 3] rotation matrices of quaternions w x y z of any non-zero norm."""
-    # Dividing by the largest component first keeps tiny and huge quaternions in range; it changes neither value nor gradient.
+    """[n, 3, 3] rotation matrices of quaternions (w x y z) with any non-zero norm."""
+    # Dividing by the largest component first keeps tiny and huge quaternions in range. It changes neither the result nor its gradient.
     quats = quats / quats.detach().abs().amax(-1, keepdim=True)
     w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = [
@@ -41,19 +41,19 @@ def rotations(quats: Tensor) -> Tensor:
 
 
 def project_gaussians(camera: Camera, gaussians: Gaussians) -> Splats:
-    """Cull (unusable values, centre nearer than `near`) and project the rest."""
+    """Cull Gaussians (bad values, centre nearer than `near`) and project the rest."""
     rotation, translation = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
     with torch.no_grad():
         z = (gaussians.means @ rotation.T + translation)[:, 2]
         index = (usable(gaussians) & (z >= camera.near)).nonzero()[:, 0]
 
-    # From here on only survivors: a culled primitive is not part of the graph, so its gradient is zero, never NaN.
+    # From here on, only survivors: a culled primitive is not part of the autograd graph, so its gradient is zero, never NaN.
     means = gaussians.means[index]
     x, y, z = (means @ rotation.T + translation).unbind(-1)
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
 
-    # J = d(pixel)/d(camera coordinates). Its x/z and y/z are clamped to the image widened by 0.3 of tan(half the angle):
-    # far outside, the linearisation is meaningless.
+    # J = d(pixel)/d(camera coordinates). Its x/z and y/z are clamped to the field of view widened by 0.3 tan(half the angle),
+    # because far outside the image the linearisation is meaningless.
     slope_x = clamp_without_gradient(x / z, camera.width, fx, cx)
     slope_y = clamp_without_gradient(y / z, camera.height, fy, cy)
     zero = torch.zeros_like(z)
@@ -75,7 +75,7 @@ def project_gaussians(camera: Camera, gaussians: Gaussians) -> Splats:
 
 
 def clamp_without_gradient(slope: Tensor, size: int, focal: Tensor, principal: Tensor) -> Tensor:
-    """[n] slope clamped to [-c/f - 0.3 t, (size - c)/f + 0.3 t], t = size / (2 f); a clamped one is a constant."""
+    """[n] slopes clamped to [-c/f - 0.3 t, (size - c)/f + 0.3 t], t = size / (2 f). A clamped slope is a constant without gradient."""
     with torch.no_grad():
         margin = 0.3 * size / (2 * focal)
         low, high = -principal / focal - margin, (size - principal) / focal + margin
@@ -84,10 +84,10 @@ def clamp_without_gradient(slope: Tensor, size: int, focal: Tensor, principal: T
 
 
 def gaussian_alphas(splats: Splats, pixels: Tensor) -> Tensor:
-    """[P, n] o exp(-1/2 d^T C^-1 d) at pixels [P, 2], before the cap and the cut; d = pixel - centre, C = M M^T + 0.3 I.
+    """[P, n] o exp(-1/2 d^T C^-1 d) at pixels [P, 2], before the cap and the cutoff; d = pixel - centre, C = M M^T + 0.3 I.
 
     With m1, m2 the rows of M, det C = |m1 x m2|^2 + 0.3 (|m1|^2 + |m2|^2) + 0.09 and
-    d^T adj(C) d = |m2 dx - m1 dy|^2 + 0.3 (dx^2 + dy^2): sums of squares, which lose nothing to cancellation on needles.
+    d^T adj(C) d = |m2 dx - m1 dy|^2 + 0.3 (dx^2 + dy^2). Both are sums of squares, so needle-shaped Gaussians suffer no cancellation.
     """
     m1, m2 = splats.factors.unbind(1)
     det = torch.linalg.cross(m1, m2).square().sum(-1) + DILATION * (m1.square() + m2.square()).sum(-1) + DILATION**2

@@ -1,4 +1,4 @@
-"""The convex hull of a few points in the plane, by Graham's scan (Andrew's variant: sorted by x, then y)."""
+"""The convex hull of a few points in the plane by Graham's scan (Andrew's variant: points sorted by x, then y)."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from itertools import pairwise
 
 Point = tuple[float, float]
 
-FLAT = 1e-12  # of the squared extent; a turn that is not above it lies within rounding
+FLAT = 1e-12  # relative to the squared extent; a turn up to this size may be a rounding error
 
 
 def hull_corners(points: Sequence[Point]) -> list[int]:
     """Indices of the corners, in the order in which the shoelace sum is positive.
 
-    Corners are the extreme points: points on an edge are not, and of coincident points one is. The hull of points on a line is
-    its two ends, that of coincident points is one point. Whether a point lies on an edge is judged with FLAT, so that rounding
-    does not decide it: gradients of a point on an edge would be those of two edges or none.
+    Only extreme points are corners: a point on an edge is not, and only one of several coincident points is. The hull of points on
+    a line is its two ends; the hull of coincident points is one point. Whether a point lies on an edge is judged with the tolerance
+    FLAT. Otherwise rounding would decide whether such a point gets the gradients of two edges or none.
     """
     order = sorted(range(len(points)), key=lambda i: points[i])
     distinct = [i for n, i in enumerate(order) if n == 0 or points[i] != points[order[n - 1]]]
@@ -26,7 +26,7 @@ def hull_corners(points: Sequence[Point]) -> list[int]:
 
 
 def _chain(points: Sequence[Point], order: list[int], flat: float) -> list[int]:
-    """One side of the hull: walk the sorted points and drop every one at which the path does not turn to the positive side."""
+    """One side of the hull: walk along the sorted points and drop every point at which the path does not make a positive turn."""
     kept: list[int] = []
     for i in order:
         while len(kept) > 1 and turn(points[kept[-2]], points[kept[-1]], points[i]) <= flat:
@@ -46,6 +46,6 @@ def extent(points: Sequence[Point]) -> float:
 
 
 def hull_area(points: Sequence[Point], corners: Sequence[int]) -> float:
-    """Area of the polygon with these corners; the sum runs around its first corner, so that it is exact far from the origin too."""
+    """Area of the polygon with these corners. The sum is taken relative to its first corner, so it is accurate far from the origin too."""
     first = points[corners[0]]
     return 0.5 * sum(turn(first, points[b], points[c]) for b, c in pairwise(corners))

@@ -10,15 +10,15 @@ from .blend import Layers, blend
 from .convexes import convex_alphas, project_convexes
 from .gaussians import gaussian_alphas, project_gaussians
 
-BLOCK = 1 << 22  # (pixel, primitive) pairs evaluated at a time, a bound on memory where no gradients are kept
+BLOCK = 1 << 22  # (pixel, primitive) pairs evaluated at a time; bounds the memory if no gradients are kept
 
 
 def rasterize_reference(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor) -> Frame:
-    """Render in float64; see `rasterize`. All tensors are float64 on one device, extras of both kinds have one width E."""
+    """Render in float64; see `rasterize`. All tensors are float64 on one device; the extras of both kinds have the same width E."""
     splats = project_gaussians(camera, gaussians)
     shapes = project_convexes(camera, convexes)
 
-    # Gaussians come first, and the sort is stable: on ties of depth they stay in front of the convexes.
+    # Gaussians come first and the sort is stable, so at equal depth they stay in front of the convexes.
     depths = torch.cat([splats.depths, shapes.depths])
     order = torch.argsort(depths.detach(), stable=True)
     layers = Layers(
@@ -54,7 +54,7 @@ def rasterize_reference(camera: Camera, gaussians: Gaussians, convexes: Convexes
 
 
 def pixel_centres(camera: Camera) -> Tensor:
-    """[H W, 2] the pixels' centres (column + 0.5, row + 0.5), row by row."""
+    """[H W, 2] pixel centres (column + 0.5, row + 0.5), row by row."""
     y, x = torch.meshgrid(
         torch.arange(camera.height, dtype=torch.float64, device=camera.K.device) + 0.5,
         torch.arange(camera.width, dtype=torch.float64, device=camera.K.device) + 0.5,

@@ -1,4 +1,4 @@
-"""Everything that one call of `rasterize` takes, as one object whose tensors can be taken out by name and replaced."""
+"""All inputs of one call of `rasterize` as one object, whose tensors can be read and replaced by name."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Scene:
         return found
 
     def having(self, tensors: dict[str, Tensor]) -> Scene:
-        """The same scene with these inputs in place of its own."""
+        """The same scene with the inputs in `tensors` replaced."""
         parts: dict[str, Any] = {"camera": self.camera, "gaussians": self.gaussians, "convexes": self.convexes}
         background = tensors.get("background", self.background)
         for name, value in tensors.items():
@@ -46,11 +46,11 @@ class Scene:
         return self.having({name: value.to(dtype) for name, value in self.tensors().items()})
 
     def leaves(self) -> dict[str, Tensor]:
-        """Detached copies of every input that record gradients."""
+        """Detached copies of all inputs, with requires_grad set."""
         return {name: value.detach().clone().requires_grad_() for name, value in self.tensors().items()}
 
     def primitive_leaves(self) -> dict[str, Tensor]:
-        """As `leaves`, without camera and background: what training asks gradients of."""
+        """Like `leaves`, but without camera and background: the inputs for which training needs gradients."""
         return {name: leaf for name, leaf in self.leaves().items() if "." in name}
 
     def render(self, backend: str = "reference", **options: Any) -> Frame:

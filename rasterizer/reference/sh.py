@@ -1,4 +1,4 @@
-"""View-dependent colour from real spherical harmonics up to degree 3, with the basis and the signs of 3DGS."""
+"""View-dependent colour from real spherical harmonics up to degree 3, with the basis and signs of 3DGS."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..types import Camera, Convexes, Gaussians
 
 
 def sh_basis(directions: Tensor, coefficients: int) -> Tensor:
-    """[N, C] the first C = 1, 4, 9 or 16 basis functions at unit directions [N, 3]."""
+    """[N, C] values of the first C = 1, 4, 9 or 16 basis functions at unit directions [N, 3]."""
     x, y, z = directions.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
     functions = [torch.full_like(x, 0.28209479177387814)]
@@ -37,9 +37,9 @@ def sh_basis(directions: Tensor, coefficients: int) -> Tensor:
 
 
 def colors_of(owner: Gaussians | Convexes, index: Tensor, centres: Tensor, camera: Camera) -> Tensor:
-    """[n, 3] colours of the primitives `index`: `colors` as they are, or SH seen from the camera, + 0.5, clamped at 0.
+    """[n, 3] colours of the primitives `index`: either `colors` unchanged, or SH in the view direction, plus 0.5, clamped at 0.
 
-    centres: [n, 3] world positions (centre or centroid); the direction runs from the camera's centre -R^T t to them.
+    centres: [n, 3] world positions (centre or centroid). The view direction points from the camera's centre -R^T t to them.
     No gradient flows through a clamped colour.
     """
     if owner.colors is not None:

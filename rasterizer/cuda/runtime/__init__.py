@@ -1,7 +1,7 @@
-"""What runs kernels on a GPU: programs are compiled where they are used, kept on disk, and launched on torch's stream.
+"""Runs kernels on a GPU: compiles programs on the machine that uses them, keeps them on disk, and launches them on torch's stream.
 
-Ours alone: it knows no kernel. `rasterizer/cuda` and `scene/cuda` describe their kernels as programs and launch them through this face;
-the files behind it are nobody else's business.
+Internal to this package, and independent of any particular kernel. `rasterizer/cuda` and `scene/cuda` describe their kernels as programs
+and launch them through the names exported here. The other modules in this folder are private.
 """
 
 from .arguments import Argument

@@ -1,4 +1,4 @@
-"""What a kernel can be given as an argument."""
+"""The types of kernel arguments."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from torch import Tensor
 
-# Exactly these map to one type of kernel parameter each. Python's int, float and bool are refused: their width would be a guess.
+# Each of these maps to exactly one type of kernel parameter. Python's int, float and bool are rejected: their width would be a guess.
 Scalar: TypeAlias = (
     ctypes.c_bool
     | ctypes.c_int8

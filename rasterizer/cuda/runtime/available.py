@@ -1,4 +1,4 @@
-"""Whether the CUDA kernels can be used here, and what `e4dgs doctor` says about what they need."""
+"""Whether the CUDA kernels can be used on this machine, and what `e4dgs doctor` reports about their requirements."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from . import cache
 from .compiler import INSTALL, architectures, compile_cubin, load_nvrtc, nvrtc_version, target_of
 from .program import Program
 
-OLDEST = (7, 5)  # compute capability; what CUDA 13 still compiles for
+OLDEST = (7, 5)  # the oldest compute capability that CUDA 13 still compiles for
 TRIVIAL = 'extern "C" __global__ void fill(float* out) { out[threadIdx.x] = 1.0f; }\n'
 
 Row = tuple[str, bool | None, str]
 
 
 def why_not(device_index: int | None = None) -> str | None:
-    """One line why the CUDA kernels cannot be used, with what to do, or None where they can. Initialises CUDA where there is a device.
+    """One line that says why the CUDA kernels cannot be used and what to do, or None if they can. Initialises CUDA if there is a device.
 
-    device_index: as torch counts; None for the first device.
+    device_index: torch's index of the device; None for the first one.
     """
     try:
         return _problem(0 if device_index is None else device_index)
-    except Exception as error:  # a driver may fail in any way, and the answer is the same
+    except Exception as error:  # a driver can fail in many ways, and the answer is always the same
         return f"CUDA fails here: {_first_line(error)}; see `e4dgs doctor`"
 
 
 def describe() -> list[Row]:
-    """(what, well, detail) for `e4dgs doctor`; `well` is None for a fact that is neither good nor bad. It never raises."""
+    """(what, well, detail) rows for `e4dgs doctor`. `well` is None for a fact that is neither good nor bad. Never raises."""
     rows = [_row("CUDA kernels", _usable), _row("CUDA driver", _driver)]
     rows += _devices()
     compiles = _row("CUDA compiler (NVRTC)", _nvrtc)
@@ -41,7 +41,7 @@ def describe() -> list[Row]:
 
 
 def driver_version() -> tuple[int, int] | None:
-    """(major, minor) of the newest CUDA that the driver supports, or None without a driver or without cuda-bindings."""
+    """(major, minor) of the newest CUDA version that the driver supports. None without a driver or cuda-bindings."""
     try:
         from cuda.bindings import driver
 
@@ -81,7 +81,7 @@ def _problem(index: int) -> str | None:
     if capability < OLDEST:
         name = torch.cuda.get_device_name(index)
         return f"{name} has compute capability {_dotted(capability)}, and the kernels want {_dotted(OLDEST)} or newer"
-    target = target_of(f"sm_{capability[0]}{capability[1]}")  # its RuntimeError is for a device too old for this NVRTC
+    target = target_of(f"sm_{capability[0]}{capability[1]}")  # raises RuntimeError if the device is too old for this NVRTC
     if target.startswith("compute_") and driver < compiler:
         return (
             f"NVRTC {_dotted(compiler)} does not know compute capability {_dotted(capability)}, and the driver (CUDA {_dotted(driver)}) is "
@@ -156,7 +156,7 @@ def _cache() -> tuple[bool | None, str]:
 def _row(what: str, check: Callable[[], tuple[bool | None, str]]) -> Row:
     try:
         well, detail = check()
-    except Exception as error:  # a doctor reports whatever is broken
+    except Exception as error:  # the doctor reports anything that is broken
         well, detail = False, f"{type(error).__name__}: {_first_line(error)}"
     return what, well, detail
 

@@ -1,7 +1,7 @@
-"""Compiled kernels on disk, so that only the first start on a machine compiles.
+"""Keeps compiled kernels on disk, so that only the first start on a machine compiles them.
 
-A file is 20 bytes of digest, a line of JSON (form, resources), and the code. Its name is the digest of everything that the code
-follows from; its content is checked before use, so a cut or flipped file is compiled again and never loaded.
+A file consists of 20 bytes of digest, a line of JSON (form, resources), and the code. Its name is the digest of everything that
+determines the code. Its content is checked before use: a truncated or corrupted file is compiled again and never loaded.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .compiler import FLAGS, Compiled, Resources, compile_cubin, nvrtc_version
 from .program import Program, digest
 
 FORMAT = 1
-LIMIT = 512 * 2**20  # bytes; beyond it, what was not used for longest goes
+LIMIT = 512 * 2**20  # bytes; beyond this, the least recently used files are removed
 SUFFIX = ".kernel"
 CHECK = 20  # bytes of digest before the content
 
@@ -30,10 +30,10 @@ _WARNED: list[str] = []
 
 
 def compiled(program: Program, arch: str) -> Compiled:
-    """A program for an architecture: from this process, else from disk, else compiled and kept in both.
+    """A program compiled for an architecture: from this process, else from disk, else compiled now and kept in both.
 
-    Any thread may call it; one compiles, others that want the same wait. Where the folder cannot be used, it warns once and keeps
-    code in this process alone. Raises what `compile_cubin` raises.
+    Any thread may call this. One thread compiles, and others that need the same program wait. If the folder cannot be used, it warns
+    once and keeps the code in this process only. Raises what `compile_cubin` raises.
     """
     key = program, arch
     found = _MEMORY.get(key)
@@ -48,7 +48,7 @@ def compiled(program: Program, arch: str) -> Compiled:
 def folder() -> Path:
     """Where compiled kernels are kept: $E4DGS_CACHE, else e4dgs/kernels in $XDG_CACHE_HOME or ~/.cache.
 
-    Raises RuntimeError where there is neither and no home either.
+    Raises RuntimeError if neither is set and there is no home folder.
     """
     if chosen := os.environ.get("E4DGS_CACHE"):
         return Path(chosen).expanduser()
@@ -57,7 +57,7 @@ def folder() -> Path:
 
 
 def usage() -> tuple[int, int]:
-    """(files, bytes) in the folder; (0, 0) where there is none."""
+    """(files, bytes) in the folder; (0, 0) if there is no folder."""
     sizes = [size for _, _, size in _files(folder())]
     return len(sizes), sum(sizes)
 
@@ -70,7 +70,7 @@ def _from_disk(program: Program, arch: str) -> Compiled:
         found = _decode(path.read_bytes())
         if found is not None:
             with contextlib.suppress(OSError):  # another user's folder may be read-only
-                os.utime(path)  # the age by which it is kept
+                os.utime(path)  # marks the file as recently used
             return found
     except FileNotFoundError:
         pass
@@ -107,7 +107,8 @@ def _decode(data: bytes) -> Compiled | None:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Written beside its place and moved there, so that nobody reads half a file; then the oldest go until the limit holds."""
+    """Writes a temporary file beside `path` and renames it, so that nobody reads half a file. Then removes the oldest files beyond the
+    limit."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
     try:
@@ -130,7 +131,7 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def _files(place: Path) -> list[tuple[float, Path, int]]:
-    """(last use, path, bytes) of what this module has written there, what an interrupted process left included."""
+    """(last use, path, bytes) of the files that this module has written, including those left by an interrupted process."""
     found = []
     with contextlib.suppress(OSError):
         for path in place.iterdir():

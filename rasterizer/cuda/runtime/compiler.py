@@ -1,7 +1,7 @@
-"""Kernels to machine code, by NVRTC.
+"""Compiles kernels to machine code with NVRTC.
 
-Through cuda-bindings' `nvrtc` alone, which needs no driver: `cuda.core.Program.compile` asks the driver for its version, so machines
-without a GPU (CI, a build host) could not compile.
+Uses only the `nvrtc` module of cuda-bindings, which needs no driver. `cuda.core.Program.compile` asks the driver for its version, so it
+could not compile on machines without a GPU (CI, a build host).
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from typing import Any, Literal
 
 from .program import Program
 
-# No fast maths: kernels choose their approximations themselves. -v has ptxas say what each kernel uses.
+# No fast math: kernels choose their approximations themselves. -v makes ptxas report what each kernel uses.
 FLAGS = ("--std=c++20", "--fmad=true", "--ptxas-options=-v")
 INSTALL = "install what compiles the kernels with pip install 'e4dgs[cuda13]', or 'e4dgs[cuda12]' where torch.version.cuda starts with 12"
-SHOWN = 12  # lines of a failed compilation's log
+SHOWN = 12  # lines of the log to show when a compilation fails
 
 
 @dataclass(frozen=True)
 class Resources:
-    """What a kernel uses on one architecture. Bytes are a thread's, shared memory (the static part) a block's."""
+    """What a kernel uses on one architecture. Bytes are per thread, except for (static) shared memory, which is per block."""
 
     registers: int
     spill_bytes: int  # stores and loads of registers that did not fit
@@ -32,7 +32,7 @@ class Resources:
 
 @dataclass(frozen=True)
 class Compiled:
-    """A program for one architecture. PTX is finished by the driver, so its kernels' resources are not known here."""
+    """A program compiled for one architecture. The driver finishes compiling PTX, so the resources of its kernels are unknown here."""
 
     code: bytes
     form: Literal["cubin", "ptx"]
@@ -42,10 +42,10 @@ class Compiled:
 def compile_cubin(program: Program, arch: str) -> Compiled:
     """Compile a program for an architecture such as "sm_90".
 
-    An architecture newer than all that this NVRTC knows gets PTX of the newest known one, which the driver compiles when it is loaded.
+    An architecture that this NVRTC does not know yet gets PTX for the newest older one, which the driver compiles on loading.
 
-    Raises RuntimeError where NVRTC is not installed (with what to install), where it knows only newer architectures, and where the
-    program has errors (with the first of them).
+    Raises RuntimeError if NVRTC is not installed (and says what to install), if it knows only newer architectures, or if the program
+    has errors (and shows the first of them).
     """
     nvrtc = load_nvrtc()
     target = target_of(arch)
@@ -68,7 +68,7 @@ def compile_cubin(program: Program, arch: str) -> Compiled:
 
 @lru_cache(maxsize=1)
 def nvrtc_version() -> tuple[int, int]:
-    """(major, minor) of the CUDA release that NVRTC belongs to. Raises RuntimeError where it is not installed."""
+    """(major, minor) of the CUDA release that NVRTC belongs to. Raises RuntimeError if it is not installed."""
     nvrtc = load_nvrtc()
     status, major, minor = nvrtc.nvrtcVersion()
     _check(nvrtc, (status,))
@@ -77,13 +77,13 @@ def nvrtc_version() -> tuple[int, int]:
 
 @lru_cache(maxsize=1)
 def architectures() -> tuple[int, ...]:
-    """The architectures that this NVRTC compiles for, ascending, e.g. (75, 80, 86, 90)."""
+    """The architectures that this NVRTC compiles for, in ascending order, e.g. (75, 80, 86, 90)."""
     nvrtc = load_nvrtc()
     return tuple(sorted(_check(nvrtc, nvrtc.nvrtcGetSupportedArchs())))
 
 
 def target_of(arch: str) -> str:
-    """What a device of this architecture is compiled for: itself where known, else PTX ("compute_90") of the newest older one."""
+    """The target for a device of this architecture: the same if NVRTC knows it, else PTX ("compute_90") of the newest older one."""
     match = re.fullmatch(r"sm_(\d+)", arch)
     if match is None:
         raise ValueError(f"an architecture is sm_ and a number, e.g. sm_90, got {arch!r}")
@@ -99,11 +99,11 @@ def target_of(arch: str) -> str:
 
 @lru_cache(maxsize=1)
 def load_nvrtc() -> Any:
-    """The module `cuda.bindings.nvrtc`, with its library found. Raises RuntimeError with what to install."""
+    """The module `cuda.bindings.nvrtc` with its library loaded. Raises RuntimeError and says what to install if that fails."""
     try:
         from cuda.bindings import nvrtc
 
-        status = nvrtc.nvrtcVersion()[0]  # the library is looked for at the first call
+        status = nvrtc.nvrtcVersion()[0]  # the library is located on the first call
     except Exception as cause:  # ImportError, or one of cuda-pathfinder's own
         raise RuntimeError(
             f"NVRTC was not found ({str(cause).splitlines()[0] if str(cause) else type(cause).__name__}); {INSTALL}"
@@ -114,9 +114,9 @@ def load_nvrtc() -> Any:
 
 
 def resources_in(log: str) -> dict[str, Resources]:
-    """What ptxas said about each kernel, by name.
+    """What ptxas reported about each kernel, by name.
 
-    Functions that were not inlined are listed apart, without saying who calls them; their spills count for every kernel.
+    Functions that were not inlined are listed separately, without their callers, so their spills are added to every kernel.
     """
     found: dict[str, dict[str, int]] = {}
     elsewhere, kernel, function = 0, "", ""
@@ -148,7 +148,7 @@ def _text(nvrtc: Any, size: Any, get: Any, handle: Any) -> bytes:
 
 
 def _check(nvrtc: Any, answer: tuple[Any, ...]) -> Any:
-    """The value beside NVRTC's status; raises RuntimeError with the status where it is an error."""
+    """The value returned along with NVRTC's status. Raises RuntimeError if the status is an error."""
     status, *values = answer
     if status != nvrtc.nvrtcResult.NVRTC_SUCCESS:
         raise RuntimeError(f"NVRTC failed: {status.name}; {INSTALL}")

@@ -1,4 +1,4 @@
-"""Kernels on an NVIDIA GPU: compiled or taken from the cache at their first use, launched through cuda-core on torch's stream."""
+"""Runs kernels on an NVIDIA GPU. They are compiled, or taken from the cache, on first use and launched with cuda-core on torch's stream."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from . import cache
 from .arguments import Argument, Scalar
 from .program import Program
 
-MAX_BLOCKS = 2**31 - 1  # of a grid's first axis
-KEPT = 4096  # launch shapes and streams that are remembered; sizes of grids follow the data, so there is no end of them
+MAX_BLOCKS = 2**31 - 1  # along the first axis of a grid
+KEPT = 4096  # launch shapes and streams to remember; grid sizes depend on the data, so their number is unbounded
 SCALARS = frozenset(get_args(Scalar))
-# Passed as Python's int, which cuda-core takes ten times faster than a ctypes object: hosts with an NVIDIA GPU are little-endian, so the
-# first bytes of 8 are the number in any narrower type. (Of c_uint64 the upper half would not fit.)
+# Passed as a Python int, which cuda-core handles ten times faster than a ctypes object. Hosts with an NVIDIA GPU are little-endian, so the
+# first of its 8 bytes hold the number in any narrower type. (The upper half of c_uint64's range would not fit.)
 WHOLE = SCALARS - {c_uint64, c_float, c_double}
 
 # A loaded library (CUlibrary) belongs to the process, not to a device: its kernels run in the context of the stream or, for the
-# default stream, in the current one. So GPUs of one architecture share it.
+# default stream, in the current context. So GPUs of the same architecture share it.
 _LIBRARIES: dict[tuple[Program, str], Any] = {}
 _LOCK = threading.Lock()
 
 
 class _Thread(threading.local):
-    """The devices whose context this thread has been given."""
+    """The devices whose context has been made current in this thread."""
 
     def __init__(self) -> None:
         self.devices: set[int] = set()
@@ -37,8 +37,8 @@ _THREAD = _Thread()
 
 
 class CudaLauncher:
-    """See `Launcher`. One for each device; use it from any thread. A launch synchronises nothing and allocates nothing on the device,
-    so it can be captured in a CUDA graph, once its kernel has been launched before."""
+    """See `Launcher`. There is one per device, and any thread may use it. A launch does not synchronise or allocate on the device, so it
+    can be captured in a CUDA graph, provided that its kernel has been launched before."""
 
     def __init__(self, device: torch.device) -> None:
         from cuda.core import Device, LaunchConfig, Stream, launch
@@ -65,8 +65,8 @@ class CudaLauncher:
             return
         with torch.cuda.device(self.index):
             if self.index not in _THREAD.devices:
-                # torch leaves a thread without a context until its first runtime call, and autograd's threads may start with ours. It
-                # stays: torch's later switches between devices go by the same (primary) contexts.
+                # A thread has no context until torch's first runtime call in it, and in autograd's threads our launch may come first. The
+                # context stays current: torch uses the same (primary) contexts when it switches devices later.
                 self._Device(self.index).set_current()
                 _THREAD.devices.add(self.index)
             self._run(program, kernel, blocks, threads, values)
@@ -93,7 +93,7 @@ class CudaLauncher:
             ) from cause
 
     def _values(self, kernel: str, arguments: tuple[Argument, ...]) -> list[Any]:
-        """What cuda-core takes: an int is 8 bytes, of which the driver reads as many as the parameter has; others have their own width."""
+        """The arguments for cuda-core. An int is 8 bytes, of which the driver reads the parameter's width; others keep their own width."""
         values: list[Any] = []
         for argument in arguments:
             if isinstance(argument, Tensor):

@@ -1,4 +1,4 @@
-"""Who runs kernels on a device: the CUDA driver, or an emulator that a test has put in its place."""
+"""Selects what runs kernels on a device: the CUDA driver, or an emulator that a test has put in its place."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from .program import Program
 
 
 class Launcher(Protocol):
-    """Runs kernels on one device, in the order of the calls on torch's current stream; it does not wait for them."""
+    """Runs kernels on one device, in the order of the calls, on torch's current stream. Does not wait for them to finish."""
 
     def launch(self, program: Program, kernel: str, blocks: int, threads: int, *arguments: Argument) -> None:
-        """Run `kernel` of `program` on a line of `blocks` blocks of `threads` threads; no blocks, no launch.
+        """Run `kernel` of `program` on a 1D grid of `blocks` blocks of `threads` threads. With 0 blocks, nothing is launched.
 
-        arguments: in the kernel's order. A tensor on this device, contiguous, is passed as its address; None as a null pointer; a
-            ctypes scalar (`ctypes.c_int32(n)`, `ctypes.c_float(x)`) as its value. The kernel's parameters must have these very types.
-            A tensor that was allocated on another stream is the caller's to keep alive (`Tensor.record_stream`).
+        arguments: in the kernel's order. A contiguous tensor on this device is passed as its address, None as a null pointer, a
+            ctypes scalar (`ctypes.c_int32(n)`, `ctypes.c_float(x)`) as its value. The kernel's parameters must have exactly these types.
+            The caller must keep alive a tensor that was allocated on another stream (`Tensor.record_stream`).
 
-        Raises TypeError and ValueError for arguments, naming their place; RuntimeError where the kernel cannot be compiled,
+        Raises TypeError and ValueError for bad arguments, naming their position; RuntimeError if the kernel cannot be compiled,
         loaded or launched.
         """
         ...
@@ -37,10 +37,10 @@ _LOCK = threading.Lock()
 
 
 def launcher_for(device: torch.device) -> Launcher:
-    """The launcher of a device; the same object each time.
+    """The launcher of a device. Returns the same object each time.
 
-    Raises ValueError for a device that is no CUDA device (unless `launching` has put a launcher there), RuntimeError with the reason
-    where its kernels cannot be run.
+    Raises ValueError if it is not a CUDA device (unless `launching` has registered a launcher for it), RuntimeError with the reason
+    if kernels cannot be run on it.
     """
     registered = _REGISTERED.get(device.type)
     if registered is not None:
@@ -63,7 +63,7 @@ def launcher_for(device: torch.device) -> Launcher:
 
 @contextmanager
 def launching(device: str | torch.device, launcher: Launcher) -> Iterator[None]:
-    """For tests: inside, `launcher_for` returns this object for every device of the type, e.g. an emulator for "cpu"."""
+    """For tests: inside the block, `launcher_for` returns this object for every device of this type, e.g. an emulator for "cpu"."""
     kind = torch.device(device).type
     before = _REGISTERED.get(kind)
     _REGISTERED[kind] = launcher
@@ -77,7 +77,7 @@ def launching(device: str | torch.device, launcher: Launcher) -> Iterator[None]:
 
 
 def warm_up(programs: Sequence[Program], device: torch.device) -> None:
-    """Compile programs beside one another before they are needed, where the cache does not have them; raises what compiling raises."""
+    """Compile programs in parallel before they are needed, unless the cache has them. Raises what compiling raises."""
     launcher: Any = launcher_for(device)
     prepare = getattr(launcher, "prepare", None)  # an emulator has nothing to prepare
     if prepare is not None and programs:

@@ -1,4 +1,4 @@
-"""What is compiled as one piece: a .cu file with its features and headers, and a digest of all of that."""
+"""The unit of compilation: a .cu file with its features and headers, and a digest of all of them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ HEADERS = (".h", ".cuh")
 
 @dataclass(frozen=True)
 class Program:
-    """A .cu file, compiled with these features and folders of headers into one loadable piece.
+    """A .cu file that is compiled with these features and header folders into one loadable module.
 
-    source: the file; its kernels are `extern "C" __global__`, found by their plain names.
-    defines: preprocessor names and their values, e.g. (("SH_DEGREE", 3),); their order does not matter to the digest.
-    includes: folders searched for headers, first match counts. The source's own folder is always searched before them.
+    source: the file. Its kernels are declared `extern "C" __global__` and found by their plain names.
+    defines: preprocessor names and their values, e.g. (("SH_DEGREE", 3),). Their order does not affect the digest.
+    includes: folders to search for headers; the first match wins. The source's own folder is always searched first.
     """
 
     source: Path
@@ -31,10 +31,10 @@ class Program:
 
 @cache
 def digest(program: Program) -> str:
-    """Hex digest of all that a program consists of: source, every header it could include, defines.
+    """Hex digest of everything a program consists of: its source, every header it could include, and its defines.
 
-    Names count relative to their folder, so another place of the same installation has the same digest. Computed once per
-    process and program: edits count from the next start on. Raises OSError where the source or a header cannot be read.
+    File names are relative to their folder, so the same installation in another place has the same digest. Computed once per
+    process and program, so edits take effect at the next start. Raises OSError if the source or a header cannot be read.
     """
     state = hashlib.blake2b(digest_size=20)
 
