@@ -1,1 +1,1 @@
-"""Pictures in; optical flow, edges, what moves, and poses out. See DESIGN.md in this folder."""
+"""Turns pictures into optical flow, edges, masks of moving pixels, and camera poses. See DESIGN.md in this folder."""

@@ -1,4 +1,4 @@
-"""Edge weights of a frame of a video: edges of the picture that its neighbours in time confirm, and boundaries of motion."""
+"""Edge weights for a video frame: image edges that the neighbouring frames confirm, and motion boundaries."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-BOUNDARY = (0.5, 1.5)  # px of flow from one pixel to the next: no boundary of motion up to the first, a full one from the second on
+BOUNDARY = (0.5, 1.5)  # px, change of flow between adjacent pixels: no motion boundary up to the first, full weight from the second on
 
 
 class Seen(NamedTuple):
-    """A frame's edges as a neighbour in time has them, in the frame's own pixels: `weight` uint8 [H, W], how far each may be trusted
-    `confidence` uint8 [H, W], and `boundary` uint8 [H, W], where the flow to that neighbour breaks."""
+    """A neighbouring frame's edges, warped to this frame's pixels: `weight` uint8 [H, W]; `confidence` uint8 [H, W], how far each weight
+    can be trusted; and `boundary` uint8 [H, W], where the flow to that neighbour is discontinuous."""
 
     weight: np.ndarray
     confidence: np.ndarray
@@ -20,7 +20,7 @@ class Seen(NamedTuple):
 
 
 def seen_by(neighbour: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> Seen:
-    """What a neighbour's edge weights (uint8 [H, W]) are in this frame, whose flow to the neighbour is ``flow`` [H, W, 2] px."""
+    """Warps a neighbour's edge weights (uint8 [H, W]) to this frame. ``flow`` [H, W, 2] px leads from this frame to the neighbour."""
     import cv2
 
     height, width = neighbour.shape
@@ -31,10 +31,10 @@ def seen_by(neighbour: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> 
 
 
 def motion_boundaries(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
-    """Where ``flow`` [H, W, 2] px breaks: uint8 [H, W], 255 where it changes by 1.5 px and more from a pixel to the next.
+    """Where ``flow`` [H, W, 2] px is discontinuous: uint8 [H, W], 255 where it changes by 1.5 px or more from one pixel to the next.
 
-    Only breaks that touch a pixel of full ``confidence`` (uint8 [H, W]) count: one side of an outline is measured well even where the
-    other is hidden, while flow that is wrong altogether breaks anywhere.
+    Only discontinuities that touch a pixel of full ``confidence`` (uint8 [H, W]) count. At a real outline, one side is measured well even
+    if the other is hidden; flow that is entirely wrong can be discontinuous anywhere.
     """
     import cv2
 
@@ -42,7 +42,7 @@ def motion_boundaries(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     across, down = (
         cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE) for order in ((1, 0), (0, 1))
     )
-    # A break of h px, spread by the blur over some two and a half pixels, has a slope of 0.3 h.
+    # The blur spreads a jump of h px over about two and a half pixels, which gives a slope of 0.3 h.
     change = np.sqrt((across**2 + down**2).sum(-1)) / 0.3
     low, high = BOUNDARY
     trusted = cv2.dilate((confidence == 255).astype(np.uint8), np.ones((3, 3), np.uint8))
@@ -50,10 +50,10 @@ def motion_boundaries(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
 
 
 def stable_edges(own: np.ndarray, neighbours: Sequence[Seen]) -> np.ndarray:
-    """Edge weights uint8 [H, W] of a frame from its ``own`` (uint8 [H, W]) and what its neighbours in time see.
+    """Edge weights uint8 [H, W] of a frame, from its ``own`` (uint8 [H, W]) and those of its neighbours in time.
 
-    The mean of all that are trusted: an edge that noise makes and unmakes from frame to frame keeps half of its weight in each, instead
-    of all and nothing. Boundaries of motion count in full.
+    The result is the mean of all weights, each weighted by its confidence. An edge that flickers with noise from frame to frame then has
+    half of its weight in each frame, instead of full weight in one and none in the next. Motion boundaries keep their full weight.
     """
     total, count = own.astype(np.float32), np.ones(own.shape, np.float32)
     boundary = np.zeros(own.shape, np.uint8)

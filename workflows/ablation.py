@@ -84,14 +84,14 @@ def ablation(
         console.print(f"[{number}/{len(jobs)}] {options.capture.name}: {name}, seed {seed}", highlight=False, markup=False)
         point = name, preset, ROWS[name]
         runs.append(measure(options, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False)))
-        output.write(out / "ablation.json", content(runs, machine(), every[0]))  # after each run: hours of others are not lost with one
+        output.write(out / "ablation.json", content(runs, machine(), every[0]))  # after each run, so a failure does not lose earlier ones
         write(out, summaries(runs), f"Preset {preset}. {' '.join(set or ())}")
     console.print(table(summaries(runs)))
     output.show_file(console, "table", out / "ablation.html")
 
 
 def choose(names: str | None) -> list[str]:
-    """The rows whose names begin with one of a comma-separated list; all for None. Raises SettingsError where none does."""
+    """The rows whose names begin with an entry of a comma-separated list; all for None. Raises SettingsError for an entry without a row."""
     if names is None:
         return list(ROWS)
     wanted = [name.strip() for name in names.split(",") if name.strip()]
@@ -106,7 +106,7 @@ def _begins(row: str, name: str) -> bool:
 
 
 def write(folder: Path, rows: Sequence[Mapping[str, Any]], note: str) -> None:
-    """``ablation.csv`` with every digit, and ``ablation.html``."""
+    """Writes ``ablation.csv``, with every digit, and ``ablation.html``."""
     from jinja2 import Environment
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -51,7 +51,7 @@ app.command()(gc)
 app.command()(pin)
 app.command()(unpin)
 console = Console()
-INTERRUPTED = 130  # as shells say it, and the parser of the command line
+INTERRUPTED = 130  # the convention of shells and of the command-line parser
 
 
 def _version(wanted: bool) -> None:

@@ -20,10 +20,10 @@ def load(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, device: st
 
     Args:
         path: a scene's folder (``<workspace>/scenes/<name>``), or a capture that has been run in ``workspace``.
-        workspace: where to look a capture up.
+        workspace: the workspace in which to look up a capture.
         device: "auto", "cpu" or "cuda".
 
-    Raises ArtifactError where no finished model is there; it says where was looked and which command makes one.
+    Raises ArtifactError if there is no finished model. The message says where it was looked for and which command makes one.
     """
     scene = _scene_folder(Path(path).expanduser(), Path(workspace).expanduser())
     records, store = Records(scene / "records"), Store(scene.parent.parent / "store")
@@ -41,7 +41,7 @@ def load(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, device: st
 
 
 def _scene_folder(path: Path, workspace: Path) -> Path:
-    """``path`` itself where it is a scene's folder, else the one scene of ``workspace`` that was made from the capture ``path``."""
+    """``path`` itself if it is a scene's folder, else the only scene of ``workspace`` that was made from the capture ``path``."""
     if (path / "records").is_dir() and (path / "capture.json").is_file():
         return path.resolve()
     capture = str(Path(os.path.abspath(path)).resolve())

@@ -1,4 +1,4 @@
-"""The options that every command about a capture takes, so that each is spelled and explained once."""
+"""The options that are common to all commands about a capture, each defined and explained once."""
 
 from __future__ import annotations
 

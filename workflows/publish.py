@@ -1,4 +1,4 @@
-"""What a run leaves for people and programs: plan.json, metrics.json and report.html in the scene's folder."""
+"""Writes the results of a run for people and programs: plan.json, metrics.json and report.html in the scene's folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .session import Session
 
 
 def plan_json(session: Session, rows: Sequence[Row]) -> dict[str, Any]:
-    """The plan as JSON: the scene, what was recognised, and a row a stage."""
+    """The plan as JSON: the scene, what was recognised, and one row per stage."""
     job = session.job
     return {
         "scene": session.scene.name,
@@ -33,7 +33,7 @@ def plan_json(session: Session, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def write_plan(session: Session, rows: Sequence[Row]) -> Path:
-    """``scenes/<name>/plan.json``: what the run found to do."""
+    """Writes ``scenes/<name>/plan.json``: what the run planned to do."""
     path = session.scene.folder / "plan.json"
     content = plan_json(session, rows)
     if read_json(path) != content:
@@ -42,10 +42,10 @@ def write_plan(session: Session, rows: Sequence[Row]) -> Path:
 
 
 def metrics_json(scene: str, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
-    """metrics.json: what `evaluate` measured, the training time, and what became of every stage.
+    """metrics.json: what `evaluate` measured, the training time, and the outcome of every stage.
 
-    Times and memory of a cached stage are those of the run that made it. A training that was continued counts with what its own
-    log adds up, since the last process saw only a part.
+    Times and memory of a cached stage are those of the run that made it. If a training was resumed, its time is the total in its own log,
+    since the last process ran only a part of it.
     """
     evaluate = outcomes[EVALUATION].artifact
     assert evaluate is not None
@@ -64,8 +64,8 @@ def _training_seconds(outcome: Outcome) -> float:
 
 
 def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) -> tuple[dict[str, Any], Path]:
-    """Writes metrics.json and report.html; returns the metrics and the report's path. The report is drawn again when a stage ran or
-    another result was taken from the store.
+    """Writes metrics.json and report.html; returns the metrics and the report's path. The report is drawn again only if a stage ran or the
+    results in it have changed.
     """
     from .. import __version__
 

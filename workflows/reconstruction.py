@@ -1,6 +1,6 @@
 """The reconstruction: from a capture to a model that renders any view at any time, and its metrics.
 
-Each stage names its inputs itself; this is the order in which they run. `e4dgs plan CAPTURE` shows what a capture needs of it.
+Each stage names its own inputs; this is the order in which stages run. `e4dgs plan CAPTURE` shows which of them a capture needs.
 
     frames ── poses ── flow ── coarse ── hulls ── fine ── evaluate
 """
@@ -9,9 +9,9 @@ from ..pipeline import Graph
 
 
 def reconstruction() -> Graph:
-    """frames: times, cameras, splits, decoded video. poses: SfM, where the files hold none. flow: motion between frames of one
-    camera, and edge masks. coarse: Gaussians and their motion. hulls: where convexes begin. fine: both kinds together.
-    evaluate: metrics on held-out views and pictures for the report.
+    """frames: times, cameras, splits, decoded video. poses: structure from motion, if the files have no poses. flow: motion between frames
+    of one camera, and edge masks. coarse: Gaussians and their motion. hulls: initial convexes. fine: both kinds together. evaluate:
+    metrics on held-out views, and pictures for the report.
     """
     from ..stages.coarse import Coarse
     from ..stages.evaluate import Evaluate

@@ -26,7 +26,7 @@ def report(
 ) -> None:
     """Write metrics.json and report.html of a finished run again, and say where they are. Give the options of the run."""
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
-    results(session, EVALUATION)  # says which command is missing, where the run is not finished
+    results(session, EVALUATION)  # raises an error that names the missing command if the run is not finished
     (session.scene.folder / "records" / "report-shows.json").unlink(missing_ok=True)
     console = Console()
     with writing_to(workspace.resolve()):

@@ -1,4 +1,4 @@
-"""What the store has of a capture, found by the words that made it."""
+"""Results of a capture in the store, found by the options of the run that made them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from .session import DEFAULT_WORKSPACE, Options, Session
 
 
 def results(session: Session, stage: str) -> dict[str, Artifact | None]:
-    """What the store has of ``stage`` and the stages it needs, by name; None for those that this capture skips.
+    """The stored results of ``stage`` and the stages it needs, by name; None for stages that this capture skips.
 
-    Raises CaptureError where ``stage`` itself is skipped, ArtifactError where it has still to be run with these settings.
+    Raises CaptureError if ``stage`` itself is skipped, ArtifactError if it has not been run with these settings.
     """
     rows = {row.stage: row for row in make_plan(session.job, [stage])}
     wanted, capture = rows[stage], session.options.capture
@@ -26,12 +26,12 @@ def results(session: Session, stage: str) -> dict[str, Artifact | None]:
 
 
 def run_command(options: Options, stage: str) -> str:
-    """The command that runs ``stage`` with the same options, ready to be pasted into a shell."""
+    """The command that runs ``stage`` with the same options, ready to paste into a shell."""
     return shlex.join(["e4dgs", "run", stage, *words_of(options)])
 
 
 def words_of(options: Options) -> list[str]:
-    """The capture and the options as words of a command line, without those that are the default."""
+    """The capture and the options as words of a command line, without options that have their default."""
     words = [str(options.capture)]
     for flag, value, default in (
         ("--workspace", str(options.workspace), str(DEFAULT_WORKSPACE)),
@@ -50,5 +50,5 @@ def words_of(options: Options) -> list[str]:
 
 
 def trained_stage(session: Session) -> str:
-    """The stage whose model counts with these settings: `fine`, or `coarse` where that is skipped."""
+    """The stage that makes the final model with these settings: `fine`, or `coarse` if `fine` is skipped."""
     return "coarse" if any(row.stage == "fine" and row.state == "skip" for row in make_plan(session.job)) else "fine"

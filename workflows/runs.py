@@ -1,4 +1,4 @@
-"""Runs a plan: the stages one after another, then what they leave for people and programs."""
+"""Runs a plan: executes the stages one after another, then publishes their results."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def execute(
     targets: Sequence[str] | None = None,
     forced: Sequence[str] = (),
 ) -> tuple[Mapping[str, Any], Path] | None:
-    """Run ``targets`` (None: all stages) and what they need. Returns metrics and the path of the report, None where none was made."""
+    """Runs ``targets`` (None: all stages) and what they need. Returns the metrics and the path of the report, or None if none was made."""
     from .. import __version__
     from .publish import publish, write_plan
 
     def finished(outcome) -> None:
-        session.scene.claim()  # only now: a capture that the first stage refuses leaves no scene behind
+        session.scene.claim()  # only now, so that a capture that the first stage refuses leaves no scene behind
         write_plan(session, rows)
         if outcome.state == "ran":
             say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")

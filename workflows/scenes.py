@@ -14,7 +14,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 @dataclass(frozen=True)
 class Scene:
-    """``scenes/<name>/`` of a workspace. Nothing is created before `claim`."""
+    """``scenes/<name>/`` of a workspace. Nothing is created until `claim`."""
 
     name: str
     folder: Path
@@ -26,7 +26,7 @@ class Scene:
         return Records(self.folder / "records")
 
     def claim(self) -> None:
-        """Writes down which capture the folder belongs to."""
+        """Records which capture the folder belongs to."""
         if read_json(self.folder / "capture.json") != {"path": str(self.capture)}:
             write_json(self.folder / "capture.json", {"path": str(self.capture)})
 
@@ -34,8 +34,8 @@ class Scene:
 def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None) -> Scene:
     """The scene of a capture (an absolute path): ``chosen``, or the capture's own name made safe for a folder.
 
-    Two captures of one name never share a folder: without ``chosen`` the second is called ``name-<6 hex digits of its path>``;
-    a ``chosen`` name that belongs to another capture raises SettingsError.
+    Two captures of the same name never share a folder. Without ``chosen``, the second is called ``name-<6 hex digits of its path>``.
+    Raises SettingsError if ``chosen`` belongs to another capture.
     """
     scenes = workspace / "scenes"
     if chosen is not None:
@@ -53,7 +53,7 @@ def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None
 
 
 def _owner(folder: Path) -> str | None:
-    """Path of the capture that a scene's folder belongs to, or None when the folder is free."""
+    """Path of the capture that a scene's folder belongs to, or None if the folder is free."""
     claim = read_json(folder / "capture.json")
     if isinstance(claim, dict) and isinstance(claim.get("path"), str):
         return claim["path"]

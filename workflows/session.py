@@ -36,7 +36,7 @@ class Options:
 
 @dataclass
 class Session:
-    """A job and the scene that it writes to. notes: what the capture's reader says of it, for people."""
+    """A job and the scene that it writes to. notes: remarks of the capture's reader, for people."""
 
     options: Options
     job: Job
@@ -45,8 +45,8 @@ class Session:
 
 
 def open_session(options: Options) -> Session:
-    """Recognises the capture; writes nothing, but for what an archive is unpacked to, and what was heard of long videos. Raises
-    SettingsError or CaptureError."""
+    """Recognises the capture and sets up its job. Writes nothing except unpacked archives and sound onsets of long videos (`heard/`).
+    Raises SettingsError or CaptureError."""
     from ..stages.frames import FramesSettings, recognise_for
 
     graph = reconstruction()
@@ -73,7 +73,7 @@ def open_session(options: Options) -> Session:
 
 
 def other_stores(paths: Sequence[Path]) -> list[Path]:
-    """The stores of --store-also. Raises SettingsError where there is none."""
+    """The stores of --store-also. Raises SettingsError for a path that is not a folder."""
     found = []
     for path in paths:
         place = path.expanduser().resolve()
@@ -84,7 +84,7 @@ def other_stores(paths: Sequence[Path]) -> list[Path]:
 
 
 def assignments_of(options: Options) -> list[tuple[str, Any]]:
-    """Preset, then --static and --format, then --set; a later one wins. Raises SettingsError."""
+    """Settings from the preset, then --static and --format, then --set; later ones win. Raises SettingsError."""
     if options.preset not in PRESETS:
         raise SettingsError(f"--preset {options.preset}: there is no such preset; presets: {', '.join(PRESETS)}")
     chosen: list[tuple[str, Any]] = list(PRESETS[options.preset].items())

@@ -19,7 +19,7 @@ _COLOURS = {"cached": "green", "run": "yellow", "skip": "dim"}
 
 
 def show_capture(console: Console, session: Session) -> None:
-    """What was recognised and why, and what of the capture is left out or was assumed."""
+    """Prints what was recognised and why, and which parts of the capture were left out or assumed."""
     facts = Facts.of(session.job.capture.facts)
     splits = ", ".join(f"{count} {name}" for name, count in facts.splits.items() if count)
     console.print(f"[bold]{escape(session.scene.name)}[/]: {facts.format} ({escape(facts.why)})", soft_wrap=True, highlight=False)
@@ -35,7 +35,7 @@ def show_capture(console: Console, session: Session) -> None:
 
 
 def show_plan(console: Console, rows: Sequence[Row]) -> None:
-    """One line a stage: state, estimate, what it does and why."""
+    """Prints one line per stage: state, estimate, what it does and why."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title in ("stage", "state", "estimate", "reason"):
         table.add_column(title, no_wrap=title != "reason", overflow="fold")
@@ -47,7 +47,7 @@ def show_plan(console: Console, rows: Sequence[Row]) -> None:
 
 
 def show_metrics(console: Console, metrics: Mapping[str, Any], report: Path) -> None:
-    """The numbers of metrics.json that people look for first, and where the report lies."""
+    """Prints the numbers of metrics.json that people look for first, and the path of the report."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title in ("split", "PSNR", "SSIM", "LPIPS", "edge PSNR"):
         table.add_column(title)

@@ -1,1 +1,1 @@
-"""Optical flow of two pictures, and how far it may be trusted."""
+"""Optical flow between two pictures, and how far it can be trusted."""

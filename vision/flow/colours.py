@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-# Where on the wheel of 55 hues each pure colour lies: 15 steps from red to yellow, then 6 to green, 4 to cyan, 11 to blue, 13 to magenta
-# and 6 back to red. A channel is linear between two of them.
+# Where each pure colour lies on the wheel of 55 hues: 15 steps from red to yellow, then 6 to green, 4 to cyan, 11 to blue, 13 to magenta
+# and 6 back to red. Channels are interpolated linearly in between.
 HUES = 55
 CORNERS = (0, 15, 21, 25, 36, 49, HUES)
 CHANNELS = (
@@ -16,18 +16,18 @@ CHANNELS = (
     (0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0),
 )
 DARKER = 0.75  # factor on colours of vectors longer than `largest`
-UNKNOWN = 1e9  # px; Middlebury marks what is not known with components beyond this
-STILL = 0.5  # px; shorter vectors do not count for `typical_largest`
+UNKNOWN = 1e9  # px; Middlebury marks unknown vectors with components beyond this
+STILL = 0.5  # px; `typical_largest` ignores shorter vectors
 
 
 def flow_colours(flow: np.ndarray, largest: float | None = None) -> np.ndarray:
     """Colours uint8 [H, W, 3] RGB of ``flow``, float [H, W, 2] px (u right, v down).
 
-    The hue is the direction (red right, yellow down, cyan left, blue up, as they blend between), the saturation is the length over
-    ``largest`` px: no motion is white, `largest` has full colour, and what is longer is darkened. Black is unknown: not finite, or a
-    component beyond 1e9. largest=None takes `typical_largest`. Unlike the original, whose wheel has a seam, the last hue blends into the
-    first: motion to the right must not flicker between two reds. Raises ValueError for another shape or dtype, or a `largest` that is
-    not a positive number.
+    The hue is the direction (red right, yellow down, cyan left, blue up, blended in between). The saturation is the length divided by
+    ``largest`` px: no motion is white, `largest` has full colour, and longer vectors are darkened. Black is unknown: not finite, or a
+    component beyond 1e9. largest=None takes `typical_largest`. The original wheel has a seam; here the last hue blends into the first, so
+    that motion to the right does not flicker between two reds. Raises ValueError for another shape or dtype, or a `largest` that is not a
+    positive number.
     """
     known, u, v = _split(flow)
     if largest is None:
@@ -49,8 +49,8 @@ def flow_colours(flow: np.ndarray, largest: float | None = None) -> np.ndarray:
 def typical_largest(*flows: np.ndarray) -> float:
     """The length in px that gets full colour: the 99th percentile over all vectors of ``flows`` (float [H, W, 2] each), at least 1 px.
 
-    Vectors shorter than half a pixel and unknown ones are left out, else a small thing that moves before a still background, which is
-    what flow is looked at for, would be out of range everywhere. The floor keeps noise pale where nothing moves.
+    Unknown vectors and those shorter than half a pixel are left out. Otherwise a small object moving in front of a still background, which
+    is what people look for in flow, would be out of range everywhere. The floor of 1 px keeps noise pale where nothing moves.
     """
     lengths = []
     for flow in flows:
@@ -62,7 +62,7 @@ def typical_largest(*flows: np.ndarray) -> float:
 
 
 def colour_wheel(size: int) -> np.ndarray:
-    """The legend: uint8 [size, size, 3], each pixel in the colour of the vector from the middle to it; white beyond the circle."""
+    """The legend: uint8 [size, size, 3], each pixel in the colour of the vector from the centre to it; white outside the circle."""
     across = (np.arange(size) + 0.5) / size * 2 - 1
     vectors = np.stack(np.meshgrid(across, across), axis=-1)
     colours = flow_colours(vectors, 1.0)
@@ -74,7 +74,7 @@ def _split(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which vectors are known (bool [H, W]), and u and v with zeros where they are not."""
     if flow.ndim != 3 or flow.shape[2] != 2 or not np.issubdtype(flow.dtype, np.floating):
         raise ValueError(f"flow: expected float [H, W, 2], got {flow.dtype} {list(flow.shape)}")
-    # Two planes of float32: half floats are slow, and steps of two values slower. NaN compares false, so it is not known.
+    # Two float32 planes: half floats are slow, and strided access is slower still. NaN compares false and so counts as unknown.
     u, v = (flow[..., k].astype(np.float32) for k in range(2))
     known = (np.abs(u) <= UNKNOWN) & (np.abs(v) <= UNKNOWN)
     return known, np.where(known, u, np.float32(0)), np.where(known, v, np.float32(0))

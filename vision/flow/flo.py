@@ -1,6 +1,6 @@
 """Middlebury's .flo files: 202021.25, width, height, then u and v of each pixel, row by row; all little-endian, 32 bits.
 
-The format is described in Baker et al. 2011 and on vision.middlebury.edu/flow. A file is hostile until checked.
+The format is described in Baker et al. 2011 and on vision.middlebury.edu/flow. A file is not trusted until it has been checked.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from ...pipeline.files import write_atomically
 
 MAGIC = 202021.25  # its bytes read "PIEH"
 HEADER = 12  # bytes
-LARGEST_SIDE = 99_999  # px, as Middlebury's own limit
-UNKNOWN = 1e10  # px, what is written where flow is not known; readers take everything beyond 1e9 for that
+LARGEST_SIDE = 99_999  # px, Middlebury's own limit
+UNKNOWN = 1e10  # px, written where flow is unknown; readers treat everything beyond 1e9 as unknown
 
 
 def write_flo(path: Path, flow: np.ndarray) -> None:
-    """Writes ``flow``, float [H, W, 2] px (u right, v down), whole or not at all; what is not finite is marked as unknown.
+    """Writes ``flow``, float [H, W, 2] px (u right, v down), atomically. Vectors that are not finite are marked as unknown.
 
-    Raises ValueError for another shape or dtype, OSError where the file cannot be written.
+    Raises ValueError for another shape or dtype, OSError if the file cannot be written.
     """
     if flow.ndim != 3 or flow.shape[2] != 2 or not np.issubdtype(flow.dtype, np.floating):
         raise ValueError(f"{path}: expected flow as float [H, W, 2], got {flow.dtype} {list(flow.shape)}")
@@ -34,10 +34,10 @@ def write_flo(path: Path, flow: np.ndarray) -> None:
 
 
 def read_flo(path: Path) -> np.ndarray:
-    """Flow float32 [H, W, 2] px of a .flo file; unknown vectors have components beyond 1e9, or NaN where the file has it.
+    """Reads a .flo file: float32 [H, W, 2] px. Unknown vectors have components beyond 1e9, or NaN if the file holds NaN.
 
-    Nothing is allocated before the size in the header agrees with the file's. Raises ValueError that names the file and what is wrong
-    with it, OSError where it cannot be read.
+    Nothing is allocated until the size in the header agrees with the size of the file. Raises ValueError that names the file and what is
+    wrong with it, OSError if it cannot be read.
     """
     path = Path(path)
     if not path.is_file():  # a pipe or a device would block

@@ -1,4 +1,4 @@
-"""What measures optical flow, behind one face: a picture is prepared once, any two prepared ones give a flow."""
+"""One interface to all methods of optical flow: each picture is prepared once, and any two prepared pictures give a flow."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MINIMUM_SIDE = 64  # px; DIS reads outside its buffers on thin pictures (found a
 
 
 class Prepared(NamedTuple):
-    """``picture``, uint8 [H, W, 3] of ``size`` (height, width) px, and ``data``: the same as one method wants it."""
+    """``picture``, uint8 [H, W, 3] of ``size`` (height, width) px, and ``data``: the same picture in the form that one method needs."""
 
     size: tuple[int, int]
     data: Any
@@ -28,8 +28,8 @@ class Prepared(NamedTuple):
 
 
 class FlowMethod:
-    """A way to measure flow. ``name`` is for people. Pictures whose longest side exceeds ``max_size`` are scaled down by area first, and
-    their flow is scaled up again. Threads may share it; a flow does not depend on their number."""
+    """A method that measures flow. ``name`` is for display. Pictures whose longest side exceeds ``max_size`` are first scaled down by
+    area averaging, and their flow is scaled up again. Threads may share a method; the flow does not depend on the number of threads."""
 
     name: str
 
@@ -62,7 +62,7 @@ class FlowMethod:
 
     @contextmanager
     def side_by_side(self) -> Iterator[Callable[[], None]]:
-        """While several threads of Python measure, each alone: yields what each of them calls first."""
+        """Context in which several Python threads measure at once. Yields a function that each thread must call first."""
         yield lambda: None
 
     def _prepare(self, picture: np.ndarray) -> Any:
@@ -100,7 +100,7 @@ class Dis(FlowMethod):
 
 
 class RaftFlow(FlowMethod):
-    """RAFT with the weights that it was given. iterations, tolerance: see `scene.raft.Raft.match`."""
+    """RAFT with the weights of `network`. iterations, tolerance: see `raft.Raft.match`."""
 
     def __init__(self, network: Raft, iterations: int = 20, tolerance: float = 0.0, max_size: int | None = None) -> None:
         super().__init__(max_size)
@@ -119,13 +119,13 @@ class RaftFlow(FlowMethod):
 
         threads = torch.get_num_threads()
         try:
-            yield lambda: torch.set_num_threads(1)  # OpenMP's number is each thread's own, MKL's is everyone's
+            yield lambda: torch.set_num_threads(1)  # OpenMP's thread count is per thread, MKL's is global
         finally:
             torch.set_num_threads(threads)
 
 
 def size_within(width: int, height: int, max_size: int | None) -> tuple[int, int]:
-    """Width and height scaled so that neither exceeds ``max_size`` px; as they are where they do not."""
+    """Width and height, scaled down so that neither exceeds ``max_size`` px; unchanged if neither does."""
     if max_size is None or max(width, height) <= max_size:
         return width, height
     scale = max_size / max(width, height)
@@ -145,14 +145,14 @@ def choice(method: Name, weights: Path | None) -> tuple[str, str]:
 def open_method(
     method: Name, weights: Path | None, preset: Preset, iterations: int, tolerance: float, device: str, max_size: int | None
 ) -> FlowMethod:
-    """The method that the settings of `flow` choose, ready to measure. Raises StageError where its weights are not there or not RAFT's."""
+    """The method that the settings of `flow` choose, ready to measure. Raises StageError if its weights are missing or not RAFT's."""
     if choice(method, weights)[0] == "dis":
         return Dis(preset, max_size)
     return RaftFlow(open_raft(method, weights, device), iterations, tolerance, max_size)
 
 
 def open_raft(method: Name, weights: Path | None, device: str) -> Raft:
-    """The network that ``method`` and ``weights`` name, torchvision's published weights without a file. Raises StageError."""
+    """The network that ``method`` and ``weights`` name; without a file, with torchvision's published weights. Raises StageError."""
     from .raft import Raft
     from .raft.weights import recognise
 
@@ -168,7 +168,7 @@ def open_raft(method: Name, weights: Path | None, device: str) -> Raft:
 
 
 def _torchvisions(method: Name) -> dict[str, Any]:
-    """torchvision fetches them once, checks their hash, and keeps them in torch's cache."""
+    """The published weights. torchvision downloads them once, checks their hash, and keeps them in torch's cache."""
     advice = "give a file with --set flow.weights=FILE, or measure with --set flow.method=dis"
     try:
         from torchvision.models import optical_flow as published

@@ -1,23 +1,23 @@
-"""Flow put right beside outlines, where every method smears it: each pixel may take over the flow of one a few px away."""
+"""Corrects flow beside outlines, where every method smears it: each pixel may take the flow of a pixel a few px away."""
 
 from __future__ import annotations
 
 import numpy as np
 
-AWAY = ((3, 0), (-3, 0), (0, 3), (0, -3), (6, 6), (-6, 6), (6, -6), (-6, -6))  # px; flow is smeared over about as much, in any direction
-BETTER = 3  # grey levels by which another flow must match better: rounding to 8 bits and interpolation do less
-LARGEST = 40  # grey levels; a pixel that matches worse is hidden, or another surface, and how much worse says nothing
-SMOOTH = 0.7  # px, of the mismatch: about 3x3 pixels decide, few enough to tell the two sides of an outline apart
-STEP = 4  # px; a sixteenth of the pixels tells the change of brightness between the pictures
-UNITS = 4  # of a grey level, in 8 bits
+AWAY = ((3, 0), (-3, 0), (0, 3), (0, -3), (6, 6), (-6, 6), (6, -6), (-6, -6))  # px; flow is smeared over about this far, in any direction
+BETTER = 3  # grey levels by which another flow must match better; rounding to 8 bits and interpolation change a match by less
+LARGEST = 40  # grey levels; a pixel that matches worse is hidden or another surface, and how much worse carries no information
+SMOOTH = 0.7  # px, smoothing of the mismatch: about 3x3 pixels decide, few enough to tell the two sides of an outline apart
+STEP = 4  # px; a sixteenth of the pixels is enough to measure the change of brightness between the pictures
+UNITS = 4  # steps per grey level in which mismatches are stored in 8 bits
 
 
 def sharpened(flow: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Flow [H, W, 2] float32 px from first to second, uint8 [H, W, 3], with the flow of a pixel near by where that matches clearly better.
+    """Flow [H, W, 2] float32 px from first to second, uint8 [H, W, 3]; a pixel takes a nearby pixel's flow if that matches clearly better.
 
-    The propagation step of PatchMatch (Barnes et al. 2009) on a measured flow: a pixel on the wrong side of a smeared outline finds the
-    flow of its own surface a few px away. Away from outlines the neighbours' flow is its own, and nothing changes. Raises ValueError
-    where shapes differ.
+    This is the propagation step of PatchMatch (Barnes et al. 2009), applied to a measured flow: a pixel on the wrong side of a smeared
+    outline finds the flow of its own surface a few px away. Away from outlines, neighbouring pixels have the same flow, and nothing
+    changes. Raises ValueError if shapes differ.
     """
     import cv2
 
@@ -29,7 +29,7 @@ def sharpened(flow: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.nda
     u, v = (cv2.copyMakeBorder(flow[..., k], reach, reach, reach, reach, cv2.BORDER_REPLICATE) for k in range(2))
 
     def seen(dx: int, dy: int) -> np.ndarray:
-        """The second picture where the flow of the pixel (dx, dy) away leads."""
+        """The second picture, sampled where the flow of the pixel (dx, dy) away leads."""
         rows, columns = slice(reach + dy, reach + dy + height), slice(reach + dx, reach + dx + width)
         return cv2.remap(second, u[rows, columns] + x, v[rows, columns] + y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
@@ -39,7 +39,7 @@ def sharpened(flow: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.nda
         first = np.clip(first + np.rint(change), 0, 255).astype(np.uint8)
 
     def mismatch(shown: np.ndarray) -> np.ndarray:
-        """uint8 [H, W], in `UNITS` of a grey level: of the channel that differs most."""
+        """uint8 [H, W], `UNITS` steps per grey level: the difference in the channel that differs most."""
         red, green, blue = cv2.split(cv2.absdiff(shown, first))
         most = np.minimum(np.maximum(np.maximum(red, green), blue), np.uint8(LARGEST))
         return cv2.GaussianBlur(most * np.uint8(UNITS), (0, 0), SMOOTH, borderType=cv2.BORDER_REPLICATE)

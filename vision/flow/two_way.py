@@ -1,4 +1,4 @@
-"""Flow of two pictures both ways, and how far it may be trusted: forward-backward consistency, and what the second picture hides."""
+"""Flow between two pictures in both directions, and how far it can be trusted: forward-backward consistency and occlusion."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from .method import Dis, FlowMethod, Prepared, Preset
 from .outlines import sharpened
 
-COVERED = 0.65  # of the density of arrivals that the flow's own stretch explains: fewer arrive where something is hidden
-SMOOTH = 1.0  # px, of the density: flow is not exact to a pixel at outlines
-AROUND = 25  # px, side of the window whose median is a place's stretch: bands that are hidden are thinner than half of it
+COVERED = 0.65  # share of the density of arrivals that the flow's own stretch explains; where fewer arrive, the pixel is hidden
+SMOOTH = 1.0  # px, smoothing of the density: flow is not exact to a pixel at outlines
+AROUND = 25  # px, side of the window whose median is the local stretch; hidden bands are thinner than half of it
 
 
 @dataclass(frozen=True)
 class FlowPair:
-    """forward, backward [H, W, 2] float32 px (u right, v down); backward is seen from the second picture. confidence [H, W] uint8."""
+    """forward, backward [H, W, 2] float32 px (u right, v down); backward starts at the second picture's pixels. confidence [H, W] uint8."""
 
     forward: np.ndarray
     backward: np.ndarray
@@ -24,7 +24,7 @@ class FlowPair:
 
 
 def flow_pair(method: FlowMethod, first: Prepared, second: Prepared) -> FlowPair:
-    """Flow both ways, `sharpened` at outlines, and the confidence in the forward one: `consistency`, 0 where `occluded`."""
+    """Flow in both directions, `sharpened` at outlines, and the confidence in the forward flow: `consistency`, 0 where `occluded`."""
     return trusted(*both_ways(method, first, second))
 
 
@@ -35,7 +35,7 @@ def both_ways(method: FlowMethod, first: Prepared, second: Prepared) -> tuple[np
 
 
 def trusted(forward: np.ndarray, backward: np.ndarray) -> FlowPair:
-    """Both flows, [H, W, 2] float32 px, with the confidence in the forward one."""
+    """Both flows, [H, W, 2] float32 px, with the confidence in the forward flow."""
     confidence = consistency(forward, backward)
     confidence[occluded(forward, backward)] = 0
     return FlowPair(forward, backward, confidence)
@@ -48,10 +48,10 @@ def dis_flow(first: np.ndarray, second: np.ndarray, preset: Preset = "medium", m
 
 
 def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
-    """How well ``backward`` leads back to where ``forward`` came from, both [H, W, 2] float32: uint8 [H, W], 255 consistent, 0 not.
+    """How closely ``backward`` returns to the start of ``forward``, both [H, W, 2] float32: uint8 [H, W], 255 consistent, 0 not.
 
-    With e = |f + b(x + f)|^2 and the tolerance 0.01 (|f|^2 + |b|^2) + 0.5 px^2 of Sundaram et al. 2010, the weight is 1 up to a quarter of
-    the tolerance and falls linearly to 0 at the tolerance. Pixels that leave the picture get 0.
+    The squared error is e = |f + b(x + f)|^2, and the tolerance is 0.01 (|f|^2 + |b|^2) + 0.5 px^2 (Sundaram et al. 2010). The weight is 1
+    up to a quarter of the tolerance and falls linearly to 0 at the tolerance. Pixels that leave the picture get 0.
     """
     import cv2
 
@@ -68,11 +68,12 @@ def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
 def occluded(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """Pixels of the first picture that the second does not show: bool [H, W], from both flows [H, W, 2] float32.
 
-    Where nothing hides anything, each pixel of the second picture comes from somewhere in the first; what the second hides is where nothing
-    comes from (the range map of Wang et al. 2018). Arrivals are spread bilinearly, smoothed, and compared with what the forward flow's
-    stretch around there leaves to arrive: a camera that moves back, whose second picture holds all of the first in fewer pixels, hides
-    nothing. Pixels that leave the picture are occluded too. The disagreement of the two flows, which errors of either cause as well, has
-    many more false alarms, and so has a match that fails. Smeared flow fills narrow bands that are hidden: `flow_pair` sharpens it first.
+    The backward flow sends each pixel of the second picture to a place in the first. Pixels of the first picture at which none arrive are
+    hidden in the second (the range map of Wang et al. 2018). Arrivals are spread bilinearly, smoothed, and compared with the density that
+    the local stretch of the forward flow predicts. This matters when the camera moves back: the second picture then shows all of the first
+    in fewer pixels, and nothing is hidden. Pixels that leave the picture count as occluded too. The disagreement of the two flows would
+    give many more false alarms, since errors of either flow cause it as well; so would the failure of a match. Smeared flow fills narrow
+    hidden bands, so `flow_pair` sharpens it first.
     """
     import cv2
 
@@ -81,7 +82,7 @@ def occluded(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
 
 
 def _stretch(flow: np.ndarray) -> np.ndarray:
-    """Pixels of the second picture for one of the first, the median around each place: float32 [H, W]; 1 where the flow is not finite."""
+    """Pixels of the second picture for each pixel of the first, as a local median: float32 [H, W]; 1 where the flow is not finite."""
     import cv2
 
     if min(flow.shape[:2]) < 2:
@@ -92,7 +93,7 @@ def _stretch(flow: np.ndarray) -> np.ndarray:
 
 
 def _arrivals(backward: np.ndarray) -> np.ndarray:
-    """How many pixels of the second picture come from each of the first, float32 [H, W], shared bilinearly."""
+    """How many pixels of the second picture the backward flow sends to each pixel of the first, float32 [H, W], shared bilinearly."""
     from .. import _kernels  # type: ignore[attr-defined]
 
     out = np.empty(backward.shape[:2], np.float32)

@@ -1,1 +1,1 @@
-"""Picture files, lenses, and pictures for people."""
+"""Picture files, lens distortion, and pictures and movies for people to look at."""

@@ -1,4 +1,4 @@
-"""Opening an image file that nobody has vouched for: formats by their content, sizes within bounds, every failure one kind of error."""
+"""Opens an untrusted image file: the content decides the format, sizes are bounded, and every failure is one kind of error."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# JPEG stands for MPO too, what phones write. Pillow knows more formats, whatever a file's name ends in; that of EPS starts Ghostscript.
+# JPEG includes MPO, which phones write. Pillow would open more formats, whatever the file's suffix; for EPS it would start Ghostscript.
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "DIB", "TIFF")
-MOST_PIXELS = 178_956_970  # where Pillow takes a file for a bomb; a picture of 16 bits and four channels then has 1.4 GB
+MOST_PIXELS = 178_956_970  # beyond this Pillow refuses a file as a decompression bomb; 16 bits and four channels then take 1.4 GB
 MOST_BYTES = 2**31
 
 
@@ -22,15 +22,15 @@ class BadImageError(Exception):
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Image]:
-    """The image at ``path``, of one of `FORMATS`, not decoded yet. Whatever fails with the file, here or in the block, raises
+    """The image at ``path``, in one of `FORMATS`, not decoded yet. Any failure with the file, here or in the block, raises
     BadImageError."""
     import warnings
 
     from PIL import Image
 
-    warnings.filterwarnings("ignore", module=r"PIL\.")  # large photos, odd tags: an error says what matters
+    warnings.filterwarnings("ignore", module=r"PIL\.")  # about large photos and odd tags; what matters is raised as an error
     try:
-        if not path.is_file():  # a pipe would be waited for
+        if not path.is_file():  # reading a pipe would block
             raise BadImageError("it is no file")
         if path.stat().st_size > MOST_BYTES:
             raise BadImageError(f"more than {MOST_BYTES >> 30} GiB")
@@ -40,5 +40,5 @@ def open_image(path: Path) -> Iterator[Image]:
             yield image
     except BadImageError:
         raise
-    except Exception as error:  # Pillow lets struct.error, KeyError, IndexError, zlib.error, ... of broken files through
+    except Exception as error:  # for broken files Pillow raises struct.error, KeyError, IndexError, zlib.error, ...
         raise BadImageError(str(error) or type(error).__name__) from error

@@ -1,21 +1,21 @@
-"""From the picture that a lens made to that of a pinhole camera, all of whose pixels the lens saw. Imports OpenCV inside functions."""
+"""Undistortion to a pinhole camera all of whose pixels the lens saw. Imports OpenCV inside functions."""
 
 from __future__ import annotations
 
 import numpy as np
 
-MOST_ZOOM = 2.0  # of the lens's focal length; a picture that has to shrink further tells of wrong terms
-GRID = 129  # places a side at which a lens is tried
-STEPS = 24  # of bisection: the zoom is right to 2e-7
+MOST_ZOOM = 2.0  # times the lens's focal length; a picture that would need more has wrong distortion terms
+GRID = 129  # grid points per side at which a lens is checked
+STEPS = 24  # of bisection: the zoom is accurate to 2e-7
 
 
 def undistort_maps(
     K: np.ndarray, distortion: np.ndarray, width: int, height: int, lens_K: np.ndarray | None = None, fisheye: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of the pinhole image K lies in the distorted one of the same size, for `pictures.undistort`.
+    """Where each pixel of the pinhole image lies in the distorted picture of the same size, for `pictures.undistort`.
 
-    K, lens_K [3,3] px, pixel centres at +0.5; lens_K, of the distorted picture, is K where not given. distortion [4] or [8] in OpenCV's
-    order (`captures/lens.py`).
+    K (pinhole) and lens_K (distorted picture; K if not given) [3,3] px, pixel centres at +0.5. distortion [4] or [8] in OpenCV's order
+    (`captures/lens.py`).
     """
     # OpenCV counts pixel centres from 0.
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
@@ -25,10 +25,10 @@ def undistort_maps(
 def straight_places(
     K: np.ndarray, distortion: np.ndarray, width: int, height: int, lens_K: np.ndarray, fisheye: bool = False
 ) -> np.ndarray:
-    """The way back: where each pixel of the distorted image lies in the pinhole image K, float32 [height, width, 2] px, counted from 0.
+    """The inverse: where each pixel of the distorted image lies in the pinhole image K, float32 [height, width, 2] px, counted from 0.
 
-    At most a picture's size outside of the pinhole image: beyond, and where the lens's terms fold it over, the place says nothing more.
-    Arguments as of `undistort_maps`.
+    Positions are clipped to one picture size outside the pinhole image. Beyond that, and where the distortion folds the picture over, they
+    carry no information. Arguments as for `undistort_maps`.
     """
     import cv2
 
@@ -48,11 +48,12 @@ def straight_places(
 def pinholes(
     lens_K: np.ndarray, distortion: np.ndarray, fisheye: np.ndarray | None, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(K [F,3,3] px of pinhole cameras that the frames are undistorted to, kept [F]: share of each picture's area that they show).
+    """(K [F,3,3] px of the pinhole cameras that the frames are undistorted to, kept [F]: share of each picture's area that they show).
 
-    The pinhole camera has the lens's own K where the lens saw all of its pixels: in the middle nothing is enlarged, and what a barrel or
-    fisheye lens saw beyond is left out. Elsewhere its focal length is the smallest larger one with which no pixel is without data. kept is
-    1 without distortion, 0 where not even `MOST_ZOOM` times the focal length is enough (K is then the lens's); NaN rows stay, with kept 1.
+    If the lens saw every pixel of a pinhole camera with its own K, that K is used: nothing is enlarged in the middle, and what a barrel or
+    fisheye lens saw beyond it is left out. Otherwise the focal length is the smallest longer one that leaves no pixel without data. kept
+    is 1 without distortion, and 0 if even `MOST_ZOOM` times the focal length is not enough (K is then the lens's). NaN rows stay, with
+    kept 1.
     """
     K, kept = np.array(lens_K, np.float64), np.ones(len(lens_K))
     known: dict[bytes, tuple[np.ndarray, float]] = {}
@@ -85,19 +86,19 @@ def _pinhole(lens_K: np.ndarray, distortion: np.ndarray, fisheye: bool, width: i
 
 
 def _zoomed(K: np.ndarray, zoom: float, width: int, height: int) -> np.ndarray:
-    """K with a longer focal length, about the picture's middle."""
+    """K with a longer focal length, zoomed about the picture's centre."""
     middle = np.array([[1, 0, 0.5 * width], [0, 1, 0.5 * height], [0, 0, 1]])
     return middle @ np.diag([zoom, zoom, 1.0]) @ np.linalg.inv(middle) @ K
 
 
 def _seen(K: np.ndarray, lens_K: np.ndarray, distortion: np.ndarray, fisheye: bool, width: int, height: int) -> float | None:
-    """Share of the lens's picture that the pinhole camera K shows; None where it would show what is not there: places outside the picture,
-    or beyond the radius at which the lens's terms fold it over."""
+    """Share of the lens's picture that the pinhole camera K shows. None if some pixel would have no data: it lies outside the picture, or
+    beyond the radius at which the distortion folds the picture over."""
     across, down = max(width - 1, 1), max(height - 1, 1)
-    # the grid's first and last places are the centres of the first and last pixels
+    # the first and last grid points are the centres of the first and last pixels
     grid = np.array([[(GRID - 1) / across, 0, -0.5 * (GRID - 1) / across], [0, (GRID - 1) / down, -0.5 * (GRID - 1) / down], [0, 0, 1]])
     x, y = (one.astype(np.float64) for one in _maps(grid @ K, lens_K, distortion, fisheye, GRID, GRID))
-    # a pixel reaches half a pixel to all sides of its centre, so what lies between is still the lens's own picture
+    # a pixel extends half a pixel to all sides of its centre, so places up to the outer border are still in the picture
     if not ((x >= 0) & (x <= width) & (y >= 0) & (y <= height)).all():  # NaN is in no picture
         return None
     area = np.gradient(x, axis=1) * np.gradient(y, axis=0) - np.gradient(x, axis=0) * np.gradient(y, axis=1)
@@ -107,7 +108,7 @@ def _seen(K: np.ndarray, lens_K: np.ndarray, distortion: np.ndarray, fisheye: bo
 def _maps(
     K: np.ndarray, lens_K: np.ndarray, distortion: np.ndarray, fisheye: bool, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """float32 [height, width] each: x and y in the lens's picture, in whatever convention both K have, of the pixels counted from 0."""
+    """x and y in the lens's picture, float32 [height, width] each, of each pixel of K's, counted from 0. Both K use the same convention."""
     import cv2
 
     terms = np.asarray(distortion, np.float64)

@@ -1,4 +1,4 @@
-"""Pictures in, a file for people out: an MP4, or a folder of numbered PNG and depth files."""
+"""Writes pictures as an MP4, or as a folder of numbered PNG and depth files."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ import numpy as np
 
 from ...pipeline import StageError
 
-QUALITY = 18  # of x264, constant rate factor: hardly to be told from the original
+QUALITY = 18  # x264's constant rate factor: hard to tell from the original
 
 
 class Encoder:
-    """H.264 that plays in every browser, into a file or memory: `add` pictures, then `close`.
+    """Encodes H.264 that plays in every browser, to a file or to memory: `add` pictures, then `close`.
 
-    A picture has uint8 [H, W, 3]; of an odd number of rows or columns the last is left out, which the format asks for.
+    A picture is uint8 [H, W, 3]. The format needs even sizes, so the last row or column of an odd number is left out.
     """
 
     def __init__(self, target: str | BinaryIO, fps: float, quality: int = QUALITY) -> None:
         import av
 
-        # The index goes to the front of a file, for those who watch while it loads; that needs a file that can be opened again.
+        # The index goes to the front, so that the movie plays while it loads. That needs a file that can be opened again.
         options = {"movflags": "+faststart"} if isinstance(target, str) else {}
         self._container = av.open(target, "w", format="mp4", options=options)
         self._stream = self._container.add_stream("libx264", rate=round(fps))
         self._stream.pix_fmt = "yuv420p"
-        # With x264's macroblock tree the same pictures gave other bytes in every run (seen on AMD EPYC); without it they do not.
+        # With x264's macroblock tree the same pictures gave different bytes in every run (seen on AMD EPYC); without it they do not.
         self._stream.options = {"crf": str(quality), "x264-params": "mbtree=0"}
         self._begun = False
 
@@ -47,7 +47,7 @@ class Encoder:
         self._container.mux(self._stream.encode(frame))
 
     def close(self, whole: bool = True) -> None:
-        """``whole`` False leaves out what is still to be written: nobody will look at it."""
+        """Closes the file. ``whole`` False drops frames not written yet, for a file that will be thrown away."""
         if whole:
             self._container.mux(self._stream.encode())
         self._container.close()
@@ -64,7 +64,7 @@ def encode_movie(pictures: Iterable[np.ndarray], fps: float, quality: int = QUAL
 
 
 class Movie:
-    """``with Movie(path, fps) as movie: movie.add(picture, depth)``: a file as of `Encoder`, there only when it is whole."""
+    """``with Movie(path, fps) as movie: movie.add(picture, depth)``: a file as from `Encoder`, which appears only when complete."""
 
     def __init__(self, path: Path, fps: float) -> None:
         self.path, self.fps = path, fps
@@ -90,9 +90,9 @@ class Movie:
 
 class Pictures:
     """``with Pictures(folder, depth) as pictures: ...``: ``0000.png``, ``0001.png`` and so on, with ``0000.exr`` where ``depth`` is wanted
-    (channel Z, float32, world units along the optical axis, 0 where nothing is). The folder is there only when it is whole.
+    (channel Z, float32, world units along the optical axis, 0 where nothing is). The folder appears only when it is complete.
 
-    Raises StageError where the folder already holds something, or the package for EXR is not there.
+    Raises StageError if the folder already holds something, or the package for EXR is missing.
     """
 
     def __init__(self, folder: Path, depth: bool) -> None:

@@ -1,4 +1,4 @@
-"""A weight laid over a picture as one colour, to look at edges and masks."""
+"""Draws a weight over a picture in one colour, to show edges and masks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 EDGE_COLOUR = (255, 40, 0)
 MOVING_COLOUR = (0, 130, 255)
-MASK_STRENGTH = 0.5  # a mask covers whole objects, which should still be seen
+MASK_STRENGTH = 0.5  # a mask covers whole objects, which should stay visible
 
 
 def overlay(image: np.ndarray, weight: np.ndarray, colour: tuple[int, int, int], strength: float = 1.0) -> np.ndarray:

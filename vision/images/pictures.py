@@ -1,4 +1,4 @@
-"""Decoding one image file, and resizing and undistorting pictures with or without alpha. Imports OpenCV inside functions."""
+"""Decodes image files, and resizes and undistorts pictures with or without alpha. Imports OpenCV inside functions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .files import BadImageError, open_image
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# What each orientation of EXIF asks for (its tag 0x0112), of an array [H,W].
+# What each EXIF orientation (tag 0x0112) does to an array [H,W].
 _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     1: lambda a: a,
     2: np.fliplr,
@@ -28,8 +28,8 @@ _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
-    """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it). upright: turned as its EXIF data ask
-    for."""
+    """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it). upright: rotated by its EXIF
+    orientation."""
     from PIL import ImageOps
 
     try:
@@ -46,8 +46,8 @@ def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
 
 
 def read_mask(root: Path, name: str, turn: int = 1) -> np.ndarray:
-    """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is foreground. turn: the EXIF orientation of its photo where the mask has the
-    photo's size as stored, so that both are turned."""
+    """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is foreground. turn: the EXIF orientation of the photo, given if the mask has the
+    photo's size as stored, so that both are rotated alike."""
     try:
         with open_image(root / name) as image:
             mask = _eight_bits(image) if image.mode.startswith("I;16") else np.asarray(image.convert("L"))
@@ -57,7 +57,7 @@ def read_mask(root: Path, name: str, turn: int = 1) -> np.ndarray:
 
 
 def read_keep(root: Path, name: str, turn: int = 1) -> np.ndarray:
-    """uint8 [H,W], 255 what counts, 0 what does not, of a mask file that is black where pixels count for nothing. turn: see `read_mask`."""
+    """uint8 [H,W]: 255 for pixels that count, 0 where the mask file is black, which excludes pixels. turn: see `read_mask`."""
     keep = np.where(read_mask(root, name, turn) > 127, 255, 0).astype(np.uint8)
     if not keep.any():
         raise CaptureError(f"{name}: the mask is black everywhere, so nothing of its image counts; invert the masks, or remove this one")
@@ -65,8 +65,8 @@ def read_keep(root: Path, name: str, turn: int = 1) -> np.ndarray:
 
 
 def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None = None) -> np.ndarray:
-    """Scaled down by area, or up (bicubic); the picture itself when it has that size. crop: left, top, width, height, px, of the part of it
-    that is taken."""
+    """Scales down (area average) or up (bicubic); returns the picture itself if it has that size already. crop: left, top, width, height in
+    px of the part to use."""
     import cv2
 
     if crop is not None:
@@ -79,7 +79,7 @@ def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None
 
 
 def undistort(picture: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """`picture` resampled (bicubic) to the pinhole image; beyond the source's border its edge pixels continue."""
+    """Resamples `picture` (bicubic) to the pinhole image. Beyond the source's border its edge pixels are repeated."""
     import cv2
 
     return _premultiplied(picture, lambda p: cv2.remap(p, *maps, interpolation=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
@@ -95,12 +95,12 @@ def composite(picture: np.ndarray, background: str | None) -> np.ndarray:
 
 
 def _eight_bits(image: Image) -> np.ndarray:
-    """uint8 [H,W] of grey of 16 bits, which Pillow would clip and not scale."""
+    """Scales 16-bit grey to uint8 [H,W]. Pillow would clip it instead."""
     return np.rint(np.asarray(image, np.float32) / 257).astype(np.uint8)
 
 
 def _premultiplied(picture: np.ndarray, operation: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Apply a resampling so that colours under alpha 0 do not bleed into what is visible."""
+    """Resamples with premultiplied alpha, so that colours under alpha 0 do not bleed into visible pixels."""
     if picture.ndim == 2 or picture.shape[2] == 3:
         return operation(picture)
     values = picture.astype(np.float32)

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def encode_png(picture: np.ndarray) -> bytes:
-    """PNG of ``picture``, uint8 [H, W, 3] RGB; equal pictures give equal bytes."""
+    """Encodes ``picture``, uint8 [H, W, 3] RGB, as PNG; equal pictures give equal bytes."""
     import cv2
 
     ok, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 6])

@@ -1,4 +1,4 @@
-"""Which colours of a fixed camera move: what tells that the still half of something that moves is of one piece with the rest."""
+"""Which colours of a fixed camera move. This shows that the still half of a moving object belongs to the same object."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-BITS = 6  # of each channel; a cell is 4 grey levels wide, about the noise of a camera
-SHARE = 0.02  # of the pixels that change, at least, is assumed: a colour counts only where it changes in more of its pixels than this
-PRIOR = 1.0  # pixels of the usual mixture that every colour is assumed to have shown: one seen once or twice says little
-LIMIT = 2.0  # of the log odds, about 7 to 1: colour alone is never surer, as the background may have anything of any colour
+BITS = 6  # per channel; a cell is 4 grey levels wide, about a camera's noise
+SHARE = 0.02  # least ratio of changing to still pixels that is assumed: a colour counts only if its own ratio is higher
+PRIOR = 1.0  # pixels of the usual mixture that every colour is assumed to have shown, since one seen once or twice says little
+LIMIT = 2.0  # of the log odds, about 7 to 1: colour alone is never more certain, since the background may have the same colour
 
 
 def colour_odds(pictures: Sequence[np.ndarray], changed: Sequence[np.ndarray]) -> np.ndarray:
-    """Log odds of every colour to move rather than to be still, float32 [64 * 64 * 64] in [-LIMIT, LIMIT], 0 where as usual.
+    """Log odds that a colour is moving rather than still, float32 [64 * 64 * 64] in [-LIMIT, LIMIT]; 0 for a colour that moves as usual.
 
-    pictures: uint8 [H, W, 3], changed: bool [H, W], of the same camera over time. The two histograms of Jones and Rehg 2002, of the
-    pixels that change and of those that do not, each divided by its own number of pixels, smoothed by a cell in each direction. A shirt
-    whose outline moves has changed in a fifth of its pixels, say, and a wall in a hundredth, though most pixels of either are still.
+    pictures: uint8 [H, W, 3], changed: bool [H, W], of the same camera over time. As in Jones and Rehg 2002, there are two histograms, of
+    the pixels that change and of those that do not, each divided by its number of pixels and smoothed by a cell in each direction. A shirt
+    whose outline moves changes in a fifth of its pixels, say, and a wall in a hundredth, although most pixels of both are still.
     """
     cells = 1 << 3 * BITS
     moving, still = np.zeros(cells), np.zeros(cells)
@@ -41,7 +41,7 @@ def _cells(picture: np.ndarray) -> np.ndarray:
 
 
 def _spread(counts: np.ndarray) -> np.ndarray:
-    """Smoothed by 1/4 1/2 1/4 along each channel, a standard deviation of 0.7 cells."""
+    """Smooths by 1/4 1/2 1/4 along each channel, a standard deviation of 0.7 cells."""
     side = 1 << BITS
     cube = counts.reshape(side, side, side)
     for axis in range(3):

@@ -1,4 +1,4 @@
-"""From a residual in px to evidence for motion: the noise is measured on the residual itself, wherever most of the picture is still."""
+"""Turns a residual in px into evidence of motion. The noise is measured on the residual itself; most of the picture must be still."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 
 from .residual import Neighbour, Residual, known
 
-NOISE_FACTOR = 6.0  # standard deviations that a motion must exceed; one more than for grey levels, as flow errs with heavy tails
+NOISE_FACTOR = 6.0  # standard deviations that motion must exceed; one more than for grey levels, since errors of flow have heavy tails
 FLOOR = 0.05  # px; flow of 8-bit pictures is no finer, and exact flow has no noise to measure
-DECADE = 3.0  # evidence is full where the residual is three times the threshold, and where it is a third of it
-SURE = 0.25  # weight of pixels that the noise is measured on
+DECADE = 3.0  # evidence of motion is full at three times the threshold, evidence of stillness at a third of it
+SURE = 0.25  # least weight of pixels on which the noise is measured
 BANDS = 8  # of local spread of flow
-WORST = 2.0  # times the picture's noise, at most, in a band: a moving object fills bands of its own and must not excuse itself
+WORST = 2.0  # times the picture's noise, the most assumed in a band: a moving object may fill a band, and its motion is not noise
 WINDOW = 4.0  # px, for the spread
-FEWEST = 32  # pixels; fewer have no statistics
+FEWEST = 32  # pixels; fewer give no statistics
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """score [H, W] float32 in [-1, 1]: -1 still, 1 moves; weight [H, W] float32 in [0, 1]: 0 unknown; sigma: px of noise measured."""
+    """score [H, W] float32 in [-1, 1]: -1 still, 1 moving; weight [H, W] float32 in [0, 1]: 0 unknown; sigma: the measured noise, px."""
 
     score: np.ndarray
     weight: np.ndarray
@@ -29,12 +29,13 @@ class Evidence:
 
 
 def evidence(residual: Residual, spread: np.ndarray) -> Evidence:
-    """Score residuals against their own noise. spread [H, W] float32: see `spread_of_flow`.
+    """Scores residuals against their own noise. spread [H, W] float32: see `spread_of_flow`.
 
-    The standard deviation is the mode of the density of the error's root: for Gaussian errors it lies at sigma times the root of n - 1/2,
-    n equations left over (set d/dl of exp((n - 1/2) l - exp(2 l) / 2) to 0), and unlike median and MAD it does not shift when a large
-    share of the picture moves, as long as no larger group agrees on an error. Flow errs more beside edges of depth; so the pixels are
-    split into bands of equal size by local spread, and each band's lower quartile shifts its threshold, by at most `WORST`.
+    The standard deviation is estimated by the mode of the density of the error's square root. For Gaussian errors with n redundant
+    equations, the mode lies at sigma times the root of n - 1/2 (set d/dl of exp((n - 1/2) l - exp(2 l) / 2) to 0). Unlike median and MAD,
+    it does not shift when a large share of the picture moves, as long as no larger group agrees on one error. Flow is less accurate
+    beside depth edges, so pixels are split into bands of equal size by local spread, and each band's lower quartile raises its threshold,
+    by a factor of at most `WORST`.
     """
     error, weight = residual.error, residual.weight
     sure = weight > SURE
@@ -48,11 +49,11 @@ def evidence(residual: Residual, spread: np.ndarray) -> Evidence:
 
 
 def _mode(log: np.ndarray) -> float:
-    """Of values spread over a few units: the highest bin of a histogram that was smoothed over 0.15, in units of the root of the error.
+    """The mode of log errors: the highest bin of a histogram smoothed over 0.15, with densities taken per square root of the error.
 
-    On the log axis alone a rigid mover, whose pixels all err by about the same, makes a higher peak than a larger still part whose errors
-    spread over a decade; on the axis of the error itself one equation's density would have no peak but zero. Half way, the mode of n
-    equations lies at sigma times the root of n - 1/2, and of groups as dense in log the one that errs less wins.
+    On the log axis, a rigid moving object, whose pixels all have about the same error, would give a higher peak than a larger still part
+    whose errors spread over a decade. On the axis of the error itself, the density for one equation peaks only at zero. Between the two,
+    the mode for n equations lies at sigma times the root of n - 1/2, and of groups equally dense in log the one with less error wins.
     """
     import cv2
 
@@ -86,7 +87,7 @@ def spread_of_flow(neighbours: Sequence[Neighbour]) -> np.ndarray:
     total = 0.0
     for one in neighbours:
         flow, _ = known(one)
-        flow = flow - flow.mean((0, 1))  # keeps the difference of two large squares exact in float32
+        flow = flow - flow.mean((0, 1))  # so that float32 does not lose the difference of two large squares
         mean = cv2.GaussianBlur(flow, (0, 0), WINDOW, borderType=cv2.BORDER_REPLICATE)
         square = cv2.GaussianBlur(flow * flow, (0, 0), WINDOW, borderType=cv2.BORDER_REPLICATE)
         variance = np.maximum(square - mean * mean, 0)

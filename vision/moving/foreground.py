@@ -1,4 +1,4 @@
-"""What moves before a fixed camera, as a mask per frame: what differs from the background, and what is of one piece with it."""
+"""A mask per frame of what moves in front of a fixed camera: pixels that differ from the background, and the rest of the same objects."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from .evidence import DECADE, Evidence
 from .motion_mask import SHIFT_STEP, MotionMask, sample, smoothed
 from .objects import moving_mask
 
-SIZE = 640  # px, about, of the longest side at which evidence is gathered; larger pictures are averaged down, which also takes their noise
-NOISIER = 1.5  # times the picture's noise, at most, for a brightness: light's own noise grows with its root, and what moves may fill a
-# band of brightness of its own and must not excuse itself
-CHANGES = 2.0  # in log odds, of a full change: the background may be what stood there first, so it can be outvoted by colour ...
-STILL = -1.0  # ... and of none: what stands still for long is background, unless its colour moves elsewhere
-ONCE = 0.1  # of a masked region has changed at some time; what never did only has a mover's colour
+SIZE = 640  # px, about, of the longest side at which evidence is gathered; larger pictures are averaged down, which also reduces noise
+NOISIER = 1.5  # times the picture's noise, the most assumed at any brightness: shot noise grows with the root of brightness, but a moving
+# object may fill a band of brightness by itself, and its motion is not noise
+CHANGES = 2.0  # log odds of a full change; the background may hold what stood there first, so colour can outvote it
+STILL = -1.0  # log odds of no change; what stands still for long is background, unless its colour moves elsewhere
+ONCE = 0.1  # share of a masked region that must change at some time; a region that never does only shares the colour of something moving
 
 
 class FrameForeground:
-    """Per-frame masks of one fixed camera: `foreground(frame)` at any time after construction.
+    """Per-frame masks of one fixed camera: call `foreground(frame)` at any time after construction.
 
-    The background is the temporal median of the sampled frames. Whoever stands in one place for most of the time is in it, so a difference
-    alone finds arms and outlines, not bodies. What their colours did tells the rest: colours that change more often than others are taken
-    as those of what moves (`colour_odds`), evidence of both kinds is added, averaged within the edges of the picture (`moving_mask`), and
-    regions stay where a part of them changes at some time. Noise alone masks nothing.
+    The background is the temporal median of the sampled frames. A person who stays in one place most of the time is part of it, so the
+    difference alone finds arms and outlines, not bodies. Colours find the rest: those that change more often than others are taken as
+    colours of moving objects (`colour_odds`). Both kinds of evidence are added and averaged within the edges of the picture
+    (`moving_mask`), and a region is kept if part of it changes at some time. Noise alone masks nothing.
     """
 
     def __init__(self, sampled: Sequence[np.ndarray]) -> None:
-        """``sampled``: at least one frame, uint8 [H, W, 3], spread over the capture. Raises ValueError where there is none."""
+        """``sampled``: at least one frame, uint8 [H, W, 3], spread over the capture. Raises ValueError if there is none."""
         if not sampled:
             raise ValueError("sampled: expected at least one frame")
         self._shape = sampled[0].shape
@@ -40,11 +40,11 @@ class FrameForeground:
         self._odds = colour_odds(small, changed)
 
     def evidence(self, frame: np.ndarray) -> Evidence:
-        """Evidence of one frame, uint8 [H, W, 3]: log odds to move, float32 in [-3, 4]; every pixel counts alike."""
+        """Evidence of one frame, uint8 [H, W, 3]: log odds of motion, float32 in [-3, 4]; all pixels have equal weight."""
         return self._evidence(frame)[0]
 
     def foreground(self, frame: np.ndarray) -> np.ndarray:
-        """Mask uint8 [H, W] of one frame: 255 where something moves, now or at another time, along the edges of the picture."""
+        """Mask uint8 [H, W] of one frame, aligned with its edges: 255 on objects that move now or at another time."""
         import cv2
 
         found, changed = self._evidence(frame)
@@ -56,7 +56,7 @@ class FrameForeground:
         return np.where(keep[labels], mask, 0).astype(np.uint8)
 
     def _evidence(self, frame: np.ndarray) -> tuple[Evidence, np.ndarray]:
-        """Also where the reduced frame changes, bool."""
+        """The evidence, and where the reduced frame changes, bool."""
         import cv2
 
         if frame.shape != self._shape or frame.dtype != np.uint8:
@@ -76,7 +76,7 @@ class FrameForeground:
 
 
 class _Change(MotionMask):
-    """The noise model of `MotionMask`, but for `NOISIER`."""
+    """The noise model of `MotionMask`, with thresholds limited by `NOISIER`."""
 
     def __init__(self, sampled: Sequence[np.ndarray]) -> None:
         super().__init__(sampled)
@@ -84,7 +84,7 @@ class _Change(MotionMask):
         self._inverse_threshold = np.maximum(self._inverse_threshold, usual / NOISIER)
 
     def score(self, frame: np.ndarray) -> np.ndarray:
-        """Difference to the background, float32 [H, W] in [-1, 1]: 0 at the threshold, 1 at `DECADE` times it, -1 at a part as small."""
+        """Log difference from the background, float32 [H, W] in [-1, 1]: 0 at the threshold, 1 at `DECADE` times it, -1 at 1/`DECADE`."""
         import cv2
 
         difference = smoothed(frame) - self._background

@@ -1,4 +1,4 @@
-"""Which pixels of a fixed camera ever change: what training may treat as static is decided from this."""
+"""Which pixels of a fixed camera ever change. This decides what training may treat as static."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-SAMPLES = 25  # frames for the background and its noise; all frames are then compared against it
-SMOOTH = 1.2  # px, averages sensor noise away before the comparison; the noise is measured after it
+SAMPLES = 25  # frames for the background and its noise; all frames are then compared with it
+SMOOTH = 1.2  # px, averages out sensor noise before the comparison; the noise is measured after smoothing
 FLOOR = 5.0  # grey levels; compression shifts flat areas by less, and 8 bits hold nothing finer
 NOISE_FACTOR = 5.0  # standard deviations of the noise that a change must exceed
-SHIFT_STEP = 3  # px; a ninth of the pixels tells the shift of the whole frame
+SHIFT_STEP = 3  # px; a ninth of the pixels is enough to measure the brightness shift of the whole frame
 SPECK = 12  # px; smaller connected changes are noise that passed the threshold
 
 
 class MotionMask:
-    """Accumulates the frames of one fixed camera and tells which pixels change: `add` every frame once, then `mask`.
+    """Accumulates the frames of one fixed camera and finds the pixels that change: `add` every frame once, then call `mask`.
 
-    The background is the temporal median of up to `SAMPLES` frames. A pixel changes where some frame differs from it, in any channel and
-    after smoothing and after the frame's own shift of brightness is taken out, by more than 5 grey levels and 5 standard deviations of the
-    camera's noise at that brightness. Slow shadows change; flicker of the whole picture does not.
+    The background is the temporal median of up to `SAMPLES` frames. Frames are smoothed, and each frame's own brightness shift is removed.
+    A pixel changes if some frame then differs from the background, in any channel, by more than 5 grey levels and by more than 5 standard
+    deviations of the camera's noise at that brightness. Slow shadows count as change; flicker of the whole picture does not.
     """
 
     def __init__(self, sampled: Sequence[np.ndarray]) -> None:
@@ -34,7 +34,7 @@ class MotionMask:
         self._lock = threading.Lock()
 
     def add(self, frame: np.ndarray) -> None:
-        """One frame of the camera, uint8 [H, W, 3]. In any order, from any thread: the result is the same."""
+        """Adds one frame of the camera, uint8 [H, W, 3]. The result does not depend on the order, and any thread may call this."""
         import cv2
 
         difference = smoothed(frame) - self._background
@@ -62,17 +62,17 @@ class MotionMask:
 
 
 def smoothed(frame: np.ndarray) -> np.ndarray:
-    """``frame`` [H, W, 3] as float32 with its sensor noise averaged away."""
+    """``frame`` [H, W, 3] as float32 with its sensor noise averaged out."""
     import cv2
 
     return cv2.GaussianBlur(frame.astype(np.float32), (0, 0), SMOOTH, borderType=cv2.BORDER_REPLICATE)
 
 
 def _threshold(frames: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """[H, W, 3] grey levels that a change must exceed: the noise is measured in 16 bands of brightness, a channel each.
+    """[H, W, 3] grey levels that a change must exceed. The noise is measured per channel, in 16 bands of brightness.
 
-    The median over time of |frame - background| is the noise wherever a pixel is still half of the time, and the median over a band's
-    pixels is the noise wherever half of the band is still; 1.4826 turns it into a standard deviation.
+    The median over time of |frame - background| measures the noise if the pixel is still for half of the time, and the median over a
+    band's pixels does if half of them are still. A factor of 1.4826 turns it into a standard deviation.
     """
     deviation = np.median(np.abs(frames - background), axis=0)
     band = np.clip(background / 16.0, 0, 15).astype(int)
@@ -89,7 +89,7 @@ def _threshold(frames: np.ndarray, background: np.ndarray) -> np.ndarray:
 
 
 def motion_mask(load: Callable[[int], np.ndarray], frames: Sequence[int], grow: int = 4) -> np.ndarray:
-    """Mask of what changes in ``frames`` of one fixed camera, uint8 [H, W]; ``load(i)`` gives uint8 [H, W, 3]. See `MotionMask`.
+    """Mask of the pixels that change in ``frames`` of one fixed camera, uint8 [H, W]; ``load(i)`` gives uint8 [H, W, 3]. See `MotionMask`.
 
     At most `SAMPLES` frames are in memory at once.
     """
@@ -100,7 +100,7 @@ def motion_mask(load: Callable[[int], np.ndarray], frames: Sequence[int], grow: 
 
 
 def sample(frames: Sequence[int], count: int = SAMPLES) -> list[int]:
-    """Up to ``count`` of ``frames``, evenly spread, ends included."""
+    """Up to ``count`` of ``frames``, evenly spaced, including both ends."""
     if len(frames) <= count:
         return list(frames)
     return [frames[round(k)] for k in np.linspace(0, len(frames) - 1, count)]

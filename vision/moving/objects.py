@@ -1,4 +1,4 @@
-"""Which pixels of a frame show something that moves in the world: flow minus camera motion, as a mask per frame."""
+"""A mask per frame of the pixels that show something moving in the world: flow minus camera motion."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from .residual import Neighbour, rigid_residual
 from .uncalibrated import uncalibrated_residual
 
 GAPS = (1, 2, 4)  # frames to either side; slow motion adds up over the longer ones, fast motion is matched over the shorter
-NEXT_TO = 0.5  # weight of the evidence of the frames before and after
-SMOOTHNESS = 0.0013  # of the picture's width squared; evidence reaches about a tenth of the width where no edge is in the way
-EDGE = 8.0  # grey levels; a step of a few of these stops the evidence
-LEAST = 1e-3  # weight of pixels that know nothing; their neighbours decide
+NEXT_TO = 0.5  # weight of the evidence from the frames before and after
+SMOOTHNESS = 0.0013  # of the picture's width squared; evidence spreads over about a tenth of the width if no edge is in the way
+EDGE = 8.0  # grey levels; a step of a few times this stops the spread of evidence
+LEAST = 1e-3  # weight of pixels without evidence; their neighbours decide
 SPECK = 5e-4  # share of the picture; smaller connected masks are noise that passed the threshold
 HOLE = 2e-3  # share of the picture; smaller holes in a mask are filled
 
 
 def frame_evidence(neighbours: Sequence[Neighbour], K: np.ndarray | None = None, cam_from_world: np.ndarray | None = None) -> Evidence:
-    """Evidence of one frame from its flow to other frames; with its pose by `rigid_residual`, without by `uncalibrated_residual`.
+    """Evidence of one frame from its flow to other frames: by `rigid_residual` with its pose, by `uncalibrated_residual` without.
 
-    Neighbours on both sides in time make up for what is hidden on one. Raises ValueError where shapes or poses do not fit together.
+    Neighbours on both sides in time compensate for what is hidden on one side. Raises ValueError if shapes or poses do not fit together.
     """
     posed = K is not None and cam_from_world is not None
     residual = rigid_residual(K, cam_from_world, neighbours) if posed else uncalibrated_residual(neighbours)  # type: ignore[arg-type]
@@ -32,11 +32,11 @@ def frame_evidence(neighbours: Sequence[Neighbour], K: np.ndarray | None = None,
 
 
 def moving_mask(picture: np.ndarray, found: Evidence) -> np.ndarray:
-    """Mask uint8 [H, W] of one frame, 255 = moves, from its picture uint8 [H, W, 3] and evidence.
+    """Mask uint8 [H, W] of one frame, 255 = moving, from its picture uint8 [H, W, 3] and evidence.
 
-    Evidence spreads to pixels without any (hidden ones, no texture) and is averaged within regions that no edge of the picture divides:
-    weighted least squares with smoothness that yields at edges, by the fast solver of Min et al. 2014 (in OpenCV); smoothing evidence
-    times weight and weight alike makes it a weighted mean. Specks go, small holes are filled. Raises ValueError for other shapes.
+    Evidence spreads to pixels without any (hidden or without texture) and is averaged within regions that no edge of the picture divides.
+    This is weighted least squares with edge-aware smoothness, by the fast solver of Min et al. 2014 (in OpenCV). Smoothing evidence times
+    weight, and weight in the same way, gives a weighted mean. Specks are removed, small holes filled. Raises ValueError for other shapes.
     """
     import cv2
 
@@ -59,13 +59,13 @@ def moving_masks(
     gaps: Sequence[int] = GAPS,
     only: range | None = None,
 ) -> Iterator[np.ndarray]:
-    """Masks uint8 [H, W] of the frames 0 .. len(pairs) of one camera, or of those in ``only``, in order of time; 255 = moves.
+    """Masks uint8 [H, W] of the frames 0 .. len(pairs) of one camera, or of those in ``only``, in order of time; 255 = moving.
 
-    picture(i): uint8 [H, W, 3]. pairs[i]: flow between frames i and i + 1, None where it was not measured; any sequence, also one that
-    reads on demand: about `2 * max(gaps)` pairs are held at once. K [F, 3, 3], cam_from_world [F, 4, 4]: poses of the frames, or None;
-    frames whose pose is not finite are neither neighbours nor judged (their mask is empty). Flow over longer gaps is chained. The
-    evidence of the frames before and after is carried over along the flow, so that masks do not flicker. A mask depends on the frames
-    within `max(gaps) + 1` of its own, so stretches of frames can be had side by side.
+    picture(i): uint8 [H, W, 3]. pairs[i]: flow between frames i and i + 1, None if it was not measured. Any sequence works, also one that
+    reads on demand: about `2 * max(gaps)` pairs are held at once. K [F, 3, 3], cam_from_world [F, 4, 4]: poses of the frames, or None.
+    Frames whose pose is not finite do not serve as neighbours, and their mask is empty. Flow over longer gaps is chained. The evidence of
+    the frames before and after is carried over along the flow, so that masks do not flicker. A mask depends only on the frames within
+    `max(gaps) + 1` of its own, so stretches of frames can be computed in parallel.
     """
     count = len(pairs) + 1
     posed = None if K is None or cam_from_world is None else np.isfinite(K).all((1, 2)) & np.isfinite(cam_from_world).all((1, 2))
@@ -118,7 +118,7 @@ def moving_masks(
 
 
 def steadied(mine: Evidence, beside: Sequence[tuple[np.ndarray, np.ndarray, Evidence]]) -> Evidence:
-    """Evidence of a frame, averaged with that of others seen along the flow to them (flow, confidence, evidence of the other)."""
+    """Evidence of a frame, averaged with that of other frames, warped along the flow to them. beside: (flow, confidence, evidence) each."""
     total, weight = mine.score * mine.weight, mine.weight.copy()
     for flow, confidence, other in beside:
         score, other_weight = _at(other.score, flow), _at(other.weight, flow)
@@ -129,7 +129,7 @@ def steadied(mine: Evidence, beside: Sequence[tuple[np.ndarray, np.ndarray, Evid
 
 
 def chain(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Flow [H, W, 2] and confidence [H, W] from a to c, of those from a to b and from b to c; confidence is the lower of the two."""
+    """Chains (flow [H, W, 2], confidence [H, W]) from a to b and from b to c into one from a to c. Confidence is the lower of the two."""
     flow, confidence = first
     height, width = confidence.shape
     x, y = flow[..., 0] + np.arange(width, dtype=np.float32), flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
@@ -139,7 +139,7 @@ def chain(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.nda
 
 
 def _at(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """values [H, W] or [H, W, 2] float32 where the flow leads."""
+    """Samples values [H, W] or [H, W, 2] float32 where the flow leads."""
     import cv2
 
     height, width = flow.shape[:2]

@@ -1,4 +1,4 @@
-"""How far measured flow is from what a moving camera alone would cause: the reprojection error of the best still point of every pixel."""
+"""How far measured flow is from what camera motion alone would cause: the reprojection error of the best still point for every pixel."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-NEAREST = 10.0  # times the median inverse depth; a still point nearer than a tenth of the median depth is not believed
-ITERATIONS = 3  # of reweighting by depth; the cross-multiplied equations are linear, their weights settle in two
-INVISIBLE = 1e-3  # of the depth without baseline; points that would be nearer to the second camera are behind it
+NEAREST = 10.0  # times the median inverse depth; a still point nearer than a tenth of the median depth is not plausible
+ITERATIONS = 3  # of reweighting by depth; the cross-multiplied equations are linear, and their weights settle in two
+INVISIBLE = 1e-3  # of the depth without baseline; a point nearer to the second camera than this counts as behind it
 
 
 @dataclass(frozen=True)
 class Neighbour:
     """Flow of a frame to another frame of the same camera, and where that camera then was.
 
-    flow [H, W, 2] float32 px (u right, v down; values that are not finite count as unknown); confidence [H, W] uint8, 255 = consistent
-    forward and backward (`flow.two_way.consistency`); K [3, 3] px with pixel centres at +0.5 and cam_from_world [4, 4] (OpenCV) of the
+    flow [H, W, 2] float32 px (u right, v down; values that are not finite count as unknown). confidence [H, W] uint8, 255 = forward and
+    backward flow agree (`flow.two_way.consistency`). K [3, 3] px with pixel centres at +0.5 and cam_from_world [4, 4] (OpenCV) of the
     other frame, or None for both.
     """
 
@@ -31,7 +31,7 @@ class Neighbour:
 class Residual:
     """error [H, W] float32 px: root mean square over neighbours of flow minus camera motion; 0 where unknown.
 
-    weight [H, W] float32 in [0, 1]: mean confidence of the neighbours that it rests on; 0 = unknown.
+    weight [H, W] float32 in [0, 1]: mean confidence of the neighbours it is based on; 0 = unknown.
     """
 
     error: np.ndarray
@@ -39,7 +39,7 @@ class Residual:
 
 
 def checked(neighbours: Sequence[Neighbour]) -> tuple[int, int]:
-    """(H, W) of neighbours that fit together. Raises ValueError."""
+    """(H, W) of the neighbours. Raises ValueError if there are none or their shapes differ."""
     if not neighbours:
         raise ValueError("neighbours: expected at least one")
     height, width = neighbours[0].confidence.shape[:2]
@@ -56,7 +56,7 @@ def known(neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
     """Flow [H, W, 2] float32 and weight [H, W] float32 in [0, 1], both 0 where the flow is not finite."""
     flow = np.asarray(neighbour.flow, np.float32)
     weight = neighbour.confidence.astype(np.float32) * np.float32(1 / 255)
-    broken = ~np.isfinite(flow[..., 0] + flow[..., 1])  # ten times as quick as all(-1)
+    broken = ~np.isfinite(flow[..., 0] + flow[..., 1])  # ten times as fast as all(-1)
     if broken.any():
         flow = np.where(broken[..., None], np.float32(0), flow)
         weight[broken] = 0
@@ -64,18 +64,18 @@ def known(neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rigid_residual(K: np.ndarray, cam_from_world: np.ndarray, neighbours: Sequence[Neighbour]) -> Residual:
-    """Reprojection error of the one still point on each pixel's ray that fits the flow to all neighbours best.
+    """Reprojection error of the still point on each pixel's ray that best fits the flow to all neighbours.
 
-    K [3, 3] px, cam_from_world [4, 4] of the frame itself. A still point of inverse depth r along the ray of x appears in another frame at
-    x' ~ H x + r e with H = K' R K^-1 the homography of the plane at infinity and e = K' t the epipole (Hartley and Zisserman, eq. 9.7).
-    Cross-multiplied, both coordinates of x' are linear in r, so r has a closed form by least squares, weighted with confidence and, over
-    a few rounds, with the depth that turns the algebraic into the geometric error.
+    K [3, 3] px, cam_from_world [4, 4] of the frame itself. A still point of inverse depth r on the ray of x appears in another frame at
+    x' ~ H x + r e, where H = K' R K^-1 is the homography of the plane at infinity and e = K' t the epipole (Hartley and Zisserman, eq.
+    9.7). Cross-multiplied, both coordinates of x' are linear in r, so least squares gives r in closed form. The equations are weighted
+    with confidence and, over a few rounds, with the depth that turns the algebraic error into the geometric one.
 
-    Why this and not the Sampson distance of each pair: with one neighbour it is the distance to the epipolar line, from two on it also
-    sees motion along the line (the depths disagree); without baseline e is 0, r drops out, and it is the error of the rotation's
-    homography, with no switch between models. r is held at or above 0 (before the camera) and at or below `NEAREST` times the picture's
-    median, so that noise over a tiny baseline cannot explain a motion by an absurd depth. What remains invisible is motion that keeps to
-    one still point's path in all frames at once, such as an object that follows the camera with constant speed.
+    Why not the Sampson distance of each pair: with one neighbour this error is the distance to the epipolar line, and with two or more it
+    also sees motion along the line, because the depths disagree. Without baseline e is 0 and r drops out, which leaves the error of the
+    rotation's homography, with no switch between models. r is kept at or above 0 (in front of the camera) and at or below `NEAREST` times
+    the picture's median, so that noise over a tiny baseline cannot explain motion by an absurd depth. Motion that follows one still
+    point's path in all frames at once is not seen, for example an object that follows the camera at constant speed.
 
     Raises ValueError for neighbours without poses or of other shapes, and for poses that are not finite.
     """
@@ -96,7 +96,7 @@ def rigid_residual(K: np.ndarray, cam_from_world: np.ndarray, neighbours: Sequen
 
 
 def still_point_residual(views: Sequence[tuple[np.ndarray, np.ndarray]], neighbours: Sequence[Neighbour], bounded: bool) -> Residual:
-    """`rigid_residual` for views (H [3, 3], e [3]) with x' ~ H x + r e; bounded: r is an inverse depth, else of any sign (projective)."""
+    """`rigid_residual` for views (H [3, 3], e [3]) with x' ~ H x + r e. bounded: r is an inverse depth; else of any sign (projective)."""
     height, width = checked(neighbours)
     x = (np.arange(width) + 0.5).astype(np.float32)
     y = (np.arange(height) + 0.5).astype(np.float32)[:, None]

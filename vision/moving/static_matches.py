@@ -1,4 +1,4 @@
-"""Do the distinctive features of two pictures obey one camera motion? What contradicts it together, moves."""
+"""Tests whether the distinctive features of two pictures obey one camera motion. Groups of features that contradict it are moving."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from .two_view import TwoView, sampson, transfer, two_view
 
 MAX_FEATURES = 1200
-RATIO = 0.75  # nearest to second nearest elsewhere (Lowe 2004)
-TOLERANCE = 1.5  # px at `static_scene.SIZE`; and at least six deviations of what agrees
-DISTINCT = 2.0  # a feature that contradicts must be so much nearer to its match than to anything else in its own picture
-ELSEWHERE = 4.0  # px; nearer features are the same one at another scale
-TOGETHER = 0.08  # of the picture's longest side, within which features move as one thing
-FEWEST_TOGETHER = 3  # chance mismatches do not agree with each other by threes
+RATIO = 0.75  # distance of the nearest descriptor to that of the second nearest elsewhere in the picture (Lowe 2004)
+TOLERANCE = 1.5  # px at `static_scene.SIZE`; raised to six standard deviations of the error, but at most four times this
+DISTINCT = 2.0  # a contradicting feature must be this many times nearer to its match than to any other feature of its own picture
+ELSEWHERE = 4.0  # px; closer features are the same one at another scale
+TOGETHER = 0.08  # of the picture's longest side, within which features move as one object
+FEWEST_TOGETHER = 3  # chance mismatches do not agree with each other in threes
 
 
 @dataclass(frozen=True)
 class Features:
-    """xy [N, 2] px, pixel centres at +0.5; unit [N, 128] float32: SIFT as root of its L1 norm (Arandjelovic 2012), norm 1."""
+    """xy [N, 2] px, pixel centres at +0.5; unit [N, 128] float32: RootSIFT (Arandjelovic 2012), of norm 1."""
 
     xy: np.ndarray
     unit: np.ndarray
@@ -27,9 +27,9 @@ class Features:
 
 @dataclass(frozen=True)
 class PairEvidence:
-    """supporting: matches that one camera motion explains; moving: distinctive ones that contradict it by groups.
+    """supporting: matches that one camera motion explains; moving: distinctive matches that contradict it in groups.
 
-    displacement: median px between matches.
+    displacement: median distance between matched features, px.
     """
 
     supporting: int
@@ -41,7 +41,7 @@ NOTHING = PairEvidence(0, 0, 0.0)
 
 
 def features(picture: np.ndarray) -> Features:
-    """SIFT of a picture uint8 [H, W, 3] RGB."""
+    """SIFT features of a picture uint8 [H, W, 3] RGB."""
     import cv2
 
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES)
@@ -53,10 +53,10 @@ def features(picture: np.ndarray) -> Features:
 
 
 def compare(first: Features, second: Features, size: float, known: TwoView | None = None) -> PairEvidence:
-    """Evidence of two pictures whose longest side is `size` px; known: their geometry from poses, else it is estimated.
+    """Evidence from two pictures whose longest side is `size` px; known: their geometry from poses; None estimates it from the matches.
 
-    A match off the epipolar line is most often a repeated structure (windows, bricks) and no motion. So it counts only where the feature
-    is unlike everything else in its own picture, matches as well as the ones that agree, and moves together with others beside it.
+    A match off the epipolar line is usually a repeated structure (windows, bricks), not motion. So it counts only if the feature is unlike
+    everything else in its own picture, matches as well as the matches that agree, and moves together with others nearby.
     """
     if min(len(first.xy), len(second.xy)) < 2:
         return NOTHING
@@ -84,7 +84,7 @@ def _matches(first: Features, second: Features) -> tuple[np.ndarray, np.ndarray,
     rows = np.arange(len(best))
     nearest = cosine[rows, best]
     mutual = cosine.argmax(0)[best] == rows
-    top = np.argpartition(cosine, -min(4, cosine.shape[1]), axis=1)[:, -4:]  # the second nearest elsewhere is among a few
+    top = np.argpartition(cosine, -min(4, cosine.shape[1]), axis=1)[:, -4:]  # contains the second nearest elsewhere
     away = ((second.xy[top] - second.xy[best][:, None]) ** 2).sum(-1) > ELSEWHERE**2
     after = np.where(away, np.take_along_axis(cosine, top, 1), -1.0).max(1)
     keep = mutual & (_distance(nearest) < RATIO * _distance(after))
@@ -92,7 +92,7 @@ def _matches(first: Features, second: Features) -> tuple[np.ndarray, np.ndarray,
 
 
 def _nearest_own(features: Features, chosen: np.ndarray) -> np.ndarray:
-    """[n] descriptor distance of the chosen features to the nearest other one of the same picture."""
+    """[n] descriptor distance of each chosen feature to the nearest other feature of the same picture."""
     if len(chosen) == 0:
         return np.zeros(0)
     cosine = features.unit[chosen] @ features.unit.T
@@ -101,12 +101,13 @@ def _nearest_own(features: Features, chosen: np.ndarray) -> np.ndarray:
 
 
 def _together(a: np.ndarray, b: np.ndarray, reach: float) -> int:
-    """How many of the moves a -> b [n, 2] have company: two others within `reach` px that move about as they do."""
+    """How many of the moves a -> b [n, 2] have at least two others within `reach` px that move in about the same way."""
     if len(a) < FEWEST_TOGETHER:
         return 0
     apart = np.linalg.norm(a[:, None] - a[None], axis=2)
     differ = np.linalg.norm((b - a)[:, None] - (b - a)[None], axis=2)
-    # 2 px apart, so that one corner found at three scales is no group; a thing that turns or comes near shears by up to a half
+    # At least 2 px apart, so that one corner found at three scales is not a group. Displacements may differ by half the distance, since an
+    # object that turns or comes closer is sheared or scaled.
     alike = (apart < reach) & (apart > 0.5 * ELSEWHERE) & (differ < 0.5 * apart + 2 * TOLERANCE)
     return int((alike.sum(1) >= FEWEST_TOGETHER - 1).sum())
 

@@ -1,4 +1,5 @@
-"""Does anything but the camera move? Decided from sampled pictures before structure from motion; static only on positive evidence."""
+"""Decides whether anything but the camera moves, from sampled pictures and before structure from motion. A scene counts as static only on
+positive evidence."""
 
 from __future__ import annotations
 
@@ -19,27 +20,27 @@ from .two_view import TwoView
 
 SIZE = 480  # px, longest side at which features are compared
 DENSE_SIZE = 320  # px, longest side for flow and for fixed cameras
-CAMERAS = 12  # fixed cameras looked at, at most
-TIMES = 16  # frames of each
-ALL = 12  # pictures; up to here every one takes part, of more ANCHORS are compared with one later picture each
+CAMERAS = 12  # the most fixed cameras that are examined
+TIMES = 16  # frames examined of each
+ALL = 12  # pictures; up to this many all take part, otherwise each of ANCHORS is compared with one later picture
 ANCHORS = 8
-STEPS = (8, 4, 2, 1)  # pictures ahead, the first that shows enough of the same
-LINKED = 60  # distinctive matches that obey one camera motion: ten times what repeated structures pass by chance
-FOLLOWED = 0.6  # share of the picture whose flow is consistent, for flow to be believed
-TRAVEL = 0.01  # of the width that the flow of the compared pictures should reach
-FARTHEST = 0.03  # of the width; between photos that are farther apart, flow takes for motion what is near and shifts against what is far
-LOST = 1e6  # of the width; no flow is so long
-SHARE = 0.001  # of a picture; more of it moving, with flow of its own that says so, makes a scene that moves
-CHANGED = 1e-4  # of a fixed camera's picture; sensor and codec noise stay below
-PLAIN = 4.0  # grey levels; pictures whose deviation is smaller show nothing
+STEPS = (8, 4, 2, 1)  # pictures ahead, tried in this order until one has enough in common
+LINKED = 60  # distinctive matches that obey one camera motion: ten times what repeated structures reach by chance
+FOLLOWED = 0.6  # share of the picture whose flow must be consistent for the flow to be trusted
+TRAVEL = 0.01  # of the width, about how far the flow of the compared pictures should reach
+FARTHEST = 0.03  # of the width; between photos farther apart, flow mistakes the parallax of near against far things for motion
+LOST = 1e6  # of the width; no flow is this long
+SHARE = 0.001  # of a picture; if more of it moves, by its own measured flow, the scene moves
+CHANGED = 1e-4  # of a fixed camera's picture; sensor and codec noise stay below this
+PLAIN = 4.0  # grey levels; pictures with a smaller standard deviation show nothing
 Picture = Callable[[int], np.ndarray]
 
 
 @dataclass(frozen=True)
 class StaticScene:
-    """static: nothing moves, on positive evidence. moving_share: of the picture (or of its features) that moves, the largest found.
+    """static: nothing moves, on positive evidence. moving_share: the largest share of a picture (or of its features) found to move.
 
-    reason: one sentence for people. evidence: numbers it rests on, plain JSON values.
+    reason: one sentence for people. evidence: the numbers behind it, plain JSON values.
     """
 
     static: bool
@@ -59,15 +60,15 @@ def static_scene(
 ) -> StaticScene:
     """Decide for the frames of a capture; picture(i) gives uint8 [H, W, 3] of frame i, from any thread.
 
-    camera [F] int and time [F] as in the `frames` artifact; with `--static` off. fixed_cameras: several cameras that do not move.
-    untimed: neighbours in the list need not be neighbours in time, such as photos; then flow between pictures that are far apart says
-    nothing, nor do features that contradict where too few agree.
-    K [F, 3, 3] px and cam_from_world [F, 4, 4] where known: then features must obey the poses and not just some camera motion.
+    camera [F] int and time [F] as in the `frames` artifact without `--static`. fixed_cameras: several cameras that do not move.
+    untimed: neighbours in the list need not be neighbours in time, as with photos. Then flow between pictures that are far apart is
+    ignored, and so are features that contradict the camera motion if too few agree with it.
+    K [F, 3, 3] px and cam_from_world [F, 4, 4], if known: features must then obey the poses, not just some camera motion.
 
     Fixed cameras: no pixel may change (`MotionMask`). Others: distinctive features must obey one camera motion, pair by pair, over wide
-    baselines (`static_matches`), and where neighbouring pictures can be followed densely, no region may move against it
-    (`objects`). Every sampled picture must be linked to another, else there is no evidence. A motion between frames that are not
-    sampled, or without texture over a wide baseline, is not seen. Deterministic; about 40 pictures of a moving camera are read.
+    baselines (`static_matches`). If dense flow between neighbouring pictures is reliable, no region may move against that motion either
+    (`objects`). Every sampled picture must be linked to another; otherwise there is no evidence. Motion between the sampled frames, or
+    without texture over a wide baseline, is not seen. Deterministic; about 40 pictures of a moving camera are read.
     """
     camera, time = np.asarray(camera), np.asarray(time)
     if len(camera) < 2:
@@ -80,7 +81,7 @@ def static_scene(
 
 
 def _fixed(picture: Picture, cameras: Sequence[Sequence[int]]) -> StaticScene:
-    """Fixed cameras: the share of each one's pixels that ever changes."""
+    """Decides for fixed cameras, by the share of each camera's pixels that ever change."""
     if not cameras:
         return StaticScene(False, 0.0, "no camera saw two times", {})
     chosen = [cameras[k] for k in sample(range(len(cameras)), CAMERAS)]
@@ -130,7 +131,7 @@ def _moving(
 
 
 def _sparse(picture: Picture, order: Sequence[int], K: np.ndarray | None, poses: np.ndarray | None, untimed: bool) -> list[PairEvidence]:
-    """For each sampled picture the evidence of its link to a later one, and with few pictures to the one after that."""
+    """For each sampled picture, the evidence of its link to a later one; with few pictures also of the link two pictures ahead."""
     count = len(order)
     every = count <= ALL
     starts = range(count - 1) if every else np.linspace(0, count - 1 - STEPS[0], ANCHORS).round().astype(int).tolist()
@@ -169,7 +170,7 @@ def _sparse(picture: Picture, order: Sequence[int], K: np.ndarray | None, poses:
 
 
 def _geometry(K: np.ndarray | None, poses: np.ndarray | None, a: int, b: int, factor: float) -> TwoView | None:
-    """From poses, at `factor` times the size; the rotation's homography where there is no baseline."""
+    """Two-view geometry from poses, at `factor` times the size; the rotation's homography if there is no baseline."""
     if K is None or poses is None or not np.isfinite([*K[[a, b]].ravel(), *poses[[a, b]].ravel()]).all():
         return None
     from ..sfm.epipolar import fundamental
@@ -183,7 +184,7 @@ def _geometry(K: np.ndarray | None, poses: np.ndarray | None, a: int, b: int, fa
 
 
 def _dense(picture: Picture, mine: Sequence[int], untimed: bool) -> tuple[float, int]:
-    """Largest share of a picture that flow shows moving, and the frames of this camera whose flow could be followed."""
+    """Largest share of a picture that moves according to flow, and how many frames of this camera had reliable flow."""
     farthest = FARTHEST if untimed else LOST
     middles = sorted(set(np.linspace(1, len(mine) - 2, ANCHORS).round().astype(int).tolist())) if len(mine) >= 3 else []
 
@@ -198,10 +199,10 @@ def _dense(picture: Picture, mine: Sequence[int], untimed: bool) -> tuple[float,
         step = int(np.clip(round(TRAVEL / max(travel, 1e-5)), 1, STEPS[0]))
         around = [_flow(image, _small(picture(mine[j]), DENSE_SIZE)) for j in (k - step, k + step) if 0 <= j < len(mine)]
         followed = [Neighbour(*one) for one in around if _travel(*one) <= farthest]
-        if untimed and len(followed) < 2:  # what one pair of photos shows is as often an error of the flow
+        if untimed and len(followed) < 2:  # a single pair of photos shows flow errors as often as motion
             return None
         found = frame_evidence(followed or [Neighbour(flow, sure)])
-        # what the mask filled in from its surroundings is a good guess for a mask and no evidence
+        # pixels that the mask filled in from their surroundings are a good guess for a mask, but not evidence
         return float(((moving_mask(image, found) > 0) & (found.weight > 0.5) & (found.score > 0)).mean())
 
     with ThreadPoolExecutor(2) as pool:
@@ -210,7 +211,7 @@ def _dense(picture: Picture, mine: Sequence[int], untimed: bool) -> tuple[float,
 
 
 def _travel(flow: np.ndarray, sure: np.ndarray) -> float:
-    """Median length of a flow, of the picture's width; infinite where too little of it is consistent to be believed."""
+    """Median length of a flow as a share of the picture's width; infinite if too little of it is consistent to be trusted."""
     followed = sure >= 128
     if followed.mean() < FOLLOWED:
         return np.inf

@@ -1,4 +1,4 @@
-"""Camera motion between two views from matches: fundamental matrix or homography, whichever explains them with less."""
+"""Camera motion between two views from matches: a fundamental matrix or a homography, whichever explains them more simply."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from .residual import Neighbour, Residual, checked, known
 
-SAMPLES = 1500  # matches that the geometry is estimated from; more change nothing but the time
-FEWEST = 24  # matches; three times what a fundamental matrix needs, fewer always fit some geometry
+SAMPLES = 1500  # matches used to estimate the geometry; more only take longer
+FEWEST = 24  # matches; three times what a fundamental matrix needs, since fewer always fit some geometry
 FINEST = 0.1  # px, the smallest width of robust weights
-CONFIDENT = 0.5  # weight of flow that may take part in the estimate
+CONFIDENT = 0.5  # least weight of flow that takes part in the estimate
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class TwoView:
 
 
 def two_view(first: np.ndarray, second: np.ndarray, scale: float = 1.0) -> TwoView | None:
-    """Geometry of matches first, second [N, 2] px by MAGSAC++ (Barath et al. 2020, in OpenCV); None where nothing fits.
+    """Geometry of matches first, second [N, 2] px by MAGSAC++ (Barath et al. 2020, in OpenCV); None if nothing fits.
 
-    scale: px of matching error that is expected at most. The simpler homography wins by the criterion GRIC (Torr 1998: matches have r = 4
+    scale: the largest matching error expected, px. The criterion GRIC chooses between the models (Torr 1998: matches have r = 4
     dimensions; a homography leaves d = 2 and has k = 8 parameters, a fundamental matrix d = 3 and k = 7). Deterministic.
     """
     if len(first) < FEWEST:
@@ -41,7 +41,7 @@ def two_view(first: np.ndarray, second: np.ndarray, scale: float = 1.0) -> TwoVi
         errors.append((TwoView("homography", H), transfer(H, a, b), 2, 8))
     if not errors:
         return None
-    # one noise level for both, from the model that fits better: GRIC compares explanations of the same measurements
+    # both models get one noise level, that of the better fit, since GRIC compares explanations of the same measurements
     sigma = max(FINEST / 2, min(1.4826 * float(np.median(error)) for _, error, _, _ in errors))
     found = []
     for model, residual, d, k in errors:
@@ -51,12 +51,12 @@ def two_view(first: np.ndarray, second: np.ndarray, scale: float = 1.0) -> TwoVi
 
 
 def _fundamental(a: np.ndarray, b: np.ndarray, limit: float) -> np.ndarray | None:
-    """The best, by median error, of MAGSAC++ and its refinements."""
+    """The fundamental matrix with the least median error among MAGSAC++'s and its refinements."""
     import cv2
 
     try:
         F, _ = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, limit, 0.999, 2000)
-    except cv2.error:  # all matches in one place, or on one line
+    except cv2.error:  # all matches at one point or on one line
         F = None
     starts = [None] if F is None or F.shape != (3, 3) or not np.isfinite(F).all() else [F, None]
     refined = [R for R in (_refined(start, a, b, limit) for start in starts) if R is not None]
@@ -65,10 +65,11 @@ def _fundamental(a: np.ndarray, b: np.ndarray, limit: float) -> np.ndarray | Non
 
 
 def _refined(F: np.ndarray | None, a: np.ndarray, b: np.ndarray, limit: float) -> np.ndarray | None:
-    """F by reweighted least squares on all matches (eight-point with Hartley's scaling, Sampson's and Geman-McClure's weights).
+    """Refines F by reweighted least squares on all matches (eight-point with Hartley's scaling, Sampson's and Geman-McClure's weights).
 
-    The robust scale starts wide and halves towards the noise, so that what moves loses its say step by step (graduated non-convexity,
-    Blake and Zisserman 1987). Minimal samples cannot do this where parallax is hardly larger than noise. F None: start from all alike.
+    The robust scale starts wide and shrinks towards the noise, so that moving matches lose influence step by step (graduated
+    non-convexity, Blake and Zisserman 1987). Minimal samples cannot do this if parallax is hardly larger than noise. F None: starts with
+    equal weights.
     """
     centre_a, centre_b = a.mean(0), b.mean(0)
     size_a, size_b = a.std() + 1e-9, b.std() + 1e-9
@@ -97,7 +98,7 @@ def _refined(F: np.ndarray | None, a: np.ndarray, b: np.ndarray, limit: float) -
 
 
 def _weights(F: np.ndarray, a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    """Weights [N] of squared algebraic errors: Sampson's, which make them px, times Geman and McClure's at `width` px."""
+    """Weights [N] of squared algebraic errors: Sampson's, which convert them to px, times Geman and McClure's of `width` px."""
     x, y = np.column_stack([a, np.ones(len(a))]), np.column_stack([b, np.ones(len(b))])
     left, right = (x @ F.T)[:, :2], (y @ F)[:, :2]
     slope = np.maximum((left**2).sum(1) + (right**2).sum(1), 1e-24)
@@ -117,9 +118,9 @@ def _homography(a: np.ndarray, b: np.ndarray, limit: float) -> np.ndarray | None
 
 
 def sampson(F: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Sampson distance [...] px of matches [..., 2] to x2^T F x1 = 0, to first order their distance to exact matches.
+    """Sampson distance [...] px of matches [..., 2] from x2^T F x1 = 0: to first order, their distance from exact matches.
 
-    Sampson 1982; Hartley and Zisserman eq. 11.9. Its square is half a pixel's where both pixels err by one.
+    Sampson 1982; Hartley and Zisserman eq. 11.9. If both points are one px off the epipolar line, its square is half a px^2.
     """
     a, b, c = (F[i, 0] * first[..., 0] + F[i, 1] * first[..., 1] + F[i, 2] for i in range(3))
     p, q = (F[0, i] * second[..., 0] + F[1, i] * second[..., 1] + F[2, i] for i in range(2))
@@ -128,7 +129,7 @@ def sampson(F: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def transfer(H: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Distance [...] px in the second view of matches [..., 2] to H x1; infinite where H sends a point behind the camera."""
+    """Distance [...] px in the second view of matches [..., 2] from H x1; infinite where H sends a point behind the camera."""
     x, y, w = (H[i, 0] * first[..., 0] + H[i, 1] * first[..., 1] + H[i, 2] for i in range(3))
     before = w * np.sign(H[2, 2] or 1.0) > 1e-9
     safe = np.where(before, w, 1.0)
@@ -136,9 +137,9 @@ def transfer(H: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray
 
 
 def epipolar_residual(neighbours: Sequence[Neighbour]) -> Residual:
-    """Like `residual.rigid_residual` where no poses are known: distance of the flow to each pair's own geometry, see `two_view`.
+    """Like `residual.rigid_residual`, but without poses: the distance of the flow from each pair's own geometry, see `two_view`.
 
-    Motion along epipolar lines stays invisible. A neighbour whose geometry cannot be found counts as unknown.
+    Motion along epipolar lines is not seen. A neighbour whose geometry cannot be found counts as unknown.
     Raises ValueError for other shapes.
     """
     height, width = checked(neighbours)
@@ -157,7 +158,7 @@ def epipolar_residual(neighbours: Sequence[Neighbour]) -> Residual:
 
 
 def match_grid(neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel centres and where they went, [N, 2] float64 px each, N about `SAMPLES`: a regular grid of confident pixels."""
+    """Pixel centres and where the flow takes them, [N, 2] float64 px each: a regular grid of about `SAMPLES` confident pixels."""
     flow, weight = known(neighbour)
     rows, columns = np.nonzero(weight >= CONFIDENT)
     step = max(1, int(np.sqrt(len(rows) / SAMPLES)))

@@ -1,4 +1,4 @@
-"""The residual of `residual` where no poses are known: projective cameras of all neighbours, fitted to their flow together."""
+"""The residual of `residual` without known poses: fits projective cameras of all neighbours jointly to their flow."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from .residual import Neighbour, Residual, checked, known, still_point_residual
 from .two_view import FINEST, TwoView, epipolar_residual, match_grid, sampson, two_view
 
-ROUNDS = 6  # of refitting cameras and depths in turn; the fit no longer changes by more than its noise
-OUTLIER = 3.0  # deviations at which a match has lost three quarters of its weight (Geman and McClure)
-STARTS = 3  # pairs whose geometry is tried as the frame of all
-FEWEST = 48  # matches that base and neighbour share
+ROUNDS = 6  # of refitting cameras and depths in turn; after that the fit changes by less than its noise
+OUTLIER = 3.0  # standard deviations at which a match has lost three quarters of its weight (Geman and McClure)
+STARTS = 3  # pairs whose geometry is tried as the common projective frame
+FEWEST = 48  # matches needed between the base's grid and a neighbour
 View = tuple[np.ndarray, np.ndarray]
 
 
 def uncalibrated_residual(neighbours: Sequence[Neighbour]) -> Residual:
-    """Like `rigid_residual`, from flow alone: needs neither intrinsics nor poses. Their fields are not read.
+    """Like `rigid_residual`, but from flow alone. It does not read intrinsics or poses.
 
-    x' ~ H x + r e holds in any projective frame, with H the homography of some plane and r, shared by all neighbours, the parallax against
-    it (Hartley and Zisserman, result 13.1 and section 18.6). One neighbour's fundamental matrix fixes the frame; H and e of the others are
-    linear in their matches; cameras and r are then refitted in turn with robust weights. So motion along epipolar lines shows where it
-    differs from still points between two neighbours or more. Falls back to `epipolar_residual` with one neighbour, without parallax (a
-    camera that turns, a flat scene), and where the fit fails. Raises ValueError for other shapes.
+    x' ~ H x + r e holds in any projective frame. H is the homography of some plane, and r, shared by all neighbours, is the parallax
+    relative to it (Hartley and Zisserman, result 13.1 and section 18.6). One neighbour's fundamental matrix fixes the frame, and H and e of
+    the others are linear in their matches. Cameras and r are then refitted in turn with robust weights. With two or more neighbours, even
+    motion along epipolar lines shows if it is inconsistent with a still point. Falls back to `epipolar_residual` with one neighbour,
+    without parallax (a camera that turns, a flat scene), and when the fit fails. Raises ValueError for other shapes.
     """
     checked(neighbours)
     grids = [match_grid(one) for one in neighbours]
@@ -38,7 +38,7 @@ def uncalibrated_residual(neighbours: Sequence[Neighbour]) -> Residual:
                 noise = max(FINEST, float(np.median(sampson(model.matrix, first, second))))
                 starts.append((_parallax(view, first, second) / noise, k, view))
     starts.sort(key=lambda start: -start[0])
-    # what moves can pass as parallax in one pair; it does not in all, so the frame is tried that several pairs suggest
+    # motion can pass as parallax in one pair but not in all, so the frames that several pairs suggest are tried
     fits = [_together(neighbours, grids[base][0], base, view) for _, base, view in starts[:STARTS]]
     best = min((fit for fit in fits if fit is not None), key=lambda fit: fit[0], default=None)
     if best is None:
@@ -47,7 +47,7 @@ def uncalibrated_residual(neighbours: Sequence[Neighbour]) -> Residual:
 
 
 def _plane_and_epipole(model: TwoView, first: np.ndarray, second: np.ndarray) -> View | None:
-    """H and e of F: H = [e']x F + e' v^T (Hartley and Zisserman, result 9.14), v for the plane that fits the matches best."""
+    """H and e of F: H = [e']x F + e' v^T (Hartley and Zisserman, result 9.14), with v of the plane that fits the matches best."""
     u, _, _ = np.linalg.svd(model.matrix)
     e = u[:, 2]
     cross = np.array([[0.0, -e[2], e[1]], [e[2], 0.0, -e[0]], [-e[1], e[0], 0.0]])
@@ -73,7 +73,7 @@ def _plane_and_epipole(model: TwoView, first: np.ndarray, second: np.ndarray) ->
 
 
 def _together(neighbours: Sequence[Neighbour], first: np.ndarray, base: int, view: View) -> tuple[float, list[View]] | None:
-    """Median error in px and views of all neighbours, in the frame of the base, from the pixels `first` [N, 2] of the base's grid."""
+    """Median error in px and the views of all neighbours in the base's projective frame. first [N, 2]: pixels of the base's grid."""
     x = np.column_stack([first, np.ones(len(first))])
     rows, columns = (first[:, 1] - 0.5).astype(int), (first[:, 0] - 0.5).astype(int)
     seconds, weights = [], []
@@ -96,14 +96,14 @@ def _together(neighbours: Sequence[Neighbour], first: np.ndarray, base: int, vie
 
 
 def _equations(view: View, x: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """a, b [N, 2] with b - r a = 0 for exact matches."""
+    """a, b [N, 2] such that b - r a = 0 for exact matches."""
     H, e = view
     hx = x @ H.T
     return second * e[2] - e[:2], hx[:, :2] - second * hx[:, 2:]
 
 
 def _depths(views: Sequence[View], x: np.ndarray, seconds: Sequence[np.ndarray], weights: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """r [N] by least squares over the views, and what is left, [N] px."""
+    """r [N] by least squares over the views, and the remaining error, [N] px."""
     r = np.zeros(len(x))
     for _ in range(2):
         above, below = np.zeros(len(x)), np.full(len(x), 1e-30)
@@ -123,7 +123,7 @@ def _depths(views: Sequence[View], x: np.ndarray, seconds: Sequence[np.ndarray],
 
 
 def _resect(x: np.ndarray, r: np.ndarray, second: np.ndarray, weight: np.ndarray) -> View | None:
-    """H and e [12 numbers] of a view by the linear method, from x, r and where they are seen; coordinates scaled to about one."""
+    """H and e (12 numbers) of a view by the linear method, from x, r and their positions `second`; coordinates scaled to about one."""
     if np.count_nonzero(weight > 0.1) < FEWEST:
         return None
     size = np.abs(x).max()
@@ -152,12 +152,12 @@ def _resect(x: np.ndarray, r: np.ndarray, second: np.ndarray, weight: np.ndarray
 
 
 def _robust(error: np.ndarray) -> np.ndarray:
-    """Weights in (0, 1] by the error's own scale."""
+    """Weights in (0, 1], relative to the scale of the errors themselves."""
     sigma = max(0.02, 1.4826 * float(np.median(error)))
     return 1.0 / np.square(1.0 + np.square(error / (OUTLIER * sigma)))
 
 
 def _parallax(view: View, first: np.ndarray, second: np.ndarray) -> float:
-    """Median px that matches lie off the plane's homography: how well the pair tells depth."""
+    """Median distance in px of matches from the plane's homography, which measures how well the pair determines depth."""
     x = np.column_stack([first, np.ones(len(first))]) @ view[0].T
     return float(np.median(np.linalg.norm(x[:, :2] / x[:, 2:] - second, axis=1)))

@@ -1,1 +1,1 @@
-"""Structure from motion with COLMAP, in a process of its own; see DESIGN.md one folder up."""
+"""Structure from motion with COLMAP, in a separate process. See DESIGN.md one folder up."""

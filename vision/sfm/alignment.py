@@ -1,18 +1,18 @@
-"""Similarity alignment of two sets of points, exact or with outliers among them, and the pose error that benchmarks report."""
+"""Similarity alignment of two sets of points, with or without outliers, and the pose error that benchmarks report."""
 
 from __future__ import annotations
 
 import numpy as np
 
-TRIALS = 200  # samples of three pairs; with half of the pairs wrong, all hold a wrong one once in 10^11
-CLOSE = 0.05  # of the median distance of the target's points from their middle; within it a pair agrees
-AGREED = 20, 0.5  # pairs, and share of them, that must
+TRIALS = 200  # samples of three pairs; if half of the pairs are wrong, every sample holds a wrong one only once in 10^11
+CLOSE = 0.05  # of the median distance of the target's points from their median; pairs within this distance agree
+AGREED = 20, 0.5  # least number and least share of pairs that must agree
 
 
 def similarity(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """`(scale, R [3,3], t [3])` that minimise sum |scale R source + t - target|^2 (Umeyama, TPAMI 1991). Both [N,3], N >= 3.
 
-    Raises ValueError when the points lie on a line or coincide: the rotation is then not determined.
+    Raises ValueError if the points lie on a line or coincide, since the rotation is then undetermined.
     """
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
         raise ValueError(f"similarity: two arrays [N,3] with N >= 3 expected, got {source.shape} and {target.shape}")
@@ -28,14 +28,14 @@ def similarity(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarra
 
 
 def robust_similarity(source: np.ndarray, target: np.ndarray, seed: int = 0) -> tuple[float, np.ndarray, np.ndarray] | None:
-    """`similarity` of the pairs that agree on one, source and target [N, 3] (RANSAC; Fischler and Bolles 1981); None where fewer than 20
-    pairs or half of them do. Pairs with coordinates that are not finite count as disagreeing."""
+    """`similarity` of the pairs that agree on one, source and target [N, 3] (RANSAC; Fischler and Bolles 1981). None if fewer than 20 pairs
+    or fewer than half agree. Pairs with coordinates that are not finite count as disagreeing."""
     finite = np.isfinite(source).all(axis=1) & np.isfinite(target).all(axis=1)
     a, b = source[finite], target[finite]
     least = max(AGREED[0], AGREED[1] * len(source))
     if len(a) < least:
         return None
-    # medians: a point far off must not widen the bar for all
+    # medians, so that one distant point does not loosen the limit for all
     bar = CLOSE * float(np.median(np.linalg.norm(b - np.median(b, axis=0), axis=1)))
     rng = np.random.default_rng(seed)
     best = np.zeros(len(a), bool)
@@ -64,10 +64,10 @@ def camera_centres(cam_from_world: np.ndarray) -> np.ndarray:
 
 
 def pose_error(cam_from_world: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Error of registered cameras [N,4,4] against the truth [N,4,4] after aligning the centres by a similarity.
+    """Error of registered cameras [N,4,4] against the truth [N,4,4], after aligning the centres by a similarity.
 
-    `rms` and `max` are distances of centres in the truth's unit, `path` is the length of the true path, `percent` = 100 rms / path,
-    `rotation_degrees` the median angle between the rotations.
+    `rms` and `max` are distances between centres in the truth's unit, `path` is the length of the true path, `percent` is
+    100 rms / path, and `rotation_degrees` is the median angle between the rotations.
     """
     centres, true_centres = camera_centres(cam_from_world), camera_centres(truth)
     scale, R, t = similarity(centres, true_centres)

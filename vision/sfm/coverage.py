@@ -1,4 +1,4 @@
-"""What a reconstruction covers, in sentences for people: who is missing, and what may help."""
+"""Describes, in sentences for people, what a reconstruction covers: which frames are missing, and what may help."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 FEW_FEATURES = 200  # an image with fewer is dark, blurred or plain
 HIGH_ERROR = 1.5  # px; a good reconstruction stays below 1
-NARROW = 2.5  # degrees; depth is then known to no more than a tenth or so
+NARROW = 2.5  # degrees; below this, depth is known only to about a tenth
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """`registered` of `total` images have a pose; `gaps` are runs (first, last) of frames without one; `advice` are sentences."""
+    """`registered` of `total` images have a pose. `gaps`: runs (first, last) of frames without one. `advice`: sentences for people."""
 
     registered: int
     total: int
@@ -40,7 +40,7 @@ def spans(gaps: Sequence[tuple[int, int]], most: int = 8) -> str:
 
 
 def frames_named(frames: Sequence[int]) -> str:
-    """`frame 3`, `frames 3, 7-9`: of indices in any order."""
+    """`frame 3` or `frames 3, 7-9`, from indices in any order."""
     missing = np.zeros(max(frames) + 1, bool)
     missing[list(frames)] = True
     return f"{'frame' if missing.sum() == 1 else 'frames'} {spans(runs(missing))}"
@@ -49,8 +49,8 @@ def frames_named(frames: Sequence[int]) -> str:
 def cover(
     registered: np.ndarray, features: Sequence[int], parts: Sequence[int], matcher: str, error: float, angle: float = 90.0
 ) -> Coverage:
-    """registered [F] bool; features of each image; images of each separate part, disjoint, that which is kept first; mean reprojection
-    error in px; the median angle in degrees between the outermost rays of a point."""
+    """Coverage and advice. registered [F] bool; features: count in each image; parts: images in each separate part, disjoint, the one that
+    is kept first; error: mean reprojection error in px; angle: median angle in degrees between the outermost rays of a point."""
     missing = ~np.asarray(registered, bool)
     gaps = runs(missing)
     counts = np.asarray(features)

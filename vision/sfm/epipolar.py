@@ -1,17 +1,17 @@
-"""Matching with known cameras: descriptors are compared only along epipolar lines. numpy alone."""
+"""Matching with known cameras: descriptors are compared only along epipolar lines. Uses only numpy."""
 
 from __future__ import annotations
 
 import numpy as np
 
 MAX_DISTANCE = 0.7  # between unit descriptors
-MAX_RATIO = 0.8  # nearest to second nearest, both on the epipolar line
+MAX_RATIO = 0.8  # distance of the nearest to that of the second nearest, both on the epipolar line
 BLOCK = 128  # rows of the similarity matrix at a time
-SAME_PLACE = 2.0  # px; a second candidate this near is the same feature at another scale or orientation
+SAME_PLACE = 2.0  # px; a second candidate this close is the same feature at another scale or orientation
 
 
 def fundamental(K1: np.ndarray, K2: np.ndarray, cam1_from_world: np.ndarray, cam2_from_world: np.ndarray) -> np.ndarray:
-    """[3,3] with x2^T F x1 = 0 for homogeneous pixels of one point (Hartley and Zisserman, 9.2)."""
+    """The fundamental matrix [3,3]: x2^T F x1 = 0 for homogeneous pixels of one point (Hartley and Zisserman, 9.2)."""
     relative = cam2_from_world @ np.linalg.inv(cam1_from_world)
     x, y, z = relative[:3, 3]
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -26,7 +26,7 @@ def guided_matches(
     xy1 [N,2], xy2 [M,2] px; unit1 [N,128], unit2 [M,128] float32 of norm 1.
     """
     rows, columns, cosine = _candidates(xy1, unit1, xy2, unit2, F, max_error)
-    # sorted by column with equal columns in order of rows: stable, so ties go to the lowest index
+    # a stable sort by column keeps rows in order, so ties go to the lowest index
     by_column = np.argsort(columns, kind="stable")
     best_of_row, best_of_column = np.zeros(len(rows), bool), np.zeros(len(rows), bool)
     best_of_row[_best(rows, cosine)] = True
@@ -53,7 +53,7 @@ def _candidates(
     scale1 = (max_error * np.hypot(line1[:, 0], line1[:, 1])).astype(np.float32) + tiny
     left, right = line2.astype(np.float32), np.ascontiguousarray(one2.T, np.float32)
     found = []
-    for start in range(0, len(xy1), BLOCK):  # a block of the matrix stays in the cache
+    for start in range(0, len(xy1), BLOCK):  # one block of the matrix fits the cache
         block = slice(start, start + BLOCK)
         residual = np.abs(left[block] @ right)
         flat = np.flatnonzero((residual <= scale2[block, None]) & (residual <= scale1))
@@ -70,7 +70,7 @@ def _starts(groups: np.ndarray) -> np.ndarray:
 
 
 def _best(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Position of the first highest value of each group; `groups` sorted."""
+    """Index of the first highest value in each group; `groups` must be sorted."""
     if not len(groups):
         return np.zeros(0, np.int64)
     starts = _starts(groups)
@@ -80,7 +80,7 @@ def _best(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _second(groups: np.ndarray, values: np.ndarray, is_best: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """For every entry the highest value of its group that lies elsewhere than the group's best; -1 where there is none."""
+    """For every entry, the highest value in its group at another place than the group's best; -1 if there is none."""
     if not len(groups):
         return np.zeros(0, np.float32)
     starts = _starts(groups)

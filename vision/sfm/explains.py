@@ -1,4 +1,5 @@
-"""`misfit`: how far matched features lie from where cameras want them, of several candidates the same matches. Needs no truth."""
+"""`misfit`: how far matched features are from where the cameras predict them, to compare candidates on the same matches. It needs no
+ground truth."""
 
 from __future__ import annotations
 
@@ -9,15 +10,15 @@ import numpy as np
 from ..moving.two_view import sampson
 from .epipolar import fundamental
 
-NOISE = 0.1  # px; nearer features are not better
-FARTHEST = 10.0  # px; farther ones, and those of cameras without a pose, are not worse
+NOISE = 0.1  # px; smaller distances do not count as better
+FARTHEST = 10.0  # px; larger distances do not count as worse; also used for cameras without a pose
 
 Places = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
 def misfit(matches: Places, arrays: Mapping[str, np.ndarray]) -> float:
-    """Mean logarithm of the matches' Sampson distances in px, kept between `NOISE` and `FARTHEST`: a tenth less is a typical distance a
-    tenth smaller. The logarithm lets mistaken matches count no more than sound ones, without a scale that would have to be known.
+    """Mean logarithm of the matches' Sampson distances in px, limited to `NOISE` and `FARTHEST`: a difference of 0.1 means typical
+    distances a tenth smaller. With the logarithm, wrong matches count no more than good ones, and no scale has to be known.
 
     matches {(a, b): ([M, 2], [M, 2])}: px in images a and b, pixel centres at +0.5. arrays: those of `reconstruct`.
     """
@@ -26,7 +27,7 @@ def misfit(matches: Places, arrays: Mapping[str, np.ndarray]) -> float:
     K, poses, distortion, registered = (arrays[name] for name in ("K", "cam_from_world", "distortion", "registered"))
     distances = []
     for (a, b), places in matches.items():
-        if not len(places[0]):  # matched, but nothing was found
+        if not len(places[0]):  # the pair was matched, but without a result
             continue
         if not (registered[a] and registered[b]):
             distances.append(np.full(len(places[0]), FARTHEST))

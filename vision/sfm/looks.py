@@ -1,7 +1,7 @@
-"""Which pictures of several cameras structure from motion looks at, and which it matches with which.
+"""Chooses which pictures of several cameras structure from motion uses, and which of them are matched.
 
-A camera that stands still is one image of COLMAP's, with one pose, however many of its pictures are looked at: their features are put
-into it side by side. Pictures of two cameras are matched at equal times alone, so what moves joins cameras like everything else.
+A camera that stands still is a single COLMAP image with one pose, however many of its pictures are used: the image gets the features of
+all of them. Pictures of two cameras are matched only at equal times, so moving objects help to connect cameras like everything else.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from ..sequences import camera_sequences
 from .pairs import choose, image_pairs
 
-MOST, FEWEST = 6, 2  # times at which cameras that stand still are looked at
-PAIRS = 240  # pairs of cameras and times, above which fewer times are looked at
+MOST, FEWEST = 6, 2  # number of times used for cameras that stand still
+PAIRS = 240  # pairs of cameras, over all times; beyond this, fewer times are used
 
 
 @dataclass(frozen=True)
 class Looks:
-    """frames [L]: those that are looked at. image [L]: COLMAP's image that each belongs to. pairs: of looks (numbers into `frames`), which
-    are matched. image_of_frame [F]: the image that holds each frame's pose. still: cameras that stand still."""
+    """frames [L]: the frames used. image [L]: the COLMAP image that each belongs to. pairs: indices into `frames` of the pictures that are
+    matched. image_of_frame [F]: the image that holds each frame's pose. still: cameras that stand still."""
 
     frames: list[int]
     image: list[int]
@@ -38,14 +38,14 @@ class Looks:
 
 
 def look_times(cameras: int, times: int) -> int:
-    """How many of the times cameras that stand still are looked at."""
+    """How many of the times are used for cameras that stand still."""
     pairs = max(1, cameras * (cameras - 1) // 2)
     return min(times, max(FEWEST, min(MOST, PAIRS // pairs)))
 
 
 def choose_looks(camera: np.ndarray, time: np.ndarray, still: Mapping[int, bool], matcher: str, overlap: int) -> Looks:
-    """camera, time [F] as in the `frames` artifact; still: of each camera; matcher, overlap: settings of `poses`, for the frames of a
-    camera that moves."""
+    """camera, time [F] as in the `frames` artifact; still: whether each camera stands still; matcher, overlap: settings of `poses`, which
+    apply to the frames of a camera that moves."""
     sequences = camera_sequences(camera, time)
     shared = sorted(set.intersection(*({float(time[i]) for i in mine} for mine in sequences.values())))
     count = look_times(len(sequences), len(shared))
@@ -54,7 +54,7 @@ def choose_looks(camera: np.ndarray, time: np.ndarray, still: Mapping[int, bool]
     image: list[int] = []
     pairs: set[tuple[int, int]] = set()
     image_of_frame = np.zeros(len(camera), np.int64)
-    at: dict[float, list[int]] = {}  # looks of each time, by camera
+    at: dict[float, list[int]] = {}  # indices into `frames` at each time, by camera
     images = 0
     for number, mine in sequences.items():
         chosen = [i for i in mine if float(time[i]) in seen] or [mine[0]] if still[number] else mine
@@ -77,6 +77,6 @@ def choose_looks(camera: np.ndarray, time: np.ndarray, still: Mapping[int, bool]
 
 
 def expand(arrays: Mapping[str, np.ndarray], image_of_frame: Sequence[int] | np.ndarray) -> dict[str, np.ndarray]:
-    """Arrays of images [n, ...] -> of frames [F, ...]; frames of one image have bit-equal poses."""
+    """Expands arrays per image [n, ...] to arrays per frame [F, ...]. Frames of one image get bit-equal poses."""
     of_images = ("registered", "K", "cam_from_world", "distortion", "size")
     return {name: array[np.asarray(image_of_frame)] if name in of_images else array for name, array in arrays.items()}

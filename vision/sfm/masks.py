@@ -1,4 +1,4 @@
-"""Which features lie on what moves, and the matches that do not."""
+"""Which features lie on moving pixels, and the matches that do not."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 
 
 def on_movers(masks: np.ndarray, frame: np.ndarray, xy: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """[N] bool: whether the places xy [N, 2] px in pictures of `size` [F, 2] (width, height) px of the frames `frame` [N] are masked.
+    """[N] bool: whether the mask of frame `frame` [N] covers the position xy [N, 2] px, in pictures of `size` [F, 2] (width, height) px.
 
-    masks [F, h, w] bool, of any size; pixel centres at +0.5 in both. Places outside the picture count as its border.
+    masks [F, h, w] bool, of any size; pixel centres at +0.5 in both. Positions outside the picture count as its border.
     """
     height, width = masks.shape[1:]
     scale = np.array([width, height]) / np.maximum(size[frame], 1)
@@ -17,5 +17,5 @@ def on_movers(masks: np.ndarray, frame: np.ndarray, xy: np.ndarray, size: np.nda
 
 
 def still_matches(matches: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Of matches [M,2] (indices of features) those with neither end on a mover; first, second [N] bool: which features are."""
+    """The matches [M,2] (feature indices) of which neither end is on moving pixels; first, second [N] bool: which features are."""
     return matches[~(first[matches[:, 0]] | second[matches[:, 1]])]

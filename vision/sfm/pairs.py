@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 EXHAUSTIVE_LIMIT = 40  # images; 780 pairs
-OVERLAP = 10  # neighbours, each also at 2, 4, 8, ... times the distance as far as LONGEST
+OVERLAP = 10  # following images that each image is matched with, besides those at distances of powers of two up to LONGEST
 LONGEST = 64
-KEYFRAMES = 24  # images spread over a sequence that are all matched with one another: closes loops without a vocabulary
+KEYFRAMES = 24  # images spread over a sequence that are all matched with one another, which closes loops without a vocabulary tree
 
 
 def choose(matcher: str, images: int, static: bool) -> str:
@@ -16,7 +16,7 @@ def choose(matcher: str, images: int, static: bool) -> str:
 
 
 def image_pairs(matcher: str, images: int, overlap: int = OVERLAP) -> list[tuple[int, int]]:
-    """Pairs (a, b), a < b, sorted. `sequential` takes the next `overlap` images, powers of two beyond, and keyframes."""
+    """Pairs (a, b), a < b, sorted. `sequential` takes the next `overlap` images, those at powers of two beyond, and keyframes."""
     if matcher == "exhaustive":
         return [(a, b) for a in range(images) for b in range(a + 1, images)]
     steps = {*range(1, overlap + 1), *(2**k for k in range(20) if 2**k <= LONGEST)}

@@ -1,21 +1,21 @@
-"""`plausible`: whether a pose found on thin evidence lies where its neighbours in time let it."""
+"""`plausible`: whether a pose with little evidence agrees with the poses of its neighbours in time."""
 
 from __future__ import annotations
 
 import numpy as np
 
-SLACK = 3.0  # of the way that the camera goes in that time, from where it should be
-TURN = 30.0, 5.0  # degrees that a camera may turn anyway, and more a frame
-REACH = 20  # frames to the nearest neighbour with a pose; from farther nothing is known
+SLACK = 3.0  # times the distance that the camera travels in that time: how far it may be from where it is expected
+TURN = 30.0, 5.0  # degrees: how far a camera may turn in any case, and in addition per frame
+REACH = 20  # frames to the nearest neighbour with a pose; a farther one tells nothing
 
 
 def plausible(centre: np.ndarray, rotation: np.ndarray, frame: int, frames: np.ndarray, centres: np.ndarray, rotations: np.ndarray) -> bool:
-    """Whether a camera at `centre` [3], `rotation` [3, 3] (cam from world) can be that of `frame`, given those of `frames` [N] of the
-    same capture, sorted: centres [N, 3] in the same world, rotations [N, 3, 3].
+    """Whether `frame` can have been taken at `centre` [3] with `rotation` [3, 3] (cam from world), given the cameras of `frames` [N] of
+    the same capture, sorted: centres [N, 3] in the same world, rotations [N, 3, 3].
 
-    Between two neighbours the camera is expected on the line from one to the other; past the ends, at the last. It may be off by `SLACK`
-    times the way gone meanwhile, or the usual way in that time, whichever is more. False without a neighbour within `REACH` frames, and
-    for poses that are not finite.
+    Between two neighbours, the camera is expected on the straight line from one to the other; past either end, at the last known place.
+    It may be off by `SLACK` times the distance travelled between the neighbours, or the usual distance in that time, whichever is larger.
+    False without a neighbour within `REACH` frames, and for poses that are not finite.
     """
     if not (np.isfinite(centre).all() and np.isfinite(rotation).all()) or len(frames) < 2:
         return False

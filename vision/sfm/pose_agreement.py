@@ -1,4 +1,4 @@
-"""How well cameras explain matched features: the share of matches that lie on each other's epipolar lines. Needs no truth."""
+"""How well cameras explain matched features: the share of matches that lie on each other's epipolar lines. It needs no ground truth."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOLERANCE = 1.0  # px to the epipolar line; features are found to a few tenths o
 class Matches:
     """Matched features of one capture: match m joins xy1[m] in frame pair[m, 0] with xy2[m] in frame pair[m, 1].
 
-    pair [M, 2] int32, sorted; xy1, xy2 [M, 2] px of the pictures that structure from motion read, pixel centres at +0.5.
+    pair [M, 2] int32, sorted; xy1, xy2 [M, 2] px in the pictures that structure from motion read, pixel centres at +0.5.
     """
 
     pair: np.ndarray
@@ -28,8 +28,8 @@ class Matches:
 def agreement(matches: Matches, arrays: Mapping[str, np.ndarray], frames: np.ndarray, tolerance: float = TOLERANCE) -> float:
     """Share of the matches between `frames` [F] bool whose Sampson distance under the cameras is at most `tolerance` px; nan without any.
 
-    arrays: `K` [F, 3, 3] px, `cam_from_world` [F, 4, 4], `distortion` [F, 4] as `reconstruct` gives them, finite for `frames`.
-    Distances are in the pinhole images of the cameras.
+    arrays: `K` [F, 3, 3] px, `cam_from_world` [F, 4, 4], `distortion` [F, 4] as `reconstruct` returns them, finite for `frames`.
+    Distances are measured in the cameras' pinhole images.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""`run_worker`: one COLMAP task in a subprocess, so that a crash in native code is one clear error and nothing leaks."""
+"""`run_worker`: runs one COLMAP task in a subprocess, so that a crash in native code becomes one clear error and nothing leaks."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from . import worker
 
 Progress = Callable[[str, int, int], None]  # phase ("features", "matches", "mapping", "points"), done, total
 
-LOG_LINES = 12  # of COLMAP's log that go into an error
+LOG_LINES = 12  # from the end of COLMAP's log that go into an error
 
 
 class WorkerError(RuntimeError):
-    """The worker ended without a result; the message holds how it ended and the end of its log."""
+    """The worker ended without a result. The message says how it ended and quotes the end of its log."""
 
 
 def run_worker(request: Mapping[str, Any], folder: Path, progress: Progress | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Run `request` (JSON, with `task`) with `folder` for its database, log and results. Returns the arrays and facts of the task.
+    """Runs `request` (JSON, with `task`); `folder` holds its database, log and results. Returns the arrays and facts of the task.
 
     The parent never imports pycolmap. Raises WorkerError.
     """
@@ -35,7 +35,7 @@ def run_worker(request: Mapping[str, Any], folder: Path, progress: Progress | No
     file, log = folder / "request.json", folder / "colmap.log"
     file.write_text(json.dumps(_document(request, folder)), encoding="utf-8")
     command = [sys.executable, "-m", worker.__name__, str(file)]
-    # the worker runs threads of its own; BLAS threads on top of them spin, and cost four times the processor time
+    # the worker has its own threads; BLAS threads on top of them would spin and cost four times the processor time
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with log.open("wb") as stderr:
         process = subprocess.Popen(
@@ -61,16 +61,16 @@ def run_worker(request: Mapping[str, Any], folder: Path, progress: Progress | No
 
 
 def finished(request: Mapping[str, Any], folder: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
-    """What `run_worker` returned for the same request and folder before the program was killed; None where it did not get there."""
+    """The result of an earlier `run_worker` with the same request and folder, for a program that was killed since; None if unfinished."""
     try:
         same = json.loads((folder / "request.json").read_text(encoding="utf-8")) == _document(request, folder)
         return _result(folder) if same else None
-    except (OSError, ValueError):  # not there, or cut short
+    except (OSError, ValueError):  # missing or cut short
         return None
 
 
 def _document(request: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The request as the worker reads it; through JSON and back, so that tuples compare equal to lists."""
+    """The request as the worker reads it. It goes through JSON and back, so that tuples compare equal to lists."""
     document: dict[str, Any] = json.loads(json.dumps({**request, "folder": str(folder)}))
     return document
 
@@ -82,7 +82,7 @@ def _result(folder: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def _step(line: str) -> tuple[str, int, int] | None:
-    """A line of progress; None for anything that a library printed."""
+    """Parses a line of progress; None for anything that a library printed."""
     try:
         step = json.loads(line)
         return str(step["phase"]), int(step["done"]), int(step["total"])

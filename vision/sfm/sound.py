@@ -1,7 +1,8 @@
-"""`purge`: takes out of a reconstruction what no camera can have seen. Works on a pycolmap model; imports no pycolmap itself.
+"""`purge`: removes from a reconstruction what no camera can have seen. Works on a pycolmap model, but does not import pycolmap.
 
-A reprojection error is a number only for a point before its camera. Behind it COLMAP reports the largest double, and one such point among
-20 000 makes a mean of 1e150 px. Cauchy's loss lets an outlier drift there, since it hardly costs more at 1000 px than at 100.
+A reprojection error is defined only for a point in front of its camera. For a point behind it, COLMAP reports the largest double, and one
+such point among 20 000 makes the mean 1e150 px. Under Cauchy's loss an outlier can drift there, since it costs little more at 1000 px than
+at 100.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ import numpy as np
 if TYPE_CHECKING:
     import pycolmap
 
-MAX_ERROR = 4.0  # px of an observation; the mapper's own bar
-MIN_ANGLE = 1.0  # degrees between the outermost rays of a point; the mapper asks 1.5, and the last adjustment may take some of it
-FEWEST = 10  # observations that hold a pose; the mapper registers with 30
+MAX_ERROR = 4.0  # px of an observation; the mapper's own limit
+MIN_ANGLE = 1.0  # degrees between the outermost rays of a point; the mapper requires 1.5, and the last adjustment may reduce it
+FEWEST = 10  # observations that a pose needs; the mapper registers with 30
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Every feature that made a point, one row each, sorted by point and image.
+    """One row for every feature that belongs to a point, sorted by point and image.
 
-    image, feature, point [O] int64: COLMAP's image id, the feature's number in it, the point's id. xy [O, 2] px: the feature. depth [O]:
-    of the point along the camera's axis, world units. error [O] px: distance of the feature to the projected point, inf where the point
-    is not before the camera. ray [O, 3]: unit direction from the camera to the point, NaN where there is none.
+    image, feature, point [O] int64: COLMAP's image id, the feature's number in the image, the point's id. xy [O, 2] px: the feature.
+    depth [O]: of the point along the camera's axis, world units. error [O] px: distance from the feature to the projected point, inf if
+    the point is not in front of the camera. ray [O, 3]: unit direction from the camera to the point, NaN if there is none.
     """
 
     image: np.ndarray
@@ -39,7 +40,7 @@ class Observations:
 
 @dataclass
 class Purged:
-    """What `purge` took out: counts of observations and points, names of images."""
+    """What `purge` removed: counts of observations and points, names of images."""
 
     observations: int = 0
     points: int = 0
@@ -50,7 +51,7 @@ class Purged:
 
 
 def observe(model: pycolmap.Reconstruction) -> Observations:
-    """All observations of registered images, with what their cameras say about them."""
+    """All observations of registered images, with depth, error and ray under their cameras."""
     columns: list[tuple[np.ndarray, ...]] = []
     empty = np.zeros(0, np.int64)
     columns.append((empty, empty, empty, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 3))))
@@ -78,13 +79,13 @@ def observe(model: pycolmap.Reconstruction) -> Observations:
 
 
 def groups(point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and past-the-last row of every point in a sorted column of ids [O]: two [P] int64."""
+    """First and one-past-last row of every point in a sorted column of ids [O]: two [P] int64."""
     starts = np.flatnonzero(np.diff(point, prepend=-1))
     return starts, np.append(starts[1:], len(point))[: len(starts)]
 
 
 def angles(seen: Observations, good: np.ndarray) -> np.ndarray:
-    """[P] degrees between the outermost rays of every point, of the rows `good` [O] alone; 0 where fewer than two are."""
+    """[P] degrees between the outermost rays of every point, using only the rows `good` [O]; 0 for fewer than two rays."""
     starts, ends = groups(seen.point)
     widest = np.zeros(len(starts))
     for n, (start, end) in enumerate(zip(starts, ends, strict=True)):
@@ -95,9 +96,9 @@ def angles(seen: Observations, good: np.ndarray) -> np.ndarray:
 
 
 def purge(model: pycolmap.Reconstruction, max_error: float = MAX_ERROR, min_angle: float = MIN_ANGLE, fewest: int = FEWEST) -> Purged:
-    """Take out, in place: observations off by more than `max_error` px or of points not before the camera; points without finite
-    coordinates, with fewer than two observations left, or seen under less than `min_angle` degrees; and poses that fewer than `fewest`
-    observations hold, or that are not finite. Until nothing is left to take: a pose that goes takes observations with it.
+    """Removes in place: observations off by more than `max_error` px or of points not in front of the camera; points without finite
+    coordinates, with fewer than two observations left, or seen under less than `min_angle` degrees; and poses that are not finite or that
+    have fewer than `fewest` observations. Removing a pose removes its observations, so this repeats until nothing is left to remove.
     """
     purged = Purged()
     while True:

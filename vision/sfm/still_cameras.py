@@ -1,4 +1,4 @@
-"""`stands_still`: whether one camera saw all of its frames from one place, told by features that stay where they are."""
+"""`stands_still`: whether one camera took all of its frames from one place, judged by features that stay where they are."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-SIZE = 1280  # px of the longest side at which features are followed; larger pictures are scaled down
+SIZE = 1280  # px of the longest side at which features are tracked; larger pictures are scaled down
 LOOKS = 6  # frames, spread over the capture, that are compared with the first
-TILES, FEATURES = (8, 6), 12  # parts of the picture across and down, and features in each: one thing full of texture does not have them all
-SHIFT = 0.5  # px that the middle one of the features that can be followed may seem to move
-STAY = 0.3  # of all features that must be found again within `SHIFT`: what walks about may hide or carry the others
-FEWEST = 20  # features that must be found again; a plain picture tells nothing
+TILES, FEATURES = (8, 6), 12  # tiles across and down, and features in each, so that one textured object does not take all features
+SHIFT = 0.5  # px, limit for the median apparent motion of the features that can be tracked
+STAY = 0.3  # share of all features that must be found again within `SHIFT`; people walking about may hide or carry the others
+FEWEST = 20  # features that must be found again; a plain picture has no evidence
 
 
 def stands_still(picture: Callable[[int], np.ndarray], frames: Sequence[int]) -> bool:
-    """picture(i): uint8 [H, W, 3] of frame i; frames: those of one camera, in order of time. False where the pictures do not tell."""
+    """picture(i): uint8 [H, W, 3] of frame i; frames: those of one camera, in order of time. False if the pictures give no evidence."""
     if len(frames) < 2:
         return False
     chosen = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, LOOKS + 1).round().astype(int))]
@@ -41,7 +41,7 @@ def _corners(picture: np.ndarray) -> np.ndarray:
 
 
 def _unmoved(first: np.ndarray, other: np.ndarray, corners: np.ndarray) -> bool:
-    """Whether features of the first picture are in the same places of the other. Followed there and back: what is hidden is not counted."""
+    """Whether features of the first picture are at the same places in the other. They are tracked there and back; hidden ones drop out."""
     import cv2
 
     there, found, _ = cv2.calcOpticalFlowPyrLK(first, other, corners, corners.copy())

@@ -1,4 +1,4 @@
-"""`nothing_registered`: what to say, and to do, when there is no reconstruction."""
+"""`nothing_registered`: the message for a failed reconstruction, with a likely cause and a remedy."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 from .coverage import FEW_FEATURES
 
-STILL = 0.005  # of the longer side; matches that go less in nine of ten pairs show a camera that stands
-TURNED = 0.8  # of the pairs, explained by one homography
-LINKED = 0.5  # of the images, with a verified pair
+STILL = 0.005  # of the longer side; if matches move less than this in nine of ten pairs, the camera stands still
+TURNED = 0.8  # share of the pairs that one homography explains
+LINKED = 0.5  # share of the images that have a verified pair
 
 
 def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str, Any], matcher: str) -> str:
-    """features [n] of each image; pairs: what `survey` found about matches. The likeliest cause first, then what to do about it."""
+    """The likeliest cause, then what to do about it. features [n]: count in each image; pairs: what `survey` found about matches."""
     median = int(np.median(features)) if len(features) else 0
     other = "poses.matcher=exhaustive" if matcher != "exhaustive" else "poses.max_features=16384"
     bring = "bring poses in the files (transforms.json, a COLMAP model) instead"

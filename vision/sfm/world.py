@@ -1,4 +1,4 @@
-"""The world that leaves structure from motion: points worth keeping, and the scale."""
+"""Finishes the result of structure from motion: drops bad points and sets the scale."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 from .alignment import camera_centres
 
 MEDIAN_DISTANCE = 4.0  # world units from the cameras to the scene, after normalisation
-POINT_ERROR = 2.0  # px; points beyond are outliers
-FAR = 30.0  # times the median distance of points from their middle; beyond lies what triangulated under no angle
+POINT_ERROR = 2.0  # px; points with a larger error are outliers
+FAR = 30.0  # times the median distance of points from their median; farther points were triangulated with almost no angle
 
 
 def keep_points(points: np.ndarray, errors: np.ndarray, tracks: np.ndarray) -> np.ndarray:
-    """[P] bool: points with a small error, not absurdly far, and seen by three views where enough of those exist."""
+    """[P] bool: points with a small error, not absurdly far, and seen in three views if there are at least 100 of those."""
     keep = np.isfinite(points).all(axis=1) & (errors <= POINT_ERROR)
     if (keep & (tracks >= 3)).sum() >= 100:
         keep &= tracks >= 3
@@ -23,7 +23,7 @@ def keep_points(points: np.ndarray, errors: np.ndarray, tracks: np.ndarray) -> n
 
 
 def normalise(cam_from_world: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses [N,4,4] and points [P,3] scaled so that the median distance of the cameras to the median point is 4."""
+    """Scales poses [N,4,4] and points [P,3] so that the median distance from the cameras to the median point is 4."""
     distance = float(np.median(np.linalg.norm(camera_centres(cam_from_world) - np.median(points, axis=0), axis=1)))
     scale = MEDIAN_DISTANCE / distance
     poses = cam_from_world.copy()

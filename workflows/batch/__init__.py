@@ -1,1 +1,1 @@
-"""`e4dgs batch`: many scenes, on this machine or on a cluster, resumed where they were left."""
+"""`e4dgs batch`: runs many scenes, on this machine or on a cluster, and resumes where it was stopped."""

@@ -1,4 +1,4 @@
-"""The state of a batch as a table for people: live in a terminal, a line for each change in a log."""
+"""Shows the state of a batch to people: as a live table in a terminal, or as one line per change in a log."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from rich.table import Table
 from ...pipeline import duration
 from .ledger import Ledger, Progress
 
-EVERY = 1.0  # s between two looks
-TAIL = 2000  # bytes of a log that are read for how far a stage is
-MOST_ROWS = 40  # of a table: what is done is counted, not listed
+EVERY = 1.0  # s between two updates
+TAIL = 2000  # bytes at the end of a log that are read for a stage's progress
+MOST_ROWS = 40  # of a table; further scenes are counted, not listed
 ORDER = ("running", "lost", "failed", "waiting", "done")
-EVERY_LINE = 60.0  # s between two lines of a log about the batch as a whole
+EVERY_LINE = 60.0  # s between two log lines about the whole batch
 _LEFT = re.compile(r"\((\d+) %\), ([^,\n]*) left")
 
 
 def how_far(log: Path) -> str:
-    """What the running stage said last about itself: percent and time left, "" where it said nothing yet."""
+    """The progress that the running stage last reported: percent and time left; "" if it has reported nothing yet."""
     try:
         with open(log, "rb") as file:
             file.seek(max(0, os.path.getsize(log) - TAIL))
@@ -36,7 +36,7 @@ def how_far(log: Path) -> str:
 
 
 class States:
-    """The states of a batch's scenes, looked at again and again: the list is read once, and a scene that is done not any more."""
+    """The states of a batch's scenes, for repeated queries. The list is read only once, and a finished scene is not read again."""
 
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
@@ -44,7 +44,7 @@ class States:
         self._done: dict[str, Progress] = {}
 
     def now(self) -> list[tuple[str, Progress]]:
-        """Of all scenes, in the order of the batch."""
+        """States of all scenes, in the order of the batch."""
         found = []
         for name in self._names:
             progress = self._done.get(name) or self._ledger.shown(name)
@@ -55,13 +55,13 @@ class States:
 
 
 class Pace:
-    """How long a batch takes yet, by the scenes that were done since now."""
+    """Estimates how long a batch still takes, from the scenes that have ended since this was created."""
 
     def __init__(self, states: States) -> None:
         self._began, self._before = time.monotonic(), self._ended(states.now())
 
     def left(self, found: Sequence[tuple[str, Progress]]) -> str:
-        """ "" until a scene has come to its end."""
+        """The time left, in words; "" until a scene has ended."""
         ended = self._ended(found)
         if ended == self._before or ended == len(found):
             return ""
@@ -80,7 +80,7 @@ def counts(ledger: Ledger, found: Sequence[tuple[str, Progress]], pace: Pace | N
 
 
 def table(ledger: Ledger, states: States | None = None, pace: Pace | None = None) -> Table:
-    """Scene, state, stage, time spent, how far; running and failed scenes first. ``states``, ``pace``: of who shows it again and again."""
+    """Scene, state, stage, time spent and progress; running and failed scenes first. ``states``, ``pace``: to reuse for repeated tables."""
     found = (states or States(ledger)).now()
     found.sort(key=lambda item: ORDER.index(item[1].state))
     shown = Table(title=_plain(counts(ledger, found, pace)), title_justify="left", box=None, pad_edge=False)
@@ -96,7 +96,7 @@ def table(ledger: Ledger, states: States | None = None, pace: Pace | None = None
 
 
 def watch(ledger: Ledger, console: Console, ended: Callable[[], bool]) -> None:
-    """Show the batch until ``ended``."""
+    """Shows the batch until ``ended``."""
     states = States(ledger)
     pace = Pace(states)
     if console.is_terminal:

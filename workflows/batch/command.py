@@ -20,8 +20,8 @@ from .ledger import Ledger, Progress, batches
 from .listing import Entry, entries_of
 from .work import is_current
 
-MOST_COMMANDS = 10  # that are printed at the end; the table has all
-# What takes the place of options for this machine: in the file of a cluster, and in job scripts.
+MOST_COMMANDS = 10  # printed at the end; the table has all of them
+# What replaces options that apply only to this machine: in a cluster's file, and in job scripts.
 INSTEAD = {
     "--jobs": ("set workers and nodes of its pools", "Slurm starts as many as it has room for"),
     "--memory": ("set memory_gb of its pools", "set memory_gb of the pools in a file for --executor"),
@@ -113,7 +113,7 @@ def batch(
 def words_of_batch(
     name: str, executor: str, jobs: int | None, memory: float | None, retries: int | None, stage_timeout: float | None, emit: str | None
 ) -> list[str]:
-    """The options of a batch alone as words of a command line, without those that are the default."""
+    """The options that only `batch` has, as words of a command line, without those that have their default."""
     given = (
         *(("--name", name, "batch"), ("--executor", executor, "local"), ("--jobs", jobs, None), ("--memory", memory, None)),
         *(("--retries", retries, None), ("--stage-timeout", stage_timeout, None), ("--emit", emit, None)),
@@ -136,7 +136,7 @@ def status(
 
 
 def _refuse_what_is_local(given: dict[str, Any], executor: str, emit: str | None) -> None:
-    """Options of `local.Local` that nobody would heed."""
+    """Refuses options of `local.Local` where they would have no effect."""
     if executor == "local" and emit is None:
         return
     for option, value in given.items():

@@ -1,11 +1,11 @@
 """A process that forks itself for each stage: ``python -m e4dgs.workflows.batch.fork_server``, started by `forks.py`.
 
-A new Python takes 2 to 3 s of a core to import what a stage needs. A fork has it from the start, and is as much a process of its own: it
-may crash, hang or run out of memory alone. What a stage had to import, the server imports after it, for the stages that follow.
+A new Python needs 2 to 3 s of CPU time to import what a stage needs. A fork has it from the start and is still a separate process, which
+can crash, hang or run out of memory alone. After a stage, the server imports what that stage had to import, for the stages that follow.
 
-Reads a line of JSON for each stage, ``[arguments of e4dgs, path of the log]``, and answers with two: process id, and exit code (negative
-for a signal). One stage at a time. It ends, and ends its stage, when its standard input ends. It also ends when source of ours that it has
-imported was edited: a fork would compute with the old code and take its result for the new one's.
+It reads a line of JSON for each stage, ``[arguments of e4dgs, path of the log]``, and answers with two lines: process id, and exit code
+(negative for a signal). It runs one stage at a time. When its standard input ends, it ends its stage and itself. It also ends when a source
+file of ours that it has imported was edited: a fork would compute with the old code but store the result under the new code's key.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from ...pipeline.files import digest_file
 from ..machine.orphan import STARTER
 from .process import GRACE
 
-GPU = "/dev/nvidia"  # how the names of its devices begin
-FIRST_TO_GO = "500"  # of 1000: where the system runs out of memory it ends a stage, and not who looks after the stages
+GPU = "/dev/nvidia"  # prefix of the device files
+FIRST_TO_GO = "500"  # of 1000: if the system runs out of memory, it should end a stage and not the process that manages stages
 
 
 def serve() -> int:
     os.environ[STARTER] = str(os.getpid())  # stages end with this process
     answers = os.dup(1)
-    os.dup2(2, 1)  # what an import prints is no answer
+    os.dup2(2, 1)  # output printed by imports must not mix with answers
     imported = _sources()
     while line := sys.stdin.buffer.readline():
         if any(_digest(file) != digest for file, digest in imported.items()):
-            break  # without an answer: who asks starts another server
+            break  # without an answer, so the caller starts another server
         arguments, log = json.loads(line)
         reading, writing = os.pipe()
-        gc.freeze()  # what the fork's garbage collector looks at it would have to copy
+        gc.freeze()  # pages that the fork's garbage collector touches would have to be copied
         pid = os.fork()
         if pid == 0:
             os.close(answers)
@@ -74,12 +74,12 @@ def _sources() -> dict[str, str]:
 def _digest(file: str) -> str:
     try:
         return digest_file(Path(file))
-    except OSError:  # it has gone
+    except OSError:  # it was removed
         return ""
 
 
 def _stage(arguments: list[str], log: str, writing: int) -> NoReturn:
-    """In the fork. Its end closes ``writing``, into which goes first what the next stages may want imported."""
+    """Runs a stage, in the fork. At its end it writes the names of new modules to ``writing``, for the server to import, and closes it."""
     _lead_group(0)
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:  # not Linux
         file.write(FIRST_TO_GO)
@@ -96,16 +96,17 @@ def _stage(arguments: list[str], log: str, writing: int) -> NoReturn:
 
     code = int(main(arguments) or 0)
     new = [] if _uses_gpu() else sorted(set(sys.modules) - before)
-    with contextlib.suppress(OSError), open(writing, "w") as report:  # the server may be gone
+    with contextlib.suppress(OSError), open(writing, "w") as report:  # the server may have ended
         report.write("\n".join(new))
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(code)  # the usual end takes every module apart, and for that copies what was shared: 0.7 s
+    os._exit(code)  # a normal exit would tear down every module and copy shared pages for that: 0.7 s
 
 
 def _uses_gpu() -> bool:
-    """A process that has opened a GPU cannot be forked, so nothing is learned from a stage that has: what it imports may open one."""
+    """Whether this process has opened a GPU. The server must never do so, since it could then not fork; so it imports nothing that such a
+    stage imported, because importing that may open a GPU."""
     for number in os.listdir("/proc/self/fd"):
         with contextlib.suppress(OSError):
             if os.readlink(f"/proc/self/fd/{number}").startswith(GPU):
@@ -114,7 +115,8 @@ def _uses_gpu() -> bool:
 
 
 def _until_ended(reading: int, pid: int) -> list[str]:
-    """What the stage reports, when it has ended. Ends it, and this process, where who started this process is gone."""
+    """Waits until the stage has ended and returns what it reports. If the process that started this one is gone, ends the stage and this
+    process."""
     found = b""
     while True:
         ready, _, _ = select.select([0, reading], [], [])
@@ -123,13 +125,13 @@ def _until_ended(reading: int, pid: int) -> list[str]:
             if not more:
                 return found.decode(errors="replace").split()
             found += more
-        elif 0 in ready:  # only one stage is asked for at a time, so this is the end of the input
+        elif 0 in ready:  # stages are requested one at a time, so this is the end of the input
             _end(reading, pid)
             os._exit(1)
 
 
 def _end(reading: int, pid: int) -> None:
-    """The stage, and what it has started."""
+    """Ends the stage and what it has started."""
     until = time.monotonic() + GRACE
     with contextlib.suppress(ProcessLookupError):
         os.killpg(pid, signal.SIGTERM)
@@ -140,7 +142,7 @@ def _end(reading: int, pid: int) -> None:
 
 
 def _lead_group(pid: int) -> None:
-    """Done by the fork and by its parent, so that the group is there for both at once."""
+    """Makes a process the leader of its group. The fork and its parent both do this, so that the group exists for either from the start."""
     with contextlib.suppress(OSError):
         os.setpgid(pid, pid)
 

@@ -1,4 +1,4 @@
-"""Stages as forks of processes that have imported what stages need (`fork_server.py`)."""
+"""Runs stages as forks of processes that have already imported what stages need (`fork_server.py`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pathlib import Path
 
 
 class Fork:
-    """A stage's process, with the part of `subprocess.Popen` that `process.py` asks for."""
+    """A stage's process, with the part of `subprocess.Popen`'s interface that `process.py` needs."""
 
     def __init__(self, servers: ForkServers, server: _Server, pid: int) -> None:
         self.pid = pid
@@ -29,10 +29,10 @@ class Fork:
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Exit code, negative for a signal. Raises subprocess.TimeoutExpired where it takes more than ``timeout`` seconds."""
+        """Exit code, negative for a signal. Raises subprocess.TimeoutExpired after ``timeout`` seconds."""
         if self.returncode is None:
             code = self._server.answer(timeout)
-            if code is None:  # the server is gone; without it the stage would end itself a little later
+            if code is None:  # the server is gone, and the stage would end itself a little later
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(self.pid, signal.SIGKILL)
                 self._server.close()
@@ -44,20 +44,20 @@ class Fork:
 
 
 class ForkServers:
-    """One server for each stage that runs at the same time; they wait for the next one with what they have imported."""
+    """Keeps one server for each stage that runs at the same time. Idle servers keep their imports and wait for the next stage."""
 
     def __init__(self) -> None:
         self._idle: list[_Server] = []
         self._lock = threading.Lock()
 
     def fork(self, arguments: Sequence[str], environment: Mapping[str, str], log: Path) -> Fork:
-        """Run e4dgs with ``arguments``; what it prints is added to ``log``.
+        """Runs e4dgs with ``arguments``; its output is appended to ``log``.
 
-        Libraries read thread counts from the environment when they are imported, so a server serves one environment. Raises OSError
-        where no server could be started; ``log`` says why.
+        Libraries read thread counts from the environment when they are imported, so each server serves one environment. Raises OSError
+        if no server could be started; ``log`` says why.
         """
         while (server := self._take(environment)) is not None:
-            with contextlib.suppress(OSError):  # it has died while it waited
+            with contextlib.suppress(OSError):  # it died while idle
                 return Fork(self, server, server.ask(arguments, log))
             server.close()
         server = _Server(environment, log)
@@ -68,7 +68,7 @@ class ForkServers:
             raise
 
     def close(self) -> None:
-        """Ends the servers that wait."""
+        """Ends the idle servers."""
         with self._lock:
             idle, self._idle = self._idle, []
         for server in idle:
@@ -79,7 +79,7 @@ class ForkServers:
             self._idle.append(server)
 
     def _take(self, environment: Mapping[str, str]) -> _Server | None:
-        """An idle server for ``environment``. Those for another one are closed: thread counts change when few scenes are left."""
+        """An idle server for ``environment``. Servers for other environments are closed, since thread counts change as scenes finish."""
         with self._lock:
             others = [server for server in self._idle if server.environment != environment]
             self._idle = [server for server in self._idle if server.environment == environment]
@@ -105,9 +105,9 @@ class _Server:
             )
 
     def ask(self, arguments: Sequence[str], log: Path) -> int:
-        """Process id of a new stage. Raises OSError."""
+        """Starts a stage and returns its process id. Raises OSError."""
         assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it has ended, and will answer nothing
+        with contextlib.suppress(BrokenPipeError):  # it has ended and will not answer
             self._process.stdin.write(json.dumps([list(arguments), str(log)]).encode() + b"\n")
         pid = self.answer(None)
         if pid is None:
@@ -115,7 +115,7 @@ class _Server:
         return pid
 
     def answer(self, timeout: float | None) -> int | None:
-        """A number that the server says; None where it has ended. Raises subprocess.TimeoutExpired."""
+        """The server's next answer, a number; None if the server has ended. Raises subprocess.TimeoutExpired."""
         assert self._process.stdout is not None
         poll = select.poll()
         poll.register(self._process.stdout, select.POLLIN)

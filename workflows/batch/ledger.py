@@ -1,4 +1,4 @@
-"""The folder of a batch: its scenes, and the state of each in a file of its own, which anyone can read without asking the head."""
+"""The folder of a batch: its scenes, and a file with the state of each, which any process can read without asking the head."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from .listing import Entry, known
 
 State = Literal["waiting", "running", "done", "failed", "lost"]
 LOST = "who ran it is gone; the same e4dgs batch command goes on with it"
-LOOK = 0.2  # s between two tries to work on a scene
+LOOK = 0.2  # s between two attempts to lock a scene
 
 
 @dataclass
 class Progress:
-    """Where a scene stands. stage: the one that runs, or that failed. seconds: of its stages so far, in this batch. attempts: tries so far,
-    the first one and one for each stage that failed and was tried again.
+    """The state of a scene. stage: the one that runs or has failed. seconds: spent on its stages so far, in this batch. attempts: tries so
+    far, the first one and one for each failed stage that was tried again.
 
-    "lost" is never written: it is what `Ledger.shown` makes of "running" where nobody is at work.
+    "lost" is never written: `Ledger.shown` returns it instead of "running" if no process works on the scene.
     """
 
     state: State = "waiting"
@@ -36,7 +36,7 @@ class Progress:
 
 
 class Ledger:
-    """``<workspace>/batches/<name>/``: ``batch.json`` with the scenes, results, ``states``, ``logs`` and ``locks`` of the scenes."""
+    """``<workspace>/batches/<name>/``: ``batch.json`` with the scenes, results, and ``states``, ``logs`` and ``locks`` of the scenes."""
 
     def __init__(self, workspace: Path, name: str) -> None:
         self.workspace, self.name = workspace, name
@@ -44,8 +44,8 @@ class Ledger:
 
     @classmethod
     def create(cls, workspace: Path, name: str, entries: Sequence[Entry], command: str = "") -> Ledger:
-        """The batch ``name``, new or gone on with: what is done stays done, scenes that are no longer asked for are forgotten. command:
-        the words that a person types to go on with it."""
+        """The batch ``name``, new or resumed: finished scenes stay done, and scenes no longer listed are forgotten. command: what a person
+        types to resume it."""
         ledger = cls(workspace, name)
         content = {"workspace": str(workspace), "command": command, "scenes": [entry.as_json() for entry in entries]}
         before = {entry.name: entry for entry in ledger.entries()} if ledger.exists() else {}
@@ -59,38 +59,38 @@ class Ledger:
         return (self.folder / "batch.json").is_file()
 
     def entries(self) -> list[Entry]:
-        """Raises ArtifactError where there is no such batch."""
+        """The scenes of the batch. Raises ArtifactError if there is no such batch."""
         content = read_json(self.folder / "batch.json")
         if not isinstance(content, dict):
             raise ArtifactError(f"{self.folder}: there is no such batch; batches here: {', '.join(batches(self.workspace)) or 'none'}")
         return [Entry.from_json(row) for row in content["scenes"]]
 
     def command(self) -> str:
-        """What goes on with the batch, "" where that was not written down."""
+        """The command that resumes the batch, "" if it was not recorded."""
         content = read_json(self.folder / "batch.json")
         return str(content.get("command", "")) if isinstance(content, dict) else ""
 
     def progress(self, scene: str) -> Progress:
-        """As it was written last, see also `shown`. What a later version has added is left out, a state that is not known is "waiting"."""
+        """The state as last written; see also `shown`. Fields of later versions are left out, and an unknown state becomes "waiting"."""
         content = read_json(self._state(scene))
         if not isinstance(content, dict) or content.get("state") not in get_args(State):
             return Progress()
         return Progress(**known(Progress, content))
 
     def shown(self, scene: str) -> Progress:
-        """As `progress`, for people: "lost" where a stage is said to run and whoever ran it is gone."""
+        """As `progress`, for people: "lost" if the state is "running" but the process that ran it is gone."""
         found = self.progress(scene)
         if found.state == "running" and not is_locked(self._lock(scene)):
-            found = self.progress(scene)  # it may have come to its end between the two looks
+            found = self.progress(scene)  # it may have ended between the two checks
             if found.state == "running":
                 return replace(found, state="lost", message=LOST)
         return found
 
     @contextmanager
     def at_work(self, scene: str, stopped: Callable[[], bool]) -> Iterator[bool]:
-        """Only one process at a time works on a scene: True when it is ours, False where ``stopped`` came first.
+        """Locks a scene, so that only one process at a time works on it: True once it is ours, False if ``stopped`` came first.
 
-        Stages of a head or a worker that was killed end a little later than it (`orphan.py`); who comes after them waits here.
+        Stages of a killed head or worker end a little later than it (`orphan.py`); the next process waits for them here.
         """
         while not stopped():
             with locked(self._lock(scene), wait=False) as ours:
@@ -108,7 +108,7 @@ class Ledger:
         return self.folder / "logs" / f"{scene}.log"
 
     def metrics(self, scene: str) -> dict[str, Any]:
-        """metrics.json of a scene, empty where there is none."""
+        """metrics.json of a scene; empty if there is none."""
         content = read_json(self.workspace / "scenes" / scene / "metrics.json")
         return content if isinstance(content, dict) else {}
 

@@ -1,4 +1,4 @@
-"""What a batch is made of: captures from paths, patterns and YAML lists, with their settings, and sweeps over settings."""
+"""The scenes of a batch: captures from paths, patterns and YAML lists, with their settings, and sweeps over settings."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 @dataclass(frozen=True)
 class Entry:
-    """One scene of a batch, as JSON can hold it. capture: an absolute path. settings: ("stage.key", text) as after ``--set``. group: what
-    scenes that differ in their seeds alone have in common."""
+    """One scene of a batch, in a form that fits JSON. capture: an absolute path. settings: ("stage.key", text) as after ``--set``. group:
+    the same for scenes that differ only in their seeds."""
 
     name: str
     capture: str
@@ -46,19 +46,19 @@ class Entry:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Entry:
-        """What `as_json` made, of this version, an earlier or a later one: fields that are not known here are left out."""
+        """Reads what `as_json` of this, an earlier or a later version wrote. Unknown fields are left out."""
         settings = tuple((key, value) for key, value in data.get("settings", ()))
         return cls(**{**known(cls, data), "settings": settings, "store_also": tuple(data.get("store_also", ()))})
 
 
 def known(cls: type, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of ``data`` that are fields of a dataclass."""
+    """The items of ``data`` that are fields of the dataclass ``cls``."""
     return {f.name: data[f.name] for f in fields(cls) if f.name in data}
 
 
 @dataclass
 class _Listed:
-    """Captures and what a list says about all of them."""
+    """Captures, and the sweep that applies to all of them."""
 
     entries: list[Entry] = field(default_factory=list)
     sweep: dict[str, list[str]] = field(default_factory=dict)
@@ -66,9 +66,9 @@ class _Listed:
 
 def entries_of(words: Sequence[str], common: Entry) -> list[Entry]:
     """The scenes that the ``words`` of a command line name: paths, patterns with * or ?, and files that end in .yaml or .yml (see
-    `workflows/DESIGN.md`). ``common`` has what holds for all of them; a list's own settings win over it.
+    `workflows/DESIGN.md`). ``common`` holds what applies to all of them; a list's own settings win over it.
 
-    Raises SettingsError where a word names nothing, a list is not one, or two scenes have one name.
+    Raises SettingsError if a word names nothing, a list is not valid, or two scenes have the same name.
     """
     listed = _Listed()
     for word in words:
@@ -145,14 +145,14 @@ def _with(entry: Entry, data: Mapping[str, Any], where: str) -> Entry:
 
 
 def _text(value: Any) -> str:
-    """As ``--set`` takes it."""
+    """The value as text for ``--set``."""
     if isinstance(value, list):
         return ",".join(map(_text, value))
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _named(entries: list[Entry]) -> list[Entry]:
-    """Scenes without a name get that of the capture, with that of its folder where several are called alike."""
+    """Names scenes without a name after their capture, prefixed with its folder's name if several would have the same name."""
     names = [entry.name or _safe(Path(entry.capture)) for entry in entries]
     often = Counter(names)
     result = []

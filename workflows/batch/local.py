@@ -1,4 +1,4 @@
-"""Scenes of a batch on this machine, several at a time; they share its cores, its memory and its GPU."""
+"""Runs the scenes of a batch on this machine, several at a time. They share its cores, memory and GPU."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from .listing import Entry
 from .share import Lease, Share, cores
 from .work import PARTS, SERVERS, StageFailed, run_part
 
-MOST_JOBS = 2  # by default, where there are not four cores for each
+MOST_JOBS = 2  # default on machines with fewer than four cores for each scene
 
 
 def usual_jobs() -> int:
-    """One for each four cores, two at least: decoding and structure from motion of one scene fill what training of another leaves."""
+    """One scene for every four cores, but at least two if there are two cores: decoding and structure from motion of one scene use the
+    cores that training of the other leaves idle."""
     return max(min(MOST_JOBS, cores()), cores() // 4)
 
 
 class Local:
     """Runs scenes until all are done or have failed.
 
-    jobs: scenes at a time. memory_gb: of all stages together. retries: further tries of a scene whose stage failed. timeout: seconds for
+    jobs: scenes at a time. memory_gb: for all stages together. retries: further tries of a scene with a failed stage. timeout: seconds for
     each stage.
     """
 
@@ -45,7 +46,7 @@ class Local:
         return futures
 
     def stop(self) -> None:
-        """Stages that run are ended; their checkpoints stay."""
+        """Ends the running stages; their checkpoints stay."""
         self._stopped.set()
         self._pool.shutdown(wait=True, cancel_futures=True)
         SERVERS.close()
@@ -61,8 +62,8 @@ class Local:
                 return all(self._part(entry, part, alone) for part in PARTS)
             except StageFailed as error:
                 alone = error.memory
-            except Exception as error:  # no process could be started, say, or the scene's own files cannot be read
-                # Nobody asks the future, so a scene that says nothing here would be left without a word.
+            except Exception as error:  # for example no process could be started, or the scene's files cannot be read
+                # Nobody reads the future's exception, so it is recorded here.
                 self._failed(entry.name, error)
             if self._stopped.is_set():
                 break
@@ -76,7 +77,7 @@ class Local:
     def _part(self, entry: Entry, part: str, alone: bool) -> bool:
         @contextlib.contextmanager
         def take(wanted: Resources) -> Iterator[Lease]:
-            if alone:  # it failed for want of memory, so it gets all there is
+            if alone:  # it failed for lack of memory, so it gets all there is
                 wanted = replace(wanted, memory_gb=max(wanted.memory_gb, self._share.memory_gb))
             with self._share.take(wanted, min(self.jobs, self._left)) as lease:
                 yield lease

@@ -1,4 +1,4 @@
-"""A stage in a process of its own: ended when it takes too long or too much memory, and what is said where it failed."""
+"""Runs a stage in its own process, ends it if it takes too long or too much memory, and explains failures."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Protocol
 
 import psutil
 
-LAST_LINES = 3  # of a stage's log, for the message of its failure
-LOOK = 0.2  # s between two looks at the clock
-LOOK_AT_MEMORY = 1.0  # s; listing children walks the process table
-GRACE = 10.0  # s between the request to end and the end
+LAST_LINES = 3  # of a stage's log that go into the message about its failure
+LOOK = 0.2  # s between two checks of the time
+LOOK_AT_MEMORY = 1.0  # s between two checks of memory, since listing children walks the process table
+GRACE = 10.0  # s between SIGTERM and SIGKILL
 
 
 class Process(Protocol):
-    """The leader of a group of processes: a `subprocess.Popen` with a session of its own, or a `forks.Fork`."""
+    """The leader of a process group: a `subprocess.Popen` with its own session, or a `forks.Fork`."""
 
     @property
     def pid(self) -> int: ...
@@ -31,8 +31,8 @@ class Process(Protocol):
 
 @dataclass(frozen=True)
 class Ended:
-    """code: exit code, negative for a signal; None where we ended it. problem: why it failed, "" where it did not. memory: whether for
-    want of memory."""
+    """code: exit code, negative for a signal; None if we ended it. problem: why it failed, "" if it did not. memory: whether it failed for
+    lack of memory."""
 
     code: int | None
     seconds: float
@@ -47,10 +47,10 @@ def run_process(
     too_large: Callable[[float], str],
     stopped: Callable[[], bool],
 ) -> Ended:
-    """Wait for the process that ``start`` starts, which adds what it prints to ``log``.
+    """Starts a process with ``start`` and waits for it. The process appends its output to ``log``.
 
-    timeout: seconds. too_large: asked once a second with the GB that the process and its children take; a text ends it, with that text as
-    the problem. stopped: asked now and then; True ends it.
+    timeout: seconds. too_large: called once a second with the GB that the process and its children use; if it returns a text, the process
+    is ended with that text as the problem. stopped: polled; True ends the process.
     """
     started = time.monotonic()
     begin = log.stat().st_size if log.is_file() else 0
@@ -68,7 +68,7 @@ def run_process(
 def _wait(
     process: Process, started: float, timeout: float | None, too_large: Callable[[float], str], stopped: Callable[[], bool]
 ) -> tuple[int | None, str]:
-    """Exit code, or None and why it has to be ended."""
+    """Exit code, or None and why the process must be ended."""
     looked = started
     while not stopped():
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -84,7 +84,7 @@ def _wait(
 
 
 def _memory_gb(pid: int) -> float:
-    """Resident memory of a process and its children."""
+    """Resident memory of a process and its children, GB."""
     total = 0
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
@@ -95,7 +95,7 @@ def _memory_gb(pid: int) -> float:
 
 
 def _end(process: Process) -> None:
-    """The process and what it has started."""
+    """Ends the process and its group, which includes what it has started."""
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGTERM)
         try:
@@ -106,7 +106,7 @@ def _end(process: Process) -> None:
 
 
 def _why(log: Path, begin: int, code: int) -> str:
-    """What a process that failed has said last. begin: where its part of the log begins."""
+    """The last words of a failed process. begin: where its part of the log begins, bytes."""
     if code < 0:
         number = -code
         hint = "; out of memory, perhaps: fewer scenes at a time (--jobs) or smaller pictures" if number == signal.SIGKILL else ""

@@ -1,4 +1,4 @@
-"""What the stages that run at the same time on a machine share: its cores, its memory and its GPU."""
+"""Shares a machine's cores, memory and GPU among the stages that run on it at the same time."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import psutil
 
 from ...pipeline import Resources
 
-OURS = 0.9  # of the machine's memory, by default
-LOOK = 0.5  # s; nobody tells a stage that waits that the batch was stopped
-LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container
+OURS = 0.9  # default share of the machine's memory
+LOOK = 0.5  # s; a waiting stage is not notified when the batch is stopped, so it checks this often
+LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # memory limits of a container
 
 
 @dataclass(eq=False)  # two stages that want the same are still two stages
 class Lease:
-    """What a stage may take. threads: None leaves it to the stage. most_gb: more ends it; None for no bound. used_gb: what it was seen to
-    take last."""
+    """What a stage may use. threads: None leaves it to the stage. most_gb: a stage that takes more is ended; None for no limit. used_gb:
+    memory that it was last seen to use."""
 
     wanted: Resources
     threads: int | None = None
@@ -29,7 +29,7 @@ class Lease:
     used_gb: float = 0.0
 
     def too_large(self, used_gb: float) -> str:
-        """Why the stage has to end now that it takes ``used_gb``; "" where it may go on."""
+        """Why the stage must end now that it uses ``used_gb``; "" if it may go on."""
         self.used_gb = used_gb
         if self.most_gb is None or used_gb <= self.most_gb:
             return ""
@@ -40,9 +40,9 @@ class Lease:
 
 
 class Share:
-    """One stage at a time has the GPU; the memory that stages say they take stays below ``memory_gb``, unless one runs alone.
+    """One stage at a time has the GPU. The declared memory of all running stages stays below ``memory_gb``, unless one runs alone.
 
-    cores: to be divided among the scenes of the batch that are at work. stopped: asked while a stage waits.
+    cores: divided among the scenes that are being worked on. stopped: polled while a stage waits.
     """
 
     def __init__(self, cores: int, memory_gb: float, stopped: Callable[[], bool]) -> None:
@@ -53,7 +53,7 @@ class Share:
 
     @contextlib.contextmanager
     def take(self, wanted: Resources, scenes: int) -> Iterator[Lease]:
-        """Waits until the stage can run, or the batch was stopped. scenes: that are at work now, this one included."""
+        """Waits until the stage can run or the batch was stopped. scenes: number being worked on now, including this one."""
         threads = max(1, self.cores // max(1, scenes))
         lease = _Shared(wanted, min(threads, wanted.cores or threads), share=self)
         with self._changed:
@@ -73,14 +73,14 @@ class Share:
         busy = any(one.wanted.gpu for one in self._running)
         if lease.wanted.gpu and busy:
             return False
-        # Who came before keeps its place, else a large stage would wait until the small ones have all been run.
+        # Earlier stages keep their place in the queue; otherwise a large stage would wait until all small ones have run.
         before = self._waiting[: self._waiting.index(lease)]
         ahead = [one for one in before if not (one.wanted.gpu and busy)]
         taken = sum(one.wanted.memory_gb for one in (*self._running, *ahead))
         return not (self._running or ahead) or taken + lease.wanted.memory_gb <= self.memory_gb
 
     def too_large(self, lease: Lease) -> str:
-        """The stage that takes most above what it said has to go where all take too much."""
+        """If all stages together use too much, the one that exceeds its declared memory most must end."""
         with self._changed:
             excess = {id(one): one.used_gb - one.wanted.memory_gb for one in self._running}
             total = sum(one.used_gb for one in self._running)
@@ -103,12 +103,12 @@ class _Shared(Lease):
 
 
 def cores() -> int:
-    """That this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def usual_memory_gb() -> float:
-    """Of this machine, or of the container, without what the system and others need."""
+    """Memory of this machine or container, without a share for the system and other programs."""
     found = psutil.virtual_memory().total
     for file in LIMITS:
         with contextlib.suppress(OSError, ValueError):

@@ -1,6 +1,6 @@
-"""What a batch has come to: one row a scene, as CSV, Parquet and a page with the worst scenes first.
+"""The results of a batch: one row per scene, as CSV, Parquet and a page with the worst scenes first.
 
-``python -m e4dgs.workflows.batch.summary WORKSPACE BATCH`` writes them, as the last job of `slurm.py` does.
+``python -m e4dgs.workflows.batch.summary WORKSPACE BATCH`` writes them; the last job of `slurm.py` runs this.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ COLUMNS = (
 
 
 def rows_of(ledger: Ledger) -> list[dict[str, Any]]:
-    """A row of `COLUMNS` for each scene, in the order of the batch; None where something is not known. The metrics are those of test, of
-    val where there is none, else of training views. command: runs this scene again, by itself."""
+    """A row of `COLUMNS` for each scene, in the order of the batch; unknown values are None. The metrics are those of the test views, or
+    else of the validation or training views. command: runs this scene again by itself."""
     rows = []
     for entry in ledger.entries():
         progress = ledger.shown(entry.name)
@@ -52,13 +52,13 @@ def rows_of(ledger: Ledger) -> list[dict[str, Any]]:
 
 
 def worst_first(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Failed scenes, then rising PSNR, then what is not done."""
+    """Failed scenes first, then finished ones by rising PSNR, then unfinished ones."""
     order = {"failed": 0, "done": 1}
     return sorted(rows, key=lambda row: (order.get(row["state"], 2), row["psnr"] if row["psnr"] is not None else math.inf))
 
 
 def spread(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Mean and standard deviation of PSNR over scenes of one group, for groups of several: what differs in its seed alone."""
+    """Mean and standard deviation of PSNR over each group of several scenes. The scenes of a group differ only in their seed."""
     groups: dict[str, list[float]] = defaultdict(list)
     for row in rows:
         if row["psnr"] is not None:
@@ -71,7 +71,7 @@ def spread(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def write_summary(ledger: Ledger) -> Path:
-    """Writes ``results.csv``, ``results.parquet`` and ``results.html`` into the batch's folder; returns the page."""
+    """Writes ``results.csv``, ``results.parquet`` and ``results.html`` to the batch's folder; returns the path of the page."""
     import pyarrow
     import pyarrow.parquet
     from jinja2 import Environment

@@ -1,4 +1,4 @@
-"""What a worker does: the stages of a scene, each in a process of its own, so that a crash or a hang costs that stage and nothing else."""
+"""What a worker does: it runs the stages of a scene, each in its own process, so that a crash or a hang costs only that stage."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from .listing import Entry
 from .process import Ended, run_process
 from .share import Lease
 
-PARTS = ("before", "train", "after")  # where there is a GPU, the last two want it
+PARTS = ("before", "train", "after")  # the last two use the GPU if there is one
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
-SERVERS = ForkServers()  # of this process; they end with it
+SERVERS = ForkServers()  # of this process; they end when it ends
 
 Take = Callable[[Resources], AbstractContextManager[Lease]]
 
 
 class StageFailed(Exception):
-    """A stage of a scene failed. The message says which, and why. memory: for want of memory."""
+    """A stage of a scene failed. The message says which, and why. memory: it failed for lack of memory."""
 
     def __init__(self, message: str, memory: bool = False) -> None:
-        super().__init__(message, memory)  # all arguments, so that it comes whole from another process
+        super().__init__(message, memory)  # all arguments, so that pickling between processes keeps them
         self.message, self.memory = message, memory
 
     def __str__(self) -> str:
@@ -48,11 +48,11 @@ def run_part(
     stopped: Callable[[], bool] = lambda: False,
     take: Take | None = None,
 ) -> bool:
-    """Run what ``part`` of `PARTS` of a scene still needs. Where another process is at work on the scene, wait until it has ended.
+    """Runs the stages that ``part`` of `PARTS` of a scene still needs. If another process works on the scene, waits until that has ended.
 
-    timeout: seconds for each stage. threads: for each stage. memory_gb: more ends a stage. stopped: asked now and then; True ends the
-    stage. take: in place of the two before, what stages on this machine share; it waits until a stage can run. Returns False where it
-    was stopped, or the capture is refused, which another try would not change. Raises StageFailed where a stage fails; the scene's state
+    timeout: seconds for each stage. threads: for each stage. memory_gb: a stage that takes more is ended. stopped: polled; True ends the
+    stage. take: replaces threads and memory_gb for stages that share this machine, and waits until a stage can run. Returns False if it was
+    stopped or the capture is refused, which another try would not change. Raises StageFailed if a stage fails; the scene's state then
     says the same.
     """
     ledger = Ledger(Path(workspace), batch)
@@ -61,7 +61,7 @@ def run_part(
 
 
 def _alone(threads: int | None, memory_gb: float | None) -> Take:
-    """For a worker whose cluster has given it what it may take."""
+    """For a worker with a fixed share of threads and memory from its cluster."""
     return lambda wanted: contextlib.nullcontext(Lease(wanted, threads, memory_gb))
 
 
@@ -111,7 +111,7 @@ def _run_part(
 
 
 def is_current(ledger: Ledger, entry: Entry) -> bool:
-    """Whether the store still has every result of a scene, as its capture and this version of e4dgs would make them."""
+    """Whether the store still has every result of a scene, with the keys that its capture and this version of e4dgs give."""
     try:
         rows = make_plan(open_session(entry.options(ledger.workspace)).job)
     except PipelineError:
@@ -120,20 +120,21 @@ def is_current(ledger: Ledger, entry: Entry) -> bool:
 
 
 def _is_a_try(progress: Progress) -> bool:
-    """Whether going on from ``progress`` is a new try. A stage that was stopped, or lost with its worker, goes on with the old one."""
+    """Whether resuming from ``progress`` is a new try. A stage that was stopped, or lost with its worker, continues the old try."""
     return progress.attempts == 0 or progress.state == "failed"
 
 
 def _stages(job: Job, part: str) -> list[str]:
-    """Targets of `e4dgs run`, one after the other: stages of ``part`` that are not in the store. The last part ends with "all", which
-    measures and draws the report."""
+    """Targets of `e4dgs run` in order: the stages of ``part`` that are not in the store. The last part is "all", which evaluates and draws
+    the report."""
     if part == PARTS[-1]:
         return ["all"]
     return [row.stage for row in make_plan(job) if row.state == "run" and row.stage != EVALUATION and _part_of(job, row.stage) == part]
 
 
 def _part_of(job: Job, stage: str) -> str:
-    """Results that are kept apart by device belong to the machine that trains: another one would look for them under another key."""
+    """The part that a stage belongs to. Results whose keys depend on the device are made on the training machine, which looks for them
+    under its own key."""
     return "train" if stage in TRAINING or job.graph[stage].device_class else "before"
 
 

@@ -1,4 +1,4 @@
-"""Reading YAML that nobody has vouched for: plain values alone, within bounds before anything is made of them."""
+"""Reads untrusted YAML: only plain values, and sizes are checked before any values are built."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 MOST_BYTES = 4 * 2**20
 DEEPEST = 50
-MOST_VALUES = 1_000_000  # with every alias written out: ten lines of them can stand for 10^10 values
+MOST_VALUES = 1_000_000  # with every alias expanded: ten lines of aliases can stand for 10^10 values
 
 
 def read_yaml(file: Path) -> Any:
-    """What ``file`` holds; None where it is empty. Raises ValueError for whatever is wrong with it, and OSError."""
+    """The content of ``file``; None if it is empty. Raises ValueError if anything is wrong with it, or OSError."""
     import yaml
 
     if file.stat().st_size > MOST_BYTES:
@@ -21,7 +21,7 @@ def read_yaml(file: Path) -> Any:
     loader = kind(text)
     try:
         depth = 0
-        for event in yaml.parse(text, Loader=kind):  # libyaml's reader of values calls itself, and crashes where lists are very deep
+        for event in yaml.parse(text, Loader=kind):  # libyaml builds values recursively and crashes on very deep lists
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > DEEPEST:
                 raise ValueError(f"more than {DEEPEST} lists and mappings in one another")
@@ -37,7 +37,7 @@ def read_yaml(file: Path) -> Any:
 
 
 def _count(node: Any, known: dict[int, int | None], collection: type[Any]) -> int:
-    """Values of ``node`` with every alias written out; None in ``known`` marks those that are being counted."""
+    """Number of values in ``node`` with every alias expanded; None in ``known`` marks nodes that are being counted."""
     if not isinstance(node, collection):
         return 1
     if id(node) in known:

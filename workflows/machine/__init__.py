@@ -1,1 +1,1 @@
-"""The machine and the process that a command runs in."""
+"""The machine and the process in which a command runs."""

@@ -16,15 +16,15 @@ from pathlib import Path
 from ...pipeline import SettingsError
 
 DEVICES = ("auto", "cpu", "cuda")
-SELFTEST_SECONDS = 300  # at most; the first time the kernels are compiled
+SELFTEST_SECONDS = 300  # time limit; the first self-test also compiles the kernels
 EXTRAS = "install e4dgs[cuda13], or e4dgs[cuda12] where torch.version.cuda starts with 12"
-NVRTC_PACKAGES = ("nvidia.cu13", "nvidia.cuda_nvrtc")  # where NVIDIA's wheels for CUDA 13 and 12 put it
-TOOLKITS = ("CUDA_HOME", "CUDA_PATH", "CONDA_PREFIX")  # environment variables with the folder of one
+NVRTC_PACKAGES = ("nvidia.cu13", "nvidia.cuda_nvrtc")  # modules of NVRTC in NVIDIA's wheels for CUDA 13 and 12
+TOOLKITS = ("CUDA_HOME", "CUDA_PATH", "CONDA_PREFIX")  # environment variables that name a toolkit's folder
 SYSTEM_TOOLKIT = "/usr/local/cuda"
 
 
 def resolve_device(choice: str) -> str:
-    """``auto`` -> "cuda" where it can be used, else "cpu". Raises SettingsError for ``cuda`` where it cannot, with the reason."""
+    """``auto`` -> "cuda" if it can be used, else "cpu". Raises SettingsError with the reason if ``cuda`` cannot be used."""
     if choice not in DEVICES:
         raise SettingsError(f"--device {choice}: choose one of {', '.join(DEVICES)}")
     if choice == "cpu":
@@ -36,8 +36,8 @@ def resolve_device(choice: str) -> str:
 
 
 def why_not_cuda() -> str | None:
-    """Why CUDA cannot be used here, or None when it can. Checks what can be seen without importing torch or loading NVRTC;
-    `e4dgs.rasterizer.cuda.runtime.why_not` checks the rest where the kernels are used."""
+    """Why CUDA cannot be used here, or None if it can. Only checks what is visible without importing torch or loading NVRTC;
+    `e4dgs.rasterizer.cuda.runtime.why_not` checks the rest when the kernels are used."""
     spec = find_spec("torch")
     if spec is None or spec.origin is None:
         return "torch is not installed"
@@ -60,8 +60,8 @@ def why_not_cuda() -> str | None:
 
 
 def why_not_trusted() -> str | None:
-    """What a small render on the GPU says that is not what the CPU says, or None where they agree. Run in a process of its own; that they
-    agreed is remembered for this version of e4dgs, torch and driver."""
+    """Why the GPU cannot be trusted, or None if a small render on it agrees with the CPU's. The render runs in a separate process.
+    Agreement is remembered for these kernels, torch and driver."""
     proof = _proof()
     if proof.is_file():
         return None
@@ -73,14 +73,14 @@ def why_not_trusted() -> str | None:
     if done.returncode:
         said = (done.stdout.strip() or done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
         return f"a small render on the GPU went wrong: {said}"
-    with suppress(OSError):  # then it is asked again next time
+    with suppress(OSError):  # the check is then repeated next time
         proof.parent.mkdir(parents=True, exist_ok=True)
         proof.touch()
     return None
 
 
 def _proof() -> Path:
-    """A file that is there once the kernels have agreed with the CPU's on this machine: for these kernels, this torch and this driver."""
+    """A file that exists once these CUDA kernels, with this torch and driver, have agreed with the CPU's on this machine."""
     state = hashlib.sha256()
     kernels = Path(__file__).resolve().parents[2] / "rasterizer"
     for path in sorted([*kernels.glob("cuda/*"), *kernels.glob("math/*")]):
@@ -103,7 +103,7 @@ def _is_there(module: str) -> bool:
 
 
 def _nvrtc_is_there() -> bool:
-    """In a package of its own, in a toolkit, or where the system's loader looks; torch's CUDA builds bring the package."""
+    """Whether NVRTC is in its own package, in a toolkit, or where the system's loader looks. torch's CUDA builds bring the package."""
     if any(_is_there(package) for package in NVRTC_PACKAGES):
         return True
     roots = [*(os.environ.get(name, "") for name in TOOLKITS), SYSTEM_TOOLKIT]

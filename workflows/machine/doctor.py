@@ -1,4 +1,4 @@
-"""`e4dgs doctor`: what this installation has, and what is missing; every check catches its own failure."""
+"""`e4dgs doctor`: what this installation has and what is missing. Every check catches its own failure."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
     return found
 
 
-_MODULES = {"opencv-contrib-python-headless": "cv2", "open3d-cpu": "open3d"}  # other distributions bring the same module
-_OWN_ROWS = ("cuda12", "cuda13", "dev")  # extras: the kernels have rows of their own, and who runs e4dgs needs no tools
+_MODULES = {"opencv-contrib-python-headless": "cv2", "open3d-cpu": "open3d"}  # modules that other distributions provide as well
+_OWN_ROWS = ("cuda12", "cuda13", "dev")  # extras left out: the CUDA kernels have their own rows, and users need no developer tools
 
 
 def _libraries() -> list[tuple[str, bool | None, str]]:
-    """What e4dgs asks for, as it was installed: what it needs first, then what its extras bring."""
+    """The dependencies of the installed e4dgs: required ones first, then those of its extras."""
     try:
         asked = metadata.requires("e4dgs") or []
     except metadata.PackageNotFoundError:
@@ -115,7 +115,7 @@ def _cuda() -> list[tuple[str, bool | None, str]]:
         from ...rasterizer.cuda.runtime import describe
 
         return describe()
-    except Exception as error:  # torch may be what is broken
+    except Exception as error:  # torch itself may be broken
         return [("CUDA kernels", False, f"{type(error).__name__}: {error}")]
 
 

@@ -1,4 +1,4 @@
-"""SIGTERM ends a command as Ctrl-C does, and neither of them is lost."""
+"""Makes SIGTERM end a command as Ctrl-C does, and makes sure that neither is lost."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import sys
 import threading
 from types import FrameType
 
-AGAIN = 0.05  # s after which an interrupt that was lost comes again
+AGAIN = 0.05  # s after which a lost interrupt is raised again
 
 
 def end_cleanly_when_terminated() -> None:
-    """A cluster's SIGTERM raises KeyboardInterrupt: temporary folders are removed, checkpoints stay.
+    """Makes a cluster's SIGTERM raise KeyboardInterrupt, so that temporary folders are removed and checkpoints stay.
 
-    Python drops an exception that is raised in a callback of a weak reference or in ``__del__``, an interrupt too: a run that was asked to
-    end would go on. Such an interrupt is raised again, once the callback is over. Outside the main thread nothing is changed: there the
-    caller handles signals.
+    Python drops exceptions raised in a callback of a weak reference or in ``__del__``, including interrupts, so a run that was asked to end
+    would go on. Such an interrupt is raised again after the callback. Outside the main thread nothing changes, since the caller handles
+    signals there.
     """
     try:
         signal.signal(signal.SIGTERM, _interrupt)

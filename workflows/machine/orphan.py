@@ -1,6 +1,6 @@
-"""A process that ends with the one that started it, also where that one was killed and could tell nobody.
+"""Makes a process end together with the one that started it, even if that one was killed without warning.
 
-``python -m e4dgs.workflows.machine.orphan PID MODULE`` runs a module that ends with process PID: for programs that do not look themselves.
+``python -m e4dgs.workflows.machine.orphan PID MODULE`` runs a module that ends with process PID, for programs without such a check.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import threading
 import time
 from collections.abc import Callable
 
-STARTER = "E4DGS_STARTER"  # in the environment: the process to end with
-LOOK = 0.5  # s between two looks at who the parent is
-GRACE = 10.0  # s between the request to end and the end
+STARTER = "E4DGS_STARTER"  # environment variable: id of the process to end with
+LOOK = 0.5  # s between two checks of the parent's id
+GRACE = 10.0  # s between SIGTERM and SIGKILL
 
 
 def end_with_starter() -> None:
-    """From now on this process ends with the one that its environment names, if it names one: as Ctrl-C would end it, and after `GRACE` at
-    once. What a leader of a group has started goes with it."""
-    starter = os.environ.pop(STARTER, "")  # not for processes that this one starts
+    """From now on, ends this process with the one that its environment names, if any: first as Ctrl-C would, after `GRACE` by force. The
+    leader of a process group also ends what it has started."""
+    starter = os.environ.pop(STARTER, "")  # removed, so that child processes do not inherit it
     if starter:
         _when_gone(int(starter), _end)
 
@@ -36,7 +36,7 @@ def _when_gone(parent: int, act: Callable[[], None]) -> None:
 
 
 def _end() -> None:
-    leads = os.getpgrp() == os.getpid()  # as stages of a batch do; else others belong to the group
+    leads = os.getpgrp() == os.getpid()  # as stages of a batch do; otherwise the group has other members
     for number in (signal.SIGTERM, signal.SIGKILL):
         if leads:
             os.killpg(0, number)

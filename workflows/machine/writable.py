@@ -1,4 +1,4 @@
-"""A workspace that can only be read, or is full: fine for looking, and one clear message for whatever must write."""
+"""Read-only or full workspaces: reading them works, and a command that must write ends with one clear message."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 @contextmanager
 def writing_to(workspace: Path) -> Iterator[None]:
-    """Raises StageError where the block fails because the workspace, or something in it, cannot be written or has no room."""
+    """Raises StageError if the block fails because the workspace, or something in it, cannot be written or has no room."""
     try:
         with said_when_full(workspace):
             yield

@@ -1,1 +1,1 @@
-"""What a workspace keeps, and the commands that look after it."""
+"""What a workspace stores, and the commands that manage it."""

@@ -27,5 +27,5 @@ def seconds_of(option: str, text: str) -> float:
 
 
 def megabytes(size: int) -> str:
-    """``12.3 MB``, from a thousand of them ``1.23 GB``."""
+    """``12.3 MB``; from 1000 MB on, ``1.23 GB``."""
     return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.2f} GB"

@@ -1,4 +1,4 @@
-"""A capture in a .zip file: unpacked once into the workspace, and nothing of it outside."""
+"""Captures in .zip files: unpacked once, into the workspace and nowhere else."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from ...pipeline.files import digest_bytes, digest_file
 from ...pipeline.storage.hold import hold
 
 MOST_FILES = 200_000
-MOST_TIMES_LARGER = 200  # than the archive; pictures and videos hardly shrink, so more is a bomb
-MOST_FOLDERS = 64  # one in another
-SLACK = 100_000_000  # bytes that any archive may unpack to
+MOST_TIMES_LARGER = 200  # than the archive; pictures and videos hardly compress, so more is a zip bomb
+MOST_FOLDERS = 64  # nested in one another
+SLACK = 100_000_000  # bytes that any archive may unpack to in addition
 
 
 class InUse:
-    """Whoever has one of these uses an unpacked archive, see `unpacked`."""
+    """A token: as long as it lives, an unpacked archive is in use, see `unpacked`."""
 
 
 def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path:
-    """``capture`` itself, or the folder ``<workspace>/unpacked/<key>/`` where it is a .zip file. What is there is taken as it is: the key
-    follows from the archive's name and content. A folder that holds all the rest counts as the capture.
+    """``capture`` itself or, for a .zip file, the capture in the folder ``<workspace>/unpacked/<key>/``. An existing folder is reused as it
+    is, since the key follows from the archive's name and content. If the archive holds a single folder or file, that is the capture.
 
-    user: `gc` leaves the folder alone as long as this object lives. Raises CaptureError where the file is no archive, is damaged, or holds
-    what leads out of its folder.
+    user: `gc` leaves the folder alone as long as this object lives. Raises CaptureError if the file is not an archive, is damaged, or holds
+    paths that lead out of its folder.
     """
     if capture.suffix.lower() != ".zip" or not capture.is_file():
         return capture
@@ -50,17 +50,17 @@ def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path
 
 
 def mark_of(folder: Path) -> Path:
-    """The file in an unpacked folder whose lock says that it is used (`pipeline/storage/hold.py`), and whose time of change says
-    when it was last."""
+    """The file in an unpacked folder that is locked while the folder is in use (`pipeline/storage/hold.py`). Its modification time says
+    when the folder was last used."""
     return folder / ".used"
 
 
 def _held(folder: Path, user: object | None) -> bool:
-    """False where nothing is unpacked there, or somebody takes it away just now."""
+    """False if nothing is unpacked there, or if it is being removed right now."""
     try:
         if user is not None:
             hold(user, mark_of(folder))
-        with suppress(PermissionError):  # a workspace that is only read
+        with suppress(PermissionError):  # a read-only workspace
             os.utime(mark_of(folder))
     except FileNotFoundError:
         return False
@@ -75,12 +75,12 @@ def _make(capture: Path, folder: Path) -> None:
     part, user = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)), InUse()
     try:
         mark_of(part).touch()
-        hold(user, mark_of(part))  # as long as it is filled
+        hold(user, mark_of(part))  # while it is being filled
         _unpack(capture, part / capture.stem)
         try:
             os.rename(part, folder)
         except OSError:
-            if not folder.is_dir():  # else another run was faster
+            if not folder.is_dir():  # otherwise another run was faster
                 raise
             mark_of(folder).touch()
     finally:
@@ -105,10 +105,10 @@ def _unpack(file: Path, folder: Path) -> None:
     except CaptureError:
         raise
     except OSError as error:
-        if error.errno is None:  # what bz2 says of damaged data
+        if error.errno is None:  # bz2's error for damaged data
             raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again") from error
         raise CaptureError(f"{file}: {error.filename or folder} cannot be written ({error.strerror or error})") from error
-    except Exception as error:  # zipfile lets zlib.error, LZMAError, struct.error, ... of damaged archives through
+    except Exception as error:  # for damaged archives zipfile raises zlib.error, LZMAError, struct.error, ...
         raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again without a password") from error
 
 

@@ -1,4 +1,4 @@
-"""What is kept in a workspace only to save time, and is made again when it is missed: unpacked archives, and what was heard of videos."""
+"""The caches of a workspace, which only save time and are rebuilt when missing: unpacked archives, and sound onsets of long videos."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...pipeline.files import sizes
 from ...pipeline.storage.hold import alone
 from .archive import mark_of
 
-_ABANDONED = 86400.0  # s; half a folder without a mark, or half a file, may have been begun just now
+_ABANDONED = 86400.0  # s; an incomplete file, or folder without a mark, that is younger may still be in the making
 _GONE = ".gone-"
 
 
@@ -32,7 +32,7 @@ class Kept:
 
 
 def kept(workspace: Path, older_than: float = 0.0) -> list[Kept]:
-    """All that were last used so many seconds ago, those first that were used longest ago; what died while it was made is among them."""
+    """Items last used at least ``older_than`` seconds ago, the least recently used first, including those that a crash left incomplete."""
     places = [path for folder in ("heard", "unpacked") for path in (workspace / folder).glob("*")]
     now = time.time()
     found = [item for path in places if (item := _item(path)) is not None]
@@ -41,8 +41,8 @@ def kept(workspace: Path, older_than: float = 0.0) -> list[Kept]:
 
 
 def remove(item: Kept) -> bool:
-    """False where a process uses it, or has used it since. A file may be removed at any time: who has it open reads on, and who misses it
-    makes it again."""
+    """Removes an item; False if a process uses it or has used it since. A file can be removed at any time: a process that has it open keeps
+    reading, and one that misses it makes it again."""
     if item.path.parent.name == "heard":
         item.path.unlink(missing_ok=True)
         return True
@@ -51,17 +51,17 @@ def remove(item: Kept) -> bool:
             now = _item(item.path)
             if not free or (now is not None and now.used > item.used):
                 return False
-            gone = Path(tempfile.mkdtemp(prefix=_GONE, dir=item.path.parent))  # in one step: a crash leaves no half of it under its name
+            gone = Path(tempfile.mkdtemp(prefix=_GONE, dir=item.path.parent))  # renamed first: a crash leaves no half under its own name
             with suppress(FileNotFoundError):
                 os.rename(item.path, gone / item.path.name)
     except OSError:
-        return False  # it cannot be locked, or belongs to somebody else
+        return False  # it cannot be locked, or belongs to another user
     shutil.rmtree(gone, ignore_errors=True)
     return True
 
 
 def _item(path: Path) -> Kept | None:
-    """None where it went away meanwhile."""
+    """The item at a path; None if it has been removed in the meantime."""
     try:
         if not path.is_dir():
             found = path.stat()
@@ -74,5 +74,5 @@ def _item(path: Path) -> Kept | None:
 
 
 def _half(path: Path) -> bool:
-    """Whether it may be the work of a process that lives and cannot be told from a dead one's."""
+    """Whether the item is incomplete, and may belong either to a running process or to a dead one."""
     return path.name.startswith(".") and not path.name.startswith(_GONE) and not mark_of(path).exists()

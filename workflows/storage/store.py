@@ -1,4 +1,4 @@
-"""`e4dgs list`, `show`, `diff`, `pin`, `unpin`: what lies in a workspace's store, how it was made, and in what two results differ."""
+"""`e4dgs list`, `show`, `diff`, `pin`, `unpin`: what is in a workspace's store, how it was made, and how two results differ."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .amounts import megabytes
 from .stored import Stored, every, find, users
 
 SHORT = 12  # digits of a key or digest that are shown in tables
-WIDTH = 180  # of tables in a file or a pipe
+WIDTH = 180  # columns of a table written to a file or pipe
 
 Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
 
@@ -159,7 +159,7 @@ def _causes(workspace: Path, one: Stored, two: Stored) -> list[str]:
 
 
 def _sources(workspace: Path, inputs: Mapping[str, str | None]) -> dict[str, str]:
-    """Input -> where the result with that content lies, ``STAGE/KEY``; its digest where none does."""
+    """Input -> ``STAGE/KEY`` of the result with that content, or its digest if the store no longer has it."""
     if not inputs:
         return {}
     stored = {(other.stage, other.manifest["digest"]): other.name for other in every(workspace) if other.stage in inputs}
@@ -170,7 +170,7 @@ def _sources(workspace: Path, inputs: Mapping[str, str | None]) -> dict[str, str
 
 
 def _code(parts: Mapping[str, Any]) -> str:
-    """The code that made a result, or its number where keys did not hold the code yet."""
+    """The code that made a result, or its version number for results made before keys included the code."""
     if "code" not in parts:
         return f"version {parts.get('version')}"
     return f"code {parts['code']['digest'][:SHORT]} of {len(parts['code']['files'])} files"

@@ -1,4 +1,4 @@
-"""Results in a workspace's store, found by the words that a person has: a key, the beginning of one, or a scene and a stage."""
+"""Finds results in a workspace's store by what a person types: a key, the beginning of a key, or a scene and a stage."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 from ...pipeline import ArtifactError, Records, SettingsError, Store
 from ...pipeline.files import read_json
 
-SHORTEST = 4  # digits of a key that are enough, where one result alone begins with them
+SHORTEST = 4  # digits of a key that are enough if they identify a single result
 
 
 @dataclass(frozen=True)
 class Stored:
-    """One result. path: its folder. scenes: those whose last run used it."""
+    """One result. path: its folder. scenes: the scenes whose last run used it."""
 
     stage: str
     key: str
@@ -29,15 +29,15 @@ class Stored:
 
     @property
     def size(self) -> int:
-        """Bytes, as the manifest says."""
+        """Size in bytes, from the manifest."""
         return sum(int(entry[0]) for entry in self.manifest["files"].values())
 
     def made(self, field: str, unknown: Any = None) -> Any:
-        """A field of the provenance, which results of other versions may not have."""
+        """A field of the provenance, or ``unknown``: results of other versions may not have it."""
         return self.manifest["provenance"].get(field, unknown)
 
     def arrays(self) -> list[tuple[str, str, str, str]]:
-        """Name, shape, dtype and unit of each array, without zarr."""
+        """Name, shape, dtype and unit of each array, read without zarr."""
         found = []
         for file in sorted(file for file in self.manifest["files"] if file.endswith("/zarr.json")):
             described = read_json(self.path / file)
@@ -61,7 +61,7 @@ def users(workspace: Path) -> dict[tuple[str, str], tuple[str, ...]]:
 
 
 def every(workspace: Path) -> list[Stored]:
-    """All results with a valid manifest, stage by stage; `e4dgs verify` says what is wrong with others."""
+    """All results with a valid manifest, by stage; `e4dgs verify` says what is wrong with the others."""
     store, used = Store(workspace / "store"), users(workspace)
     found = []
     for stage, key in store.entries():
@@ -71,9 +71,9 @@ def every(workspace: Path) -> list[Stored]:
 
 
 def find(workspace: Path, *words: str) -> Stored:
-    """The result that the words name: KEY or STAGE/KEY, of which the first digits are enough, or SCENE STAGE or SCENE/STAGE.
+    """The result that the words name: KEY or STAGE/KEY, where the first digits are enough, or SCENE STAGE or SCENE/STAGE.
 
-    Raises SettingsError where none or several are meant, ArtifactError where the one that is meant is not in the store or is damaged.
+    Raises SettingsError if they name none or several, ArtifactError if the named result is not in the store or is damaged.
     """
     store, used = Store(workspace / "store"), users(workspace)
     first, _, last = " ".join(words).replace(" ", "/").rpartition("/")
@@ -92,6 +92,6 @@ def find(workspace: Path, *words: str) -> Stored:
         raise SettingsError(f"{' '.join(words)}: several results begin so: {', '.join('/'.join(match) for match in matches[:5])}")
     stage, key = matches[0]
     if (manifest := store.manifest(stage, key)) is None:
-        store.open(stage, key)  # says what is wrong
+        store.open(stage, key)  # raises an error that says what is wrong
         raise ArtifactError(f"{store.path(stage, key)}: cannot be read; run the stage again")
     return Stored(stage, key, store.path(stage, key), manifest, used.get((stage, key), ()))

@@ -1,4 +1,4 @@
-"""`e4dgs gc`: drop what no scene refers to."""
+"""`e4dgs gc`: removes what no scene refers to."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ def gc(
 
 
 def _caches(workspace: Path, store: Store, most: int | None, age: float | None, dry_run: bool) -> int:
-    """Removes, or names, unpacked archives and what was heard: before any result, since they are made again within seconds. Returns the
-    bytes of those that stay."""
+    """Removes, or names, caches before any result is removed, since they are rebuilt within seconds. Returns the bytes of those that
+    stay."""
     spared = sum(item.size for item in kept(workspace))
     results = 0 if most is None else unused(store, tuple)[1]
     for item in kept(workspace, age or 0.0):

@@ -1,17 +1,17 @@
-"""The two published sizes of RAFT as numbers, and every tensor that a weights file for them must hold."""
+"""The sizes of the two published RAFT networks, and every tensor that a weights file for them must hold."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 LEVELS = 4  # of the correlation pyramid, each half the size of the one before
-STRIDE = 8  # px of the picture to a feature
+STRIDE = 8  # px of the picture per feature
 
 
 @dataclass(frozen=True)
 class Architecture:
-    """widths: channels of the encoders' stem and three stages. features: of what is matched. state, context: of the recurrent unit's state
-    and of what it reads at every step. radius: of the window looked up in each pyramid level. The rest is derived from `small`."""
+    """widths: channels of the encoders' stem and three stages. features: channels that are matched. state: channels of the recurrent unit's
+    state. context: channels it reads at every step. radius: of the window looked up in each pyramid level. `small` decides the rest."""
 
     name: str
     widths: tuple[int, int, int, int]
@@ -23,12 +23,12 @@ class Architecture:
 
     @property
     def window(self) -> int:
-        """Correlations a pixel reads at every step."""
+        """Number of correlations that a pixel reads at every step."""
         return LEVELS * (2 * self.radius + 1) ** 2
 
     @property
     def motion(self) -> int:
-        """Channels of the encoded motion, the flow itself included."""
+        """Channels of the encoded motion, including the flow itself."""
         return 82 if self.small else 128
 
 

@@ -1,4 +1,4 @@
-"""Convolutions by name over a dictionary of weights: what RAFT's three parts are built from."""
+"""RAFT's three parts as functions, built from convolutions that take their weights by name from a dictionary."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ State = Mapping[str, Tensor]
 
 
 def convolution(state: State, name: str, x: Tensor, stride: int = 1) -> Tensor:
-    """x [B, C, H, W] by the weights of that name, padded by half the kernel."""
+    """Convolves x [B, C, H, W] with the weights `name`, padded by half the kernel."""
     weight = state[f"{name}.weight"]
     return F.conv2d(x, weight, state.get(f"{name}.bias"), stride=stride, padding=(weight.shape[2] // 2, weight.shape[3] // 2))
 
 
 def encode(state: State, encoder: str, a: Architecture, x: Tensor) -> Tensor:
-    """Features [B, C, H/8, W/8] of pictures x [B, 3, H, W] in [-1, 1]. encoder: "fnet" (normalised a picture) or "cnet"."""
+    """Features [B, C, H/8, W/8] of pictures x [B, 3, H, W] in [-1, 1]. encoder: "fnet" (instance norm per picture) or "cnet"."""
     per_picture = encoder == "fnet"
 
     def step(name: str, x: Tensor, stride: int = 1) -> Tensor:
@@ -44,14 +44,14 @@ def encode(state: State, encoder: str, a: Architecture, x: Tensor) -> Tensor:
 
 
 def context_terms(state: State, a: Architecture, context: Tensor) -> list[Tensor]:
-    """What the context [B, C, h, w] adds to z, r and q of each pass, [B, 3 state, h, w]: the same at every step, so computed once."""
+    """What the context [B, C, h, w] adds to z, r and q of each pass, [B, 3 state, h, w]. It is the same at every step, so computed once."""
     return [convolution(state, f"gru.context{k}", context) for k in passes(a)]
 
 
 def update(state: State, a: Architecture, hidden: Tensor, terms: list[Tensor], correlation: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
-    """One step of the recurrent unit, all [B, C, h, w]: the new hidden state, and what to add to the flow [B, 2, h, w] (in features).
+    """One step of the recurrent unit, all [B, C, h, w]. Returns the new hidden state and the change of the flow [B, 2, h, w] (in features).
 
-    terms: of `context_terms`. state: as `weights.folded` gives it.
+    terms: from `context_terms`. state: from `weights.folded`.
     """
     at = "update_block.encoder"
     matched = convolution(state, f"{at}.convc1", correlation).relu_()
@@ -70,8 +70,8 @@ def update(state: State, a: Architecture, hidden: Tensor, terms: list[Tensor], c
 
 
 def enlarge(state: State, a: Architecture, hidden: Tensor, flow: Tensor) -> Tensor:
-    """Flow [B, 2, h, w] in features to [B, 2, 8h, 8w] in px: each pixel a learned convex combination of the nine features around it, the
-    small network's bilinear."""
+    """Upsamples flow [B, 2, h, w] in features to [B, 2, 8h, 8w] in px. Each pixel is a learned convex combination of the nine features
+    around it; the small network interpolates bilinearly."""
     if a.small:
         return 8 * F.interpolate(flow, scale_factor=8, mode="bilinear", align_corners=True)
     b, _, h, w = flow.shape

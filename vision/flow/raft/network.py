@@ -1,6 +1,6 @@
-"""RAFT, Teed and Deng 2020: optical flow refined by looking up again and again how well it matches.
+"""RAFT, Teed and Deng 2020: optical flow, refined step by step by looking up how well it matches.
 
-Our own implementation, for the published weights.
+This is our own implementation; it runs the published weights.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ MINIMUM_SIDE = STRIDE * 2 ** (LEVELS - 1)  # px; smaller pictures are padded to 
 
 @dataclass(frozen=True)
 class Features:
-    """What RAFT knows of one picture by itself: `matched`, `hidden`, `context` [1, C, h, w] of the padded picture, whose height and width
-    before padding are `size` and whose first pixel was at (`top`, `left`)."""
+    """What RAFT computes from one picture alone: `matched`, `hidden`, `context` [1, C, h, w] of the padded picture. `size`: height and
+    width before padding. (`top`, `left`): where the first pixel lies after padding."""
 
     matched: Tensor
     hidden: Tensor
@@ -36,9 +36,9 @@ class Features:
 
 
 class Raft:
-    """A network with its weights, on one device. `encode` each picture once, `match` any two of one size.
+    """A network with its weights, on one device. `encode` each picture once, then `match` any two of the same size.
 
-    state: tensors as `architecture.expected_shapes` lists them. half: features and updates in half precision, for GPUs.
+    state: tensors as `architecture.expected_shapes` lists them. half: computes features and updates in half precision, for GPUs.
     """
 
     def __init__(self, state: Mapping[str, Tensor], architecture: Architecture, device: str = "cpu", half: bool = False) -> None:
@@ -48,7 +48,7 @@ class Raft:
 
     @classmethod
     def load(cls, path: Path, device: str = "cpu", half: bool = False) -> Raft:
-        """Weights from a file: see `read_weights`, which raises ValueError with the file's name where it cannot be used."""
+        """A network with the weights of a file; see `read_weights`, which raises ValueError with the file's name if it cannot be used."""
         return cls(*read_weights(path), device=device, half=half)
 
     @torch.inference_mode()
@@ -67,9 +67,9 @@ class Raft:
 
     @torch.inference_mode()
     def match(self, first: Features, second: Features, iterations: int = 12, tolerance: float = 0.0) -> tuple[np.ndarray, int]:
-        """Flow [H, W, 2] float32 px from first to second (pixel (x, y) of first is at (x+u, y+v) in second), and the steps it took.
+        """Flow [H, W, 2] float32 px from first to second (pixel (x, y) of first is at (x+u, y+v) in second), and the number of steps taken.
 
-        iterations: steps at most. tolerance: px; it stops after a step that moved the flow by less, as a root mean square.
+        iterations: the most steps. tolerance: px; it stops after a step whose root mean square change of the flow is smaller.
         """
         if first.size != second.size:
             raise ValueError(f"pictures differ in size: {list(first.size)} and {list(second.size)}")

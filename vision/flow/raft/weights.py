@@ -1,4 +1,4 @@
-"""RAFT's weights from a file: the published ones, under the names of their authors or of torchvision, and nothing that is not theirs."""
+"""Reads RAFT's published weights from a file, under the authors' or torchvision's tensor names. Any other set of tensors is refused."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from torch import Tensor
 from .architecture import BASIC, SMALL, Architecture, expected_shapes, norms, passes
 
 LARGEST_FILE = 256 << 20  # bytes; the basic network has 21 MB
-EPSILON = 1e-5  # of the batch norms, as they were trained
-# torchvision's names, piece by piece. Its blocks count their layers: a sequence of convolution, norm, ReLU.
+EPSILON = 1e-5  # of the batch norms, as in training
+# Translates torchvision's names to the authors', piece by piece. torchvision numbers the layers of a block: convolution, norm, ReLU.
 _TORCHVISION = (
     (r"^feature_encoder\.", "fnet."),
     (r"^context_encoder\.", "cnet."),
@@ -33,9 +33,9 @@ _TORCHVISION = (
 
 
 def read_weights(path: Path) -> tuple[dict[str, Tensor], Architecture]:
-    """Tensors and which network they are of, from a safetensors file or a `.pth` of plain tensors (nothing else in it is run or loaded).
+    """Tensors and the network they belong to, from a safetensors file or a `.pth` of plain tensors (nothing else in it is loaded or run).
 
-    Raises ValueError, which names the file and what is wrong with it: not there, cut short, another network, a value that is not finite.
+    Raises ValueError that names the file and what is wrong with it: missing, cut short, another network, a value that is not finite.
     """
     try:
         if not path.is_file():
@@ -57,7 +57,7 @@ def _tensors(path: Path) -> dict[str, Tensor]:
             loaded = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise ValueError("holds more than tensors, which is never loaded; save its state_dict as safetensors") from error
-    except Exception as error:  # cut short, another format: each library has errors of its own
+    except Exception as error:  # cut short, another format: each library raises its own errors
         raise ValueError(
             f"cannot be read, {type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no reason given'}"
         ) from error
@@ -67,19 +67,19 @@ def _tensors(path: Path) -> dict[str, Tensor]:
 
 
 def recognise(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], Architecture]:
-    """The tensors that the network needs, float32, by the authors' names, and which network it is. Raises ValueError for any other set."""
+    """The tensors that the network needs, float32, under the authors' names, and which network it is. Raises ValueError for other sets."""
     named = {}
     for name, value in tensors.items():
         name = name.removeprefix("module.")
         for pattern, replacement in _TORCHVISION:
             name = re.sub(pattern, replacement, name)
-        # Left out: counters, and a second copy of the norms of the shortcuts.
+        # Left out: counters, and a second copy of the shortcuts' norms.
         if not name.endswith("num_batches_tracked") and not re.search(r"layer[23]\.0\.norm[34]\.", name):
             named[name] = value
     # Only the small network's blocks have three convolutions.
     small = "fnet.layer1.0.conv3.weight" in named
     architecture = SMALL if small else BASIC
-    if small and "update_block.gru.convz1.weight" in named:  # torchvision counts even a single pass
+    if small and "update_block.gru.convz1.weight" in named:  # torchvision numbers the pass even if there is only one
         named = {re.sub(r"(gru\.conv[zrq])1\.", r"\1.", name): value for name, value in named.items()}
     expected = expected_shapes(architecture)
     for name, shape in expected.items():
@@ -100,10 +100,10 @@ def _of_norm(name: str) -> bool:
 
 
 def folded(state: Mapping[str, Tensor], architecture: Architecture) -> dict[str, Tensor]:
-    """What the network computes with. Each batch norm, fixed after training, is taken into the convolution before it.
+    """The weights that the network computes with. Each batch norm is fixed after training and is folded into the convolution before it.
 
-    The recurrent unit's convolutions are joined by what they read: "gru.gates" holds z and r, "gru.state" q, of the hidden state and the
-    motion; "gru.context" has the part of all three that reads the context, with their biases.
+    The recurrent unit's convolutions are split and joined by what they read. "gru.gates" (z and r) and "gru.state" (q) read the hidden
+    state and the motion. "gru.context" is the part of all three that reads the context, with their biases.
     """
     found = {name: value for name, value in state.items() if not name.startswith("update_block.gru.") and not _of_norm(name)}
     for norm, convolution in norms(architecture).items():

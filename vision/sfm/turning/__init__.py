@@ -1,1 +1,1 @@
-"""Cameras of a capture whose camera turns and hardly moves."""
+"""Finds the cameras of a capture whose camera turns but hardly moves."""

@@ -1,9 +1,10 @@
-"""`Bundle`: cameras that mostly turn, adjusted together with the directions, and where told the distances, of what they see. numpy alone.
+"""`Bundle`: bundle adjustment of cameras that mostly turn, with the directions of the points and, if wanted, their distances. Uses only
+numpy.
 
-A point is a direction d from the middle of the world and an inverse distance rho: a camera (R, t) sees it along R d + rho t. At rho = 0 it
-is at infinity, nothing special here, while a point in world coordinates would run away: the parametrisation of Yu and Gallup, "3D
-Reconstruction from Accidental Motion" (CVPR 2014), with directions that are adjusted too. Levenberg-Marquardt, points eliminated first
-(Schur complement); Cauchy's loss by weights.
+A point is a direction d from the world's origin and an inverse distance rho; a camera (R, t) sees it along R d + rho t. A point at
+infinity is simply rho = 0, while in world coordinates it would diverge. This is the parametrisation of Yu and Gallup, "3D Reconstruction
+from Accidental Motion" (CVPR 2014), but directions are adjusted too. Solved by Levenberg-Marquardt with the points eliminated first (Schur
+complement) and Cauchy's loss as weights.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-CAUCHY = 2.385 / 1.1774  # times the median error of a Gaussian in two dimensions
+CAUCHY = 2.385 / 1.1774  # width of the loss, times the median error of a Gaussian in two dimensions
 FINEST = 0.01  # px
 SETTLED = 1e-4  # relative change of the cost
 STEPS = 25
@@ -22,7 +23,7 @@ STRONGEST = 0.5  # largest radial term
 @dataclass(frozen=True)
 class Bundle:
     """R [F, 3, 3], t [F, 3]: cam from world; d [P, 3] unit directions, rho [P] inverse distances; focal px, k1 (COLMAP's SIMPLE_RADIAL),
-    centre [2] px. Observation o: `frame` [O] sees point `point` [O] at `xy` [O, 2] px."""
+    centre [2] px. In observation o, frame `frame[o]` sees point `point[o]` at `xy[o]` px; xy is [O, 2]."""
 
     R: np.ndarray
     t: np.ndarray
@@ -36,12 +37,12 @@ class Bundle:
     xy: np.ndarray
 
     def local(self) -> np.ndarray:
-        """[O, 3]: R d + rho t of every observation."""
+        """[O, 3]: R d + rho t for every observation."""
         turned = np.einsum("oij,oj->oi", self.R[self.frame], self.d[self.point])
         return np.asarray(turned + self.rho[self.point, None] * self.t[self.frame])
 
     def errors(self) -> np.ndarray:
-        """[O] px; inf where the point is not before the camera."""
+        """[O] px; inf where the point is not in front of the camera."""
         local = self.local()
         with np.errstate(all="ignore"):
             u = local[:, :2] / local[:, 2:]
@@ -51,8 +52,8 @@ class Bundle:
 
 
 def solve(bundle: Bundle, move: bool, lens: int) -> Bundle:
-    """The bundle adjusted: rotations and directions, with `move` also translations and distances; `lens` 1: and the focal length,
-    2: and k1."""
+    """The adjusted bundle. Rotations and directions are always adjusted; `move` adds translations and distances; `lens` 1 adds the focal
+    length, and 2 also k1."""
     damping = 1e-3
     errors = bundle.errors()
     scale = max(FINEST, CAUCHY * float(np.median(errors)))
@@ -84,7 +85,7 @@ def _cost(errors: np.ndarray, scale: float) -> float:
 
 
 def _normal(bundle: Bundle, scale: float, move: bool, lens: int) -> tuple[np.ndarray, ...]:
-    """Camera block A [C, C] and its right side a [C], point blocks V [P, k, k] and v [P, k], and what joins them, W [P, k, C]."""
+    """Normal equations: camera block A [C, C] and right side a [C], point blocks V [P, k, k] and v [P, k], and coupling W [P, k, C]."""
     frames, points = len(bundle.R), len(bundle.d)
     turned = np.einsum("oij,oj->oi", bundle.R[bundle.frame], bundle.d[bundle.point])
     local = turned + bundle.rho[bundle.point, None] * bundle.t[bundle.frame]
@@ -145,7 +146,7 @@ def _normal(bundle: Bundle, scale: float, move: bool, lens: int) -> tuple[np.nda
 def _step(bundle: Bundle, system: tuple[np.ndarray, ...], damping: float, move: bool, lens: int) -> Bundle:
     A, a, V, v, W = system
     frames, per = len(bundle.R), 6 if move else 3
-    # a floor under the diagonal: what nothing measures (the world's turn, scale and place; distances under no angle) stays
+    # a floor under the diagonal keeps unmeasured quantities (the world's rotation, scale and origin; distances under no angle) in place
     damped = V + _diagonal(V, damping)
     inverse = np.linalg.inv(damped)
     carried = np.einsum("pij,pjc->pic", inverse, W)
@@ -183,7 +184,7 @@ def _cross(v: np.ndarray) -> np.ndarray:
 
 
 def rotations(w: np.ndarray) -> np.ndarray:
-    """Rodrigues: rotation vectors [N, 3] to matrices [N, 3, 3]."""
+    """Rotation vectors [N, 3] to matrices [N, 3, 3] by Rodrigues' formula."""
     angle = np.linalg.norm(w, axis=1)[:, None, None]
     K = _cross(w)
     safe = np.maximum(angle, 1e-12)
@@ -191,7 +192,7 @@ def rotations(w: np.ndarray) -> np.ndarray:
 
 
 def _tangents(d: np.ndarray) -> np.ndarray:
-    """[P, 3, 2]: two directions across each unit direction."""
+    """[P, 3, 2]: two unit vectors orthogonal to each direction and to each other."""
     helper = np.where(np.abs(d[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(d, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

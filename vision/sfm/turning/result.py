@@ -1,4 +1,5 @@
-"""`turning_arrays`: a capture whose camera mostly turns, solved and laid out as `reconstruct` does. Worker: imports pycolmap."""
+"""`turning_arrays`: solves a capture whose camera mostly turns; arrays as from `reconstruct`. Runs in the worker process: imports
+pycolmap."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ BENT = ("SIMPLE_RADIAL", "RADIAL", "OPENCV")  # lens models with a radial term
 def turning_arrays(
     path: Path, request: dict[str, Any], found: Survey, report: Report, fits: float = FITS
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
-    """Arrays and facts as `reconstruct` returns them; None for captures of several cameras and where the camera does not mostly turn.
-    fits: see `solve_turning`."""
+    """Arrays and facts as `reconstruct` returns them. None for several cameras, or a camera that does more than turn. fits: see
+    `solve_turning`."""
     with pycolmap.Database.open(path) as database:
         cameras = database.read_all_cameras()
     if len(set(request["cameras"])) > 1 or len(cameras) != 1:
@@ -54,7 +55,7 @@ def _arrays(turning: Turning, request: dict[str, Any], width: int, height: int) 
     bundle, names = turning.bundle, list(request["names"])
     errors = bundle.errors()
     good, registered, shown = errors <= MAX_ERROR, turning.frames.copy(), np.zeros(len(bundle.d), bool)
-    for _ in range(3):  # a frame that goes takes observations with it, and a point
+    for _ in range(3):  # a frame that is dropped takes observations with it, and perhaps points
         shown = np.bincount(bundle.point[good], minlength=len(bundle.d)) >= LONG_ENOUGH
         good &= shown[bundle.point]
         registered &= np.bincount(bundle.frame[good], minlength=len(names)) >= FEWEST
@@ -82,18 +83,18 @@ def _arrays(turning: Turning, request: dict[str, Any], width: int, height: int) 
 
 
 def _angles(points: np.ndarray, centres: np.ndarray, point: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """[P] degrees between the outermost rays of every point; `point` sorted."""
+    """[P] degrees between the outermost rays of every point; `point` must be sorted."""
     rays = points[point] - centres[frame]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     starts = np.flatnonzero(np.diff(point, prepend=-1))
     ends = np.append(starts[1:], len(point))
-    # not by the arc cosine, which is coarse near zero
+    # not by the arc cosine, which is inaccurate near zero
     widest = [np.linalg.norm(rays[a:b, None] - rays[None, a:b], axis=2).max() for a, b in zip(starts, ends, strict=True)]
     return np.degrees(2 * np.arcsin(np.clip(np.array(widest) / 2, 0.0, 1.0)))
 
 
 def _colors(root: Path, names: list[str], point: np.ndarray, frame: np.ndarray, xy: np.ndarray, count: int) -> np.ndarray:
-    """[count, 3] uint8: mean RGB of the pixels at the features of every point."""
+    """[count, 3] uint8: mean RGB of the pixels at each point's features."""
     from PIL import Image
 
     total = np.zeros((count, 3))

@@ -1,8 +1,8 @@
-"""`solve_turning`: cameras of a capture whose camera turns, and moves too little to be triangulated by pairs. numpy alone.
+"""`solve_turning`: finds the cameras when the camera turns but moves too little to triangulate from pairs. Uses only numpy.
 
-The mapper begins with two images that see points under an angle. Where none do, a pan from a tripod or by hand through a long lens, it
-finds nothing, or cameras with absurd focal lengths. Turning tells the focal length all the same, and rotations follow from matches alone.
-What little the camera moved is found afterwards, by all images together, where the pictures tell it.
+The mapper starts from two images that see points under an angle. In a pan from a tripod, or by hand through a long lens, there are none,
+and the mapper finds nothing, or cameras with absurd focal lengths. But turning determines the focal length, and rotations follow from
+matches alone. The small motion of the camera is then found from all images together, if the pictures show it.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from ..worker.lens import LONGEST, SHORTEST
 from .bundle import Bundle, solve
 from .tracks import join
 
-RATIOS = tuple(np.geomspace(SHORTEST, LONGEST, 24))  # focal lengths, of the longer side
-PAIRS = 24  # pairs of images with the longest ways that the focal length is first looked for in
-MATCHES = 40  # of a pair that gives a rotation
-FITS = 0.003  # of the longer side: median error of those pairs under rotations alone (2.6 px of 854), before lens and small motion
-ANYHOW = 0.02  # the same where the mapper did not get far: more motion than rotations explain, less than two images can tell
-SOLVED = 0.0015  # of the longer side: median error of all observations at the end
+RATIOS = tuple(np.geomspace(SHORTEST, LONGEST, 24))  # focal lengths tried, of the longer side
+PAIRS = 24  # pairs of images, those whose matches move farthest, that the first search for the focal length uses
+MATCHES = 40  # that a pair needs to give a rotation
+FITS = 0.003  # of the longer side: limit for the median error of those pairs under rotations alone (2.6 px of 854), without lens and motion
+ANYHOW = 0.02  # the same limit if the mapper did not get far: more motion than rotations explain, less than two images can determine
+SOLVED = 0.0015  # of the longer side: limit for the median error of all observations at the end
 MOST = 3000  # tracks
-MOVED = 0.75  # of the median error under rotations, which motion must bring it below, to be believed
-SPAN = 0.1, 10.0  # inverse distances that are kept, of the median: those of points under no angle are anything
-TOLD = 0.001  # of the longer side: error between the best and the worst focal length tried, for one to be told
-UNTOLD = 1.2  # of the longer side: the focal length taken where none is told
+MOVED = 0.75  # share of the median error under rotations that must remain at most for motion to be believed
+SPAN = 0.1, 10.0  # times the median: limits of inverse distances, which are arbitrary for points seen under no angle
+TOLD = 0.001  # of the longer side: least gap between the errors of the best and worst focal lengths for the pictures to determine one
+UNTOLD = 1.2  # of the longer side: the focal length assumed if the pictures do not determine one
 
 
 @dataclass(frozen=True)
 class Turning:
-    """frames [n] bool: which are posed. bundle: of all n frames and its tracks, adjusted. moved: whether motion was found."""
+    """frames [n] bool: which have a pose. bundle: all n frames and their tracks, adjusted. moved: whether camera motion was found."""
 
     frames: np.ndarray
     bundle: Bundle
@@ -47,10 +47,10 @@ def solve_turning(
     bent: bool = True,
     fits: float = FITS,
 ) -> Turning | None:
-    """Cameras of images of one lens, from matches {(a, b): [M, 2]} between features at places [n] of [N, 2] px; focal: in px where known;
-    bent: whether the lens has a radial term; fits: `FITS` or `ANYHOW`.
+    """Cameras of images taken with one lens, from matches {(a, b): [M, 2]} between features at places [n] of [N, 2] px. focal: in px, if
+    known; bent: whether the lens has a radial term; fits: `FITS` or `ANYHOW`.
 
-    None where rotations do not explain the matches: the camera moves, and the mapper's way is the right one.
+    None if rotations do not explain the matches: the camera then moves, and the mapper should be used.
     """
     side, centre = max(width, height), np.array([width / 2, height / 2])
     usable = {pair: m for pair, m in matches.items() if len(m) >= MATCHES}
@@ -90,11 +90,11 @@ def solve_turning(
 
 
 def _moved(turned: Bundle, lens: int) -> tuple[Bundle, bool]:
-    """With what the camera moved, where that explains the pictures better; else on a sphere, the same distance for all."""
+    """Adds the camera's motion if that explains the pictures better. Otherwise all points are put on a sphere, at the same distance."""
     flat = replace(turned, rho=np.ones(len(turned.rho)))
     moved = solve(solve(flat, move=True, lens=0), move=True, lens=lens)
     median = float(np.median(moved.rho))
-    if median < 0:  # the signs of both change nothing in the pictures
+    if median < 0:  # flipping the signs of both changes nothing in the pictures
         moved, median = replace(moved, rho=-moved.rho, t=-moved.t), -median
     low, high = SPAN
     moved = replace(moved, rho=np.clip(moved.rho / max(median, 1e-12), low, high), t=moved.t * median)
@@ -110,7 +110,7 @@ def _rays(xy: np.ndarray, focal: float, centre: np.ndarray) -> np.ndarray:
 def _rotation(
     match: np.ndarray, places: list[np.ndarray], pair: tuple[int, int], focal: float, centre: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Rotation [3, 3] from camera a to b and its median error, px: Kabsch on rays, matches that disagree counting for little."""
+    """Rotation [3, 3] from camera a to b and its median error, px, by Kabsch's method on rays; disagreeing matches get little weight."""
     second = places[pair[1]][match[:, 1]]
     a, b = _rays(places[pair[0]][match[:, 0]], focal, centre), _rays(second, focal, centre)
     weight, R, error = np.ones(len(a)), np.eye(3), np.zeros(len(a))
@@ -126,7 +126,7 @@ def _rotation(
 def _chain(
     usable: Mapping[tuple[int, int], np.ndarray], places: list[np.ndarray], focal: float, centre: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations [n, 3, 3] along the pairs with the most matches (a greatest spanning tree), and which are known [n]: the largest part."""
+    """Rotations [n, 3, 3] along the pairs with most matches (a maximum spanning tree); known [n]: whether in the largest connected part."""
     parts = list(range(len(places)))
 
     def part(i: int) -> int:

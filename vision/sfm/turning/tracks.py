@@ -1,4 +1,4 @@
-"""`Tracks`: features joined over many images by their pairwise matches. numpy alone."""
+"""`Tracks`: features joined over many images by their pairwise matches. Uses only numpy."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LONG_ENOUGH = 3  # images: two agree on anything along a line
-QUOTA = 150  # tracks through every image, before the longest of all fill up
+LONG_ENOUGH = 3  # images; two always agree along the epipolar line
+QUOTA = 150  # tracks chosen for each image, before the longest remaining ones fill up the rest
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Observation o: track `track` [O] is in image `frame` [O] at `xy` [O, 2] px. Tracks are 0 .. count - 1, sorted."""
+    """Observation o says that track `track[o]` is in image `frame[o]` at `xy[o]` px; xy is [O, 2]. Tracks are 0 .. count - 1, sorted."""
 
     frame: np.ndarray
     track: np.ndarray
@@ -22,10 +22,10 @@ class Tracks:
 
 
 def join(matches: Mapping[tuple[int, int], np.ndarray], places: list[np.ndarray], most: int) -> Tracks:
-    """Tracks of at least three images from matches {(a, b): [M, 2] feature numbers in images a and b}, places [n] of [N, 2] px.
+    """Tracks of at least three images, from matches {(a, b): [M, 2] feature numbers in images a and b} and places [n] of [N, 2] px.
 
-    A track that holds two features of one image is a mistake and left out. At most `most` tracks: each image's longest first, then
-    the longest of all.
+    A track with two features in one image is a mistake and is left out. At most `most` tracks are kept: the longest of each image first,
+    then the longest of the rest.
     """
     offsets = np.cumsum([0, *(len(p) for p in places)])
     root = np.arange(offsets[-1])

@@ -1,1 +1,1 @@
-"""What runs in the process that holds pycolmap."""
+"""The code that runs in the worker process, which alone imports pycolmap."""

@@ -1,6 +1,6 @@
 """The process that holds pycolmap: `python -m e4dgs.vision.sfm.worker REQUEST.json`.
 
-Writes `result.npz` (arrays) and `result.json` (facts) into the request's folder; one JSON line a step of progress on stdout.
+Writes `result.npz` (arrays) and `result.json` (facts) to the request's folder, and one JSON line per step of progress to stdout.
 It ends when its stdin closes, so that it never outlives the program that started it.
 """
 
@@ -41,7 +41,7 @@ def main(request_file: str) -> None:
     arrays, facts = task(request, _report)
     folder = Path(request["folder"])
     np.savez(folder / "result.npz", allow_pickle=False, **arrays)
-    partial = folder / "result.partial"  # the facts come last and whole: where they are, so are the arrays
+    partial = folder / "result.partial"  # the facts are written last and atomically, so if they are there, the arrays are too
     partial.write_text(json.dumps(facts), encoding="utf-8")
     partial.replace(folder / "result.json")
 

@@ -1,6 +1,6 @@
-"""The COLMAP database of one run: cameras, features and matches, filled so that a killed run goes on where it stopped.
+"""The COLMAP database of one run: cameras, features and matches, filled so that a killed run resumes where it stopped.
 
-Imported by the worker process alone: this module imports pycolmap.
+Only the worker process imports this module, since it imports pycolmap.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from ....pipeline import thread_count
 
 Report = Callable[[str, int, int], None]  # phase, done, total
 
-EXTRACT_CHUNK = 8  # images a call: a killed run loses at most these
-MATCH_CHUNK = 64  # pairs a call
+EXTRACT_CHUNK = 8  # images per call; a killed run loses at most this many
+MATCH_CHUNK = 64  # pairs per call
 
 
 def write_cameras(path: Path, cameras: Sequence[pycolmap.Camera]) -> list[int]:
-    """Camera ids, in the order given. Cameras of a run that was killed are found again: the ids are 1, 2, ..."""
+    """Writes cameras and returns their ids in the given order. Since ids are 1, 2, ..., a resumed run finds its cameras again."""
     with pycolmap.Database.open(path) as database:
         for index in range(database.num_cameras(), len(cameras)):
             database.write_camera(cameras[index])
@@ -29,8 +29,8 @@ def write_cameras(path: Path, cameras: Sequence[pycolmap.Camera]) -> list[int]:
 def extract(
     path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int], max_features: int, report: Report, masks: str | None = None
 ) -> None:
-    """SIFT features of every image, `camera_ids[i]` being the camera of `names[i]`. Images that have features are left alone. masks: a
-    folder; where it has NAME.png, the image NAME has no features where that is black."""
+    """Extracts SIFT features of every image; `camera_ids[i]` is the camera of `names[i]`. Images that have features are skipped. masks: a
+    folder; if it has NAME.png, the image NAME gets no features where that is black."""
     _register(path, root, names, camera_ids)
     with pycolmap.Database.open(path) as database:
         have = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
@@ -52,7 +52,7 @@ def extract(
 
 
 def _register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int]) -> None:
-    """Images in the order of `names`: extraction alone would number them as its threads finish, and results would follow."""
+    """Registers images in the order of `names`. Extraction would number them as its threads finish, and results would depend on that."""
     with pycolmap.Database.open(path) as database:
         known = {image.name for image in database.read_all_images()}
     for name, camera in zip(names, camera_ids, strict=True):
@@ -63,7 +63,7 @@ def _register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence
 
 
 def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, verify: bool, report: Report) -> None:
-    """Match the pairs (indices into `names`). `verify` estimates the two-view geometry of each, which needs no poses."""
+    """Matches the pairs (indices into `names`). `verify` also estimates the two-view geometry of each, which needs no poses."""
     matching = pycolmap.FeatureMatchingOptions()
     matching.skip_geometric_verification, matching.num_threads = not verify, thread_count()
     verification = pycolmap.TwoViewGeometryOptions()
@@ -82,10 +82,10 @@ def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], se
 def verify(
     path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, report: Report, error: float = 4.0, plane: float = 0.8
 ) -> None:
-    """The two-view geometry of every pair (indices into `names`) that has matches; pairs that have one already are left alone.
+    """Estimates the two-view geometry of every pair (indices into `names`) that has matches; pairs that already have one are skipped.
 
-    error: px, at most, of an inlier. plane: share of the inliers that a homography must explain to be taken for the geometry; only the
-    matches that it explains are then kept.
+    error: the largest error of an inlier, px. plane: share of the inliers that a homography must explain to be used as the geometry; only
+    the matches that it explains are then kept.
     """
     options = pycolmap.TwoViewGeometryOptions()
     options.ransac.random_seed, options.ransac.max_error, options.max_H_inlier_ratio = seed, error, plane
@@ -103,7 +103,7 @@ def _list_pairs(listing: Path, names: Sequence[str], pairs: Sequence[tuple[int, 
 
 
 def image_ids(path: Path, names: Sequence[str]) -> list[int]:
-    """The database's id of every image. Raises KeyError with the name of one that could not be read."""
+    """The database's id of every image. Raises KeyError with the name of an image that could not be read."""
     with pycolmap.Database.open(path) as database:
         known = {image.name: image.image_id for image in database.read_all_images()}
     return [known[name] for name in names]

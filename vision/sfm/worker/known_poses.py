@@ -1,4 +1,4 @@
-"""Points from images whose cameras are known. Runs in the worker process: imports pycolmap."""
+"""Triangulates points from images whose cameras are known. Runs in the worker process: imports pycolmap."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from . import database as db
 
 
 def triangulate_known(request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Triangulate the images of `request` (pinhole, `K` [n,3,3], `cam_from_world` [n,4,4]) along its `pairs`.
+    """Triangulates points from the images of `request` (pinhole, `K` [n,3,3], `cam_from_world` [n,4,4]) and its `pairs`.
 
     Returns arrays `points` [P,3] float64, `colors` [P,3] uint8, `errors` [P] px, `tracks` [P] (views of each point). Every point is in
     front of all its cameras, within `max_error` px of its features in each, and seen under at least `min_angle` degrees.
@@ -52,7 +52,7 @@ def _pinhole(K: np.ndarray, width: int, height: int) -> pycolmap.Camera:
 def _match(
     path: Path, image_ids: list[int], K: np.ndarray, poses: np.ndarray, pairs: list[list[int]], error: float, report: db.Report
 ) -> None:
-    """Guided matches of every pair, stored as verified: the geometry is known, so there is nothing to estimate."""
+    """Writes guided matches of every pair as verified: the geometry is known, so there is nothing to estimate."""
     report("matches", 0, len(pairs))
     with pycolmap.Database.open(path) as database:
         features = {}
@@ -113,7 +113,7 @@ def _options(request: dict[str, Any]) -> pycolmap.IncrementalPipelineOptions:
 def _arrays(
     model: pycolmap.Reconstruction, number: dict[int, int], K: np.ndarray, poses: np.ndarray, request: dict[str, Any]
 ) -> dict[str, np.ndarray]:
-    """Points that pass, checked here from the features alone and not taken on trust."""
+    """The points that pass. All limits are checked again here from the features, without relying on COLMAP."""
     keypoints = {i: np.array([p.xy for p in model.image(i).points2D]).reshape(-1, 2) for i in number}
     centres = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
     points, colors, errors, tracks = [], [], [], []

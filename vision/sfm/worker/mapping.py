@@ -1,4 +1,5 @@
-"""`map_images`: the mapper's models of what a database holds, from a good first pair to a desperate one. Worker: imports pycolmap."""
+"""`map_images`: maps the images of a database, from a good first pair or, if need be, from worse ones. Runs in the worker process:
+imports pycolmap."""
 
 from __future__ import annotations
 
@@ -11,16 +12,16 @@ import pycolmap
 from .database import Report
 from .refine import lens_of
 
-ENOUGH = 0.5  # of the images; a model of fewer may have begun at the wrong pair, and another first angle is tried
-MOST_MODELS = 4  # begun beside one another; where more are, none is of use, and each takes minutes
-HALF = 0.5  # of the images that a map with a fitted lens had, that one with a fixed lens must have
+ENOUGH = 0.5  # of the images; a smaller model may have started from the wrong pair, so another first angle is tried
+MOST_MODELS = 4  # separate models that are started; if there are more, none is useful, and each takes minutes
+HALF = 0.5  # share of the images of the map with a fitted lens that the map with a fixed lens must have
 
 
 def map_images(path: Path, request: dict[str, Any], report: Report) -> tuple[list[pycolmap.Reconstruction], bool, list[str]]:
-    """`(models, fixed_lens, notes)`: models, the one with most images first; whether the lens was held fixed; sentences about it.
+    """`(models, fixed_lens, notes)`: the models, the one with most images first; whether the lens was held fixed; sentences about it.
 
-    Where nothing registers, or the lens that comes out is absurd (`lens_trouble`), the images are mapped once more with the lens that was
-    begun with: a camera that hardly moves, or moves along its axis alone, does not tell its focal length.
+    If nothing registers, or the resulting lens is absurd (`lens_trouble`), the images are mapped once more with the initial lens held
+    fixed: a camera that hardly moves, or moves only along its axis, does not determine its focal length.
     """
     models = map_once(path, request, report, False)
     if request["mapper"] == "global":
@@ -42,7 +43,7 @@ def map_images(path: Path, request: dict[str, Any], report: Report) -> tuple[lis
 
 
 def map_once(path: Path, request: dict[str, Any], report: Report, fixed_lens: bool) -> list[pycolmap.Reconstruction]:
-    """The mapper's models, the one with most images first, from a first pair at the widest angle that gives half of the images."""
+    """The mapper's models, the one with most images first. The first pair has the widest angle that registers half of the images."""
     root, out = Path(request["root"]), Path(request["folder"]) / "models"
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
@@ -65,7 +66,7 @@ def map_once(path: Path, request: dict[str, Any], report: Report, fixed_lens: bo
         report("mapping", min(registered, total), total)
 
     best: list[pycolmap.Reconstruction] = []
-    for angle in request["init_angles"]:  # a camera that hardly moves has no pair at the usual first angle
+    for angle in request["init_angles"]:  # a camera that hardly moves has no pair with the usual first angle
         options.mapper.init_min_tri_angle = angle
         registered = 0
         models = _sorted(list(pycolmap.incremental_mapping(path, root, out, options, next_image_callback=advance).values()))
@@ -84,7 +85,7 @@ def _options(request: dict[str, Any], fixed_lens: bool) -> pycolmap.IncrementalP
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = int(request["seed"])
     options.num_threads = options.mapper.num_threads = 1
-    # a full adjustment after a third more of frames or points: as accurate as after a tenth, and it is most of the time
+    # A full adjustment each time frames or points grow by 30 % is as accurate as one each 10 %, and adjustments take most of the time.
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
     options.ba_global_max_refinements = 3
     options.max_num_models = MOST_MODELS

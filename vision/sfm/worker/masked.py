@@ -1,4 +1,5 @@
-"""The second pass: the first one's features and matches without those on movers, verified and mapped anew. Imports pycolmap (worker)."""
+"""The second pass: verifies and maps the first pass's features and matches again, without those on moving pixels. Runs in the worker
+process: imports pycolmap."""
 
 from __future__ import annotations
 
@@ -12,16 +13,17 @@ from ..masks import on_movers, still_matches
 from . import database as db
 from .reconstruct import DATABASE, map_database
 
-SAMPLE = 200_000  # matches that the two passes are compared on; the share that agrees is then known to a tenth of a percent
+SAMPLE = 200_000  # matches used to compare the two passes; the share that agrees is then known to a tenth of a percent
 
 
 def reconstruct_masked(request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Reconstruct without what moves. `request`: that of `reconstruct`, with `first` (the folder of its database) and `masks` (npz file:
-    `masks` [n,h,w] bool, `size` [n,2] px of the pictures).
+    """Reconstructs without moving pixels. `request`: as for `reconstruct`, and `first` (folder of the first pass's database) and `masks`
+    (npz file: `masks` [n,h,w] bool, `size` [n,2] px of the pictures).
 
-    Returns the arrays of `reconstruct`, and `match_pair` [M,2] int32, `match_xy1`, `match_xy2` [M,2] float32 px: matches off movers, before
-    verification, evenly thinned to `SAMPLE`; and its facts, with `kept` and `matches`: matches off movers, and all of them.
-    A killed run goes on with its own database; it has no descriptors, and the first one's stays as it is.
+    Returns the arrays of `reconstruct`, and `match_pair` [M,2] int32, `match_xy1`, `match_xy2` [M,2] float32 px: the matches off moving
+    pixels, before verification, evenly thinned to `SAMPLE`. The facts are those of `reconstruct`, and `kept` and `matches`: the number of
+    matches off moving pixels, and of all. A run that was killed resumes with its own database, which has no descriptors; the first pass's
+    database is not changed.
     """
     names, pairs = list(request["names"]), [(int(a), int(b)) for a, b in request["pairs"]]
     path, seed = Path(request["folder"]) / DATABASE, int(request["seed"])
@@ -44,7 +46,7 @@ def reconstruct_masked(request: dict[str, Any], report: db.Report) -> tuple[dict
 
 
 def _copy(source: Path, target: Path, names: list[str], pairs: list[tuple[int, int]], masks: np.ndarray, size: np.ndarray) -> None:
-    """Everything but descriptors, verified geometries, and matches on movers."""
+    """Copies everything except descriptors, verified geometries, and matches on moving pixels."""
     ids = db.image_ids(source, names)
     with pycolmap.Database.open(source) as old, pycolmap.Database.open(target) as new, pycolmap.DatabaseTransaction(new):
         for camera in old.read_all_cameras():

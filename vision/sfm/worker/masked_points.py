@@ -1,4 +1,4 @@
-"""`without_movers`: points that stand still. Runs in the worker process: imports pycolmap."""
+"""`without_movers`: removes points on moving pixels. Runs in the worker process: imports pycolmap."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ ENOUGH = 50  # points that must be left; with fewer, all stay
 
 
 def without_movers(model: pycolmap.Reconstruction, request: dict[str, Any]) -> None:
-    """Takes out, in place, points that any image saw where something moves: matched at several times, they are in several places.
+    """Removes, in place, points that some image saw on moving pixels: matched at several times, such points are in several places.
 
-    request: `masks`, npz file with `masks` [n, h, w] bool of the images `names` (False for those that moved themselves); without it nothing
+    request: `masks`, npz file with `masks` [n, h, w] bool of the images `names` (False for images whose camera moved); without it nothing
     is done.
     """
     if not request.get("masks"):

@@ -1,8 +1,8 @@
-"""`reclaim`: poses for images that the mapper left out of the largest model. Runs in the worker process: imports pycolmap.
+"""`reclaim`: finds poses for images that the mapper left out of the largest model. Runs in the worker process: imports pycolmap.
 
-Two sources. A second model that shares images with the first is aligned to it by the points that both have (the mapper began twice and
-neither reached the other). Then single images are tried again, with fewer inliers than the mapper asks, where their neighbours in time
-have poses and bound where they can be.
+There are two sources. If the mapper started twice and neither model reached the other, a second model that shares images with the first
+is aligned to it by their common points. Then single images are tried again with fewer inliers than the mapper requires, if neighbours in
+time have poses that limit where they can be.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from ..alignment import robust_similarity
 from ..plausible import plausible
 from ..sound import purge
 
-INLIERS = 15  # of an image tried again (the mapper: 30); chance gives less than one at 12 px
-INLIER_RATIO = 0.1  # the mapper: 0.25; blurred frames and those full of movers have less
+INLIERS = 15  # of an image that is tried again (the mapper: 30); chance gives less than one at 12 px
+INLIER_RATIO = 0.1  # the mapper: 0.25; blurred frames and frames full of moving objects have less
 MIN_MATCHES = 15  # of a pair, as in the mapper
-ROUNDS = 3  # a frame that comes back may bring its neighbour
-PASSES = 2  # of the mapper's adjustment, once all that came back are in
+ROUNDS = 3  # a frame that is registered may help its neighbour
+PASSES = 2  # of the mapper's adjustment, after all reclaimed images are in
 
 
 def reclaim(
@@ -32,10 +32,10 @@ def reclaim(
     fixed_lens: bool,
     seed: int,
 ) -> tuple[pycolmap.Reconstruction, list[str], list[str]]:
-    """`(model, merged, again)`: the model with more images, and the names of those that came from other models and by trying again.
+    """`(model, merged, again)`: the model with more images, and the names of those from other models and of those that were tried again.
 
-    order: (camera, frame) of every image by name where the images are in order of time, empty where they are not: then no image is
-    tried alone. The model given is not changed; it is returned itself where nothing came.
+    order: (camera, frame) of every image by name if the images are in order of time. Empty if they are not; then no image is tried
+    alone. The given model is not changed; it is returned itself if nothing was gained.
     """
     grown = pycolmap.Reconstruction(model)
     poses = _poses_of_others(grown, others)
@@ -75,7 +75,7 @@ def _names(model: pycolmap.Reconstruction) -> set[str]:
 
 
 def _poses_of_others(model: pycolmap.Reconstruction, others: Sequence[pycolmap.Reconstruction]) -> dict[int, pycolmap.Rigid3d]:
-    """Poses, in the world of `model`, of images that only other models have; of those that can be aligned, the largest first."""
+    """Poses, in the world of `model`, of images that only other models have. Models that can be aligned are used, the largest first."""
     found: dict[int, pycolmap.Rigid3d] = {}
     mine = set(model.reg_image_ids())
     for other in sorted(others, key=lambda m: -m.num_reg_images()):
@@ -97,7 +97,7 @@ def _poses_of_others(model: pycolmap.Reconstruction, others: Sequence[pycolmap.R
 def _common_points(
     source: pycolmap.Reconstruction, target: pycolmap.Reconstruction, common: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points that the same features of the common images made in both models: two [N, 3], in pairs."""
+    """Pairs of points that belong to the same features of the common images in both models: two arrays [N, 3]."""
     pairs = {}
     for image_id in common:
         a, b = source.image(image_id), target.image(image_id)
@@ -114,7 +114,7 @@ def _options(fixed_lens: bool, seed: int) -> tuple[pycolmap.IncrementalMapperOpt
     settings.random_seed = triangulation.random_seed = seed
     settings.num_threads = 1
     settings.abs_pose_min_num_inliers, settings.abs_pose_min_inlier_ratio = INLIERS, INLIER_RATIO
-    # few points do not tell a lens; it is the other images'
+    # a few points do not determine the lens, which is taken from the other images
     settings.abs_pose_refine_focal_length = settings.abs_pose_refine_extra_params = False
     return settings, triangulation
 

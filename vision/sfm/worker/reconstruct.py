@@ -1,4 +1,4 @@
-"""Images -> cameras and points, by COLMAP's incremental or global mapper. Runs in the worker process: imports pycolmap."""
+"""Cameras and points from images, by COLMAP's incremental or global mapper. Runs in the worker process: imports pycolmap."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from .result import result_arrays, used_features
 from .survey import survey, tell
 
 DATABASE = "database.db"  # in the request's folder
-DEFAULT_FOCAL = 1.2  # of the longer side; COLMAP's habit for images without EXIF, refined by the bundle adjustment
+DEFAULT_FOCAL = 1.2  # of the longer side; COLMAP's default for images without EXIF, refined by the bundle adjustment
 
 
 def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Reconstruct the images of `request`; the keys are those that `poses.py` writes.
+    """Reconstructs the images of `request`, whose keys are those that `poses.py` writes.
 
     Returns arrays `registered` [n] bool, `K` [n,3,3], `cam_from_world` [n,4,4] (NaN where not registered), `distortion` [n,4]
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
     (views of each point), `angles` [P] degrees (between its outermost rays), `residuals` [R] px (reprojection error of every observation),
-    `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and place of every feature that was adjusted). What no camera can have seen
-    (`purge`) is in none of them. Facts: `parts` (disjoint, see `parts`), `features` [n], `pairs` (facts of `Survey`), `turning` (whether
-    `turning.py` found the cameras), `notes` (sentences about what was done).
+    `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and position of every feature that was adjusted). None of them contains what no
+    camera can have seen (`purge`). Facts: `parts` (disjoint, see `parts`), `features` [n], `pairs` (facts of `Survey`), `turning` (whether
+    `turning/` found the cameras), `notes` (sentences about what was done).
     """
     folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
     seed = int(request["seed"])
@@ -54,7 +54,7 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
     found = survey(path, names, request["pairs"])
     facts: dict[str, Any] = {"features": found.features, "pairs": found.facts, "parts": [], "notes": [], "turning": False}
     if found.facts["verified"] and found.facts["shift"] < STILL:
-        return result_arrays(None, names), facts  # the mapper would look for a first pair for many minutes
+        return result_arrays(None, names), facts  # the mapper would search for a first pair for many minutes
     turned = turning_arrays(path, request, found, report)
     if turned is not None and turned[0]["registered"].sum() >= ENOUGH * len(names):
         return turned[0], {**facts, **turned[1]}
@@ -76,7 +76,7 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
             {} if request["static"] else {name: (camera, i) for i, (name, camera) in enumerate(zip(names, request["cameras"], strict=True))}
         )
         largest, merged, again = reclaim(largest, others, path, order, fixed_lens, int(request["seed"]))
-    # movers pull what is adjusted: the features that it used are counted on them, also those that do not fit afterwards
+    # Moving objects bias the adjustment. So features on them are counted among all that it used, also those that do not fit afterwards.
     used = used_features(largest, names)
     largest, more, undone = refine_or_keep(largest, fixed_lens)
     report("refining", 1, 1)
@@ -87,7 +87,7 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
 
 
 def parts(models: list[pycolmap.Reconstruction]) -> list[int]:
-    """Images of each model that are in none before it, empty ones left out: disjoint, so that they add up to the images with any pose."""
+    """Number of images in each model that are in none before it, without zeros. Disjoint, so they add up to all images with a pose."""
     seen: set[int] = set()
     sizes = []
     for model in models:
@@ -98,12 +98,12 @@ def parts(models: list[pycolmap.Reconstruction]) -> list[int]:
 
 
 def first_camera(image: Path, request: dict[str, Any]) -> pycolmap.Camera:
-    """The camera before refinement: K of the capture, else the focal length in EXIF, else a guess."""
+    """The camera before refinement: from the capture's K, else with the focal length in EXIF, else a guess."""
     guess = pycolmap.infer_camera_from_image(image)
     hint = request.get("K_hint")
     focal = guess.mean_focal_length() if guess.has_prior_focal_length else DEFAULT_FOCAL * max(guess.width, guess.height)
     if hint is not None:
-        # the hint is for the output's size, the file may be larger
+        # the hint refers to the output size; the file may be larger
         focal = 0.5 * (hint[0][0] * guess.width / request["width"] + hint[1][1] * guess.height / request["height"])
     camera = pycolmap.Camera.create_from_model_name(0, request["camera_model"], focal, guess.width, guess.height)
     camera.has_prior_focal_length = hint is not None or guess.has_prior_focal_length

@@ -1,4 +1,5 @@
-"""`refine`: all cameras and points of a reconstruction adjusted together, outliers counting for little. Worker: imports pycolmap."""
+"""`refine`: adjusts all cameras and points of a reconstruction together, with little weight for outliers. Runs in the worker process:
+imports pycolmap."""
 
 from __future__ import annotations
 
@@ -10,22 +11,22 @@ import pycolmap
 from ..sound import Purged, observe, purge
 from .lens import lens_trouble
 
-ROUNDS = 2  # the first one's noise is measured on cameras that outliers have pulled; a third changes nothing
-CAUCHY = 2.385  # standard deviations; Cauchy's loss then has 95 % of the efficiency of least squares on Gaussians
+ROUNDS = 2  # in the first, the noise is measured with cameras that outliers have biased; a third round changes nothing
+CAUCHY = 2.385  # standard deviations; Cauchy's loss then has 95 % of the efficiency of least squares on Gaussian errors
 MEDIAN_OF_NORM = 1.1774  # of a Gaussian in two dimensions, in standard deviations: sqrt(2 log 2)
 FINEST = 0.01  # px; exact features have no noise to measure
 ITERATIONS = 50
 TOLERANCE = 1e-6  # relative change of the cost
 WORSE = 1.05, 0.01  # factor and px by which the median error may grow
-KEPT = 0.9  # of the observations that an adjustment must leave sound
+KEPT = 0.9  # share of the observations that must still fit after an adjustment
 
 
 def refine(model: pycolmap.Reconstruction, fixed_lens: bool = False) -> None:
     """Bundle adjustment in place under Cauchy's loss, scaled by the noise of the features that this model uses.
 
-    The mapper adjusts by least squares and keeps features up to 4 px off, ten times the noise and more: a few of these, on what moves or
-    mistaken for something else, pull focal length and poses. Principal points stay, as in the mapper; with `fixed_lens` the whole lens
-    does. One thread: the same bits each time. Every observation must be of a finite point before its camera (`purge`).
+    The mapper adjusts by least squares and keeps features up to 4 px off, ten times the noise or more. A few of these, on moving objects or
+    wrongly matched, bias focal length and poses. Principal points stay fixed, as in the mapper; with `fixed_lens` the whole lens does. One
+    thread, so that results are bit-identical. Every observation must be of a finite point in front of its camera (`purge`).
     """
     for _ in range(ROUNDS):
         errors = observe(model).error
@@ -45,9 +46,9 @@ def refine(model: pycolmap.Reconstruction, fixed_lens: bool = False) -> None:
 def refine_or_keep(
     model: pycolmap.Reconstruction, fixed_lens: bool = False, adjust: Callable[[pycolmap.Reconstruction, bool], None] = refine
 ) -> tuple[pycolmap.Reconstruction, Purged, str | None]:
-    """`(model, purged, undone)`: the model purged, adjusted and purged again; or as it was before the adjustment, and why.
+    """`(model, purged, undone)`: the model purged, adjusted and purged again; or the model before the adjustment, and why it was undone.
 
-    What is lost before the adjustment and after it is counted together. The model given is not changed.
+    `purged` counts what was removed before and after the adjustment together. The given model is not changed.
     """
     before = pycolmap.Reconstruction(model)
     first = purge(before)
@@ -63,7 +64,7 @@ def refine_or_keep(
 
 
 def worse(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction) -> str | None:
-    """In what an adjusted, purged model is worse than it was; None where it is not."""
+    """In what way an adjusted, purged model is worse than before; None if it is not."""
     if after.num_reg_images() < before.num_reg_images():
         return f"{before.num_reg_images() - after.num_reg_images()} images lost their poses"
     was, now = observe(before).error, observe(after).error
@@ -76,7 +77,7 @@ def worse(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction) -> st
 
 
 def lens_of(model: pycolmap.Reconstruction, before: pycolmap.Reconstruction | None = None) -> str | None:
-    """What is absurd about a lens of the model, that was not about the same lens `before`; None where all are sane."""
+    """What is absurd about a lens of the model that was not absurd `before`; None if there is no such lens."""
     for camera_id in sorted({model.image(i).camera_id for i in model.reg_image_ids()}):
         camera = model.camera(camera_id)
         trouble = trouble_of(camera)
@@ -86,13 +87,13 @@ def lens_of(model: pycolmap.Reconstruction, before: pycolmap.Reconstruction | No
 
 
 def trouble_of(camera: pycolmap.Camera) -> str | None:
-    """`lens_trouble` of a camera of COLMAP's."""
+    """`lens_trouble` of a COLMAP camera."""
     hinted = bool(camera.has_prior_focal_length)
     return lens_trouble(camera.calibration_matrix(), np.array(distortion(camera)), camera.width, camera.height, hinted)
 
 
 def distortion(camera: pycolmap.Camera) -> tuple[float, float, float, float]:
-    """(k1, k2, p1, p2) of COLMAP's models that have no more than these."""
+    """(k1, k2, p1, p2) of a COLMAP camera model that has no other distortion terms."""
     extra = [float(camera.params[i]) for i in camera.extra_params_idxs()]
     k1, k2, p1, p2 = (*extra, 0.0, 0.0, 0.0, 0.0)[:4]
     return k1, k2, p1, p2

@@ -1,4 +1,4 @@
-"""`result_arrays`: a reconstruction as the arrays that leave the worker process."""
+"""`result_arrays`: converts a reconstruction to the arrays that leave the worker process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def result_arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> dict[str, np.ndarray]:
-    """The arrays that `reconstruct` describes. The model is purged: every observation has a finite error."""
+    """The arrays that `reconstruct` describes. The model must be purged, so that every observation has a finite error."""
     n = len(names)
     arrays = {
         "registered": np.zeros(n, bool),
@@ -55,7 +55,7 @@ def result_arrays(model: pycolmap.Reconstruction | None, names: list[str]) -> di
 
 
 def used_features(model: pycolmap.Reconstruction, names: list[str]) -> dict[str, np.ndarray]:
-    """`seen` [O] int32 and `seen_xy` [O, 2] float32 px: frame and place of every feature that made a point of the model."""
+    """`seen` [O] int32 and `seen_xy` [O, 2] float32 px: frame and position of every feature that belongs to a point of the model."""
     index, seen = {name: i for i, name in enumerate(names)}, observe(model)
     frame_of = {i: index[model.image(i).name] for i in model.reg_image_ids()}
     return {"seen": np.array([frame_of[i] for i in seen.image], np.int32), "seen_xy": seen.xy.astype(np.float32)}

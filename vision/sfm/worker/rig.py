@@ -1,7 +1,7 @@
 """Structure from motion of several cameras, some of which stand still. Runs in the worker process: imports pycolmap.
 
-Features of all pictures that a camera saw from one place become one image's (`looks.py`): so its pose is one, what moves helps to find it,
-and a place that is found several times counts with the mean of its errors.
+The features of all pictures that a camera took from one place are merged into one image (`looks.py`). The camera then has a single pose,
+moving objects help to find it, and a feature that is found several times counts with its mean error.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ LOOKS = "looks.db"  # features and raw matches of all pictures, in the request's
 
 
 def reconstruct_rig(request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """`request`: that of `reconstruct`, where `names` and `pairs` are the pictures that are looked at; `images` [L]: the image of each;
+    """`request`: as for `reconstruct`, but `names` and `pairs` are of the pictures used. `images` [L]: the image that each belongs to;
     `cameras` [n]: the camera of each image; `all_still`: whether each camera has one image; `masks`: npz file, see `without_movers`.
 
-    Returns what `reconstruct` does, of the n images.
+    Returns what `reconstruct` returns, for the n images.
     """
     folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
     image, seed = [int(i) for i in request["images"]], int(request["seed"])
@@ -66,10 +66,10 @@ def merge(
     cameras: Sequence[pycolmap.Camera],
     lenses: Sequence[int],
 ) -> None:
-    """A database whose images have the features of all their pictures, in order, and the raw matches of these.
+    """Writes a database whose images have the features of all their pictures, in order, with the raw matches between them.
 
-    names [L], image [L]: pictures in `source`, and the image of each; an image is called like its first picture. pairs: of pictures that
-    were matched. lenses [n]: the lens of each image; `cameras` are those of the lenses in rising order.
+    names [L], image [L]: pictures in `source`, and the image that each belongs to; an image takes the name of its first picture. pairs: of
+    pictures that were matched. lenses [n]: the lens of each image; `cameras`: one for each lens, in rising order of lens.
     """
     ids = db.image_ids(source, names)
     order = {lens: k for k, lens in enumerate(sorted(set(lenses)))}

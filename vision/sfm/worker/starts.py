@@ -1,9 +1,9 @@
-"""`reconstruct_still`: cameras that stand still, each one image. Runs in the worker process: imports pycolmap.
+"""`reconstruct_still`: cameras that stand still, one image each. Runs in the worker process: imports pycolmap.
 
-A few pictures from far apart leave the mapper many wrong ways to begin: a plane that fills them (a wall, a floor) fits several focal
-lengths and shapes, and no later picture tells them apart. So it begins several times, at different focal lengths, and the cameras that
-explain all matches best (`misfit`) are kept. On four cameras of a stage, single beginnings came out at 0.03 to 50 % of error, the best of
-ten always below 0.1 %.
+With a few pictures from far apart, the mapper can start wrongly in many ways: a plane that fills the pictures (a wall, a floor) fits
+several focal lengths and shapes, and no later picture tells them apart. So the mapper starts several times, at different focal lengths,
+and the cameras that explain all matches best (`misfit`) are kept. On four cameras of a stage, single starts had an error of 0.03 to 50 %,
+and the best of ten was always below 0.1 %.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from .result import result_arrays
 from .survey import survey
 
 FOCALS = (1.0, 1.25, 0.8, 1.6, 0.6)  # of the longer side, the usual ones first: fields of view of 53, 44, 64, 35 and 80 degrees
-ERRORS = (4.0, 2.0)  # px that a match may miss its epipolar line by; RANSAC's own chance is a beginning too
-SAME = 0.02  # misfits this near are those of one solution, ...
-AGREE = 3  # ... and where so many starts come to the best one, no other is tried
-OWN = 0.1  # by which the misfit must fall for each camera to have a lens of its own: four more numbers always fit a little better
-PLANE = 0.95  # of the matches that one homography must explain before the others are dropped
-NO_LENS = 1.0  # added to the misfit where the lens is absurd
+ERRORS = (4.0, 2.0)  # px from the epipolar line allowed to a match; another limit makes RANSAC start differently, too
+SAME = 0.02  # misfits this close belong to the same solution
+AGREE = 3  # once this many starts reach the best solution, no more are tried
+OWN = 0.1  # that the misfit must fall for each camera to get its own lens; four more numbers always fit a little better
+PLANE = 0.95  # share of the matches that one homography must explain before the others are dropped
+NO_LENS = 1.0  # added to the misfit if the lens is absurd
 
 
 class Found(NamedTuple):
@@ -38,13 +38,13 @@ class Found(NamedTuple):
 
 
 def reconstruct_still(shared: Path, own: Path, request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """shared, own: databases with raw matches of the images of `request`, in which all have one lens and each has its own. Returns what
-    `reconstruct` does."""
+    """shared, own: databases with raw matches of the images of `request`; in `shared` all images have one lens, in `own` each has its own.
+    Returns what `reconstruct` returns."""
     names = list(request["names"])
     matches = _places(shared, names, request["pairs"])
     best, tried = _best(shared, request, matches, report)
     notes = []
-    if len(names) > 2:  # two pictures cannot tell two lenses
+    if len(names) > 2:  # two pictures cannot determine two lenses
         alone = _start(own, request, matches, _focal(best), ERRORS[0], report)
         if alone.misfit < best.misfit - OWN:
             others, more = _best(own, request, matches, report)
@@ -61,7 +61,7 @@ def reconstruct_still(shared: Path, own: Path, request: dict[str, Any], report: 
 
 
 def _best(path: Path, request: dict[str, Any], matches: Places, report: db.Report) -> tuple[Found, int]:
-    """The best of several starts, and how many were made."""
+    """The best of several starts, and the number of starts."""
     found: list[Found] = []
     for error in ERRORS:
         for focal in FOCALS:
@@ -73,7 +73,7 @@ def _best(path: Path, request: dict[str, Any], matches: Places, report: db.Repor
 
 
 def _start(path: Path, request: dict[str, Any], matches: Places, focal: float, error: float, report: db.Report) -> Found:
-    """Matches verified and mapped with the focal length, of the longer side, as if it were known; then it is refined."""
+    """Verifies and maps the matches as if the focal length (of the longer side) were known, then refines it."""
     names, seed = list(request["names"]), int(request["seed"])
     with pycolmap.Database.open(path) as database:
         database.clear_two_view_geometries()
@@ -90,7 +90,7 @@ def _start(path: Path, request: dict[str, Any], matches: Places, focal: float, e
         return Found(float("inf"), None)
     model = models[0]
     for camera_id in model.cameras:
-        model.camera(camera_id).has_prior_focal_length = False  # it was a guess, and what comes out is judged
+        model.camera(camera_id).has_prior_focal_length = False  # it was only a guess, so the refined lens is judged
     purge(model)
     model, _, _ = refine_or_keep(model)
     strange = lens_of(model) is not None

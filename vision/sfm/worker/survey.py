@@ -1,4 +1,5 @@
-"""What the matches say about how the camera moved, and what was done to a reconstruction, for people. Worker: imports pycolmap."""
+"""What the matches show about the camera's motion, and sentences for people about a reconstruction. Runs in the worker process: imports
+pycolmap."""
 
 from __future__ import annotations
 
@@ -13,8 +14,8 @@ import pycolmap
 from ..coverage import frames_named
 from ..sound import Purged
 
-VERIFIED = 15  # inlier matches of a pair that counts; the mapper's own bar
-WORTH = 0.01  # of the observations; fewer lost are not worth a line
+VERIFIED = 15  # inlier matches that a pair needs to count; the mapper's own limit
+WORTH = 0.01  # of the observations; a smaller loss is not worth a sentence
 _TURNED = ("PLANAR", "PANORAMIC", "PLANAR_OR_PANORAMIC")
 
 
@@ -22,10 +23,10 @@ _TURNED = ("PLANAR", "PANORAMIC", "PLANAR_OR_PANORAMIC")
 class Survey:
     """What the database holds about n images.
 
-    features [n] of each; places [n] of [N, 2] px, where they are; matches {(a, b): [M, 2]}: feature numbers of the inliers of pairs with at
-    least 15. facts, which go into messages: `verified` (such pairs), `matched` [n] (most matches of each image in one of them), `flat`
-    (share of them that one homography explains: a camera that only turned, or one plane), `shift` (90th percentile over them of the median
-    way of a match, as a share of the longer side; 0 without pairs).
+    features [n]: count in each image; places [n] of [N, 2] px: their positions; matches {(a, b): [M, 2]}: feature numbers of the inliers,
+    for pairs with at least 15. facts are for messages: `verified` (number of such pairs), `matched` [n] (most matches of each image in one
+    of them), `flat` (share of them that one homography explains: a camera that only turned, or a single plane), `shift` (median distance
+    that matches move in a pair, 90th percentile over the pairs, as a share of the longer side; 0 without pairs).
     """
 
     features: list[int]
@@ -67,7 +68,7 @@ def survey(path: Path, names: Sequence[str], pairs: Sequence[Sequence[int]]) -> 
 def tell(
     names: Sequence[str], observations: int, lost: Sequence[Purged], undone: str | None, merged: Sequence[str], again: Sequence[str]
 ) -> list[str]:
-    """Sentences about what was taken out (of so many observations), undone, and won back; none where nothing was."""
+    """Sentences about what was removed (out of `observations`), undone, and reclaimed; empty if nothing was."""
     index = {name: i for i, name in enumerate(names)}
     said = []
     strays, points = sum(p.observations for p in lost), sum(p.points for p in lost)

@@ -1,1 +1,1 @@
-"""Where the scenes of a batch run other than in processes of this machine: Parsl, Kubernetes, Slurm."""
+"""Other places for a batch to run than this machine's own processes: Parsl, Kubernetes, Slurm."""

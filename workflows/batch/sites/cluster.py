@@ -1,4 +1,4 @@
-"""Scenes of a batch on what Parsl reaches: this machine, Slurm, Kubernetes. CPU parts and training go to pools of their own."""
+"""Runs the scenes of a batch through Parsl: on this machine, Slurm or Kubernetes. CPU parts and training use separate pools."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from ..work import PARTS, StageFailed
 from ..yaml_files import read_yaml
 
 INTERCHANGE = "parsl.executors.high_throughput.interchange"  # between this process and the workers
-PROGRAMS = Path(sys.executable).parent  # Parsl's own lie beside the interpreter, whether its environment is activated or not
-LOSSES = 20  # lost workers that count as one try, so that a node that always dies ends after a while
-LOOKS = 4  # at a worker, and at the queue, within `Cluster.lost_after`
+PROGRAMS = Path(sys.executable).parent  # Parsl's programs are beside the interpreter, even if its environment is not activated
+LOSSES = 20  # lost workers that count as one failed try, so that a node that always dies ends after a while
+LOOKS = 4  # checks of a worker, and of the queue, within `Cluster.lost_after`
 
 
 class Pool(BaseModel):
@@ -48,7 +48,7 @@ class Pool(BaseModel):
 
 
 class Cluster(BaseModel):
-    """A file of `workflows/clusters`. gpu: for training and what follows; None: the CPU's pool does all."""
+    """A file like those in `workflows/clusters`. gpu: pool for training and what follows; None: the CPU pool does everything."""
 
     model_config = ConfigDict(extra="forbid")
     retries: int = Field(1, ge=0, description="further tries of a stage that failed; lost workers hardly count")
@@ -57,12 +57,12 @@ class Cluster(BaseModel):
     gpu: Pool | None = None
 
     def pool(self, part: str) -> Pool:
-        """That ``part`` of `PARTS` runs in."""
+        """The pool in which ``part`` of `PARTS` runs."""
         return self.cpu if part == PARTS[0] or self.gpu is None else self.gpu
 
 
 def read_cluster(file: Path) -> Cluster:
-    """Raises SettingsError that names the file and the field."""
+    """Reads a cluster's file. Raises SettingsError that names the file and the field."""
     try:
         return Cluster.model_validate(read_yaml(file) or {})
     except ValidationError as error:
@@ -76,7 +76,7 @@ def read_cluster(file: Path) -> Cluster:
 
 
 class Parsl:
-    """As `local.Local`, on the pools of ``cluster``. Raises StageError where Parsl is not installed."""
+    """Like `local.Local`, but on the pools of ``cluster``. Raises StageError if Parsl is not installed."""
 
     def __init__(self, ledger: Ledger, cluster: Cluster, timeout: float | None) -> None:
         try:
@@ -87,7 +87,7 @@ class Parsl:
             raise StageError("--executor FILE.yaml needs the package parsl; install it with: pip install 'e4dgs[cluster]'") from error
         self.ledger, self.cluster, self.timeout = ledger, cluster, timeout
         pools = {"cpu": cluster.cpu} | ({"gpu": cluster.gpu} if cluster.gpu is not None else {})
-        # The usual handler gives a pool up when all of its jobs so far have failed: with one node, when that one is lost.
+        # Parsl's default handler gives up a pool once all of its jobs so far have failed; with one node, a single loss would do that.
         executors = [_executor(name, pool, cluster.lost_after, windowed_error_handler) for name, pool in pools.items()]
         config = Config(
             executors=executors,
@@ -114,11 +114,11 @@ class Parsl:
         return ends
 
     def stop(self) -> None:
-        """Workers end, and what runs on them; checkpoints stay."""
+        """Ends the workers and what runs on them; checkpoints stay."""
         self._kernel.cleanup()
 
     def _lost(self, scene: str, future: Future[bool]) -> None:
-        """Says why a part did not even run; what a stage has said itself stands in the scene's state already."""
+        """Records why a part could not run at all. A failure of a stage itself is already in the scene's state."""
         error = future.exception()
         progress = self.ledger.progress(scene)
         if error is None or isinstance(error, StageFailed) or type(error).__name__ == "DependencyError" or progress.state == "failed":
@@ -129,14 +129,14 @@ class Parsl:
 
 
 def _part_after(before: bool, *args: Any) -> bool:
-    """Runs on a worker; ``before`` is what the part before has returned."""
+    """Runs on a worker. ``before`` is what the previous part returned."""
     from e4dgs.workflows.batch.work import run_part
 
     return bool(before) and run_part(*args)
 
 
 def _cost(error: Exception, task: Any) -> float:
-    """How many losses a failure counts. A part whose part before has failed is not tried at all, nor one whose pool was given up."""
+    """How many losses a failure counts as. A part is not retried if the previous part failed or its pool was given up."""
     if type(error).__name__ in ("DependencyError", "BadStateException"):
         return float("inf")
     return LOSSES if isinstance(error, StageFailed) else 1
@@ -148,7 +148,7 @@ def _executor(name: str, pool: Pool, lost_after: int, give_up: Callable[..., Non
     more: dict[str, Any] = {} if pool.address is None else {"address": pool.address}
     if pool.provider == "local" and pool.address is None:
         more["address"] = "127.0.0.1"
-    if pool.gpus and not (pool.provider == "slurm" and pool.workers == 1):  # the one worker of a job keeps the GPU that Slurm chose
+    if pool.gpus and not (pool.provider == "slurm" and pool.workers == 1):  # a job's only worker keeps the GPU that Slurm assigned
         more["available_accelerators"] = pool.gpus
     if pool.memory_gb is not None:
         more["mem_per_worker"] = pool.memory_gb
@@ -157,7 +157,7 @@ def _executor(name: str, pool: Pool, lost_after: int, give_up: Callable[..., Non
         max_workers_per_node=pool.workers,
         provider=_provider(pool, lost_after),
         cores_per_worker=pool.cores or 1,
-        interchange_launch_cmd=[sys.executable, "-P", "-m", orphan.__name__, str(os.getpid()), INTERCHANGE],  # else it outlives us
+        interchange_launch_cmd=[sys.executable, "-P", "-m", orphan.__name__, str(os.getpid()), INTERCHANGE],  # or it would outlive us
         block_error_handler=give_up,
         heartbeat_period=max(1, lost_after // LOOKS),
         heartbeat_threshold=lost_after,
@@ -168,7 +168,7 @@ def _executor(name: str, pool: Pool, lost_after: int, give_up: Callable[..., Non
 
 def _provider(pool: Pool, lost_after: int) -> Any:
     blocks: dict[str, Any] = {"init_blocks": 1, "min_blocks": 0, "max_blocks": pool.nodes}
-    setup = f"export PATH={shlex.quote(str(PROGRAMS))}:$PATH\n{pool.setup}"  # Parsl's worker is found there where setup brings no other
+    setup = f"export PATH={shlex.quote(str(PROGRAMS))}:$PATH\n{pool.setup}"  # has Parsl's worker, unless setup provides another
     if pool.provider == "local":
         from parsl.providers import LocalProvider
 
@@ -177,7 +177,7 @@ def _provider(pool: Pool, lost_after: int) -> Any:
         from parsl.providers import SlurmProvider
 
         class Slurm(SlurmProvider):  # type: ignore[misc]
-            """Looks at its jobs often enough to miss none that ended."""
+            """Polls its jobs often enough to notice every one that ended."""
 
             @property
             def status_polling_interval(self) -> int:
@@ -191,7 +191,7 @@ def _provider(pool: Pool, lost_after: int) -> Any:
             worker_init=setup,
             nodes_per_block=1,
             cores_per_node=pool.workers * (pool.cores or 1),
-            mem_per_node=math.ceil(pool.workers * pool.memory_gb) if pool.memory_gb else None,  # 0 would be all of a node's
+            mem_per_node=math.ceil(pool.workers * pool.memory_gb) if pool.memory_gb else None,  # 0 would mean all of a node's memory
             exclusive=False,
             **blocks,
         )

@@ -1,7 +1,7 @@
-"""One part of a scene as a job of Slurm.
+"""Runs one part of a scene as a Slurm job.
 
-``python -m e4dgs.workflows.batch.sites.job WORKSPACE BATCH SCENE PART [SECONDS]`` is what the scripts of
-`slurm.py` call; a stage that takes longer is ended.
+The scripts of `slurm.py` call ``python -m e4dgs.workflows.batch.sites.job WORKSPACE BATCH SCENE PART [SECONDS]``. A stage that takes
+longer than SECONDS is ended.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import threading
 
 from ..work import StageFailed, run_part
 
-MOST_RESTARTS = 50  # a job that does not even come to its first checkpoint would be requeued for ever
+MOST_RESTARTS = 50  # a job that never reaches its first checkpoint would otherwise be requeued forever
 
 
 def main() -> int:
-    """Exit code 0 where the part is done or has been put back into the queue, 1 where it failed or was cancelled.
+    """Exit code 0 if the part is done or was requeued, 1 if it failed or was cancelled.
 
-    SIGUSR1, which Slurm sends before the time limit, ends the stage and requeues the job, which goes on from the checkpoint; SIGTERM ends
-    it.
+    On SIGUSR1, which Slurm sends before the time limit, the stage is ended and the job requeued; it then resumes from its checkpoint.
+    SIGTERM ends the job.
     """
     workspace, batch, scene, part, *seconds = sys.argv[1:]
     timeout = float(seconds[0]) if seconds else None

@@ -1,4 +1,4 @@
-"""Workers in pods of Kubernetes."""
+"""Parsl workers in Kubernetes pods."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from ....pipeline import SettingsError, StageError
 if TYPE_CHECKING:
     from .cluster import Pool
 
-USUAL_MEMORY_GB = 4.0  # of each worker; without a limit a pod could take its node's memory, and be ended for it
+USUAL_MEMORY_GB = 4.0  # per worker; without a limit, a pod could use up its node's memory and be killed for it
 
 
 def pods(pool: Pool, look: int) -> Any:
-    """What starts and ends the pods of ``pool`` for Parsl. look: seconds between two looks at them.
+    """The Parsl provider that starts and ends the pods of ``pool``. look: seconds between two checks of them.
 
-    Each pod requests what it may take, so that it gets a node with room for all of its workers. Raises StageError where the package
-    kubernetes is not installed, SettingsError where the pool has no image, or no cluster is configured.
+    Each pod requests as much as its limit, so that it gets a node with room for all of its workers. Raises StageError if the package
+    kubernetes is not installed, SettingsError if the pool has no image or no cluster is configured.
     """
     try:
         from kubernetes.client.exceptions import ApiException
@@ -28,7 +28,8 @@ def pods(pool: Pool, look: int) -> Any:
     from parsl.providers import KubernetesProvider
 
     class Pods(KubernetesProvider):  # type: ignore[misc]
-        """A pod that is gone (evicted, or its node was lost) has failed, and need not be ended. Parsl would wait for it for ever."""
+        """Treats a pod that is gone (evicted, or its node was lost) as failed, for which Parsl would wait forever. Deleting it is then no
+        error."""
 
         @property
         def status_polling_interval(self) -> int:
@@ -70,7 +71,7 @@ def pods(pool: Pool, look: int) -> Any:
             max_cpu=cpu,
             init_mem=memory,
             max_mem=memory,
-            extra_requests=gpus,  # Kubernetes wants them to be equal
+            extra_requests=gpus,  # Kubernetes requires both to be equal
             extra_limits=gpus,
             persistent_volumes=list(pool.volumes),
         )

@@ -1,4 +1,4 @@
-"""`e4dgs batch --emit slurm`: plain job scripts, for sites that allow no process that stays."""
+"""`e4dgs batch --emit slurm`: plain job scripts, for sites that do not allow a process that keeps running."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..ledger import Ledger
 from ..work import PARTS
 from .cluster import Cluster, Pool
 
-MOST_TASKS = 1000  # of an array; Slurm's own limit is 1001 unless a site has another
+MOST_TASKS = 1000  # of an array; Slurm's default limit is 1001
 USUAL = Pool.model_validate({"provider": "slurm", "cores": 8, "memory_gb": 16, "walltime": "08:00:00"})
 USUAL_GPU = USUAL.model_copy(update={"options": "#SBATCH --gres=gpu:1"})
 
@@ -53,8 +53,8 @@ sbatch ${{ends:+--dependency=afterany$ends}} results.sbatch
 
 
 def emit(ledger: Ledger, cluster: Cluster, timeout: float | None = None) -> Path:
-    """Writes ``slurm/`` into the batch's folder: a script for each part, one for the results, `submit.sh`, and the scenes that are not
-    done, one a line. timeout: seconds for each stage. Returns the folder."""
+    """Writes ``slurm/`` to the batch's folder: a script for each part, one for the results, `submit.sh`, and a list of the unfinished
+    scenes, one per line. timeout: seconds for each stage. Returns the folder."""
     folder = ledger.folder / "slurm"
     folder.mkdir(parents=True, exist_ok=True)
     names = [entry.name for entry in ledger.entries() if ledger.progress(entry.name).state != "done"]
