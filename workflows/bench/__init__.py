@@ -1,1 +1,1 @@
-"""`e4dgs bench`: run time against error, everything side by side on one machine. See workflows/DESIGN.md."""
+"""`e4dgs bench`: measures whether this machine is as fast as it should be. See workflows/DESIGN.md."""

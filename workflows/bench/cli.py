@@ -1,4 +1,4 @@
-"""`e4dgs bench raster | field | cuda | step | pipeline`: the command line. Nothing heavy is imported before a row is measured."""
+"""The command line of `e4dgs bench raster | field | cuda | step | pipeline`. Nothing heavy is imported before a row is measured."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def pipeline(
     for number, (options, point, seed) in enumerate(jobs, 1):
         console.print(f"[{number}/{len(jobs)}] {options.capture.name}: {point[0]}, seed {seed}", highlight=False, markup=False)
         runs.append(measure(options, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False)))
-        if out is not None:  # after each run: hours of others are not lost with one
+        if out is not None:  # after each run, so that a failure does not lose earlier ones
             output.write(out, content(runs, machine(), every[0]))
     console.print(table(summaries(runs)))
     if plot is not None:

@@ -1,4 +1,4 @@
-"""Rows of `e4dgs bench field`: the deformation field, the image loss and the optimiser, each forward and backward as training has them."""
+"""Rows of `e4dgs bench field`: the deformation field, the image loss and the optimiser, as training runs them, with gradients."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def field_row(bench: Bench) -> Measured:
 
     def passing(channels: int) -> Run:
         field = DeformationField(torch.full((3,), -1.0), torch.full((3,), 1.0), TIMES, RESOLUTIONS, channels, 64, seed=3)
-        with torch.no_grad():  # it begins with zeros, through which nothing would flow back
+        with torch.no_grad():  # the head starts at zero, through which no gradient would flow back
             field.head.weight += 0.05 * torch.randn(field.head.weight.shape, generator=generator)
         parameters = list(field.parameters())
         return lambda: torch.autograd.grad(list(field(rest, 0.37)), parameters, weights)

@@ -1,4 +1,4 @@
-"""What a number was measured on: written into every result."""
+"""Describes the machine that a number was measured on, for every result."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def machine() -> dict[str, object]:
 
 
 def kernels() -> dict[str, object]:
-    """Instruction set and threads that the kernels use, and how waiting threads wait."""
+    """Instruction set and threads of the kernels, and OpenMP's wait policy."""
     import torch
 
     from ...rasterizer import _cpu  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""What a benchmark prints and writes: a table of checks with their bars, and JSON that says how it was measured."""
+"""The output of a benchmark: a table of checks with their bars, and JSON that includes how they were measured."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rich.table import Table
 
 from .rows import Bench, Check, Measured, Row
 
-WIDTH = 180  # of tables in a file or a pipe
+WIDTH = 180  # columns of a table written to a file or pipe
 PASSED = {True: "[green]pass[/]", False: "[red]miss[/]", None: ""}
 
 
@@ -25,7 +25,7 @@ def make_console() -> Console:
 
 
 def number(value: float, unit: str) -> str:
-    """Three digits, or an exponent where the number is an error."""
+    """A number with three digits, or with an exponent if it is below 0.01."""
     shown = f"{value:.1e}" if value and abs(value) < 0.01 else f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
     return shown + ("x" if unit == "x" else f" {unit}" if unit else "")
 
@@ -37,7 +37,7 @@ def bar(check: Check) -> str:
 
 
 def show_row(console: Console, row: Row, measured: Measured, judged: bool) -> None:
-    """The checks of a row, and its further numbers. Without ``judged`` sizes are not those of the bars, and nothing passes or misses."""
+    """Prints the checks of a row and its further numbers. Without ``judged``, sizes are not those of the bars, so nothing is judged."""
     console.print(f"[bold]{row.name}[/]  {escape(measured.protocol)}", highlight=False, soft_wrap=True)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2), show_header=False)
     for check in measured.checks:
@@ -55,12 +55,12 @@ def show_row(console: Console, row: Row, measured: Measured, judged: bool) -> No
 
 
 def show_file(console: Console, what: str, path: Path) -> None:
-    """That a file was written."""
+    """Prints that a file was written."""
     console.print(f"{what}: {path}", markup=False, highlight=False, soft_wrap=True)
 
 
 def row_json(row: Row, measured: Measured) -> dict[str, Any]:
-    """A row of the JSON file: all that was measured, and whether each bar holds."""
+    """A row of the JSON file: everything that was measured, and whether each bar is met."""
     checks = [vars(check) | {"passed": check.passed} for check in measured.checks]
     return {"what": row.what} | asdict(measured) | {"checks": checks}
 
@@ -81,7 +81,7 @@ def report(suite: str, bench: Bench, facts: dict[str, Any], rows: dict[str, dict
 
 
 def write(path: Path, content: dict[str, Any]) -> None:
-    """As JSON; numbers that are not finite become null, which JSON has."""
+    """Writes JSON. Numbers that are not finite become null, since JSON cannot hold them."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(_finite(content), indent=1, ensure_ascii=False) + "\n")
 

@@ -1,7 +1,7 @@
 """Quality against run time of whole runs: every capture at every point of a ladder, in one table and one plot.
 
-A point is what a user would type: the name of a preset, or settings as `--set` takes them. All runs share a workspace, so that poses and
-flow are made once; a run's seconds still count every stage, those of a cached one as the run took that made it.
+A point is what a user would type: the name of a preset, or settings as for `--set`. All runs share a workspace, so poses and flow are made
+only once. A run's seconds still count every stage; for a cached stage they are those of the run that made it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FLICKER = ("static", "edges")
 
 @dataclass
 class Run:
-    """One run. seconds: wall time of all its stages. metrics: of each split, the means of metrics.json. flicker: as there."""
+    """One run. seconds: wall time of all its stages. metrics: the means in metrics.json, by split. flicker: as in metrics.json."""
 
     capture: str
     point: str
@@ -43,12 +43,13 @@ class Run:
     flicker: dict[str, float | None] = field(default_factory=dict)
 
     def held_out(self) -> dict[str, float | None]:
-        """Of the first split that says something about new views, training views where none does."""
+        """Metrics of the first held-out split, or of the training views if there is none."""
         return next((self.metrics[split] for split in (*HELD_OUT, *self.metrics) if split in self.metrics), {})
 
 
 def parse_points(text: str) -> list[tuple[str, str, tuple[str, ...]]]:
-    """(name, preset, assignments) of each point in ``text``, by commas: a preset, or settings joined by "+". Raises SettingsError."""
+    """(name, preset, assignments) of each point in the comma-separated ``text``: a preset, or settings joined by "+". Raises
+    SettingsError."""
     points = []
     for name in filter(None, (part.strip() for part in text.split(","))):
         if "=" in name:
@@ -63,7 +64,7 @@ def parse_points(text: str) -> list[tuple[str, str, tuple[str, ...]]]:
 
 
 def measure(options: Options, point: tuple[str, str, tuple[str, ...]], seed: int, console: Console, say: Callable[[str], None]) -> Run:
-    """Run everything at ``point``, with ``options`` for the capture and for all points."""
+    """Runs everything at ``point``; ``options`` apply to all points."""
     name, preset, assignments = point
     seeds = tuple(f"{stage}.seed={seed}" for stage in ("coarse", "fine")) if seed else ()
     own = replace(options, preset=preset, assignments=(*options.assignments, *assignments, *seeds))
@@ -89,7 +90,7 @@ def measure(options: Options, point: tuple[str, str, tuple[str, ...]], seed: int
 
 
 def summaries(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """For each capture and point the mean over seeds: seconds, held-out metrics, `train_psnr`, and `spread` of PSNR (most minus least)."""
+    """Means over seeds for each capture and point: seconds, held-out metrics, `train_psnr`, and `spread` of PSNR (highest minus lowest)."""
     groups: dict[tuple[str, str], list[Run]] = {}
     for run in runs:
         groups.setdefault((run.capture, run.point), []).append(run)
@@ -112,13 +113,13 @@ def summaries(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 def _mean(values: Iterable[float | None]) -> float | None:
-    """Of those that are known."""
+    """Mean of the known values."""
     known = [value for value in values if value is not None]
     return statistics.mean(known) if known else None
 
 
 def table(rows: Sequence[dict[str, Any]]) -> Table:
-    """What the command prints."""
+    """The table that the command prints."""
     columns = (
         *(("PSNR", "psnr", 2), ("spread", "spread", 2), ("after colour fit", "psnr_affine", 2), ("SSIM", "ssim", 4)),
         *(("LPIPS", "lpips", 4), ("edge PSNR", "edge_psnr", 2), ("train PSNR", "train_psnr", 2), ("flicker at edges", "flicker_edges", 2)),
@@ -134,7 +135,7 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def content(runs: Sequence[Run], facts: dict[str, Any], options: Options) -> dict[str, Any]:
-    """The JSON file."""
+    """The content of the JSON file."""
     protocol = {
         "seconds": "wall time of all stages; a cached stage counts as the run took that made it",
         "metrics": "means over the views of a split; see evaluate; held out is test, else val",
@@ -146,7 +147,7 @@ def content(runs: Sequence[Run], facts: dict[str, Any], options: Options) -> dic
 
 
 def check_plot(path: Path | None) -> None:
-    """Raises SettingsError where nothing can be drawn into this file, before hours have gone into what it would show."""
+    """Raises SettingsError if the plot cannot be drawn to this file, before hours are spent on its numbers."""
     if path is not None and path.suffix not in (".svg", ".png"):
         raise SettingsError(f"--plot {path}: the file must end in .svg or .png")
     if path is not None and find_spec("matplotlib") is None:
@@ -154,7 +155,7 @@ def check_plot(path: Path | None) -> None:
 
 
 def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """PSNR of held-out views over seconds, a line a capture; dotted, that of training views."""
+    """Plots PSNR of held-out views over seconds, one line per capture; dotted lines are training views."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,4 +1,4 @@
-"""The two things that are timed of a rasterizer: an image without gradients, and an image with gradients of every primitive's fields."""
+"""The two operations of a rasterizer that are timed: an image without gradients, and one with gradients of all fields of the primitives."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def forward(scene: Scene, with_: Rasterize = rasterize) -> Callable[[], Frame]:
 
 
 def both(scene: Scene, with_: Rasterize = rasterize) -> Callable[[], tuple[Tensor, ...]]:
-    """Renders ``scene`` and takes the gradient of the sum of its colours by every field of its primitives."""
+    """Renders ``scene`` and computes the gradient of the sum of its colours with respect to every field of its primitives."""
     leaves = scene.primitive_leaves()
     attached = scene.having(leaves)
     ones = torch.ones(scene.camera.height, scene.camera.width, 3)

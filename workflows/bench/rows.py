@@ -1,4 +1,4 @@
-"""What a row of the benchmark is: something that is measured, and what we promise of it."""
+"""A row of the benchmark: something to measure, and the bars that it should meet."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...pipeline import Progress, SettingsError
 
 @dataclass
 class Check:
-    """One number and, where we promise something of it, its bar. ``better`` says on which side of the bar it must lie."""
+    """One number and its bar, if it has one. ``better`` says on which side of the bar it must be."""
 
     what: str
     value: float
@@ -23,7 +23,7 @@ class Check:
 
     @property
     def passed(self) -> bool | None:
-        """Whether the bar holds; None where there is none. A number that is not finite holds nothing."""
+        """Whether the bar is met; None if there is none. NaN meets no bar."""
         if self.bar is None:
             return None
         return self.value <= self.bar if self.better == "below" else self.value >= self.bar
@@ -31,8 +31,8 @@ class Check:
 
 @dataclass
 class Measured:
-    """What a row yields. protocol: one sentence that says what was measured, sizes included. numbers: every timing and count behind the
-    checks, JSON values. table: rows of further numbers to print, under ``columns``."""
+    """The result of a row. protocol: one sentence that says what was measured, including sizes. numbers: every timing and count behind the
+    checks, as JSON values. table: rows of further numbers to print, under ``columns``."""
 
     protocol: str
     checks: list[Check] = field(default_factory=list)
@@ -43,10 +43,10 @@ class Measured:
 
 @dataclass
 class Bench:
-    """What the user asked for, handed to every row.
+    """The user's options, passed to every row.
 
-    scale: factor on the number of primitives, pixels and points; bars are promises at 1 only. seconds: most time that the repeats of one
-    contender may take together. garden, capture: files given on the command line. progress: of the row that is being measured.
+    scale: factor on the number of primitives, pixels and points; bars apply only at 1. seconds: time limit for all repeats of one contender
+    together. garden, capture: files given on the command line. progress: of the row that is being measured.
     """
 
     scale: float = 1.0
@@ -57,11 +57,11 @@ class Bench:
     progress: Progress = field(default_factory=lambda: Progress(0, ""))
 
     def expect(self, parts: int) -> None:
-        """So many more calls of `tick` will come."""
+        """Announces ``parts`` more calls of `tick`."""
         self.progress.total += parts
 
     def tick(self, note: str) -> None:
-        """One of the parts that were expected is done."""
+        """Reports that one of the expected parts is done."""
         self.progress.advance(note=note)
 
     def count(self, full: int, least: int = 1) -> int:
@@ -76,7 +76,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class Row:
-    """A row: its name on the command line, what it is about, and how it is measured."""
+    """A row: its name on the command line, a description, and the function that measures it."""
 
     name: str
     what: str
@@ -84,7 +84,7 @@ class Row:
 
 
 def choose(rows: Sequence[Row], names: str | None) -> list[Row]:
-    """The rows named in a comma-separated list, in their own order; all for None. Raises SettingsError where a name is not a row's."""
+    """The rows named in a comma-separated list, in their own order; all for None. Raises SettingsError for an unknown name."""
     if names is None:
         return list(rows)
     known = [row.name for row in rows]

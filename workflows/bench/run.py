@@ -1,4 +1,4 @@
-"""Measures the chosen rows of a suite one after another, and prints and writes each as soon as it is measured."""
+"""Measures the chosen rows of a suite one after another, and prints and writes each immediately."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .rows import Bench, Row, choose
 def run(
     suite: str, rows: Sequence[Row], bench: Bench, *, names: str | None, only_list: bool, threads: int, out: Path | None, console: Console
 ) -> dict[str, Any]:
-    """The rows as in the JSON file, by name. ``names``: of the chosen ones, by commas; all for None. ``only_list``: measure nothing."""
+    """The measured rows by name, as in the JSON file. ``names``: comma-separated; None for all. ``only_list``: measure nothing."""
     if bench.garden is not None and not bench.garden.is_file():
         raise SettingsError(f"--garden {bench.garden}: there is no such file")
     if only_list:

@@ -1,4 +1,4 @@
-"""Scenes to measure on: gsplat's garden scene where its file is given, synthetic ones otherwise. Every number comes from a seed."""
+"""Scenes to measure on: gsplat's garden scene if its file is given, otherwise synthetic ones. All random numbers come from a seed."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SEED = 42
 def garden(bench: Bench) -> tuple[Scene, str]:
     """The scene of gsplat's benchmark, and its name.
 
-    Means, colours and the first camera of the file; quats normal, scales uniform in [1e-4, 0.02], opacities uniform, from
-    default_rng(42). Without a file: `cloud` with as many Gaussians and pixels.
+    Means, colours and the first camera are from the file; quats are normal, scales uniform in [1e-4, 0.02] and opacities uniform, from
+    default_rng(42). Without a file: `cloud` with the same number of Gaussians and pixels.
     """
     width, height = bench.size(*GARDEN_SIZE)
     if bench.garden is None:
@@ -45,7 +45,7 @@ def garden(bench: Bench) -> tuple[Scene, str]:
 
 
 def cloud(n: int, width: int, height: int, degree: int | None = None, size: float = 0.02) -> Scene:
-    """``n`` Gaussians about a sphere of radius 1 seen from 4 away; their mean scale is ``size``, so the number of pairs grows with n."""
+    """``n`` Gaussians around a sphere of radius 1, seen from a distance of 4. Their median scale is ``size``, so pairs grow with n."""
     rng = np.random.default_rng(SEED)
     means = rng.standard_normal((n, 3))
     means /= np.linalg.norm(means, axis=1, keepdims=True) + 0.3 * rng.uniform(0, 1, (n, 1))
@@ -58,7 +58,7 @@ def cloud(n: int, width: int, height: int, degree: int | None = None, size: floa
 
 
 def convexes(m: int, width: int, height: int) -> Scene:
-    """``m`` convexes of six points strewn in front of the camera, each some 20 px across at 648x420."""
+    """``m`` convexes of six points, scattered in front of the camera, each about 20 px across at 648x420."""
     rng = np.random.default_rng(SEED)
     points = 1.2 * rng.standard_normal((m, 1, 3)) + 0.03 * rng.standard_normal((m, 6, 3))
     tau, kappa = rng.uniform(50, 300, m), rng.uniform(100, 600, m)
@@ -80,7 +80,7 @@ def mixed(n: int, width: int, height: int, extras: int = 0) -> Scene:
 
 
 def camera_of(width: int, height: int) -> Camera:
-    """Looks at the origin from 4 away; the wider side spans 45 degrees."""
+    """A camera that looks at the origin from a distance of 4; the width spans 45 degrees."""
     K = torch.tensor([[1.2 * width, 0, width / 2], [0, 1.2 * width, height / 2], [0, 0, 1]])
     pose = torch.eye(4)
     pose[2, 3] = 4.0
@@ -88,7 +88,7 @@ def camera_of(width: int, height: int) -> Camera:
 
 
 def len_of(scene: Scene) -> int:
-    """Primitives of both kinds."""
+    """Number of primitives of both kinds."""
     return sum(len(owner.opacities) for owner in (scene.gaussians, scene.convexes) if owner is not None)
 
 
@@ -97,6 +97,6 @@ def tensor(array: np.ndarray) -> torch.Tensor:
 
 
 def _sh(rng: np.random.Generator, n: int, degree: int) -> np.ndarray:
-    """Coefficients [n, (degree+1)^2, 3] whose bands fall off as those of a reconstruction do."""
+    """Coefficients [n, (degree+1)^2, 3] whose bands decrease as in a reconstruction."""
     band = np.sqrt(np.arange((degree + 1) ** 2)).astype(int)
     return 0.3 / (1 + band[None, :, None]) ** 2 * rng.standard_normal((n, (degree + 1) ** 2, 3))

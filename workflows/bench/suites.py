@@ -11,7 +11,7 @@ SECONDS = {"raster": 20.0, "field": 20.0, "cuda": 20.0, "step": 40.0}  # for the
 
 
 def row(name: str, what: str, module: str, function: str = "measure") -> Row:
-    """A row that ``function`` of the module of this full name measures."""
+    """A row that is measured by ``function`` of ``module`` (full name)."""
 
     def measure(bench: Bench) -> Measured:
         return getattr(import_module(module), function)(bench)

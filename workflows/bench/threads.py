@@ -1,4 +1,4 @@
-"""Kernels of the CPU against themselves: on all threads, and on one."""
+"""CPU kernels compared with themselves: on all threads, and on one."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ...rasterizer import _cpu  # type: ignore[attr-defined]
 from .rows import Bench, Check, Measured
 from .timing import Run, interleaved, ratio
 
-BAR = 1.0  # of one thread's time: where more threads take longer, something else has the cores
+BAR = 1.0  # times the time on one thread; if more threads take longer, something else is using the cores
 
 
 def over_threads(bench: Bench, what: str, runs: Mapping[str, Run]) -> Measured:
-    """Each of ``runs`` on all threads and, where these are several, on one. ``what`` begins the protocol."""
+    """Times each of ``runs`` on all threads and, if there are several, on one. ``what`` is the beginning of the protocol."""
     threads = torch.get_num_threads()
     counts = {threads: f"{threads} threads", 1: "1 thread"}
 

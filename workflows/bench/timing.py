@@ -1,4 +1,4 @@
-"""Wall time of contenders that take turns, so that whatever else the machine does hits all of them alike."""
+"""Wall time of contenders that take turns, so that other load on the machine affects all of them equally."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Run = Callable[[], object]
 
 @dataclass
 class Timing:
-    """Seconds of each run, after one that is not counted."""
+    """Seconds of each run, without the warm-up."""
 
     runs: list[float]
 
@@ -38,9 +38,9 @@ def timed(run: Run) -> float:
 
 
 def interleaved(bench: Bench, contenders: Mapping[str, Run], repeats: int | None = None) -> dict[str, Timing]:
-    """Every contender once to warm up, then in turns until each has ``repeats`` runs or has used up its seconds (one run at least).
+    """Runs every contender once to warm up, then in turns until each has ``repeats`` runs or has used up its seconds (at least one run).
 
-    The order is reversed in every other round: nobody always runs after the same neighbour.
+    Every other round has the reverse order, so that no contender always runs after the same one.
     """
     repeats = bench.repeats if repeats is None else repeats
     runs: dict[str, list[float]] = {name: [] for name in contenders}
@@ -60,5 +60,5 @@ def interleaved(bench: Bench, contenders: Mapping[str, Run], repeats: int | None
 
 
 def ratio(slow: Timing, fast: Timing) -> tuple[float, str]:
-    """How many times as long ``slow`` takes, by the best runs, and a note with the same by the medians."""
+    """How many times as long ``slow`` takes as ``fast``, by the best runs, and a note with the ratio of the medians."""
     return slow.best / fast.best, f"{slow.median / fast.median:.2f}x by medians"

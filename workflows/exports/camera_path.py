@@ -1,4 +1,4 @@
-"""The views that a person asks for by name or by a JSON file: where the camera is at each picture, through which lens, at what time."""
+"""The camera path that a person asks for by name or in a JSON file: the pose, lens and time of each picture."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z back
 
 
 def path_of_file(file: Path, frames: FrameSet) -> CameraPath:
-    """Views of a JSON file: ``{"frames": [{...}]}``, each with ``cam_from_world`` (4x4, OpenCV) or ``transform_matrix`` (4x4, camera to
-    world, OpenGL, as nerfstudio and Blender write it), and, if wanted, ``K`` (3x3 px) and ``time`` in [0, 1].
+    """The path in a JSON file: ``{"frames": [{...}]}``, each frame with ``cam_from_world`` (4x4, OpenCV) or ``transform_matrix`` (4x4,
+    camera to world, OpenGL, as nerfstudio and Blender write it), and optionally ``K`` (3x3 px) and ``time`` in [0, 1].
 
-    Without a lens the capture's first is taken, without times they go by once. Raises CaptureError that names file, frame and field.
+    Without K, the lens of the capture's first training frame is used; without times, time runs once from 0 to 1. Raises CaptureError that
+    names file, frame and field.
     """
     try:
         data = checks.read_json(file.parent, file.name)
@@ -67,7 +68,7 @@ def _lens(value: Any, where: str) -> np.ndarray:
 
 
 def resolve(path: str, frames: FrameSet, model: Model, count: int | None) -> CameraPath:
-    """What ``--path`` and ``--frames`` ask for. Raises SettingsError for a name that is neither a path nor a file."""
+    """The path that ``--path`` and ``--frames`` ask for. Raises SettingsError for a name that is neither a known path nor a file."""
     if path in NAMES:
         return named_path(path, frames, model, count or 120)
     if not Path(path).is_file():

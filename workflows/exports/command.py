@@ -1,4 +1,4 @@
-"""`e4dgs export WHAT CAPTURE`: results of the store as files that other programs read. Nothing is computed that a stage computes."""
+"""`e4dgs export WHAT CAPTURE`: writes stored results as files that other programs read. It computes nothing that a stage computes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def flow(
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
     found = results(session, "flow")
     artifact, frames = found["flow"], found["frames"]
-    assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
+    assert artifact is not None and frames is not None  # `results` guarantees the first, and no stage runs without the second
     folder = out
     if folder is None:
         with writing_to(session.options.workspace.resolve()):
@@ -100,7 +100,7 @@ def ply(
 
 
 def _command(kind: Kind) -> Callable[..., None]:
-    """A command that takes the options of the run and writes files of ``kind``."""
+    """A command that takes the run's options and writes files of ``kind``."""
 
     def command(
         capture: Capture,
@@ -128,7 +128,7 @@ app.command()(mesh)
 
 
 def _splats(kind: Kind, options: Options, out: Path | None, times: int | None) -> None:
-    """Gaussians of each time as files of ``kind``, and how far these are from the model."""
+    """Writes the Gaussians of each time as files of ``kind``, and prints how far these are from the model."""
     check_folder(out)
     trained = open_trained(options)
     folder = trained.folder(out, kind)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ...scene.mesh import Mesh
 
 ENDINGS = (".glb", ".ply")
-USUAL_RATE = 24.0  # times a second of a capture that knows no seconds
+USUAL_RATE = 24.0  # times per second for a capture without seconds
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.glb|FILE.ply|DIR", help="Where to; scenes/<name>/export/mesh by default.")]
 Times = Annotated[
@@ -88,8 +88,8 @@ def mesh(
 
 
 def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool) -> list[int]:
-    """``meshes`` at ``moments`` in [0, 1] as ``target``, a .glb file with all or a .ply file with one, or as numbered .ply files in it.
-    Returns how many triangles each has."""
+    """Writes ``meshes`` at ``moments`` in [0, 1] to ``target``: a .glb file with all of them, a .ply file with one, or a folder of numbered
+    .ply files. Returns the number of triangles of each."""
     from ...scene.mesh import mesh_glb_bytes, mesh_ply_bytes
 
     if single and target.suffix.lower() == ".glb":

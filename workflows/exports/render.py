@@ -1,4 +1,4 @@
-"""`e4dgs render CAPTURE`: the trained scene as a video, or as pictures and depth, along a path of the camera."""
+"""`e4dgs render CAPTURE`: renders the trained scene along a camera path, as a video or as pictures and depth."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def render(
     from .camera_path import resolve
 
     artifact, frame_artifact = found[trained], found["frames"]
-    assert artifact is not None and frame_artifact is not None  # `results` has seen to the first, and no stage runs without the second
+    assert artifact is not None and frame_artifact is not None  # `results` guarantees the first, and no stage runs without the second
     capture_frames = FrameSet(frame_artifact, session.job.capture.root, found.get("poses"))
     if not len(capture_frames.train):
         raise CaptureError(f"{capture}: no training frame has a pose, so there is no place to look from")
@@ -61,7 +61,7 @@ def render(
     width, height = capture_frames.width, capture_frames.height
     if size is not None:
         width, height = (max(1, round(side * size / max(capture_frames.width, capture_frames.height))) for side in (width, height))
-    scale = np.diag([width / capture_frames.width, height / capture_frames.height, 1.0])  # pixel centres lie at +0.5: no offset
+    scale = np.diag([width / capture_frames.width, height / capture_frames.height, 1.0])  # pixel centres are at +0.5, so there is no offset
     console = Console()
     writer = Movie(out, fps) if video else Pictures(out, depth)
     with Progress(len(views.time), "render", console) as bar, writer as target:

@@ -1,4 +1,4 @@
-"""What every export of a trained model needs: the model and the frames of a capture, found in the store, and where the files go."""
+"""What every export of a trained model needs: the model and frames of a capture from the store, and where the files go."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOST_TIMES = 60
 
 @dataclass
 class Trained:
-    """A trained model, the frames that it learned from, and the session that found both."""
+    """A trained model, the frames that it was trained on, and the session that found both."""
 
     session: Session
     model: Model
@@ -31,15 +31,15 @@ class Trained:
 
     @property
     def times(self) -> int:
-        """Times of the capture; 1 where nothing moves."""
+        """Number of times of the capture; 1 if nothing moves."""
         return 1 if self.model.field is None else Facts.of(self.session.job.capture.facts).times
 
     def moments(self, asked: int | None) -> int:
-        """How many times are exported: ``asked``, or each of the capture's, at most `MOST_TIMES`; one where nothing moves."""
+        """How many times are exported: ``asked``, or all of the capture's but at most `MOST_TIMES`; one if nothing moves."""
         return 1 if self.model.field is None else asked or min(self.times, MOST_TIMES)
 
     def folder(self, out: Path | None, kind: str) -> Path:
-        """``out``, or the scene's own folder for exports of this ``kind``."""
+        """``out``, or the scene's folder for exports of this ``kind``."""
         if out is not None:
             return out
         with writing_to(self.session.options.workspace.resolve()):
@@ -48,12 +48,12 @@ class Trained:
 
 
 def open_trained(options: Options) -> Trained:
-    """Raises CaptureError or ArtifactError where there is no trained model with these options."""
+    """Finds the trained model. Raises CaptureError or ArtifactError if there is none with these options."""
     session = open_session(options)
     trained = trained_stage(session)
     found = results(session, trained)
     artifact, frames = found[trained], found["frames"]
-    assert artifact is not None and frames is not None  # `results` has seen to the first, and no stage runs without the second
+    assert artifact is not None and frames is not None  # `results` guarantees the first, and no stage runs without the second
 
     from ...stages.artifacts.frameset import FrameSet
     from ...stages.artifacts.model import read_model
@@ -62,13 +62,13 @@ def open_trained(options: Options) -> Trained:
 
 
 def check_folder(out: Path | None) -> None:
-    """Raises SettingsError where ``out`` is a file."""
+    """Raises SettingsError if ``out`` is a file."""
     if out is not None and out.exists() and not out.is_dir():
         raise SettingsError(f"--out {out}: this is a file; name a folder")
 
 
 def is_file(out: Path | None, endings: tuple[str, ...]) -> bool:
-    """Whether ``out`` names a file of one of ``endings``, not a folder: that has no ending, or exists. Raises SettingsError."""
+    """Whether ``out`` names a file with one of ``endings``. A folder exists or has no ending. Raises SettingsError for other endings."""
     if out is None or out.is_dir() or not out.suffix:
         check_folder(out)
         return False
@@ -79,7 +79,7 @@ def is_file(out: Path | None, endings: tuple[str, ...]) -> bool:
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
-    """What the disk refuses becomes a StageError that names the file."""
+    """Turns errors of writing to disk into a StageError that names the file."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""`e4dgs export usd CAPTURE`: the model over time as one USD file."""
+"""`e4dgs export usd CAPTURE`: writes the model over time as one USD file."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""`e4dgs view`: the scene in a browser, finished or while it trains."""
+"""`e4dgs view`: shows a scene in the browser, finished or while it trains."""

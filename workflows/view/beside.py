@@ -1,4 +1,4 @@
-"""The viewer in a process of its own, beside a run."""
+"""Runs the viewer in a separate process beside a run."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ LEFT_TO_END = 10.0  # s
 
 @contextmanager
 def viewer_beside(options: Options) -> Iterator[None]:
-    """Opens `e4dgs view` of the capture as soon as it has a checkpoint; once the block is done, waits until Ctrl-C or its end.
+    """Opens `e4dgs view` for the capture as soon as there is a checkpoint. After the block, waits for Ctrl-C or the viewer's end.
 
-    The viewer ends with this process, even when that is killed.
+    The viewer ends with this process, even if this process is killed.
     """
     command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(replace(options, store_also=())), "--wait"]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=dict(os.environ) | {STARTER: str(os.getpid())})
@@ -32,6 +32,6 @@ def viewer_beside(options: Options) -> Iterator[None]:
         process.terminate()
         try:
             process.wait(timeout=LEFT_TO_END)
-        except subprocess.TimeoutExpired:  # a machine that is very busy; no viewer may stay behind
+        except subprocess.TimeoutExpired:  # on a very busy machine; no viewer may be left behind
             process.kill()
             process.wait()

@@ -1,4 +1,4 @@
-"""`e4dgs view CAPTURE`: the scene in a browser, finished or while it trains."""
+"""`e4dgs view CAPTURE`: shows a scene in the browser, finished or while it trains."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...pipeline import CaptureError, SettingsError
 from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
 from ..session import DEFAULT_WORKSPACE, Options, open_session
 
-LOOK_AGAIN = 2.0  # s between two looks for a newer model
+LOOK_AGAIN = 2.0  # s between two checks for a newer model
 
 
 def view(

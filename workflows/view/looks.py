@@ -1,4 +1,4 @@
-"""The pictures that the viewer can show of one view at one time: which primitives, drawn as colour, depth, flow or edges."""
+"""The pictures that the viewer can show of one view at one time: chosen primitives, drawn as colour, depth, flow or edges."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ...vision.flow.colours import flow_colours
 
 PRIMITIVES = ("all", "Gaussians", "convexes", "dynamic", "static")
 LOOKS = ("colour", "depth", "flow", "edges")
-FLOW_STEP = 1 / 30  # of the capture's time: flow is shown to the moment so much later
+FLOW_STEP = 1 / 30  # of the capture's time; flow is shown from the current moment to this much later
 OUTLINE = (255, 60, 200)
 EDGE = (255, 210, 0)
 
@@ -27,8 +27,8 @@ Kind = TypeVar("Kind", Gaussians, Convexes)
 
 
 def picture(model: Model, camera: Camera, time: float, look: str = "colour", primitives: str = "all", outlines: bool = False) -> np.ndarray:
-    """uint8 [H, W, 3] RGB of ``camera`` at ``time`` in [0, 1]. look: of `LOOKS`. primitives: of `PRIMITIVES`.
-    outlines: draw the outline of each convex over it."""
+    """Renders ``camera`` at ``time`` in [0, 1]: uint8 [H, W, 3] RGB. look: one of `LOOKS`. primitives: one of `PRIMITIVES`. outlines: also
+    draw the outline of each convex."""
     with torch.no_grad():
         if look == "flow":
             start = min(time, 1 - FLOW_STEP)
@@ -49,7 +49,7 @@ def picture(model: Model, camera: Camera, time: float, look: str = "colour", pri
 
 
 def chosen(model: Model, camera: Camera, time: float, primitives: str) -> tuple[Gaussians, Convexes]:
-    """Those of the model's primitives at ``time`` that ``primitives`` of `PRIMITIVES` names."""
+    """The model's primitives at ``time`` that ``primitives``, one of `PRIMITIVES`, names."""
     gaussians, convexes = model.at(time, camera)
     keep = named(model, primitives)
     return (gaussians, convexes) if keep is None else (_rows(gaussians, keep[0]), _rows(convexes, keep[1]))
@@ -72,7 +72,7 @@ def _rows(kind: Kind, keep: Tensor) -> Kind:
 
 
 def draw_outlines(picture: np.ndarray, model: Model, camera: Camera, time: float) -> None:
-    """Draw the hull of each convex's projected points into ``picture``; what reaches behind the near plane has none."""
+    """Draws the hull of each convex's projected points into ``picture``, except for convexes that reach behind the near plane."""
     points = model.at(time, camera)[1].points
     if not len(points):
         return
@@ -85,14 +85,14 @@ def draw_outlines(picture: np.ndarray, model: Model, camera: Camera, time: float
 
 
 def photo_beside(shown: np.ndarray, photo: np.ndarray, K: np.ndarray, camera: Camera, share: float) -> np.ndarray:
-    """``shown`` with the left ``share`` of it replaced by ``photo`` [h, w, 3], which a camera with the lens ``K`` took from the same pose.
+    """``shown`` with its left ``share`` replaced by ``photo`` [h, w, 3], taken from the same pose through the lens ``K``.
 
-    The photo is scaled and shifted to the lens of ``camera``; what it does not cover is left as it is.
+    The photo is scaled and shifted to the lens of ``camera``; pixels that it does not cover are unchanged.
     """
     lens = camera.K.cpu().numpy()
     scale = lens[0, 0] / K[0, 0], lens[1, 1] / K[1, 1]
     shift = lens[0, 2] - scale[0] * K[0, 2], lens[1, 2] - scale[1] * K[1, 2]
-    # Pixel centres lie at +0.5 here and at whole numbers in OpenCV.
+    # Pixel centres are at +0.5 here and at integers in OpenCV.
     moved = np.array([[scale[0], 0, shift[0] + 0.5 * scale[0] - 0.5], [0, scale[1], shift[1] + 0.5 * scale[1] - 0.5]])
     size = (camera.width, camera.height)
     there = cv2.warpAffine(np.full(photo.shape[:2], 255, np.uint8), moved, size, flags=cv2.INTER_NEAREST) > 0

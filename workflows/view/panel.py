@@ -1,4 +1,4 @@
-"""What a person turns beside the picture: time, what is shown, and the capture's cameras."""
+"""The controls beside the picture: time, what is shown, and the capture's cameras."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import viser
 
 from .looks import LOOKS, PRIMITIVES
 
-SECONDS = 5.0  # that the capture's time takes at speed 1 where the capture does not say
+SECONDS = 5.0  # duration of the capture at speed 1 if the capture does not give one
 
 
 class Choice(NamedTuple):
-    """All that the panel says at one moment."""
+    """The state of all controls at one moment."""
 
     time: float
     primitives: str
@@ -26,8 +26,8 @@ class Choice(NamedTuple):
 class Panel:
     """The controls of one browser.
 
-    gui: of that browser. names: of the frames that have a camera to go to. seconds: how long the capture's time takes. go: called with
-    the row of ``names`` that a person asks for.
+    gui: of that browser. names: of the frames that have a camera to go to. seconds: duration of the capture. go: called with the index
+    into ``names`` that a person chooses.
     """
 
     def __init__(self, gui: viser.GuiApi, names: list[str], seconds: float, go: Callable[[int], None]) -> None:
@@ -59,14 +59,14 @@ class Panel:
         return bool(self._play.value)
 
     def advance(self, seconds: float) -> None:
-        """Time goes on by ``seconds`` of a clock, and begins anew at its end."""
+        """Advances time by ``seconds`` of real time; it starts again at its end."""
         self._set_time((float(self._time.value) + seconds * float(self._speed.value) / self._seconds) % 1.0)
 
     def _set_time(self, time: float) -> None:
-        self._time.value = round(time, 4)  # type: ignore[misc]  # one property reads, another writes
+        self._time.value = round(time, 4)  # type: ignore[misc]  # getter and setter have different types
 
     def at_frame(self, row: int, time: float) -> None:
-        """Show that the camera stands where frame ``row`` was taken."""
+        """Shows that the camera is where frame ``row`` was taken."""
         self._set_time(time)
         self._play.value = False  # type: ignore[misc]
         self._name.content = f"`{self._names[row]}`"

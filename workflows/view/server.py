@@ -1,4 +1,4 @@
-"""The viewer: our own renders as the background of a browser's 3D view, whose camera and panel they follow."""
+"""The viewer: shows our own renders as the background of a browser's 3D view, following its camera and panel."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from .panel import Choice, Panel
 from .source import Found
 
 SETTLED = 0.25  # s without a change after which the picture is drawn at full size
-PER_SECOND = 20.0  # pictures while something moves; their size follows
+PER_SECOND = 20.0  # pictures per second while something moves; their size is chosen to reach this
 SMALLEST, FIRST_SCALE = 0.15, 0.5  # of the full size
 QUALITY = (80, 95)  # of JPEG, while something moves and at rest
 
 
 def next_scale(scale: float, seconds: float) -> float:
-    """The share of the full size, along each side, of the next picture while something moves, where one of ``scale`` took so long. The time
-    goes with the number of pixels, in part; steps are small, so that one slow picture is no jump."""
+    """Scale of the next picture while something moves, as a share of the full side length, if one of ``scale`` took ``seconds``. The time
+    depends only partly on the number of pixels. Steps are small, so that one slow picture causes no jump."""
     return float(np.clip(scale * np.clip((1 / PER_SECOND / seconds) ** 0.5, 0.7, 1.2), SMALLEST, 1.0))
 
 
 class View(NamedTuple):
-    """What a browser looks at: all that its picture depends on."""
+    """Everything that a browser's picture depends on."""
 
     wxyz: tuple[float, ...]
     position: tuple[float, ...]
@@ -46,9 +46,9 @@ class View(NamedTuple):
 
 
 class Viewer:
-    """Serves ``frames`` and the model that `show` was given last, until `stop`.
+    """Serves ``frames`` and the model last given to `show`, until `stop`.
 
-    Raises OSError where the port cannot be had.
+    Raises OSError if it cannot listen on the port.
     """
 
     def __init__(self, frames: FrameSet, found: Found, host: str, port: int) -> None:
@@ -56,14 +56,14 @@ class Viewer:
         self.rows = np.concatenate([frames.train, frames.val, frames.test])
         self.rows.sort()
         self.rendering = threading.Lock()  # kernels use all cores; two pictures at once would only take turns
-        with redirect_stdout(io.StringIO()):  # its banner; the command says where the page is
+        with redirect_stdout(io.StringIO()):  # hides its banner; the command prints the address
             self.server = viser.ViserServer(host=host, port=port, label="e4dgs", verbose=False)
         self.port = self.server.get_port()
         self._look_from(frames.train[0])
         self.server.on_client_connect(lambda client: _Browser(self, client).run())
 
     def _look_from(self, i: int) -> None:
-        """Browsers begin where frame ``i`` was taken and turn about what the cameras look at."""
+        """Makes browsers start where frame ``i`` was taken and orbit around the point that the cameras look at."""
         assert self.frames.cam_from_world is not None and self.frames.K is not None
         pose, K = self.frames.cam_from_world[i], self.frames.K[i]
         ups = -self.frames.cam_from_world[self.frames.train][:, 1, :3].mean(0)
@@ -75,7 +75,7 @@ class Viewer:
         camera.up, camera.fov = -pose[1, :3], 2 * float(np.arctan(0.5 * self.frames.height / K[1, 1]))
 
     def show(self, found: Found) -> None:
-        """Go on with another model."""
+        """Continues with another model."""
         self.found, self.version = found, self.version + 1
 
     def stop(self) -> None:
@@ -83,14 +83,14 @@ class Viewer:
 
 
 class _Browser:
-    """One browser: its panel, and a loop that draws what it looks at."""
+    """One browser: its panel, and a loop that draws its view."""
 
     def __init__(self, viewer: Viewer, client: viser.ClientHandle) -> None:
         self.viewer, self.client = viewer, client
         frames = viewer.frames
         seconds = float(np.ptp(frames.seconds)) if len(frames.seconds) else 0.0
         self.panel = Panel(client.gui, [frames.names[i] for i in viewer.rows], seconds, self._go)
-        self.frame: int | None = None  # of the capture, where the camera was sent
+        self.frame: int | None = None  # of the capture, to which the camera was last sent
         self.scale = FIRST_SCALE  # of the full size, while something moves
 
     def _go(self, row: int) -> None:
@@ -113,7 +113,7 @@ class _Browser:
         return View(*pose, float(camera.fov), *size, self.panel.choice(), self.viewer.version)
 
     def run(self) -> None:
-        """Until the browser goes."""
+        """Draws until the browser disconnects."""
         drawn, sharp = None, False
         seen, changed = None, 0.0
         before = time.monotonic()
@@ -164,7 +164,7 @@ class _Browser:
         return Camera(K, torch.tensor(pose, dtype=torch.float32), width, height, self.viewer.found.model.near)
 
     def _stands_at(self, view: View, i: int) -> bool:
-        """The camera is where frame ``i`` was taken, at its time."""
+        """Whether the camera is where frame ``i`` was taken, and at its time."""
         frames = self.viewer.frames
         assert frames.cam_from_world is not None
         pose = frames.cam_from_world[i]

@@ -1,4 +1,4 @@
-"""Where the viewer's model comes from: the store where the run is done, the newest checkpoint while it trains."""
+"""Where the viewer's model comes from: the store if the run is finished, the newest checkpoint while it trains."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from ...stages.artifacts.model import read_model
 from ..results import run_command
 from ..session import Session
 
-TRAINED = ("fine", "coarse")  # the later one counts
+TRAINED = ("fine", "coarse")  # best first
 
 
 class Found(NamedTuple):
-    """A model and what to call it."""
+    """A model and its title."""
 
     model: Model
     title: str
 
 
 class Source:
-    """The best model that there is now of ``session``'s capture with its settings."""
+    """Finds the best model available now for ``session``'s capture and settings."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self.final = False  # what was found last is the result of the finished run
-        self._mark: tuple[str, str] | None = None  # of what was found last
+        self.final = False  # whether the model found last is the result of the finished run
+        self._mark: tuple[str, str] | None = None  # identifies the model found last
 
     def newest(self) -> Found | None:
-        """The best model, if it is another one than before."""
+        """The best model if it differs from the one found last, else None."""
         rows = {row.stage: row for row in make_plan(self.session.job)}
         wanted = [stage for stage in TRAINED if rows[stage].state != "skip"]
         for stage in wanted:
@@ -47,14 +47,14 @@ class Source:
         return None
 
     def frames(self) -> tuple[Artifact, Artifact | None] | None:
-        """The artifacts `frames` and `poses` (None where the files hold poses); None as long as they are not there."""
+        """The artifacts `frames` and `poses` (None if the capture's files hold poses); None as long as they do not exist."""
         frames, poses = make_plan(self.session.job, ["frames", "poses"])
         if frames.artifact is None or poses.state == "run":
             return None
         return frames.artifact, poses.artifact
 
     def missing(self) -> ArtifactError:
-        """What to say where there is nothing to show."""
+        """The error for when there is nothing to show."""
         options = self.session.options
         return ArtifactError(
             f"{options.capture}: the workspace {options.workspace} has no model of this capture with these settings, finished or in "

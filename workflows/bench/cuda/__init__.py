@@ -1,1 +1,1 @@
-"""Rows of `e4dgs bench cuda`: one file a row, each with `measure`."""
+"""Rows of `e4dgs bench cuda`: one file per row, each with a function `measure`."""

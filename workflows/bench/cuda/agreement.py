@@ -1,4 +1,4 @@
-"""Images and gradients of the CUDA kernels against the CPU's, on scenes that are too large for the reference."""
+"""Compares images and gradients of the CUDA kernels with the CPU kernels', on scenes that are too large for the reference."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..scenes import garden, mixed
 from .gpu import gpu_name, need_gpu, on_gpu
 
 IMAGE, GRADIENT = 1e-4, 1e-3
-FLIPS = 1e-3  # share of pixels that a threshold may decide the other way
+FLIPS = 1e-3  # share of pixels for which a threshold may decide differently
 
 
 def measure(bench: Bench) -> Measured:

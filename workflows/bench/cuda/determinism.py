@@ -1,4 +1,4 @@
-"""Sums in a fixed order: bit-equal over ten runs, and what they cost."""
+"""Sums in a fixed order: whether they are bit-equal over ten runs, and what they cost."""
 
 from __future__ import annotations
 

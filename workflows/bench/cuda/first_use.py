@@ -1,4 +1,4 @@
-"""What the first use costs: compiling all kernels that a training needs with an empty cache, and a start that finds them there."""
+"""The cost of the first use: compiling all kernels that training needs with an empty cache, and a start with a full one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..rows import Bench, Check, Measured
 from .gpu import gpu_name, need_gpu
 
 COMPILE_S, START_S = 20.0, 0.2
-# In a process of its own: torch and the GPU's context first, which are not ours, then our kernels and a frame.
+# Runs in a separate process. Importing torch and creating the GPU's context are not timed; compiling and loading our kernels is.
 PROBE = """
 import json, time, torch
 from e4dgs.rasterizer.cuda import programs, selftest

@@ -1,4 +1,4 @@
-"""What the rows of this suite share: a scene on the GPU, runs that end when the GPU has, and the memory that a run takes."""
+"""Helpers of this suite: scenes on the GPU, runs that wait for the GPU, and the peak memory of a run."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from ....rasterizer.reference.scene import Scene
 from ...machine.devices import why_not_cuda
 from ..render import Rasterize, both
 
-CALLS = 10  # of what is timed, in one run
+CALLS = 10  # of the timed function in one run
 
 
 def need_gpu() -> None:
-    """Raises SettingsError, with the reason, where there is no GPU to measure on."""
+    """Raises SettingsError with the reason if there is no GPU to measure on."""
     if not torch.cuda.is_available():
         raise SettingsError(f"bench cuda: {why_not_cuda() or 'torch finds no GPU'}; there is nothing to measure on")
 
 
 def on_gpu(scene: Scene) -> Scene:
-    """Its primitives on the GPU; camera and background stay on the CPU, as training has them."""
+    """The scene with its primitives on the GPU; camera and background stay on the CPU, as in training."""
     return scene.having({name: value.cuda() for name, value in scene.tensors().items() if "." in name})
 
 
 def ending(run: Callable[[], object], calls: int = CALLS) -> Callable[[], None]:
-    """`calls` calls, then a wait for the GPU."""
+    """A function that calls `run` `calls` times and then waits for the GPU."""
 
     def whole() -> None:
         for _ in range(calls):
@@ -38,13 +38,13 @@ def ending(run: Callable[[], object], calls: int = CALLS) -> Callable[[], None]:
 
 
 def both_on_gpu(scene: Scene, with_: Rasterize = rasterize) -> Callable[[], object]:
-    """`both` of a scene that is there."""
+    """`render.both` for a scene on the GPU."""
     with torch.device("cuda"):
         return both(scene, with_)
 
 
 def peak_mib(run: Callable[[], object]) -> float:
-    """MiB of torch's allocator at the run's peak, beyond what was there before it."""
+    """Peak memory of a run in torch's allocator, MiB, without what was allocated before."""
     run()
     torch.cuda.synchronize()
     before = torch.cuda.memory_allocated()
@@ -55,5 +55,5 @@ def peak_mib(run: Callable[[], object]) -> float:
 
 
 def gpu_name() -> str:
-    """Name, driver's CUDA version and torch's, for protocols."""
+    """Name of the GPU and version of torch, for protocols."""
     return f"{torch.cuda.get_device_name(0)}, torch {torch.__version__}"

@@ -1,4 +1,4 @@
-"""What does not fit on the GPU is refused with what to lower, and the next frame is rendered as before."""
+"""Checks that what does not fit on the GPU is refused with advice on what to lower, and that the next frame renders as before."""
 
 from __future__ import annotations
 

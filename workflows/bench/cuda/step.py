@@ -1,4 +1,4 @@
-"""A whole training step on the GPU, field to optimiser, and how fast the model of that run renders with its deformation."""
+"""Times a whole training step on the GPU, from field to optimiser, and rendering of the same model with its deformation."""
 
 from __future__ import annotations
 

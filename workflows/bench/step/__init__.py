@@ -1,1 +1,1 @@
-"""Rows of `e4dgs bench step`: one file a row, each with `measure`."""
+"""Rows of `e4dgs bench step`: one file per row, each with a function `measure`."""

@@ -1,4 +1,4 @@
-"""Where the time of nested calls and of a backward pass goes: exclusive seconds by part."""
+"""Measures where the time of nested calls and of a backward pass goes, as exclusive seconds per part."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from torch.utils.hooks import RemovableHandle
 
 
 class Clock:
-    """Sums seconds by the name of a part. A part that is entered within another one takes its time away from it, unless the outer one
-    is named in ``whole``: all that it calls counts as its own."""
+    """Sums seconds by the name of a part. The time of a nested part is not counted for the outer one, unless the outer one is named in
+    ``whole``: then everything it calls counts as its own."""
 
     def __init__(self, whole: tuple[str, ...] = ()) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -43,7 +43,7 @@ class Clock:
             self.leave()
 
     def wrapped(self, function: Callable[..., Any], part: str, after: Callable[[Any], None] | None = None) -> Callable[..., Any]:
-        """``function`` with its time counted as ``part``; ``after`` is called with each result that is no part of another part's whole."""
+        """``function`` with its time counted as ``part``. ``after`` is called with each result, except inside a part named in ``whole``."""
 
         def timed(*args: Any, **options: Any) -> Any:
             with self.part(part):
@@ -55,7 +55,7 @@ class Clock:
         return timed
 
     def watch(self, nodes: set[Node], part: str) -> list[RemovableHandle]:
-        """Count the backward pass through these nodes of the graph as ``part``; the handles take the hooks away."""
+        """Counts the backward pass through these nodes of the graph as ``part``. The returned handles remove the hooks."""
         before, after = (lambda grads: self.enter(part)), (lambda inputs, outputs: self.leave())
         return [handle for node in nodes for handle in (node.register_prehook(before), node.register_hook(after))]
 

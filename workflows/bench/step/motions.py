@@ -1,4 +1,5 @@
-"""A training step as captures take it: control nodes before one camera at a time; a rig, of which all or a fifth moves."""
+"""Times a training step with the motion that a capture gets: control nodes for one camera at a time; for a rig, with all or a fifth of the
+Gaussians dynamic."""
 
 from __future__ import annotations
 
@@ -15,9 +16,9 @@ from ..timing import interleaved
 from .training import PERIOD, make_model, make_trainer, views_of
 
 NODES_COUNT, RIG_COUNT = 40_000, 60_000
-NODES_BAR, RIG_BAR = 30.0, 80.0  # ms a step on two cores, 400x400 and 640x360
-MOVING = 0.2  # of the rig's Gaussians, where most stand still
-HALF = 0.5  # of the time of a step in which everything moves
+NODES_BAR, RIG_BAR = 30.0, 80.0  # ms per step on two cores, at 400x400 and 640x360
+MOVING = 0.2  # share of the rig's Gaussians that are dynamic in the row where most are static
+HALF = 0.5  # bar: share of the time of a step in which everything moves
 NODES = {"control nodes": ("nodes", 1.0)}
 RIG = {
     "a rig, lives": ("free", 1.0),

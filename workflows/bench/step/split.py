@@ -1,7 +1,8 @@
-"""Where the time of our training step goes: every part of it by name, and what is left as "rest".
+"""Measures where the time of our training step goes: every part by name, and the remainder as "rest".
 
-Parts are measured by wrapping the functions that a step calls; of the backward pass, by hooks on the nodes of the autograd graph, which are
-told apart by what they lead to: the image's loss, the image, the field's output, the primitives; the others are regularisers'.
+Parts are measured by wrapping the functions that a step calls. Parts of the backward pass are measured by hooks on the nodes of the
+autograd graph, grouped by what they compute: the image's loss, the image, the field's output or the primitives; the others belong to
+regularisers.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from .training import PERIOD, make_model, make_trainer, views_of
 FORWARD = ("data", "model forward", "field forward", "rasterize forward", "loss forward", "regularisers forward")
 BACKWARD = ("rasterize backward", "loss backward", "model backward", "field backward", "regularisers backward", "gradients into leaves")
 PARTS = (*FORWARD, *BACKWARD, "guard", "optimiser", "rest")
-WATCHING = "watching"  # setting hooks and taking them away: no part of a step
+WATCHING = "watching"  # setting and removing hooks, which is not part of a step
 
 
 def measure(bench: Bench) -> Measured:
@@ -68,7 +69,7 @@ def measure(bench: Bench) -> Measured:
 
 @contextmanager
 def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
-    """While it lasts, every step of ``trainer`` is taken apart by ``clock``."""
+    """Within this context, ``clock`` measures the parts of every step of ``trainer``."""
     model, views, seen, backward = trainer.model, trainer.views, _Seen(clock), Tensor.backward
 
     def watched_backward(loss: Tensor, *args: Any, **options: Any) -> None:
@@ -90,7 +91,7 @@ def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
         (trainer.learned.optimiser, "step", "optimiser", None),
         (trainer.guard, "accepts", "guard", None),
     ]
-    kept = [(owner, name, vars(owner).get(name)) for owner, name, _, _ in calls]  # None: the class has it, the object had none of its own
+    kept = [(owner, name, vars(owner).get(name)) for owner, name, _, _ in calls]  # None: only the class has it, not the object
     for owner, name, part, after in calls:
         setattr(owner, name, clock.wrapped(getattr(owner, name), part, after))
     Tensor.backward = watched_backward  # type: ignore[assignment, method-assign]
@@ -103,7 +104,7 @@ def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
 
 
 class _Seen:
-    """What a step computed on its way to the loss, so that the nodes of its backward pass can be told apart."""
+    """Keeps what a step computes on its way to the loss, to tell the nodes of its backward pass apart."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -125,12 +126,12 @@ class _Seen:
         self._field = list(output)
 
     def watch(self, loss: Tensor) -> list[Any]:
-        """Hooks on every node behind ``loss``. The time between nodes stays with the rest."""
+        """Sets hooks on every node behind ``loss``. The time between nodes counts as rest."""
         left = _nodes_behind([loss])
         named = {"gradients into leaves": {node for node in left if "AccumulateGrad" in node.name()}}
         left -= named["gradients into leaves"]
         behind = {"field": self._field, "model": self._primitives, "rasterize": self._image, "loss": self._loss}
-        for part, tensors in behind.items():  # what comes first in the step is behind all that follows, and is counted first
+        for part, tensors in behind.items():  # earlier parts of the step lie behind all later ones, so they are assigned first
             named[f"{part} backward"] = left & _nodes_behind(tensors)
             left -= named[f"{part} backward"]
         named["regularisers backward"] = left
@@ -138,7 +139,7 @@ class _Seen:
 
 
 def _nodes_behind(tensors: list[Tensor]) -> set[Node]:
-    """Nodes of the autograd graph from which ``tensors`` were computed."""
+    """Nodes of the autograd graph that computed ``tensors``, directly or indirectly."""
     found: set[Node] = set()
     waiting = [t.grad_fn for t in tensors if t.grad_fn is not None]
     while waiting:

@@ -1,4 +1,4 @@
-"""A training run in mid-course, ready to take single steps: views of a capture, Gaussians on its objects, a deformation field."""
+"""Sets up a training run in mid-course that can take single steps: views of a capture, Gaussians on its objects, a deformation field."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from ..rows import Bench
 
 COUNT = 30_000
 SH_DEGREE = 2
-SIZE = 400  # px; the sample's pictures are enlarged to it
+SIZE = 400  # px; the sample's pictures are enlarged to this
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "cube_and_ball"
-STEPS, BEGUN = 1000, 400  # of the run, and how many of them are past: every term of the loss is in by then
-PERIOD = 8  # steps after which every term of the loss has come up as often as it does on average
+STEPS, BEGUN = 1000, 400  # steps of the run, and steps already taken, when every term of the loss is active
+PERIOD = 8  # steps in which every term of the loss occurs as often as on average
 
 
 def views_of(bench: Bench) -> tuple[Views, list[np.ndarray] | None, str]:
-    """Training views with their pictures decoded, foreground masks of each where there is alpha, and the capture's name."""
+    """Training views with decoded pictures, their foreground masks if there is alpha, and the capture's name."""
     from ....stages.artifacts.dataset import load_frameset, load_views
 
     path = bench.capture or SAMPLE
@@ -60,7 +60,7 @@ def views_of(bench: Bench) -> tuple[Views, list[np.ndarray] | None, str]:
 
 
 def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None, count: int = COUNT) -> Model:
-    """Gaussians strewn over the capture's objects, half of them nearly opaque, all of them moving; a field that has learned something."""
+    """A model: Gaussians scattered over the capture's objects, half of them nearly opaque, all dynamic, and a field that is not zero."""
     count = bench.count(count, 200)
     settings = TrainingSettings.model_validate({})
     if masks is not None:
@@ -82,7 +82,7 @@ def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None, count
 
 
 def make_trainer(model: Model, views: Views) -> tuple[Trainer, Callable[[], None]]:
-    """A trainer in mid-course, and a function that takes `PERIOD` steps: all of a step, without density control and checkpoints between."""
+    """A trainer in mid-course, and a function that takes `PERIOD` whole steps, without density control and checkpoints in between."""
     assert model.field is not None
     recipe = RECIPES.get(str(model.field.config["kind"]), PLANES)
     phase, settings = Phase("deformation", STEPS), TrainingSettings.model_validate({})
