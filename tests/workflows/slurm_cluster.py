@@ -43,7 +43,7 @@ SlurmdLogFile={folder}/%n.log
 ReturnToService=2
 SlurmdTimeout={lost}
 CompleteWait=0
-Licenses=gpu:3
+Licenses=gpu:4
 NodeName=node1 NodeHostname={host} NodeAddr=127.0.0.1 Port={ports[1]} CPUs=4 RealMemory=8000
 NodeName=node2 NodeHostname={host} NodeAddr=127.0.0.1 Port={ports[2]} CPUs=4 RealMemory=8000
 PartitionName=main Nodes=node1,node2 Default=YES MaxTime=INFINITE State=UP
