@@ -90,13 +90,13 @@ class Poses(Stage):
         from .posing.pictures import lens_groups, write_images, write_masks
         from .posing.second_pass import second_pass
 
-        settings = ctx.settings
+        settings, static = ctx.settings, Facts.of(ctx.facts).static
         artifact = ctx.inputs["frames"]
         assert artifact is not None
         frames = FrameSet(artifact, ctx.capture.root)
-        matcher = choose(settings.matcher, len(frames), bool(ctx.facts["static"]))
+        matcher = choose(settings.matcher, len(frames), static)
         hint = frames.K_hint
-        several = _several(ctx, frames) if len(np.unique(frames.camera)) > 1 and not ctx.facts["static"] else None
+        several = _several(ctx, frames) if len(np.unique(frames.camera)) > 1 and not static else None
         request = {
             "task": "reconstruct",
             "root": str(ctx.checkpoints / "images"),
@@ -111,7 +111,7 @@ class Poses(Stage):
             "pairs": [] if several else image_pairs(matcher, len(frames), settings.overlap),
             "mapper": settings.mapper,
             "init_angles": INIT_ANGLES,
-            "static": bool(ctx.facts["static"]),
+            "static": static,
             "seed": settings.seed,
             **(several.request if several else {}),
         }
@@ -122,7 +122,7 @@ class Poses(Stage):
             if several and several.looks.still:
                 told = "cameras that stand still are matched at equal times alone, where what moves is as good as what does not"
             elif settings.movers == "auto":
-                passes = second_pass(frames, request, folder, (arrays, facts), bool(ctx.facts["static"]), bars)
+                passes = second_pass(frames, request, folder, (arrays, facts), static, bars)
                 arrays, facts, share, told = passes.arrays, passes.facts, passes.movers_share, passes.told
                 if passes.trouble:
                     ctx.log(passes.trouble)
@@ -173,7 +173,7 @@ def _several(ctx: Context, frames: FrameSet) -> Several:
     from .posing.several import several_cameras
 
     folder = picture_folder(ctx)
-    with ctx.progress(ctx.facts["cameras"], "which cameras stand still") as bar:
+    with ctx.progress(Facts.of(ctx.facts).cameras, "which cameras stand still") as bar:
         found = several_cameras(
             frames,
             ctx.checkpoints / "colmap",
