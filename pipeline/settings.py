@@ -6,7 +6,7 @@ The command line, the cache key and the record for replaying a run are all deriv
 import difflib
 import json
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
@@ -18,7 +18,11 @@ class Settings(BaseModel):
     """Base class of every stage's settings. Give each field a range and a description (``Field(8, ge=0, description=...)``).
 
     A field of type ``Path`` enters the cache key as the content of the file, not its name.
+
+    renamed: names that settings had in earlier versions, with their present names. The old names are not accepted; errors mention the new.
     """
+
+    renamed: ClassVar[Mapping[str, str]] = {}
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
@@ -46,7 +50,8 @@ def build_settings(classes: Mapping[str, type[Settings]], assignments: Iterable[
         fields = classes[stage].model_fields
         if key not in fields:
             known = "\n  ".join(describe(stage, k, f) for k, f in fields.items()) or "(none)"
-            raise SettingsError(f"{name}: {stage} has no setting {key!r}{_hint(key, fields)}; its settings are:\n  {known}")
+            hint = f" (it is now {new!r})" if (new := classes[stage].renamed.get(key)) else _hint(key, fields)
+            raise SettingsError(f"{name}: {stage} has no setting {key!r}{hint}; its settings are:\n  {known}")
         values[stage][key] = _parse(stage, key, fields[key], value)
     built = {}
     for stage, cls in classes.items():

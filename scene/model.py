@@ -70,13 +70,13 @@ class Model:
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         g, c = self.gaussians, self.convexes
         means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
-        shown, hull_shown = g.opacities, c.opacities
+        shown, convex_shown = g.opacities, c.opacities
         if self.field is not None and move:
             index = self._moving(g, camera, margin=0.25)
-            hulls = self._moving(c, camera, margin=0.25)
+            convex_index = self._moving(c, camera, margin=0.25)
             n = len(index)
-            if n + len(hulls):
-                moved = self.field.carry(self._rest(index, hulls), t)
+            if n + len(convex_index):
+                moved = self.field.carry(self._rest(index, convex_index), t)
                 if n == len(means):  # the usual case in small scenes; avoids indexed copies
                     means, quats = moved.points[:n], moved.quats
                     log_scales = log_scales if moved.log_scales is None else log_scales + moved.log_scales
@@ -86,12 +86,14 @@ class Model:
                     log_scales = log_scales if moved.log_scales is None else log_scales.index_add(0, index, moved.log_scales)
                 if moved.presence is not None:
                     shown = shown.index_copy(0, index, shown[index] * moved.presence[:n])
-                    if len(hulls):
-                        hull_shown = hull_shown.index_copy(0, hulls, hull_shown[hulls] * moved.presence[n :: points.shape[1]])
-                if len(hulls):
-                    points = points.index_copy(0, hulls, moved.points[n:].reshape(-1, *points.shape[1:]))
+                    if len(convex_index):
+                        convex_shown = convex_shown.index_copy(
+                            0, convex_index, convex_shown[convex_index] * moved.presence[n :: points.shape[1]]
+                        )
+                if len(convex_index):
+                    points = points.index_copy(0, convex_index, moved.points[n:].reshape(-1, *points.shape[1:]))
         gaussians = Gaussians(means, quats, torch.exp(log_scales), shown, sh=g.sh(degree))
-        convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), hull_shown, sh=c.sh(degree))
+        convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), convex_shown, sh=c.sh(degree))
         return gaussians, convexes
 
     def centres_at(self, index: Tensor, t: float) -> Tensor:
@@ -117,8 +119,8 @@ class Model:
         """Continue with ``link`` from a checkpoint."""
         self._links[primitives.KIND] = primitives, link
 
-    def _rest(self, index: Tensor, hulls: Tensor) -> Rest:
-        """The Gaussians ``index`` and the corners of the convexes ``hulls``."""
+    def _rest(self, index: Tensor, convex_index: Tensor) -> Rest:
+        """The Gaussians ``index`` and the corners of the convexes ``convex_index``."""
         g, c = self.gaussians, self.convexes
         whole = len(index) == len(g)
         points, quats, hyper = (p if whole else p[index] for p in (g.means, g.quats, g.hyper))
@@ -128,17 +130,17 @@ class Model:
         centres = None
         link = self.links(g)
         link = link if whole or link is None else link[index]
-        if len(hulls):
+        if len(convex_index):
             corners = c.points.shape[1]
-            points = torch.cat([points, c.points[hulls].reshape(-1, 3)])
-            hyper = torch.cat([hyper, c.hyper[hulls].repeat_interleave(corners, 0)])
+            points = torch.cat([points, c.points[convex_index].reshape(-1, 3)])
+            hyper = torch.cat([hyper, c.hyper[convex_index].repeat_interleave(corners, 0)])
             if life is not None:
-                theirs = (p[hulls].repeat_interleave(corners, 0) for p in c.life)
+                theirs = (p[convex_index].repeat_interleave(corners, 0) for p in c.life)
                 life = Life(*(torch.cat(pair) for pair in zip(life, theirs)))
-                centres = torch.cat([g.means[index], c.points[hulls].mean(1).repeat_interleave(corners, 0)])
+                centres = torch.cat([g.means[index], c.points[convex_index].mean(1).repeat_interleave(corners, 0)])
             other = self.links(c)
             if link is not None and other is not None:
-                link = torch.cat([link, other.reshape(len(c), corners, -1)[hulls].flatten(0, 1)])
+                link = torch.cat([link, other.reshape(len(c), corners, -1)[convex_index].flatten(0, 1)])
         return Rest(points, quats, hyper, link, life, centres)
 
     def _moving(self, primitives: PrimitiveSet, camera: Camera | None, margin: float) -> Tensor:

@@ -183,7 +183,7 @@ class ConvexSet(PrimitiveSet):
         )
 
     @classmethod
-    def from_hulls(cls, points: np.ndarray, colors: np.ndarray, sh_degree: int, opacity: float = 0.3) -> ConvexSet:
+    def from_points(cls, points: np.ndarray, colors: np.ndarray, sh_degree: int, opacity: float = 0.3) -> ConvexSet:
         """Convexes on ``points`` [M,K,3] with ``colors`` [M,3] in [0,1]; the width of each one's edges is in proportion to its size."""
         m = len(points)
         radius = np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=2).mean(axis=1).clip(min=1e-9)

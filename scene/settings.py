@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -13,6 +13,8 @@ Strategy = Literal["two-stage", "joint", "alternating", "progressive"]
 
 class RefinementSettings(Settings):
     """Settings that apply wherever a model is trained. Learning rates of positions are fractions of the viewing distance."""
+
+    renamed: ClassVar = {"still": "rest"}
 
     iterations: int = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
     seed: int = Field(0, ge=0, description="order of the views, initial planes, sampling of new primitives")
@@ -25,7 +27,7 @@ class RefinementSettings(Settings):
     ssim: float = Field(0.2, ge=0, description="lambda_2 of Eq. 9")
     tv: float = Field(1e-2, ge=0, description="lambda_3 of Eq. 9, smoothness of the planes")
     alpha: float = Field(0.2, ge=0, description="weight of the difference from the capture's own alpha, where it has one")
-    still: float | None = Field(None, ge=0, description="weight of the mean displacement, in viewing distances; 0.005 for planes, else 0")
+    rest: float | None = Field(None, ge=0, description="weight of the mean displacement, in viewing distances; 0.005 for planes, else 0")
     rigid: float = Field(0.01, ge=0, description="weight of how differently neighbours move: parts turn and shift as one")
     inertia: float | None = Field(None, ge=0, description="weight of how abruptly motion changes between times; 0.03 for nodes, else 0.01")
     opacity: float | None = Field(

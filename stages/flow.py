@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -22,6 +22,8 @@ SMALL_WEIGHTS = 10_000_000  # bytes; the weights file of the small network has 4
 
 
 class FlowSettings(Settings):
+    renamed: ClassVar = {"movers": "moving"}
+
     method: Literal["auto", "raft", "raft-small", "dis"] = Field(
         "auto",
         description="auto: RAFT where weights are given, else dense inverse search of OpenCV; raft without weights takes torchvision's",
@@ -35,7 +37,7 @@ class FlowSettings(Settings):
     detect_static: bool = Field(
         True, description="find out whether anything moves before measuring; nothing is measured where nothing does"
     )
-    movers: bool = Field(True, description="masks of what moves in each frame: flow minus camera motion, or change before a fixed camera")
+    moving: bool = Field(True, description="masks of what moves in each frame: flow minus camera motion, or change before a fixed camera")
     grow: int = Field(4, ge=0, le=100, description="px by which the mask of what changes before a fixed camera is widened")
 
 
@@ -65,7 +67,7 @@ class Flow(Stage):
     def estimate(self, facts: Mapping[str, Any], settings: FlowSettings) -> float | None:
         """Seconds per pair and megapixel on two cores, for both directions. DIS medium and the small network are fitted to runs of the
         stage on 90 frames of 480x270; the others are scaled by the time of their pairs relative to these. Correcting outlines takes
-        0.15 s. The rest takes 0.16 s per frame and megapixel; masks of movers, computed at a small size, take the same at any size."""
+        0.15 s. The rest takes 0.16 s per frame and megapixel; masks of moving pixels, made at a small size, take the same at any size."""
         known = Facts.of(facts)
         width, height = known.width, known.height
         small_width, small_height = size_within(width, height, settings.max_size)
@@ -78,11 +80,11 @@ class Flow(Stage):
             each = encoding + 2 * step * min(settings.iterations, 14 if settings.tolerance else 100)
         pairs = min(known.pairs, settings.max_pairs)
         measured = pairs if known.new_items is None else min(pairs, known.new_items)
-        movers = (0.012 if known.fixed_cameras else 0.02) if settings.movers else 0.0
+        moving = (0.012 if known.fixed_cameras else 0.02) if settings.moving else 0.0
         return (
             (2.0 if settings.detect_static else 0.5)
             + (each * small_width * small_height + 0.15 * width * height) * measured / 1e6
-            + movers * known.frames
+            + moving * known.frames
             + 0.16 * known.frames * width * height / 1e6
         )
 

@@ -43,6 +43,6 @@ class Hulls(Stage):
         return training_resources(Facts.of(facts), device)
 
     def run(self, ctx: Context) -> None:
-        from .training.hulls import place_hulls
+        from .training.hulls import place_convexes
 
-        place_hulls(ctx)
+        place_convexes(ctx)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -22,6 +22,8 @@ INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees, least triangulation angle of the init
 
 
 class PosesSettings(Settings):
+    renamed: ClassVar = {"movers": "moving"}
+
     matcher: Literal["auto", "sequential", "exhaustive"] = Field(
         "auto", description="which images are matched; auto: all pairs up to 40 images or with --static, else neighbours and keyframes"
     )
@@ -31,7 +33,7 @@ class PosesSettings(Settings):
     )
     max_features: int = Field(8192, ge=256, le=65_536, description="SIFT features an image")
     mapper: Literal["incremental", "global"] = Field("incremental", description="COLMAP's incremental mapper or the global one (GLOMAP)")
-    movers: Literal["auto", "off"] = Field(
+    moving: Literal["auto", "off"] = Field(
         "auto", description="auto: a second pass without the features on what moves, where these matter; the better of the two is kept"
     )
     seed: int = Field(0, ge=0, le=2**31 - 1, description="of the random sampling")
@@ -53,7 +55,7 @@ class Poses(Stage):
             return Applies.yes(
                 f"structure from motion on {known.cameras} cameras at shared times; those that stand still get one pose each"
             )
-        again = "" if settings.movers == "off" or known.static else "; a second pass where what moves could pull the cameras"
+        again = "" if settings.moving == "off" or known.static else "; a second pass where what moves could pull the cameras"
         return Applies.yes(f"structure from motion on {known.frames} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
@@ -70,7 +72,7 @@ class Poses(Stage):
             features, pairs = cameras * times * (0.1 + 1.3 * known.width * known.height / 1e6), times * cameras * (cameras - 1) / 2
             return 10 + features + 0.2 * pairs + 2.0 * cameras
         pairs = len(image_pairs(choose(settings.matcher, frames, known.static), frames, settings.overlap))
-        looked = 0.15 if settings.movers == "auto" and not known.static else 0.0
+        looked = 0.15 if settings.moving == "auto" and not known.static else 0.0
         return 8 + frames * (1.2 + looked + 1.3 * known.width * known.height / 1e6) + 0.06 * pairs
 
     def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
@@ -116,14 +118,14 @@ class Poses(Stage):
             **(several.request if several else {}),
         }
         bars, folder = Bars(ctx), ctx.checkpoints / "colmap"
-        share, told = None, "poses.movers=off"
+        share, told = None, "poses.moving=off"
         try:
             arrays, facts = finished(request, folder) or run_worker(request, folder, bars)
-            if several and several.looks.still:
+            if several and several.looks.fixed:
                 told = "cameras that stand still are matched at equal times alone, where what moves is as good as what does not"
-            elif settings.movers == "auto":
+            elif settings.moving == "auto":
                 passes = second_pass(frames, request, folder, (arrays, facts), static, bars)
-                arrays, facts, share, told = passes.arrays, passes.facts, passes.movers_share, passes.told
+                arrays, facts, share, told = passes.arrays, passes.facts, passes.moving_share, passes.told
                 if passes.trouble:
                     ctx.log(passes.trouble)
         except WorkerError as error:
@@ -144,12 +146,12 @@ class Poses(Stage):
         # If the camera only turns, a note already says so, and small angles need no further advice.
         judged = 90.0 if facts["turning"] else angle
         if several:
-            write_account(ctx.out, fixed_cameras=several.looks.all_still)
+            write_account(ctx.out, fixed_cameras=several.looks.all_fixed)
         coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged)
         ctx.log(f"{coverage.summary()}, reprojection error {mean_error:.2f} px in the mean, {median_error:.2f} px in the median")
         for sentence in facts["notes"]:
             ctx.log(sentence)
-        if settings.movers == "auto":
+        if settings.moving == "auto":
             ctx.log(f"what moves: {told}")
         for sentence in coverage.advice:
             ctx.log(sentence)
@@ -162,7 +164,7 @@ class Poses(Stage):
             parts=facts["parts"],
             notes=facts["notes"],
             matcher=matcher,
-            movers_share=None if share is None else round(share, 4),
+            moving_share=None if share is None else round(share, 4),
             second_pass=told,
         )
 

@@ -65,9 +65,9 @@ class Dying(Trainer):
         super()._after_step(phase)
         self._at("after")
 
-    def _round(self, step, phase, bodies_alone=False) -> None:
+    def _round(self, step, phase, rigid_parts_alone=False) -> None:
         self._within, before = True, self._count()
-        self._plain_round(step, phase, bodies_alone)
+        self._plain_round(step, phase, rigid_parts_alone)
         self._within = False
         self.rounds = (*self.rounds, (step, before, self._count()))
 
@@ -110,7 +110,7 @@ def prepared(kind: str, folder: Path | None, dies: tuple[str, int] | None = None
         phases = coarse_phases("two-stage", STEPS, False, 0.5, from_rest=False)
     if kind == "fine":
         corners = gaussians.means.detach().numpy()[:8, None] + 0.15 * np.random.default_rng(0).normal(size=(8, 6, 3))
-        model.convexes = ConvexSet.from_hulls(corners, np.full((8, 3), 0.4), 0, 0.3)
+        model.convexes = ConvexSet.from_points(corners, np.full((8, 3), 0.4), 0, 0.3)
         model.convexes.live(torch.ones(8), 1.0)
         with torch.no_grad():
             gaussians.opacity_logits[:50] = torch.linspace(-2.6, -1.2, 50)  # some of these fade during the rounds

@@ -56,7 +56,7 @@ def flow_of(folder: Path, gap: int | None = None) -> StoredFlow:
     out.write("forward", forward)
     out.write("backward", backward)
     out.write("confidence", np.full((len(pairs), HEIGHT, WIDTH), 255, np.uint8))
-    out.write("movers", masks)
+    out.write("moving", masks)
     out.finish({})
     return StoredFlow(Artifact(folder))
 

@@ -34,7 +34,7 @@ def sliding_ball(folder: Path) -> tuple[StoredFlow, Views, np.ndarray]:
         "forward": np.array(both[0]).astype(np.float16),
         "backward": np.array(both[1]).astype(np.float16),
         "confidence": np.full((len(pairs), HEIGHT, WIDTH), 255, np.uint8),
-        "movers": np.array([(truth.object == number) * 255 for truth in truths]).astype(np.uint8),
+        "moving": np.array([(truth.object == number) * 255 for truth in truths]).astype(np.uint8),
     }
     index = np.arange(len(chosen))
     views = Views(

@@ -118,8 +118,8 @@ def test_flow_forward_and_back_returns():
     forward = optical_flow(synthetic.scene, camera, 0.2, 0.5)
     moved = forward.visible & (np.abs(forward.flow).sum(-1) > 0.5)
     assert moved.sum() > 20
-    still = (forward.object == 0) & forward.visible
-    np.testing.assert_allclose(forward.flow[still], 0.0, atol=1e-9)
+    static = (forward.object == 0) & forward.visible
+    np.testing.assert_allclose(forward.flow[static], 0.0, atol=1e-9)
 
 
 def test_occluded_points_are_not_visible():

@@ -25,7 +25,7 @@ PRIOR_SAMPLES = 1024
 NEIGHBOURHOOD = 0.025  # of the viewing distance: distance between two places that should move alike
 
 
-def stillness(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
+def displacement(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
     """Mean displacement, world units, of those of ``rest`` [N, 3] that are ``dynamic`` [N]."""
     return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
 
@@ -40,7 +40,7 @@ def motion_priors(motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: flo
 class MotionTerms:
     """The motion terms of one training run, and how often each is evaluated.
 
-    unit: the viewing distance, world units. still: weight of the mean displacement. inertia: weight of how abruptly motion changes.
+    unit: the viewing distance, world units. rest: weight of the mean displacement. inertia: weight of how abruptly motion changes.
     times: number of distinct times in the capture. measured_flow: see `Trainer`.
     """
 
@@ -49,13 +49,13 @@ class MotionTerms:
         views: Views,
         settings: TrainingSettings,
         unit: float,
-        still: float,
+        rest: float,
         inertia: float,
         times: int,
         measured_flow: MeasuredFlow | None,
     ) -> None:
         self.views, self.settings, self.unit, self.measured_flow = views, settings, unit, measured_flow
-        self.still, self.inertia = still, inertia
+        self.rest, self.inertia = rest, inertia
         self.times = times
         self.dt = 1.0 / max(times - 1, 1)
 
@@ -65,8 +65,8 @@ class MotionTerms:
         assert model.field is not None
         dynamic = model.gaussians.dynamic
         loss = torch.zeros((), device=model.device)
-        if self.still:
-            loss = loss + self.still / self.unit * stillness(moved, model.gaussians.means, dynamic)
+        if self.rest:
+            loss = loss + self.rest / self.unit * displacement(moved, model.gaussians.means, dynamic)
         if iteration % PRIOR_EVERY == 0 and not model.field.steady:
             if s.tv:
                 loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()

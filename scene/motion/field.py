@@ -115,7 +115,7 @@ class DeformationField(nn.Module):
         """There are no parts: the planes are fixed to the box."""
 
     def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
-        """[N, 7] numbers of order one that are equal for all positions that move as one rigid body."""
+        """[N, 7] numbers of order one that are equal for all positions that move as one rigid part."""
         return self._heads(rest, t)[:, :7]
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:

@@ -15,16 +15,16 @@ from torch import Tensor, nn
 
 from ..primitives import HYPER
 from ..rotation import rotate
-from .bodies import Bodies
 from .courses import SharedCourses, encode_places
 from .interface import Moved, Rest
+from .rigid_parts import RigidParts
 from .skinning import Nodes, nearest_nodes, skin
 
 NEAREST = 4  # nodes that carry a position
 GRAPH = 6  # neighbours of a node in the rigidity term
 OUTPUT = 0.3  # scale of the network's output: motion grows from rest, slowly enough to stay coherent
 HYPER_SPREAD = 0.1  # standard deviation of the initial hyper coordinates, relative to the mean spacing of the nodes
-BODY_COURSE = 1 / 3  # of the nodes' weight: a body held steadier than this cannot move away from the turn that the search found
+RIGID_COURSE = 1 / 3  # of the nodes' weight: a rigid part held steadier than this cannot move away from the turn that the search found
 
 
 class ControlNodes(nn.Module):
@@ -38,7 +38,7 @@ class ControlNodes(nn.Module):
         centre: [3] and extent, world units: the box used to scale places, fixed for the life of the network.
         reach: world units for one unit of the network's shifts.
         seed: of the network's initial weights.
-        bodies: rigid bodies that the network does not move.
+        rigid_parts: rigid parts that the network does not move.
     """
 
     worth_culling = False  # projecting a position into the image takes as long as skinning it
@@ -53,7 +53,7 @@ class ControlNodes(nn.Module):
         extent: float,
         reach: float,
         seed: int = 0,
-        bodies: Bodies | None = None,
+        rigid_parts: RigidParts | None = None,
     ) -> None:
         super().__init__()
         positions = torch.as_tensor(positions).float()
@@ -66,7 +66,7 @@ class ControlNodes(nn.Module):
         # Not zero: with equal coordinates everywhere, their gradient would be zero.
         beside = HYPER_SPREAD * spacing(positions).mean() * torch.randn(len(positions), HYPER, generator=generator).to(positions.device)
         self.hyper = nn.Parameter(beside)
-        self.bodies = Bodies.none(positions.device) if bodies is None else bodies
+        self.rigid_parts = RigidParts.none(positions.device) if rigid_parts is None else rigid_parts
         self._known: dict[str, Tensor] = {}
 
     @property
@@ -77,8 +77,8 @@ class ControlNodes(nn.Module):
     @classmethod
     def from_state(cls, state: dict[str, Tensor], config: dict) -> ControlNodes:
         """Inverse of `state_dict` and `config`."""
-        bodies = Bodies(*(state["bodies." + name] for name in ("home", "radius", "quats", "shifts")))
-        nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"], bodies=bodies)
+        rigid_parts = RigidParts(*(state["rigid_parts." + name] for name in ("home", "radius", "quats", "shifts")))
+        nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"], rigid_parts=rigid_parts)
         if missing := nodes.state_dict().keys() - state.keys():  # written by a version with a different network
             raise KeyError(sorted(missing)[0])
         nodes.load_state_dict(state)
@@ -87,7 +87,7 @@ class ControlNodes(nn.Module):
     # -- Motion -------------------------------------------------------------------------------------------------------------------
 
     def carry(self, rest: Rest, t: float) -> Moved:
-        nodes = self._with_bodies(self.at(t), t)
+        nodes = self._with_rigid_parts(self.at(t), t)
         link = self.links(rest.points, rest.hyper) if rest.link is None else rest.link
         m, n = len(rest.quats), len(rest.points)
         quats = rest.quats if m == n else torch.cat([rest.quats, rest.quats.new_zeros(n - m, 4)])
@@ -95,7 +95,7 @@ class ControlNodes(nn.Module):
         return Moved(points, turned[:m], None)
 
     def links(self, points: Tensor, hyper: Tensor) -> Tensor:
-        return nearest_nodes(points, hyper, self._with_bodies(self._resting(), 0.0), NEAREST)
+        return nearest_nodes(points, hyper, self._with_rigid_parts(self._resting(), 0.0), NEAREST)
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
         """How much the graph of the nodes is strained at ``t``, as a mean share of its edges' lengths, and how much nodes change course
@@ -106,7 +106,7 @@ class ControlNodes(nn.Module):
         now, before, here, after = self.at_times([t, middle - dt, middle, middle + dt])
         shifts = (before.shifts - 2 * here.shifts + after.shifts).norm(dim=1).mean() / self.reach
         turning = (before.turns - 2 * here.turns + after.turns).norm(dim=1).mean()
-        return self._strain(now), shifts + turning + BODY_COURSE * self.bodies.course(self.extent)
+        return self._strain(now), shifts + turning + RIGID_COURSE * self.rigid_parts.course(self.extent)
 
     def _strain(self, nodes: Nodes) -> Tensor:
         """Strain of the graph, a scalar: how far edges are from turning with the node that they start from, relative to their lengths."""
@@ -127,7 +127,7 @@ class ControlNodes(nn.Module):
     # -- the nodes ----------------------------------------------------------------------------------------------------------------
 
     def at(self, t: float) -> Nodes:
-        """The nodes at time ``t``, clamped to [0, 1], without the bodies."""
+        """The nodes at time ``t``, clamped to [0, 1], without the rigid parts."""
         return self.at_times([t])[0]
 
     def at_times(self, times: Sequence[float]) -> list[Nodes]:
@@ -170,22 +170,22 @@ class ControlNodes(nn.Module):
         none = self.positions.new_zeros(0)
         return Nodes(self.positions, self.hyper, 0.5 * torch.exp(-2 * self.log_radii), none, none)
 
-    def _with_bodies(self, nodes: Nodes, t: float) -> Nodes:
-        bodies = self.bodies
-        if not len(bodies):
+    def _with_rigid_parts(self, nodes: Nodes, t: float) -> Nodes:
+        rigid_parts = self.rigid_parts
+        if not len(rigid_parts):
             return nodes
-        turns, shifts = bodies.pose(min(max(float(t), 0.0), 1.0))
-        theirs = Nodes(bodies.home, bodies.hyper(self.extent), 0.5 / bodies.radius.square(), turns, shifts)
+        turns, shifts = rigid_parts.pose(min(max(float(t), 0.0), 1.0))
+        theirs = Nodes(rigid_parts.home, rigid_parts.hyper(self.extent), 0.5 / rigid_parts.radius.square(), turns, shifts)
         return Nodes(*(torch.cat([own, other]) if len(own) else own for own, other in zip(nodes, theirs)))
 
-    def in_bodies(self, link: Tensor | None) -> Tensor:
-        """[N] bool: the positions that ``link`` [N, k] binds to a rigid body."""
+    def in_rigid_parts(self, link: Tensor | None) -> Tensor:
+        """[N] bool: the positions that ``link`` [N, k] binds to a rigid part."""
         assert link is not None
         return link[:, 0] >= len(self.positions)
 
-    def with_bodies(self, bodies: Bodies) -> ControlNodes:
-        """The same nodes with ``bodies`` in place of the current ones."""
-        nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, bodies=bodies)
+    def with_rigid_parts(self, rigid_parts: RigidParts) -> ControlNodes:
+        """The same nodes with ``rigid_parts`` in place of the current ones."""
+        nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, rigid_parts=rigid_parts)
         nodes.network, nodes.log_radii, nodes.hyper = self.network, self.log_radii, self.hyper
         return nodes
 
@@ -194,7 +194,7 @@ class ControlNodes(nn.Module):
         """The same network with nodes spread again over ``points`` [P, 3], at most as many as now. Each new node takes the hyper
         coordinates of the nearest old one."""
         positions = torch.tensor(farthest_points(points, len(self.positions)), dtype=torch.float32, device=self.positions.device)
-        nodes = ControlNodes(positions, self.centre, self.extent, self.reach, bodies=self.bodies)
+        nodes = ControlNodes(positions, self.centre, self.extent, self.reach, rigid_parts=self.rigid_parts)
         nodes.network = self.network
         nodes.hyper.copy_(self.hyper[torch.cdist(positions, self.positions).argmin(1)])
         return nodes

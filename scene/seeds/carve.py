@@ -9,19 +9,19 @@ from .volume import common_volume
 
 
 def carve(
-    views: Views, foreground: list[np.ndarray], frames: np.ndarray, count: int, seed: int, majority: float = 0.8
+    views: Views, objects: list[np.ndarray], frames: np.ndarray, count: int, seed: int, majority: float = 0.8
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``count`` points [count, 3] in the common volume that most views saw as foreground, with their mean colours [count, 3] in [0, 1].
+    """``count`` points [count, 3] in the common volume that most views saw as an object, with their mean colours [count, 3] in [0, 1].
 
-    foreground: one [H, W] bool for each frame of ``frames``. Objects move between frames, so a majority of views decides, not all of them:
-    points are drawn from the candidates that at least the share ``majority`` of the views see as foreground. If these are fewer than
+    objects: a mask [H, W] bool for each frame of ``frames``. Objects move between frames, so a majority of views decides, not all of them:
+    points are drawn from the candidates that at least the share ``majority`` of the views see as an object. If these are fewer than
     ``count``, the candidates with the next largest shares are added.
     """
     centre, radius = common_volume(views)
     rng = np.random.default_rng(seed)
     candidates = centre + rng.uniform(-radius, radius, (max(12 * count, 50_000), 3))
     hits, seen = np.zeros(len(candidates)), np.zeros(len(candidates))
-    for mask, i in zip(foreground, frames):
+    for mask, i in zip(objects, frames):
         shown, x, y, _ = views.project(int(i), candidates)
         seen[shown] += 1
         hits[shown] += mask[y, x]
@@ -32,7 +32,7 @@ def carve(
     points = candidates[chosen]
 
     color, weight = np.zeros((count, 3)), np.zeros(count)
-    for mask, i in zip(foreground, frames):
+    for mask, i in zip(objects, frames):
         shown, x, y, _ = views.project(int(i), points)
         on = mask[y, x]
         image = views.target(int(i)).cpu().numpy()

@@ -66,7 +66,7 @@ class Objective:
             views,
             settings,
             unit,
-            recipe.still if settings.still is None else settings.still,
+            recipe.rest if settings.rest is None else settings.rest,
             recipe.inertia if settings.inertia is None else settings.inertia,
             len(np.unique(views.time)),
             measured_flow,

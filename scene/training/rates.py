@@ -42,7 +42,7 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
     planes, mlp = exponential(s.lr_field * k, s.lr_field / 10), exponential(s.lr_mlp * k, s.lr_mlp / 10)
     # Nodes end at a fiftieth: each of their parameters moves thousands of primitives, and jitter at the end would blur all of them.
     network = exponential(s.lr_nodes if k == 1 else s.lr_nodes / 50, s.lr_nodes / 50)
-    bodies = exponential(1e-2 if k == 1 else 1e-4, 1e-4)
+    rigid_parts = exponential(1e-2 if k == 1 else 1e-4, 1e-4)
     radii, hyper = exponential(5e-3 * k, 5e-4), exponential(1e-4 * unit * k, 1e-5 * unit)
 
     def rate(name: str) -> Rate:
@@ -53,8 +53,8 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
             return radii if last == "log_radii" else hyper
         if last.startswith("network."):
             return network
-        if last.startswith("bodies."):
-            return bodies if last == "bodies.quats" else exponential(bodies(0) * unit / 4, bodies(1) * unit / 4)
+        if last.startswith("rigid_parts."):
+            return rigid_parts if last == "rigid_parts.quats" else exponential(rigid_parts(0) * unit / 4, rigid_parts(1) * unit / 4)
         return planes if last.startswith("planes.") else mlp
 
     return {name: rate(name) for name in names}

@@ -12,8 +12,8 @@ class Recipe:
 
     freeze_at: when static Gaussians leave the motion. freeze_pixels: a Gaussian that travels less than this, in px of the nearest camera,
     is static. freeze_share: if less than this share of the dynamic Gaussians is static, none leaves. spread_at: when the parts of the
-    motion are spread again over the Gaussians. bodies_at: when to search for turning parts. opacity, still, inertia, spread: defaults of
-    these weights of `TrainingSettings`. grow_until: default of its `densify_until`. steady: growth adds an equal number in every round,
+    motion are spread again over the Gaussians. rigid_parts_at: when to search for turning parts. opacity, rest, inertia, spread: defaults
+    of these weights of `TrainingSettings`. grow_until: default of its `densify_until`. steady: growth adds an equal number in every round,
     instead of as many as the images allow. rounds: maximum number of rounds of density control, if they went on to the last step.
     prune_at: when primitives that the training views hardly blend are removed; the steps that follow make up for the loss.
     """
@@ -23,10 +23,10 @@ class Recipe:
     freeze_share: float = 0.0
     spread_at: tuple[float, ...] = ()
     opacity: float = 0.15
-    still: float = 0.005
+    rest: float = 0.005
     inertia: float = 0.01
     spread: float = 0.0
-    bodies_at: tuple[float, ...] = ()
+    rigid_parts_at: tuple[float, ...] = ()
     grow_until: float = 0.75
     rounds: int = 1_000_000
     steady: bool = False
@@ -41,11 +41,11 @@ NODES = Recipe(
     freeze_at=0.6,
     freeze_share=0.25,
     spread_at=(0.1, 0.25),
-    bodies_at=(0.1, 0.2, 0.3),
+    rigid_parts_at=(0.1, 0.2, 0.3),
     grow_until=0.8,
     rounds=150,
     opacity=0.01,
-    still=0.0,
+    rest=0.0,
     inertia=0.03,
     spread=0.3,
     steady=True,
@@ -53,5 +53,5 @@ NODES = Recipe(
     prune_at=0.85,
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )
-FREE = Recipe(still=0.0, freeze_at=2.0, opens=False)
+FREE = Recipe(rest=0.0, freeze_at=2.0, opens=False)
 RECIPES = {"planes": PLANES, "nodes": NODES, "free": FREE}  # keyed by the "kind" in a motion's config

@@ -169,9 +169,9 @@ class SpinSearch:
                 near = omega + lattice(4 * step, 4)
                 omega = near[int(self.over_windows(near, offset, half).argmin())][None]
         omega, offset = self._descend(omega, offset, half)
-        still, turning = torch.zeros(1, 3), omega[:1]
+        resting, turning = torch.zeros(1, 3), omega[:1]
         with torch.no_grad():
-            gains = [float(self.over_windows(turning, offset, h) / self.over_windows(still, offset, h)) for h in (WINDOW, half)]
+            gains = [float(self.over_windows(turning, offset, h) / self.over_windows(resting, offset, h)) for h in (WINDOW, half)]
         if not max(gains) < ACCEPT:
             return None
         return Spin(turning[0].numpy(), offset.numpy(), gains[-1])

@@ -25,7 +25,7 @@ from .log import TrainingLog
 from .objective import Objective
 from .recipe import PLANES, Recipe
 from .schedule import Phase, alike_since
-from .turning import leave_only_bodies
+from .turning import leave_only_rigid_parts
 
 
 class Trainer:
@@ -60,9 +60,9 @@ class Trainer:
         self._left_out = 0  # steps of phases that ended early
         self.log, self.guard, self.loss = TrainingLog(), NonFiniteGuard(), SmoothedLoss()
         moving = grow and model.field is not None and any(phase.move for phase in phases)
-        still = sum(phase.iterations for phase in phases if not phase.move)
+        static_steps = sum(phase.iterations for phase in phases if not phase.move)
         opened = round(settings.open_until * self.total) if moving and recipe.opens else 0
-        self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, still, opened)
+        self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, static_steps, opened)
         if settings.affine and model.affine is None and (recorders := colour_recorders(views)) is not None:
             model.affine = CameraAffine(recorders).to(model.device)
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
@@ -110,8 +110,8 @@ class Trainer:
             self.log.psnr.append([self.iteration, judged.psnr()])
         judged.loss.backward()
         parameters = optimiser.parameters()
-        if self.motion.bodies_alone:
-            leave_only_bodies(model, parameters)
+        if self.motion.rigid_parts_alone:
+            leave_only_rigid_parts(model, parameters)
         if self.guard.accepts(judged.loss.detach(), parameters, self.iteration, i):
             optimiser.step(self.iteration / max(self.total, 1), self._frozen(phase, step))
             if len(model.convexes) and self.recipe.largest_convex < math.inf:
@@ -140,7 +140,7 @@ class Trainer:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
         if phase.move and self.grow:
             self.motion.after_step(self.iteration, phase, self.log.skipped)
-        self.density.after_step(self.iteration, phase, self.motion.bodies_alone)
+        self.density.after_step(self.iteration, phase, self.motion.rigid_parts_alone)
 
     def _converged(self) -> bool:
         """Whether the loss has stopped improving while no primitive was added or removed: each removal costs some loss, which the steps

@@ -29,7 +29,7 @@ class StoredCoarse:
         if self.depth:
             maps = {id(one): one for one in self.depth.values()}  # store each map once
             number = {key: k for k, key in enumerate(maps)}
-            doc = "inverse depth of what stands still, 0 where unknown"
+            doc = "inverse depth of what is static, 0 where unknown"
             out.write("depth_maps", np.stack(list(maps.values())), unit="1/world unit", doc=doc)
             of_frame = np.array([(frame, number[id(one)]) for frame, one in sorted(self.depth.items())], np.int32)
             out.write("depth_of_frame", of_frame, doc="frame, and its row of depth_maps")

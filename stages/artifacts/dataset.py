@@ -16,7 +16,7 @@ from ...scene.views import Views
 from .flow import StoredFlow
 from .frameset import FrameSet
 
-STILL_WEIGHT = 0.1  # factor on the weight of measured flow where nothing moves
+STATIC_WEIGHT = 0.1  # factor on the weight of measured flow where nothing moves
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), None: (0.0, 0.0, 0.0)}
 
 
@@ -88,9 +88,9 @@ def measured_flow(flow: Artifact | None, views: Views):
         shrink = np.array([size[0] / views.width, size[1] / views.height], np.float32)
         field = cv2.resize(stored.forward(p).astype(np.float32), size, interpolation=cv2.INTER_AREA) * shrink
         weight = cv2.resize(stored.confidence(p), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
-        if stored.has_movers:
-            moves = cv2.resize(stored.movers(int(i)), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
-            weight = weight * (STILL_WEIGHT + (1 - STILL_WEIGHT) * moves)
+        if stored.has_moving:
+            moves = cv2.resize(stored.moving(int(i)), size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+            weight = weight * (STATIC_WEIGHT + (1 - STATIC_WEIGHT) * moves)
         kept = views.kept(int(i), 0.5)
         if kept is not None:
             weight = weight * kept.cpu().numpy()

@@ -83,40 +83,40 @@ class StoredFlow:
         return self._row("edges", frame)
 
     @property
-    def has_movers(self) -> bool:
+    def has_moving(self) -> bool:
         """Whether each training frame has a mask of moving pixels."""
-        return "movers" in self.artifact
+        return "moving" in self.artifact
 
-    def movers(self, frame: int) -> np.ndarray:
+    def moving(self, frame: int) -> np.ndarray:
         """uint8 [H, W], 255 where a training frame shows something that moves in the world; 0 for other frames."""
-        return self._row("movers", frame)
+        return self._row("moving", frame)
 
     @property
     def size(self) -> tuple[int, int]:
-        """(H, W) of the masks; requires `has_movers`."""
-        height, width = self._array("movers").shape[1:]
+        """(H, W) of the masks; requires `has_moving`."""
+        height, width = self._array("moving").shape[1:]
         return height, width
 
     @property
-    def has_moving(self) -> bool:
+    def has_ever_moving(self) -> bool:
         """Whether each fixed camera has a mask of all pixels that ever change."""
-        return "moving" in self.artifact
+        return "ever_moving" in self.artifact
 
     @cached_property
-    def moving_cameras(self) -> list[int]:
+    def ever_moving_cameras(self) -> list[int]:
         """Indices of the fixed cameras, in the order of their masks."""
-        return [int(camera) for camera in self.artifact.attrs.get("moving_cameras", [])] if self.has_moving else []
+        return [int(camera) for camera in self.artifact.attrs.get("ever_moving_cameras", [])] if self.has_ever_moving else []
 
-    def moving_masks(self) -> list[tuple[int, np.ndarray]]:
+    def ever_moving_masks(self) -> list[tuple[int, np.ndarray]]:
         """For each fixed camera its index and mask, uint8 [H, W], 255 = this pixel changes over time."""
-        return list(zip(self.moving_cameras, self.artifact.read("moving"), strict=True))
+        return list(zip(self.ever_moving_cameras, self.artifact.read("ever_moving"), strict=True))
 
-    def moving(self, frame: int, camera: int) -> np.ndarray | None:
+    def moving_pixels(self, frame: int, camera: int) -> np.ndarray | None:
         """Moving pixels of a training frame of a camera, uint8 [H, W]. If frames have no masks: the pixels of a fixed camera that ever
         change, or None for a camera that moves."""
-        if self.has_movers:
-            return self.movers(frame)
-        return self._row("moving", self.moving_cameras.index(camera)) if camera in self.moving_cameras else None
+        if self.has_moving:
+            return self.moving(frame)
+        return self._row("ever_moving", self.ever_moving_cameras.index(camera)) if camera in self.ever_moving_cameras else None
 
     @cached_property
     def _opened(self) -> dict[str, zarr.Array]:

@@ -22,7 +22,7 @@ class FlowArrays:
     backward: zarr.Array  # [P, H, W, 2] float16 px
     confidence: zarr.Array  # [P, H, W] uint8
     edges: zarr.Array  # [F, H, W] uint8
-    movers: zarr.Array | None  # [F, H, W] uint8
+    moving: zarr.Array | None  # [F, H, W] uint8
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class FlowWriter:
         """Pairs of a frame and the same camera's next frame; empty if nothing is measured."""
         self.out.write("pair", np.array(pairs, np.int32).reshape(-1, 2), doc="frame and the same camera's next frame")
 
-    def write_static(self, static: bool, reason: str, moving_share: float) -> None:
-        """Whether the scene is static, why, and the share of moving pixels."""
-        self.out.attrs.update(static=static, static_reason=reason, moving_share=round(moving_share, 6))
+    def write_static(self, static: bool, reason: str, largest_moving_share: float) -> None:
+        """Whether the scene is static, why, and the largest share of a picture that moves."""
+        self.out.attrs.update(static=static, static_reason=reason, largest_moving_share=round(largest_moving_share, 6))
 
     def write_method(self, name: str, working_size: int | None = None) -> None:
         """The method that measures the flow ("none" without pairs), and the longest side of the pictures it works on, px."""
@@ -45,18 +45,18 @@ class FlowWriter:
         if working_size is not None:
             self.out.attrs["working_size"] = working_size
 
-    def create_arrays(self, pairs: int, frames: int, height: int, width: int, movers: bool) -> FlowArrays:
-        """movers: whether frames get masks of moving pixels."""
+    def create_arrays(self, pairs: int, frames: int, height: int, width: int, moving: bool) -> FlowArrays:
+        """moving: whether frames get masks of moving pixels."""
         shape, chunk = (pairs, height, width, 2), (1, height, width, 2)
         of_frame, one = (frames, height, width), (1, height, width)
-        create, moving = self.out.create, "255 = shows something that moves in the world; 0 outside training frames"
+        create, shows = self.out.create, "255 = shows something that moves in the world; 0 outside training frames"
         sound = "255 = consistent forward and backward and not hidden, in the first frame"
         return FlowArrays(
             forward=create("forward", shape, "float16", chunk, unit="px", doc="flow to the second frame, u right, v down"),
             backward=create("backward", shape, "float16", chunk, unit="px", doc="flow from the second frame to the first"),
             confidence=create("confidence", shape[:3], "uint8", one, doc=sound),
             edges=create("edges", of_frame, "uint8", one, doc="255 = edge; 0 outside training frames"),
-            movers=create("movers", of_frame, "uint8", one, doc=moving) if movers else None,
+            moving=create("moving", of_frame, "uint8", one, doc=shows) if moving else None,
         )
 
     def create_lens_arrays(self, pairs: int, height: int, width: int) -> list[zarr.Array]:
@@ -66,16 +66,16 @@ class FlowWriter:
         ways = ("forward", "backward")
         return [self.out.create(f"lens_{way}", shape, "float16", chunk, unit="px", doc=doc.format(way)) for way in ways]
 
-    def write_movers_share(self, share: float) -> None:
+    def write_moving_share(self, share: float) -> None:
         """Mean share of the pixels of training frames that are moving."""
-        self.out.attrs["movers_share"] = round(share, 6)
+        self.out.attrs["moving_share"] = round(share, 6)
 
-    def write_counts(self, still: int, measured: int, taken_over: int) -> None:
-        """still: number of pairs between which nothing changes, so that their flow is zero. The others were measured or reused."""
-        self.out.attrs["still_pairs"] = still
+    def write_counts(self, static: int, measured: int, taken_over: int) -> None:
+        """static: number of pairs between which nothing changes, so that their flow is zero. The others were measured or reused."""
+        self.out.attrs["static_pairs"] = static
         self.out.info["pairs"] = {"measured": measured, "taken_over": taken_over}
 
-    def write_moving(self, masks: Mapping[int, np.ndarray]) -> None:
+    def write_ever_moving(self, masks: Mapping[int, np.ndarray]) -> None:
         """masks: for each fixed camera, by its index, uint8 [H, W]: 255 where a pixel changes over time."""
-        self.out.write("moving", np.stack(list(masks.values())), doc="255 where the pixel of a fixed camera changes over time")
-        self.out.attrs["moving_cameras"] = list(masks)
+        self.out.write("ever_moving", np.stack(list(masks.values())), doc="255 where the pixel of a fixed camera changes over time")
+        self.out.attrs["ever_moving_cameras"] = list(masks)

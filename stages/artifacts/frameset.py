@@ -105,7 +105,7 @@ class FrameSet:
         return [digests[Path(self.files[i]).as_posix()], *shown]
 
     def mask(self, i: int) -> np.ndarray | None:
-        """Foreground mask of frame i, uint8 [H,W] (255 = foreground), undistorted like the image; None if the capture has none."""
+        """Mask of the moving pixels of frame i, uint8 [H,W] (255 = moving), undistorted like the image; None if the capture has none."""
         name = self.mask_files[i] if self.mask_files is not None else None
         return None if name is None else self._fitted(i, pictures.read_mask(self.root, name))
 

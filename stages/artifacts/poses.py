@@ -72,7 +72,7 @@ class Account(TypedDict, total=False):
     mapper: str
     matcher: str
     fixed_cameras: bool  # several cameras: whether all stand still
-    movers_share: float | None  # share of the features triangulated in the first pass that lie on moving objects
+    moving_share: float | None  # share of the features triangulated in the first pass that lie on moving objects
     second_pass: str  # which pass was kept, and why
 
 

@@ -33,7 +33,7 @@ def cameras_of(root: Path, images: Sequence[str]) -> tuple[list[tuple[str, int]]
     )
 
 
-def stand_still(shots: Sequence[Shot]) -> bool:
+def all_fixed(shots: Sequence[Shot]) -> bool:
     """Whether these are several cameras with poses, each with only one pose."""
     first: dict[object, np.ndarray] = {}
     for shot in shots:

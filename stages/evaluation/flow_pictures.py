@@ -46,7 +46,7 @@ def add_flow(book: PictureBook, judge: Judge, flow: StoredFlow, most: int) -> No
         shown = rendered * np.minimum(alpha / COVERED, 1)[..., None]
         book.add(f"flow/{k}/rendered", flow_colours(shown, largest), size)
         book.add(f"flow/{k}/edges", overlay(picture, flow.edges(first), EDGE_COLOUR), size)
-        moving = flow.moving(first, int(frames.camera[first]))
+        moving = flow.moving_pixels(first, int(frames.camera[first]))
         if moving is not None:
             book.add(f"flow/{k}/moving", overlay(picture, moving, MOVING_COLOUR, MASK_STRENGTH), size)
         rows.append(

@@ -40,7 +40,7 @@ def export_flow(fields: StoredFlow, frames: FrameSet, out: Path, largest: float,
             write_atomically(out / f"{stems[p]}{direction}.png", encode_png(flow_colours(field, largest)))
         picture = frames.composited(first)
         write_atomically(out / f"{stems[p]}_edges.png", encode_png(overlay(picture, fields.edges(first), EDGE_COLOUR)))
-        moving = fields.moving(first, int(frames.camera[first]))
+        moving = fields.moving_pixels(first, int(frames.camera[first]))
         if moving is None:
             return len(SUFFIXES) - 1
         covered = overlay(picture, moving, MOVING_COLOUR, MASK_STRENGTH)

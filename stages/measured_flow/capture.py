@@ -26,9 +26,9 @@ def measure_capture(ctx: Context) -> None:
     out.write_pairs([(i, int(frames.next[i])) for i in wanted])
     masks = measure(ctx, frames, cameras, wanted, out)
     if masks:
-        out.write_moving(masks)
-        still = 100 * float(np.mean([(mask == 0).mean() for mask in masks.values()]))
-        ctx.log(f"{still:.0f} % of the pixels of {len(masks)} fixed cameras never change")
+        out.write_ever_moving(masks)
+        static = 100 * float(np.mean([(mask == 0).mean() for mask in masks.values()]))
+        ctx.log(f"{static:.0f} % of the pixels of {len(masks)} fixed cameras never change")
 
 
 def nothing_moves(ctx: Context, frames: FrameSet, out: FlowWriter) -> bool:
@@ -45,7 +45,7 @@ def nothing_moves(ctx: Context, frames: FrameSet, out: FlowWriter) -> bool:
             frames.untimed,
         )
         bar.advance(1)
-    out.write_static(found.static, found.reason, found.moving_share)
+    out.write_static(found.static, found.reason, found.largest_moving_share)
     if found.static:
         ctx.log(f"nothing moves: {found.reason}; no flow, no deformation (flow.detect_static=false measures all the same)")
     return found.static

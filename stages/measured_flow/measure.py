@@ -19,7 +19,7 @@ from ...vision.flow.two_way import consistency
 from ...vision.moving.motion_mask import MotionMask, sample
 from ..artifacts.flow_writer import FlowWriter
 from ..artifacts.frameset import FrameSet
-from .movers import Movers
+from .moving_masks import MovingMasks
 from .pairs import PairFlows, Shown, Source
 
 FOLLOWED = 0.5  # share of moving pixels where forward and backward flow agree; below it the motion of these pixels is not known
@@ -44,28 +44,28 @@ class Matched(NamedTuple):
 def measure(
     ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int], out: FlowWriter
 ) -> dict[int, np.ndarray]:
-    """Fills the arrays for the pairs that begin at ``wanted``, edges and, if asked for, masks of movers, and logs a summary.
+    """Fills the arrays for the pairs that begin at ``wanted``, edges and, if asked for, masks of moving pixels, and logs a summary.
 
     Everything is derived from the flow as it is stored, rounded, so that reused flow gives the same results as measured flow.
     cameras: training frames of each camera in order of time. Returns the masks [H, W] uint8 of fixed cameras, by camera index.
     """
     height, width, count = frames.height, frames.width, len(wanted)
     number = {first: p for p, first in enumerate(wanted)}
-    arrays = out.create_arrays(count, len(frames), height, width, movers=ctx.settings.movers and bool(wanted))
-    edges, movers = arrays.edges, arrays.movers
+    arrays = out.create_arrays(count, len(frames), height, width, moving=ctx.settings.moving and bool(wanted))
+    edges, moving = arrays.edges, arrays.moving
     flows = PairFlows(ctx, frames, wanted, out)
 
     def look(
-        moving: MotionMask | None, gathered: Movers | None, k: int, i: int, both: tuple[np.ndarray, np.ndarray], paired: bool
+        changes: MotionMask | None, gathered: MovingMasks | None, k: int, i: int, both: tuple[np.ndarray, np.ndarray], paired: bool
     ) -> Looked:
         seen, picture = both
-        if moving is not None:
-            moving.add(picture)
+        if changes is not None:
+            changes.add(picture)
         if gathered is not None:
             gathered.add_picture(k, picture)
         return Looked(edge_weights(picture), flows.shown(i, seen) if paired else None)
 
-    def match(p: int, gathered: Movers | None, k: int, first: Future[Looked], second: Future[Looked]) -> Matched:
+    def match(p: int, gathered: MovingMasks | None, k: int, first: Future[Looked], second: Future[Looked]) -> Matched:
         a, b = first.result(), second.result()
         assert a.shown is not None and b.shown is not None
         pair, source = flows.between(p, a.shown, b.shown)
@@ -84,18 +84,18 @@ def measure(
     for i in range(len(frames)):
         if i not in trained:
             edges[i] = 0
-            if movers is not None:
-                movers[i] = 0
+            if moving is not None:
+                moving[i] = 0
     masks: dict[int, np.ndarray] = {}
     came, moved, followed, threads = Counter[str](), 0.0, list[float](), thread_count(8)
     fixed = frames.fixed_cameras
     with (
-        ctx.progress(len(trained) * (1 + (movers is not None)), f"{count} pairs, {flows.method_name}") as bar,
+        ctx.progress(len(trained) * (1 + (moving is not None)), f"{count} pairs, {flows.method_name}") as bar,
         _pool(flows.method) as pool,
     ):
         for camera, mine in cameras.items():
-            moving = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None
-            gathered = Movers.of_camera(frames, mine, fixed) if movers is not None else None
+            changes = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None
+            gathered = MovingMasks.of_camera(frames, mine, fixed) if moving is not None else None
             busy = deque[Future[str]]()
             waiting = deque[tuple[int, Future[Looked], Future[Matched] | None, Future[Matched] | None]]()
             own: Future[Looked] | None = None
@@ -103,7 +103,7 @@ def measure(
             for k, i in enumerate(mine):
                 # Every job is submitted after the jobs that it waits for, so it never waits for one behind it in the queue.
                 last, joined = own, k > 0 and mine[k - 1] in number and int(frames.next[mine[k - 1]]) == i
-                own = pool.submit(look, moving, gathered, k, i, frames.both(i), joined or i in number)
+                own = pool.submit(look, changes, gathered, k, i, frames.both(i), joined or i in number)
                 if last is not None:
                     after = pool.submit(match, number[mine[k - 1]], gathered, k - 1, last, own) if joined else None
                     waiting.append((mine[k - 1], last, before, after))
@@ -118,28 +118,28 @@ def measure(
                 waiting.append((mine[-1], own, before, None))
             busy.extend(pool.submit(finish, *job) for job in waiting)
             came.update(future.result() for future in busy)
-            if moving is not None:
-                masks[camera] = moving.mask(ctx.settings.grow)
-            if movers is not None and gathered is not None:
+            if changes is not None:
+                masks[camera] = changes.mask(ctx.settings.grow)
+            if moving is not None and gathered is not None:
                 for i, mask in zip(mine, (mask for job in gathered.masks(pool) for mask in job.result()), strict=True):
                     kept = frames.kept(i)
                     mask = mask if kept is None else np.where(kept, mask, 0)  # no seeds on ignored pixels
-                    movers[i] = mask
+                    moving[i] = mask
                     moved += np.count_nonzero(mask) / mask.size
                     if i in number and mask.any():
                         followed.append(float((np.asarray(arrays.confidence[number[i]])[mask > 0] > 0).mean()))
                     bar.advance(1, frames.names[i])
-    if movers is not None:
-        out.write_movers_share(moved / max(len(trained), 1))
+    if moving is not None:
+        out.write_moving_share(moved / max(len(trained), 1))
         ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
         if followed and (share := float(np.median(followed))) < FOLLOWED:
             ctx.log(
                 "what moves goes too far from frame to frame to be followed: flow forward and backward agrees at "
                 f"{100 * share:.0f} % of its pixels; expect it blurred or torn between frames; more frames a second help"
             )
-    out.write_counts(still=came["still"], measured=came["measured"], taken_over=came["taken"])
-    if came["still"]:
-        ctx.log(f"nothing moves between the frames of {came['still']} of {count} pairs: their flow is zero and was not measured")
+    out.write_counts(static=came["static"], measured=came["measured"], taken_over=came["taken"])
+    if came["static"]:
+        ctx.log(f"nothing moves between the frames of {came['static']} of {count} pairs: their flow is zero and was not measured")
     if came["taken"]:
         ctx.log(f"flow of {came['taken']} of {count} pairs is taken over from an earlier result, of {came['measured']} it was measured")
     return masks

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 STEPS = 32  # stored flow is a multiple of 1/32 px, a tenth of the error of DIS; the array then compresses to a third
 LIMIT = 65504.0  # px, the largest float16
 
-Source = Literal["measured", "taken", "still"]
+Source = Literal["measured", "taken", "static"]
 
 
 class Shown(NamedTuple):
@@ -75,7 +75,7 @@ class PairFlows:
             zero = np.zeros((*first.picture.shape[:2], 2), np.float32)
             for array in self._lens:
                 array[p] = zero
-            return FlowPair(zero, zero, np.full(zero.shape[:2], 255, np.uint8)), "still"
+            return FlowPair(zero, zero, np.full(zero.shape[:2], 255, np.uint8)), "static"
         taken = self._taken.flow(p)
         forward, backward = taken or self._measured(first, second)
         if self._lens:

@@ -11,8 +11,8 @@ LABELS = {
     "matches": "matching",
     "turning": "how the camera turns",
     "mapping": "registering",
-    "movers": "what moves",
-    "verify": "matches off movers",
+    "moving": "what moves",
+    "verify": "matches off moving pixels",
 }
 
 

@@ -1,5 +1,5 @@
-"""Decides whether structure from motion gains by ignoring features on movers, and runs a second pass that does. This code runs in the
-parent process and does not import pycolmap."""
+"""Decides whether structure from motion gains by ignoring features on moving objects, and runs a second pass that does. This code runs in
+the parent process and does not import pycolmap."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...vision.sfm.masks import on_movers
+from ...vision.sfm.masks import on_moving
 from ...vision.sfm.pose_agreement import Matches, agreement
 from ...vision.sfm.runner import Progress, WorkerError, finished, run_worker
-from .movers import FEWEST, mover_masks
+from .moving_masks import FEWEST, lens_moving_masks
 
 if TYPE_CHECKING:
     from ..artifacts.frameset import FrameSet
@@ -26,18 +26,18 @@ Result = tuple[dict[str, np.ndarray], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Passes:
-    """The result to continue with, the share of the first pass's used features that lie on movers (None: not determined), and what was
-    done, for people."""
+    """The result to continue with, the share of the first pass's used features that lie on moving objects (None: not determined), and what
+    was done, for people."""
 
     arrays: dict[str, np.ndarray]
     facts: dict[str, Any]
-    movers_share: float | None
+    moving_share: float | None
     told: str
     trouble: str = ""  # error message of a second pass that failed
 
 
 def needless(frames: FrameSet, static: bool, registered: np.ndarray) -> str | None:
-    """Why movers are not searched for; None if one camera has enough registered frames."""
+    """Why moving objects are not searched for; None if one camera has enough registered frames."""
     if static:
         return "static capture: nothing moves"
     if max(np.bincount(np.asarray(frames.camera)[registered]), default=0) < FEWEST:
@@ -46,21 +46,22 @@ def needless(frames: FrameSet, static: bool, registered: np.ndarray) -> str | No
 
 
 def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, first: Result, static: bool, bars: Progress) -> Passes:
-    """The better of two passes: `first`, the result of `run_worker(request, folder)`, and a second pass without the features on movers.
+    """The better of two passes: `first`, the result of `run_worker(request, folder)`, and a second one without the features on moving
+    objects.
 
-    Masks come from flow and the first pass's poses (`mover_masks`). If no frame has a share of `LEAST` of its used features on them, there
-    is nothing to gain and no second pass: bundle adjustment tolerates that many outliers. If a second pass fails or is no better, the
+    Masks come from flow and the first pass's poses (`lens_moving_masks`). If no frame has a share of `LEAST` of its used features on them,
+    there is nothing to gain and no second pass: bundle adjustment tolerates that many outliers. If a second pass fails or is no better, the
     first is kept. A killed run resumes where it stopped.
     """
     arrays, facts = first
     why = TURNS if facts.get("turning") else needless(frames, static, arrays["registered"])
     if why is not None:
         return Passes(arrays, facts, None, why)
-    file = folder / "movers.npz"
+    file = folder / "moving.npz"
     masks = _masks(frames, arrays, file, bars)
-    share, shares = movers_shares(masks, arrays)
+    share, shares = moving_shares(masks, arrays)
     worst = int(shares.argmax())
-    percent = f"{100 * share:.1f} % of the features used lie on movers, {100 * shares[worst]:.1f} % in frame {worst}"
+    percent = f"{100 * share:.1f} % of the features used lie on moving objects, {100 * shares[worst]:.1f} % in frame {worst}"
     if shares[worst] < LEAST:
         return Passes(arrays, facts, share, f"no second pass: {percent}, the most, and {100 * LEAST:g} % does no harm")
     request = {**request, "task": "reconstruct_masked", "first": str(folder), "masks": str(file)}
@@ -73,16 +74,16 @@ def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, firs
     return Passes(*(again if better else first), share, f"{percent}; {words}")  # type: ignore[misc]
 
 
-def movers_shares(masks: np.ndarray, arrays: Mapping[str, np.ndarray]) -> tuple[float, np.ndarray]:
+def moving_shares(masks: np.ndarray, arrays: Mapping[str, np.ndarray]) -> tuple[float, np.ndarray]:
     """Share of the triangulated features that lie on the masks [F, h, w]: over all frames, and for each frame [F]; 0 without features."""
-    moving = on_movers(masks, arrays["seen"], arrays["seen_xy"], arrays["size"])
+    moving = on_moving(masks, arrays["seen"], arrays["seen_xy"], arrays["size"])
     used, hit = (np.bincount(arrays["seen"], weights, len(masks)) for weights in (None, moving.astype(np.float64)))
     return float(hit.sum() / max(1, used.sum())), hit / np.maximum(used, 1)
 
 
 def choose_pass(first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray]) -> tuple[bool, str]:
     """Whether the second pass is better, and why. The pass with more registered images wins; if equal, the one whose cameras explain the
-    larger share of the matches off movers.
+    larger share of the matches off moving pixels.
 
     first, second: arrays of `reconstruct`; second also has the matches (`match_pair`, `match_xy1`, `match_xy2`) by which both are judged.
     """
@@ -94,12 +95,12 @@ def choose_pass(first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray
     matches = Matches(second["match_pair"], second["match_xy1"], second["match_xy2"])
     shares = [agreement(matches, arrays, common) for arrays in (first, second)]
     better = bool(shares[1] > shares[0])
-    explained = f"its cameras explain {100 * max(shares):.2f} % of the matches off movers, the other's {100 * min(shares):.2f} %"
+    explained = f"its cameras explain {100 * max(shares):.2f} % of the matches off moving pixels, the other's {100 * min(shares):.2f} %"
     return better, f"{KEPT[better]} is kept: {explained}"
 
 
 def _masks(frames: FrameSet, arrays: Mapping[str, np.ndarray], file: Path, bars: Progress) -> np.ndarray:
-    """Masks of movers by the first pass's poses, cached in `file` together with the sizes of the pictures."""
+    """Masks of moving pixels by the first pass's poses, cached in `file` together with the sizes of the pictures."""
     if file.is_file():
         with np.load(file, allow_pickle=False) as kept:
             return np.asarray(kept["masks"])
@@ -108,10 +109,10 @@ def _masks(frames: FrameSet, arrays: Mapping[str, np.ndarray], file: Path, bars:
     def advance() -> None:
         nonlocal done
         done += 1
-        bars("movers", done, len(frames))
+        bars("moving", done, len(frames))
 
-    bars("movers", 0, len(frames))
-    masks = mover_masks(frames, arrays["K"], arrays["cam_from_world"], arrays["distortion"], arrays["size"], advance)
+    bars("moving", 0, len(frames))
+    masks = lens_moving_masks(frames, arrays["K"], arrays["cam_from_world"], arrays["distortion"], arrays["size"], advance)
     partial = file.with_name("partial.npz")
     np.savez_compressed(partial, allow_pickle=False, masks=masks, size=arrays["size"])
     partial.replace(file)

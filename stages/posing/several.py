@@ -13,8 +13,8 @@ import numpy as np
 
 from ...vision.moving.motion_mask import motion_mask, sample
 from ...vision.sequences import camera_sequences
+from ...vision.sfm.fixed_cameras import is_fixed
 from ...vision.sfm.looks import Looks, choose_looks, expand
-from ...vision.sfm.still_cameras import stands_still
 from ..artifacts.frameset import FrameSet
 
 MASK_SIZE = 480  # px, longest side at which moving pixels are detected
@@ -52,30 +52,30 @@ def several_cameras(
     that stand still are written to `folder`.
     """
     sequences = camera_sequences(frames.camera, frames.time)
-    still = {}
+    fixed = {}
     for camera, mine in sequences.items():
-        still[camera] = stands_still(frames.original, mine)
+        fixed[camera] = is_fixed(frames.original, mine)
         advance()
-    looks = choose_looks(frames.camera, frames.time, still, matcher, overlap)
-    count, names = len(sequences), sorted({_video(frames, sequences[c][0]) for c in looks.still})
+    looks = choose_looks(frames.camera, frames.time, fixed, matcher, overlap)
+    count, names = len(sequences), sorted({_video(frames, sequences[c][0]) for c in looks.fixed})
     if not names:
         told = f"all of the {count} cameras move"
-    elif looks.all_still:
+    elif looks.all_fixed:
         told = f"all of the {count} cameras stand still: one pose each, from pictures at {len(looks.frames) // count} times"
     else:
         told = f"of {count} cameras {', '.join(names)} {'stand' if len(names) > 1 else 'stands'} still: one pose each"
     image = looks.image
     request: dict[str, Any] = {"names": [write(i) for i in looks.frames], "pairs": looks.pairs}
-    if not looks.still:
+    if not looks.fixed:
         return Several(looks, {**request, "cameras": [int(frames.camera[i]) for i in looks.frames]}, told)
-    masks = folder / "still.npz"
+    masks = folder / "fixed.npz"
     if not masks.exists():
         _write_masks(frames, sequences, looks, masks)
     request |= {
         "task": "reconstruct_rig",
         "images": image,
         "cameras": [int(frames.camera[looks.frames[image.index(i)]]) for i in range(max(image) + 1)],
-        "all_still": looks.all_still,
+        "all_fixed": looks.all_fixed,
         "masks": str(masks),
     }
     return Several(looks, request, told)
@@ -85,7 +85,7 @@ def _write_masks(frames: FrameSet, sequences: Mapping[int, Sequence[int]], looks
     scale = min(1.0, MASK_SIZE / max(frames.width, frames.height))
     width, height = max(1, round(frames.width * scale)), max(1, round(frames.height * scale))
     masks = np.zeros((max(looks.image) + 1, height, width), bool)
-    for camera in looks.still:
+    for camera in looks.fixed:
         mine = sequences[camera]
         seen = [i for i in looks.frames if frames.camera[i] == camera]
 

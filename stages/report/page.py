@@ -39,7 +39,7 @@ HEADLINES = (  # key, title, unit, decimals
     ("psnr_affine", "PSNR after colour fit", "dB", 2),
     ("ssim_affine", "SSIM after colour fit", "", 4),
     ("psnr_moving", "PSNR of what moves", "dB", 2),
-    ("psnr_static", "PSNR of what stands still", "dB", 2),
+    ("psnr_static", "PSNR of what is static", "dB", 2),
     ("psnr_foreground", "PSNR where alpha is not 0", "dB", 2),
     ("psnr_other_background", "PSNR on the other background", "dB", 2),
 )

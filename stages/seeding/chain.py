@@ -26,8 +26,8 @@ class Step(NamedTuple):
 
 
 class Chain:
-    """Flow of one camera between consecutive ``frames``, and its masks of movers, read on demand. Positions are in pixels of the full
-    pictures, with pixel centres at whole numbers."""
+    """Flow of one camera between consecutive ``frames``, and its masks of moving pixels, read on demand. Positions are in pixels of the
+    full pictures, with pixel centres at whole numbers."""
 
     def __init__(self, flow: StoredFlow, frames: list[int]) -> None:
         pairs = {pair: p for p, pair in enumerate(flow.pairs)}
@@ -39,7 +39,7 @@ class Chain:
 
     def mask(self, k: int) -> np.ndarray:
         """bool [H, W]: moving pixels in frame ``k`` of the sequence."""
-        return self._flow.movers(self._frames[k]) > 127
+        return self._flow.moving(self._frames[k]) > 127
 
     def small_mask(self, k: int) -> np.ndarray:
         """`mask` at `SIZE` px: bool [h, w]."""
@@ -85,7 +85,7 @@ class Chain:
         return Step(self._small(back), self._small(consistency(back, forth)))
 
     def _read_small_mask(self, k: int) -> np.ndarray:
-        return self._small(self._flow.movers(self._frames[k]))
+        return self._small(self._flow.moving(self._frames[k]))
 
     def _small(self, values: np.ndarray) -> np.ndarray:
         """Flow, confidence or a mask [H, W, ...] scaled down to `SIZE`: float16, or uint8 for uint8."""

@@ -15,11 +15,11 @@ LOOKS = 9  # number of times over which the median is taken
 
 
 class Plates(NamedTuple):
-    """For C camera positions: frames [C] int, one frame each; pictures, uint8 [H, W, 3] each; still, [H, W] bool each: static pixels."""
+    """For C camera positions: frames [C] int, one frame each; pictures, uint8 [H, W, 3] each; static, [H, W] bool each: static pixels."""
 
     frames: np.ndarray
     pictures: list[np.ndarray]
-    still: list[np.ndarray]
+    static: list[np.ndarray]
 
 
 def clean_plates(views: Views, mask: Callable[[int], np.ndarray | None], fixed: bool) -> Plates:
@@ -32,12 +32,12 @@ def clean_plates(views: Views, mask: Callable[[int], np.ndarray | None], fixed: 
     frames = views.train[views.time[views.train] == times[len(times) // 2]]
     if len(frames) < MIN_CAMERAS:
         frames = views.train[np.unique(np.linspace(0, len(views.train) - 1, min(FRAMES, len(views.train))).round().astype(int))]
-    pictures, still = [], []
+    pictures, static = [], []
     for i in frames:
         looks = views.train[views.camera[views.train] == views.camera[i]] if fixed else np.array([i])
         looks = looks[np.unique(np.linspace(0, len(looks) - 1, min(LOOKS, len(looks))).round().astype(int))]
         pictures.append(np.median(np.stack([views.load(int(j)) for j in looks]), axis=0).astype(np.uint8))
         masks = [m for j in looks if (m := mask(int(j))) is not None]
         moves = np.mean(masks, axis=0) >= 0.5 if masks else np.zeros((views.height, views.width), bool)
-        still.append(~moves)
-    return Plates(frames, pictures, still)
+        static.append(~moves)
+    return Plates(frames, pictures, static)

@@ -39,11 +39,11 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
     seed = ctx.settings.seed
     found: dict[str, np.ndarray] = {}
     colors: list[np.ndarray] = []
-    still = [np.ones((views.height, views.width), bool) if mask is None else ~mask for mask in masks]
+    static = [np.ones((views.height, views.width), bool) if mask is None else ~mask for mask in masks]
     shell = shell_seeds(views, points, int(SHELL_SHARE * count), seed) if surrounded(views) else np.zeros((0, 3))
-    rays = ray_seeds(views, points, chosen, count - len(shell), seed, skip=[~s for s in still])
+    rays = ray_seeds(views, points, chosen, count - len(shell), seed, skip=[~s for s in static])
     for name, seeds in (("along rays", rays), ("on the shell around them", shell)):
-        color, seen = median_colours(views, seeds, chosen, still)
+        color, seen = median_colours(views, seeds, chosen, static)
         found[name] = seeds[seen >= min(LEAST_SEEN, len(chosen))]
         colors.append(color[seen >= min(LEAST_SEEN, len(chosen))])
     ctx.log("seeds: " + ", ".join(f"{len(seeds)} {name}" for name, seeds in found.items()))
@@ -71,8 +71,8 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     place = {int(i): k for k, i in enumerate(plates.frames)}
     for one in maps:
         h, w = one.inverse.shape
-        still = cv2.resize(plates.still[place[one.frame]].astype(np.uint8), (w, h), interpolation=cv2.INTER_AREA)
-        one.inverse = np.where(still > 0, one.inverse, 0.0).astype(np.float32)
+        static = cv2.resize(plates.static[place[one.frame]].astype(np.uint8), (w, h), interpolation=cv2.INTER_AREA)
+        one.inverse = np.where(static > 0, one.inverse, 0.0).astype(np.float32)
     found, frame, at = points_of(maps, views)
     pictures = np.stack(plates.pictures)
     colors = pictures[[place[int(i)] for i in frame], at[:, 1].astype(int), at[:, 0].astype(int)] / 255.0
@@ -118,8 +118,8 @@ def moving_mask(ctx: Context, frames: FrameSet, i: int) -> np.ndarray | None:
     """[H, W] bool, moving pixels of frame ``i`` by the capture's own mask, otherwise by `flow`; None if there is neither."""
     mask = frames.mask(i)
     flow = flow_of(ctx.inputs)
-    if mask is None and flow is not None and flow.has_movers:
-        mask = flow.movers(i)
+    if mask is None and flow is not None and flow.has_moving:
+        mask = flow.moving(i)
     if mask is None:
         return None
     kept = frames.kept(i)

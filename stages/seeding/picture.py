@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 
 from ...scene.views import Views
-from .movers import MoverSeeds
+from .moving import MovingSeeds
 
 SIZE = 720  # px, longest side
 DIMMED = 0.35  # brightness of the grey picture under the seeds, relative to the original
 MOVING = (255, 120, 0)
 
 
-def seeds_picture(views: Views, points: np.ndarray, colors: np.ndarray, movers: MoverSeeds | None) -> np.ndarray:
+def seeds_picture(views: Views, points: np.ndarray, colors: np.ndarray, moving: MovingSeeds | None) -> np.ndarray:
     """uint8 [h, w, 3]: ``points`` [P, 3] (world units) as dots in their ``colors`` [P, 3] in [0, 1] over the middle training picture in
     grey. On top, with an orange rim, the seeds on moving objects of the time nearest to the picture's."""
     i = int(views.train[len(views.train) // 2])
@@ -22,9 +22,9 @@ def seeds_picture(views: Views, points: np.ndarray, colors: np.ndarray, movers: 
     size = max(1, round(views.width * factor)), max(1, round(views.height * factor))
     picture = np.repeat((DIMMED * cv2.resize(grey, size, interpolation=cv2.INTER_AREA)).astype(np.uint8)[..., None], 3, axis=2)
     layers: list[tuple[np.ndarray, np.ndarray, int, tuple[int, int, int] | None]] = [(points, colors, 1, None)]
-    if movers is not None:
-        now = movers.time == movers.time[np.abs(movers.time - views.time[i]).argmin()]
-        layers.append((movers.points[now], movers.colors[now], 2, MOVING))
+    if moving is not None:
+        now = moving.time == moving.time[np.abs(moving.time - views.time[i]).argmin()]
+        layers.append((moving.points[now], moving.colors[now], 2, MOVING))
     for places, rgb, radius, rim in layers:
         at = views.project(i, np.asarray(places, np.float64))
         shown = (255 * np.clip(np.asarray(rgb)[at.point], 0, 1)).round().astype(int)

@@ -21,11 +21,11 @@ from ..artifacts.frameset import FrameSet
 from ..facts import Facts
 from ..posing.triangulate import triangulate
 from .fill import fill_seeds, middle_frames, moving_mask, sweep
-from .movers import MoverSeeds, camera_seeds, key_times, rig_seeds
+from .moving import MovingSeeds, camera_seeds, key_times, rig_seeds
 
 # A seed is dynamic if at least this share of the masks that see it mark it as moving.
 FIXED_SHARE = 0.3  # masks of fixed cameras, each marking all pixels that ever change
-MOVERS_SHARE = 0.5  # masks of single frames of a moving camera, if moving objects have seeds of their own
+MOVING_SHARE = 0.5  # masks of single frames of a moving camera, if moving objects have seeds of their own
 COVERED_SHARE = 0.05  # the same, if they have none and seeds that they sometimes hide must represent them
 OVERLAP = 0.6  # standard deviation of a Gaussian's lifetime, relative to the frames between two times with seeds
 SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide
@@ -53,9 +53,9 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
         fill = len(middle_frames(views)) >= MIN_CAMERAS
     elif Facts.of(ctx.facts).alpha:
         chosen = views.train[:: max(1, len(views.train) // 60)]
-        foreground = [frames.image(int(i))[..., 3] > 127 for i in chosen]
+        objects = [frames.image(int(i))[..., 3] > 127 for i in chosen]
         ctx.log(f"seeds: {count} points inside the silhouettes of {len(chosen)} views")
-        points, colors = carve(views, foreground, chosen, count, settings.seed)
+        points, colors = carve(views, objects, chosen, count, settings.seed)
         return Seeds(points, colors, points, {})
     else:
         ctx.log("seeds: triangulating points with the known poses")
@@ -81,16 +81,16 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
     return Seeds(points, colors, measured if len(measured) else points, swept.inverse if swept else {})
 
 
-def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MoverSeeds | None:
-    """Up to ``most`` seeds on moving objects, at several times; None without masks of movers. points [P, 3]: mostly static points."""
+def moving_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MovingSeeds | None:
+    """Up to ``most`` seeds on moving objects, at several times; None without masks of moving pixels. points [P, 3]: mostly static."""
     flow = flow_of(ctx.inputs)
-    if flow is None or not flow.has_movers:
+    if flow is None or not flow.has_moving:
         return None
     if Facts.of(ctx.facts).rig:
         times = np.unique(views.time[views.train])
         with ctx.progress(len(key_times(times)), "seeds on what moves") as bar:
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), most, ctx.settings.seed, bar.advance)
-    elif flow.has_moving:
+    elif flow.has_ever_moving:
         return None
     else:
         with ctx.progress(len(views.train), "seeds on what moves") as bar:
@@ -100,7 +100,7 @@ def mover_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray
     return found
 
 
-def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
+def living(seeds: MovingSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
     """Gaussians on ``seeds``, one set per time, whose lifetimes overlap with those of the times before and after."""
     times = np.unique(seeds.time)
     apart = (motion.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
@@ -113,22 +113,22 @@ def living(seeds: MoverSeeds, motion: FreeMotion, sh_degree: int, max_scale: flo
     return sets
 
 
-def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, movers_seeded: bool) -> np.ndarray:
-    """[N] bool, seeds that are dynamic at first. Masks of fixed cameras show which pixels ever change, masks of movers what a moving camera
-    saw move. Without masks all seeds are dynamic until the field shows otherwise.
+def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, moving_seeded: bool) -> np.ndarray:
+    """[N] bool, seeds that are dynamic at first. Masks of fixed cameras show which pixels ever change; masks of single frames show what a
+    moving camera saw move. Without masks all seeds are dynamic until the field shows otherwise.
 
-    movers_seeded: moving objects have seeds of their own, so ``points`` need not represent them.
+    moving_seeded: moving objects have seeds of their own, so ``points`` need not represent them.
     """
     flow = flow_of(ctx.inputs)
-    if flow is not None and flow.has_moving:
+    if flow is not None and flow.has_ever_moving:
         first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}
-        looks = [(first[camera], mask) for camera, mask in flow.moving_masks()]
+        looks = [(first[camera], mask) for camera, mask in flow.ever_moving_masks()]
         share, where = FIXED_SHARE, "no fixed camera sees a change"
-    elif flow is not None and flow.has_movers:
+    elif flow is not None and flow.has_moving:
         train = views.train
         chosen = train[np.linspace(0, len(train) - 1, min(LOOKS, len(train))).round().astype(int)]
-        looks = [(int(i), flow.movers(int(i))) for i in chosen]
-        share, where = MOVERS_SHARE if movers_seeded else COVERED_SHARE, "hardly anything was seen to move"
+        looks = [(int(i), flow.moving(int(i))) for i in chosen]
+        share, where = MOVING_SHARE if moving_seeded else COVERED_SHARE, "hardly anything was seen to move"
     else:
         return np.ones(len(points), bool)
     dynamic = dynamic_from_masks(points, views, looks, share)

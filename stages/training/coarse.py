@@ -25,9 +25,9 @@ from ..artifacts.model import write_model
 from ..artifacts.training_log import write_training_log
 from ..facts import Facts
 from ..seeding.fill import measured_depth
-from ..seeding.movers import MoverSeeds
+from ..seeding.moving import MovingSeeds
 from ..seeding.picture import seeds_picture
-from ..seeding.seeds import initial_dynamic, living, load_seeds, mover_seeds
+from ..seeding.seeds import initial_dynamic, living, load_seeds, moving_seeds
 from .choices import auto_budget, auto_iterations, auto_seeds, auto_sh_degree, is_static, use_nodes
 from .motions import make_field, make_nodes
 from .train import train
@@ -44,13 +44,13 @@ Kind = Literal["static", "planes", "nodes", "free"]
 
 
 class Start(NamedTuple):
-    """Seeds of the Gaussians. points [N, 3] world units; colors [N, 3] in [0, 1]; dynamic [N] bool. movers: further seeds on moving
+    """Seeds of the Gaussians. points [N, 3] world units; colors [N, 3] in [0, 1]; dynamic [N] bool. moving: further seeds on moving
     objects, at several times. max_scale: largest initial standard deviation, world units."""
 
     points: np.ndarray
     colors: np.ndarray
     dynamic: np.ndarray
-    movers: MoverSeeds | None
+    moving: MovingSeeds | None
     max_scale: float
 
 
@@ -64,20 +64,20 @@ def train_coarse(ctx: Context) -> None:
     nodes = not static and use_nodes(facts, settings)
     budget = settings.budget or auto_budget(facts, views, nodes)
     points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, settings.seeds or auto_seeds(facts, budget))
-    movers = None if static or nodes else mover_seeds(ctx, frames, views, points, budget // 2)
-    views.near = near_plane(views, trusted if movers is None else np.concatenate([trusted, movers.points]))
+    moving = None if static or nodes else moving_seeds(ctx, frames, views, points, budget // 2)
+    views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
     if frames.background is None:
         views.background = mean_colour(views)
     if nodes:
         chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
         points, colors = points[chosen], colors[chosen]
     unit = views.viewing_distance(points)
-    begin = encode_png(seeds_picture(views, points, colors, movers))
-    dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, movers is not None)
-    free = settings.motion == "free" or (settings.motion == "auto" and movers is not None)
+    begin = encode_png(seeds_picture(views, points, colors, moving))
+    dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, moving is not None)
+    free = settings.motion == "free" or (settings.motion == "auto" and moving is not None)
     kind: Kind = "static" if static else "nodes" if nodes else "free" if free else "planes"
     sh_degree = auto_sh_degree(facts) if settings.sh_degree is None else settings.sh_degree
-    start = Start(points, colors, dynamic, movers, MOST_SCALE * unit)
+    start = Start(points, colors, dynamic, moving, MOST_SCALE * unit)
     model = first_model(kind, start, views, sh_degree, settings).to(ctx.device)
 
     steps = settings.iterations or auto_iterations(replace(facts, static=static), settings)
@@ -100,10 +100,10 @@ def train_coarse(ctx: Context) -> None:
 
 def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings: CoarseSettings) -> Model:
     """The initial model: Gaussians on the seeds, and the motion model."""
-    points, colors, dynamic, movers, max_scale = start
-    if movers is not None and kind != "free":  # the rest pose is the position at the middle time
-        middle = movers.time == movers.time[np.abs(movers.time - 0.5).argmin()]
-        points, colors = np.concatenate([points, movers.points[middle]]), np.concatenate([colors, movers.colors[middle]])
+    points, colors, dynamic, moving, max_scale = start
+    if moving is not None and kind != "free":  # the rest pose is the position at the middle time
+        middle = moving.time == moving.time[np.abs(moving.time - 0.5).argmin()]
+        points, colors = np.concatenate([points, moving.points[middle]]), np.concatenate([colors, moving.colors[middle]])
         dynamic = np.concatenate([dynamic, np.ones(int(middle.sum()), bool)])
     gaussians = GaussianSet.from_points(points, colors, sh_degree, max_scale=max_scale)
     field: DeformationField | ControlNodes | FreeMotion | None = None
@@ -112,8 +112,8 @@ def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings
     if kind == "free":
         field = FreeMotion(len(np.unique(views.time)))
         gaussians.live(0.5 * (field.times - 1), field.times)
-        if movers is not None:
-            gaussians = GaussianSet.joined([gaussians, *living(movers, field, sh_degree, max_scale)])
+        if moving is not None:
+            gaussians = GaussianSet.joined([gaussians, *living(moving, field, sh_degree, max_scale)])
     elif kind == "nodes":
         field = make_nodes(points, settings)
     elif kind == "planes":

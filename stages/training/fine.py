@@ -67,7 +67,7 @@ def training_settings(settings: FineSettings, growth: GrowthSettings) -> Trainin
 
 def add_convexes(model: Model, hulls: StoredHulls, opacity: float) -> None:
     """Adds convexes in the shape of ``hulls``. Each takes its motion and lifetime from the Gaussian that it came from."""
-    model.convexes = ConvexSet.from_hulls(hulls.points, hulls.colors, model.sh_degree, opacity)
+    model.convexes = ConvexSet.from_points(hulls.points, hulls.colors, model.sh_degree, opacity)
     seeds = torch.from_numpy(hulls.seed).long()
     for name in ("hyper", *LIFE):
         model.convexes.parameters[name].data.copy_(model.gaussians.parameters[name][seeds])

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...pipeline import Context
 from ...scene.edge_seeds import edge_density
-from ...scene.fibonacci import fibonacci_hulls, neighbour_radius
+from ...scene.fibonacci import fibonacci_convexes, neighbour_radius
 from ...scene.primitives import SH_C0
 from ..artifacts.coarse import required
 from ..artifacts.dataset import load_frameset, load_views
@@ -14,7 +14,7 @@ from ..artifacts.hulls import StoredHulls
 from ..artifacts.model import read_model
 
 
-def place_hulls(ctx: Context) -> None:
+def place_convexes(ctx: Context) -> None:
     """Attributes edge density to the Gaussians of `coarse` that are blended at edge pixels. Those with the most become seeds."""
     settings = ctx.settings
     model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)
@@ -33,7 +33,7 @@ def place_hulls(ctx: Context) -> None:
     reason = f"{len(order)} of {len(density)} Gaussians lie on edges (mean edge weight >= {settings.min_edge_density})"
     ctx.log(reason)
     StoredHulls(
-        points=fibonacci_hulls(centres, radii, settings.k).astype(np.float32),
+        points=fibonacci_convexes(centres, radii, settings.k).astype(np.float32),
         colors=colors.clip(0, 1).astype(np.float32),
         seed=order.astype(np.int32),
         edge_density=density[order].astype(np.float32),

@@ -73,7 +73,7 @@ def write_n3v(synthetic: Synthetic, root: Path, crf: int = 12) -> Capture:
 def write_panoptic(synthetic: Synthetic, root: Path) -> Capture:
     """Panoptic as prepared by Dynamic 3D Gaussians: {train,test}_meta.json indexed [time][camera], ims/, seg/ (moving objects)."""
     views, files = [], []
-    movers = [i for i, item in enumerate(synthetic.scene.objects) if item.motion.moves]
+    moving = [i for i, item in enumerate(synthetic.scene.objects) if item.motion.moves]
     for split in ("train", "test"):
         chosen = synthetic.split(split)
         meta: dict = {"w": synthetic.options.width, "h": synthetic.options.height, "k": [], "w2c": [], "fn": [], "cam_id": []}
@@ -83,7 +83,7 @@ def write_panoptic(synthetic: Synthetic, root: Path) -> Capture:
             for view, name in zip(now, names):
                 truth = _truth(synthetic, view)
                 _save(root / "ims" / name, flatten(truth), quality=97)
-                mask = Image.fromarray(np.isin(truth.object, movers)).convert("1")
+                mask = Image.fromarray(np.isin(truth.object, moving)).convert("1")
                 (root / "seg" / name).parent.mkdir(parents=True, exist_ok=True)
                 mask.save((root / "seg" / name).with_suffix(".png"))
                 views.append(view)

@@ -1,7 +1,7 @@
 """`stage.key=value`: what is accepted, and what an error tells."""
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import pytest
 from e4dgs.pipeline import Settings, SettingsError, build_settings, split_assignment
@@ -10,6 +10,8 @@ from pydantic import Field, ValidationError
 
 
 class Fit(Settings):
+    renamed: ClassVar = {"steps": "iterations"}
+
     iterations: int = Field(100, ge=1, le=5000, description="optimiser steps")
     rate: float = 0.1
     mode: Literal["slow", "fast"] = "slow"
@@ -44,6 +46,7 @@ def test_values_take_the_type_of_their_field():
         ("fit.mode=quick", "'slow' or 'fast'"),
         ("fit.rate=nan", "finite number"),
         ("fit.iteratons=3", r"fit has no setting 'iteratons' \(did you mean 'iterations'\?\); its settings are:\n  fit.iterations: int"),
+        ("fit.steps=3", r"fit has no setting 'steps' \(it is now 'iterations'\); its settings are:\n  fit.iterations: int"),
         ("fot.rate=3", r"there is no stage 'fot' \(did you mean 'fit'\?\); stages: fit"),
         ("fit.rate", "expected stage.key=value"),
         ("rate=3", "expected stage.key=value"),

@@ -92,7 +92,7 @@ def model() -> Model:
     gaussians = GaussianSet.from_points(rng.normal(size=(20, 3)) * 0.3, rng.uniform(size=(20, 3)), 1, opacity=0.6)
     gaussians.live(torch.arange(20) / 2, 2.0, torch.from_numpy(rng.normal(size=(20, 3)) * 0.05).float())
     gaussians.dynamic[10:] = False
-    convexes = ConvexSet.from_hulls(rng.normal(size=(4, 6, 3)) * 0.2, rng.uniform(size=(4, 3)), 1)
+    convexes = ConvexSet.from_points(rng.normal(size=(4, 6, 3)) * 0.2, rng.uniform(size=(4, 3)), 1)
     convexes.live(torch.arange(4) * 3.0, 1.5)
     return Model(gaussians, convexes, FreeMotion(TIMES), 1)
 
@@ -137,7 +137,7 @@ def test_how_a_primitive_drifts_says_nothing_of_how_it_turns(kind):
     made = (
         kind.from_points(rng.normal(size=(4, 3)), colors, 0)
         if kind is GaussianSet
-        else kind.from_hulls(rng.normal(size=(4, 6, 3)), colors, 0)
+        else kind.from_points(rng.normal(size=(4, 6, 3)), colors, 0)
     )
     made.live(0.0, 1.0, torch.ones(4, 3))
     assert float(made.spins.detach().abs().max()) == 0 and float(made.velocities.detach().min()) == 1

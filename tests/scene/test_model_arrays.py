@@ -15,7 +15,7 @@ SIZES = {"N": 7, "M": 5, "K": 6, "R": 8}
 def model():
     rng = np.random.default_rng(0)
     gaussians = GaussianSet.from_points(rng.uniform(-1, 1, (SIZES["N"], 3)), rng.random((SIZES["N"], 3)), 2)
-    convexes = ConvexSet.from_hulls(rng.uniform(-1, 1, (SIZES["M"], SIZES["K"], 3)), rng.random((SIZES["M"], 3)), 2)
+    convexes = ConvexSet.from_points(rng.uniform(-1, 1, (SIZES["M"], SIZES["K"], 3)), rng.random((SIZES["M"], 3)), 2)
     return Model(gaussians, convexes, None, 2)
 
 

@@ -9,7 +9,7 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
-from e4dgs.scene.training.control.dynamics import dynamic_from_masks, freeze_still_gaussians
+from e4dgs.scene.training.control.dynamics import dynamic_from_masks, freeze_static_gaussians
 from e4dgs.scene.views import Views
 
 WIDTH, HEIGHT = 48, 32
@@ -51,7 +51,7 @@ def model(motion=None, convex=False):
         g.log_scales.fill_(-1.5)
     rng = np.random.default_rng(0)
     hull = rng.normal(size=(1, 6, 3)) * 0.3
-    c = ConvexSet.from_hulls(hull, np.full((1, 3), 0.5), 0) if convex else ConvexSet.empty(6, 0)
+    c = ConvexSet.from_points(hull, np.full((1, 3), 0.5), 0) if convex else ConvexSet.empty(6, 0)
     return Model(g, c, motion, 0)
 
 
@@ -186,20 +186,20 @@ def test_interval_gradient_matches_central_differences():
         assert float(motion.acceleration.grad[axis]) == pytest.approx(numeric, rel=1e-2, abs=1e-3)
 
 
-def test_still_gaussians_leave_the_field_where_they_stand():
+def test_static_gaussians_leave_the_field_where_they_stand():
     m = model(Path((1e-4, 0, 0)))
     before = m.at(0.5)[0].means.detach()
-    assert freeze_still_gaussians(m, views()) == 3
+    assert freeze_static_gaussians(m, views()) == 3
     assert not m.gaussians.dynamic.any()
     assert torch.allclose(m.at(0.5)[0].means, before, atol=1e-4)
     moving = model(Path((0.5, 0, 0)))
-    assert freeze_still_gaussians(moving, views()) == 0
+    assert freeze_static_gaussians(moving, views()) == 0
 
 
 @pytest.mark.parametrize(("share", "leave"), [(1.0, 3), (1.01, 0)])
-def test_still_gaussians_leave_only_where_they_are_enough(share, leave):
+def test_static_gaussians_leave_only_where_they_are_enough(share, leave):
     m = model(Path((1e-4, 0, 0)))
-    assert freeze_still_gaussians(m, views(), share=share) == leave
+    assert freeze_static_gaussians(m, views(), share=share) == leave
     assert int((~m.gaussians.dynamic).sum()) == leave
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.bodies import Bodies
 from e4dgs.scene.motion.courses import RANK, SharedCourses, encode, encode_places
 from e4dgs.scene.motion.interface import Rest
 from e4dgs.scene.motion.nodes import ControlNodes, farthest_points, spacing
+from e4dgs.scene.motion.rigid_parts import RigidParts
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 
 
@@ -172,7 +172,7 @@ def test_links_are_kept_until_asked_for_anew():
 def test_what_does_not_move_and_corners_of_convexes():
     g = GaussianSet.from_points(rest().points.numpy(), np.full((40, 3), 0.5), 0)
     g.dynamic[:20] = False
-    c = ConvexSet.from_hulls(np.random.default_rng(0).normal(size=(3, 6, 3)), np.full((3, 3), 0.5), 0)
+    c = ConvexSet.from_points(np.random.default_rng(0).normal(size=(3, 6, 3)), np.full((3, 3), 0.5), 0)
     nodes = steer(some(), [0.0, 0, 0, 0, 1.0, 0, 0])
     gaussians, convexes = Model(g, c, nodes, 0).at(0.5)
     shift = torch.tensor([0.15, 0, 0])
@@ -201,14 +201,14 @@ def test_the_encoding_holds_the_octaves():
     assert torch.allclose(encode(x, 2)[0], torch.tensor(expected).float())
 
 
-def test_a_body_that_turns_and_goes_steadily_costs_nothing():
+def test_a_rigid_part_that_turns_and_goes_steadily_costs_nothing():
     angles = torch.linspace(0, 3, 12)
     quats = torch.stack([torch.cos(angles / 2), torch.zeros(12), torch.sin(angles / 2), torch.zeros(12)], 1)
     shifts = torch.linspace(0, 1, 12)[:, None] * torch.tensor([1.0, 2.0, 0])
     home = torch.zeros(3)
-    steady = Bodies.none().joined(home, 1.0, quats, shifts)
+    steady = RigidParts.none().joined(home, 1.0, quats, shifts)
     assert float(steady.course(1.0)) < 1e-5
     quats[6] = quats[5]
-    assert float(Bodies.none().joined(home, 1.0, quats, shifts).course(1.0)) > 0.01
+    assert float(RigidParts.none().joined(home, 1.0, quats, shifts).course(1.0)) > 0.01
     shifts[3] += 0.5
-    assert float(Bodies.none().joined(home, 1.0, quats, shifts).course(1.0)) > 0.1
+    assert float(RigidParts.none().joined(home, 1.0, quats, shifts).course(1.0)) > 0.1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.fibonacci import fibonacci_hulls, fibonacci_sphere, neighbour_radius
+from e4dgs.scene.fibonacci import fibonacci_convexes, fibonacci_sphere, neighbour_radius
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.training.control.density import choose_to_split, keep_small, split_along_longest_axis, survivors
@@ -32,7 +32,7 @@ def test_neighbour_radius_is_the_mean_of_three():
 
 
 def test_hulls_have_their_radius():
-    hulls = fibonacci_hulls(np.array([[1.0, 2, 3], [0, 0, 0]]), np.array([0.5, 2.0]), 6)
+    hulls = fibonacci_convexes(np.array([[1.0, 2, 3], [0, 0, 0]]), np.array([0.5, 2.0]), 6)
     assert hulls.shape == (2, 6, 3)
     assert np.allclose(np.linalg.norm(hulls[0] - [1, 2, 3], axis=1), 0.5)
 
@@ -54,7 +54,7 @@ def test_rows_must_agree():
 
 
 def test_arrays_round_trip():
-    g, c = gaussians(), ConvexSet.from_hulls(np.random.default_rng(0).normal(size=(3, 5, 3)), np.full((3, 3), 0.5), 1)
+    g, c = gaussians(), ConvexSet.from_points(np.random.default_rng(0).normal(size=(3, 5, 3)), np.full((3, 3), 0.5), 1)
     for primitives in (g, c):
         again = type(primitives).from_arrays(primitives.to_arrays())
         assert all(torch.equal(p, again.parameters[name]) for name, p in primitives.parameters.items())
@@ -140,7 +140,7 @@ def test_exponential_rate_hits_both_ends():
 def test_convexes_shrink_about_their_centroids_and_only_those_that_are_too_large():
     corners = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
     hulls = np.stack([(0.2 * corners + 3).numpy(), (0.1 * corners).numpy(), (0.1001 * corners).numpy()]).astype(np.float32)
-    convexes = ConvexSet.from_hulls(hulls, np.zeros((3, 3), np.float32), 0)
+    convexes = ConvexSet.from_points(hulls, np.zeros((3, 3), np.float32), 0)
     keep_small(convexes, 0.1)
     np.testing.assert_allclose(convexes.points.detach(), np.stack([0.1 * corners + 3, 0.1 * corners, 0.1 * corners]), atol=1e-6)
     assert convexes.points.requires_grad and convexes.points.is_leaf

@@ -8,7 +8,7 @@ from e4dgs.scene.views import Views
 
 
 def ring(count=16, radius=4.0, target=(0.5, -0.2, 0.3)):
-    """Cameras on a ring that look at ``target``; a white ball of radius 0.6 around it is the foreground."""
+    """Cameras on a ring that look at ``target``; a white ball of radius 0.6 around it is the object."""
     target = np.asarray(target)
     poses, masks = [], []
     K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])

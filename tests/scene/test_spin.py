@@ -10,7 +10,7 @@ from e4dgs.scene.motion.nodes import ControlNodes
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.training import turning
 from e4dgs.scene.training.spin import MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
-from e4dgs.scene.training.turning import BODY, FRESH, bodies_for_turning_parts
+from e4dgs.scene.training.turning import FRESH, WIDER, make_turning_parts_rigid
 from e4dgs.scene.views import Views
 from scipy.spatial.transform import Rotation
 
@@ -115,7 +115,7 @@ def test_parts_are_compact_clusters_of_error():
     assert compact_parts(means, np.zeros(700)) == []
 
 
-def test_a_turning_part_becomes_a_body_with_fresh_gaussians(monkeypatch):
+def test_a_turning_part_becomes_a_rigid_part_with_fresh_gaussians(monkeypatch):
     views = turning_ball(40, OMEGA)
     rng = np.random.default_rng(1)
     rest = path(40)[20]
@@ -126,18 +126,18 @@ def test_a_turning_part_becomes_a_body_with_fresh_gaussians(monkeypatch):
     model = Model(gaussians, ConvexSet.empty(6, 0), nodes, 0)
     error = torch.tensor(np.concatenate([np.full(80, 9.0), np.ones(300)])).float()
     said = []
-    source = bodies_for_turning_parts(model, views, error, 0, said.append)
+    source = make_turning_parts_rigid(model, views, error, 0, said.append)
     assert len(model.gaussians) == len(source) == 300 + FRESH and (source[-FRESH:] == -1).all()
     assert torch.equal(source[:300], torch.arange(80, 380)) and "turns by 11" in said[0]
-    bodies = model.field.bodies
-    assert len(bodies) == 1 and float(bodies.radius[0]) == pytest.approx(BODY * RADIUS, rel=0.1)
-    a, b = (bodies.pose(k / 39)[0][0].detach() for k in (20, 22))
+    rigid_parts = model.field.rigid_parts
+    assert len(rigid_parts) == 1 and float(rigid_parts.radius[0]) == pytest.approx(WIDER * RADIUS, rel=0.1)
+    a, b = (rigid_parts.pose(k / 39)[0][0].detach() for k in (20, 22))
     turned = np.degrees((Rotation.from_quat(b[[1, 2, 3, 0]]) * Rotation.from_quat(a[[1, 2, 3, 0]]).inv()).as_rotvec())
     assert np.allclose(turned, 2 * np.degrees(OMEGA), atol=3.0)
-    there = bodies.home[0] + bodies.pose(10 / 39)[1][0].detach()
+    there = rigid_parts.home[0] + rigid_parts.pose(10 / 39)[1][0].detach()
     assert np.linalg.norm(there.numpy() - path(40)[10]) < 0.05
-    again = bodies_for_turning_parts(model, views, torch.cat([torch.zeros(300), torch.full((FRESH,), 9.0)]), 0, said.append)
-    assert again is None and len(said) == 1  # a body is left alone
-    # What is fresh goes with the new body alone, and nothing else does.
+    again = make_turning_parts_rigid(model, views, torch.cat([torch.zeros(300), torch.full((FRESH,), 9.0)]), 0, said.append)
+    assert again is None and len(said) == 1  # a rigid part is left alone
+    # What is fresh goes with the new rigid part alone, and nothing else does.
     link = model.links(model.gaussians)
     assert (link[-FRESH:, 0] == 10).all() and not (link[:-FRESH, 0] == 10).any()

@@ -63,7 +63,7 @@ def test_convexes_join_and_are_refined(views, strategy):
     model, _, _ = train(views)
     centres = model.gaussians.means.detach().numpy()[:8]
     rng = np.random.default_rng(0)
-    model.convexes = ConvexSet.from_hulls(centres[:, None] + 0.15 * rng.normal(size=(8, 6, 3)), np.full((8, 3), 0.4), 0)
+    model.convexes = ConvexSet.from_points(centres[:, None] + 0.15 * rng.normal(size=(8, 6, 3)), np.full((8, 3), 0.4), 0)
     before, points = psnr(model, views), model.convexes.points.detach().clone()
     settings = SETTINGS.model_copy(update={"iterations": 260})
     train(views, model, settings, phases=fine_phases(strategy, 0, 260, static=False), grow=False, lr_scale=0.3)

@@ -42,7 +42,7 @@ def ball(tmp_path_factory) -> SimpleNamespace:
         "backward": np.stack([found.flow for found in back]).astype(np.float16),
         "confidence": np.stack([255 * found.visible for found in forth]).astype(np.uint8),
     }
-    masks = {"movers": 255 * shown.astype(np.uint8)}
+    masks = {"moving": 255 * shown.astype(np.uint8)}
     inputs = {"frames": frames.artifact, "poses": None}
     return SimpleNamespace(
         capture=frames.context.capture,

@@ -11,7 +11,7 @@ from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 16, 8, 5
 PAIRS = [(1, 2), (2, 3), (1, 3), (3, 4)]  # frame 0 has none, so that the number of a pair is not that of its frame
-MOVER = 4  # columns from the left in which frame 1 moves, and one more in each later frame
+MOVING = 4  # columns from the left in which frame 1 moves, and one more in each later frame
 
 
 def views() -> Views:
@@ -30,10 +30,10 @@ def views() -> Views:
     )
 
 
-def flow(folder: Path, movers: bool, confidence: int = 255):
+def flow(folder: Path, moving: bool, confidence: int = 255):
     masks = np.zeros((FRAMES, HEIGHT, WIDTH), np.uint8)
     for i in range(1, FRAMES):
-        masks[i, :, : MOVER + i - 1] = 255
+        masks[i, :, : MOVING + i - 1] = 255
     forward = np.tile(np.array([6, -2], np.float16), (len(PAIRS), HEIGHT, WIDTH, 1))
     forward[2] = 40  # to a frame that is not the next one
     arrays = {
@@ -41,11 +41,11 @@ def flow(folder: Path, movers: bool, confidence: int = 255):
         "forward": forward,
         "confidence": np.full((len(PAIRS), HEIGHT, WIDTH), confidence, np.uint8),
     }
-    return write_artifact(folder, arrays | ({"movers": masks} if movers else {}))
+    return write_artifact(folder, arrays | ({"moving": masks} if moving else {}))
 
 
-def test_what_moves_weighs_ten_times_as_much_as_what_is_still(tmp_path):
-    of_frame = measured_flow(flow(tmp_path / "flow", movers=True), views())
+def test_what_moves_weighs_ten_times_as_much_as_what_is_static(tmp_path):
+    of_frame = measured_flow(flow(tmp_path / "flow", moving=True), views())
     assert of_frame is not None
     _, first = of_frame(1)
     assert first.shape == (HEIGHT // 2, WIDTH // 2)
@@ -54,22 +54,22 @@ def test_what_moves_weighs_ten_times_as_much_as_what_is_still(tmp_path):
     assert second.numpy() == pytest.approx(np.tile([1.0] * 2 + [0.55] + [0.1] * 5, (HEIGHT // 2, 1)), abs=2e-3)  # masks are rounded
 
 
-def test_without_masks_of_movers_all_weigh_the_same(tmp_path):
-    of_frame = measured_flow(flow(tmp_path / "flow", movers=False), views())
+def test_without_masks_of_moving_pixels_all_weigh_the_same(tmp_path):
+    of_frame = measured_flow(flow(tmp_path / "flow", moving=False), views())
     assert of_frame is not None
     assert (of_frame(1)[1] == 1).all() and (of_frame(2)[1] == 1).all()
 
 
-@pytest.mark.parametrize(("movers", "moving", "still"), [(True, 0.2, 0.02), (False, 0.2, 0.2)])
-def test_the_weight_is_that_of_the_flow_s_confidence(movers, moving, still, tmp_path):
-    of_frame = measured_flow(flow(tmp_path / "flow", movers, confidence=51), views())
+@pytest.mark.parametrize(("masked", "moving", "static"), [(True, 0.2, 0.02), (False, 0.2, 0.2)])
+def test_the_weight_is_that_of_the_flow_s_confidence(masked, moving, static, tmp_path):
+    of_frame = measured_flow(flow(tmp_path / "flow", masked, confidence=51), views())
     assert of_frame is not None
     _, weight = of_frame(1)
-    assert weight[:, :2].numpy() == pytest.approx(moving) and weight[:, 2:].numpy() == pytest.approx(still)
+    assert weight[:, :2].numpy() == pytest.approx(moving) and weight[:, 2:].numpy() == pytest.approx(static)
 
 
 def test_flow_is_in_pixels_of_half_the_size(tmp_path):
-    of_frame = measured_flow(flow(tmp_path / "flow", movers=True), views())
+    of_frame = measured_flow(flow(tmp_path / "flow", moving=True), views())
     assert of_frame is not None
     field, _ = of_frame(1)
     assert field.shape == (HEIGHT // 2, WIDTH // 2, 2)
@@ -77,7 +77,7 @@ def test_flow_is_in_pixels_of_half_the_size(tmp_path):
 
 
 def test_frames_without_a_next_one_to_learn_from_have_none(tmp_path):
-    of_frame = measured_flow(flow(tmp_path / "flow", movers=True), views())
+    of_frame = measured_flow(flow(tmp_path / "flow", moving=True), views())
     assert of_frame is not None
     assert [of_frame(i) is not None for i in range(FRAMES)] == [False, True, True, False, False], "frame 3 leads to one that is held out"
     assert measured_flow(None, views()) is None

@@ -43,7 +43,7 @@ def small_model(moving: bool = False) -> Model:
     )
     hulls = rng.uniform(-0.3, 0.3, (2, 6, 3)).astype(np.float32)
     return Model(
-        GaussianSet.from_points(points, colors, 1), ConvexSet.from_hulls(hulls, rng.random((2, 3)).astype(np.float32), 1), field, 1
+        GaussianSet.from_points(points, colors, 1), ConvexSet.from_points(hulls, rng.random((2, 3)).astype(np.float32), 1), field, 1
     )
 
 

@@ -172,7 +172,7 @@ def test_edges_cover_training_frames_only(n3v_capture, tmp_path):
 
 
 def test_what_does_not_change_is_not_measured(tmp_path, monkeypatch):
-    """Two still frames between moving ones: their flow is zero, everything in it is trusted, and nobody computed it."""
+    """Two static frames between moving ones: their flow is zero, everything in it is trusted, and nobody computed it."""
     rng = np.random.default_rng(3)
     base = pattern(96, 128)
     (tmp_path / "images").mkdir()
@@ -183,7 +183,7 @@ def test_what_does_not_change_is_not_measured(tmp_path, monkeypatch):
     original = Dis._flow
     monkeypatch.setattr(Dis, "_flow", lambda self, a, b: measured.append(1) or original(self, a, b))
     flow, _ = run(tmp_path / "images", tmp_path / "out", holdout=0)
-    assert len(flow.read("pair")) == 3 and flow.attrs["still_pairs"] == 1 and len(measured) == 4
+    assert len(flow.read("pair")) == 3 and flow.attrs["static_pairs"] == 1 and len(measured) == 4
     assert not flow.read("forward")[1].any() and not flow.read("backward")[1].any() and (flow.read("confidence")[1] == 255).all()
     assert np.abs(np.median(flow.read("forward")[[0, 2]], axis=(1, 2)) - [3, 0]).max() < 0.1
 
@@ -195,12 +195,12 @@ def test_a_capture_in_which_nothing_moves_is_told_by_itself(tmp_path):
         options = Options(backdrop="room", rig="arc", cameras=3, times=5, motion=0.5 if passes else 0.0, width=96, height=72, samples=1)
         return write_n3v(make(options), tmp_path / f"capture{passes}").root
 
-    still, _ = run(capture(False), tmp_path / "still", detect_static=True)
-    assert still.attrs["static"] and "no pixel of 2 fixed cameras changes" in still.attrs["static_reason"]
-    assert still.read("pair").shape == (0, 2) and "forward" not in still and "moving" not in still
-    assert measured_flow(still, None) is None
+    static, _ = run(capture(False), tmp_path / "static", detect_static=True)
+    assert static.attrs["static"] and "no pixel of 2 fixed cameras changes" in static.attrs["static_reason"]
+    assert static.read("pair").shape == (0, 2) and "forward" not in static and "ever_moving" not in static
+    assert measured_flow(static, None) is None
     moving, _ = run(capture(True), tmp_path / "moving", detect_static=True)
-    assert not moving.attrs["static"] and moving.attrs["moving_share"] > 0 and len(moving.read("pair")) > 0
+    assert not moving.attrs["static"] and moving.attrs["largest_moving_share"] > 0 and len(moving.read("pair")) > 0
 
 
 def test_raft_runs_where_weights_are_given_and_says_so(nerfstudio_capture, tmp_path):
@@ -242,39 +242,39 @@ def test_torchvisions_weights_serve_where_no_file_is_given(nerfstudio_capture, t
 
 def test_moving_pixels_of_fixed_cameras_are_found(n3v_capture, tmp_path):
     flow, frames = run(n3v_capture.root, tmp_path, grow=2)
-    cameras = flow.attrs["moving_cameras"]
+    cameras = flow.attrs["ever_moving_cameras"]
     assert cameras == sorted({int(c) for c in frames.camera[frames.train]})
     scene = n3v_capture.synthetic.scene
-    found = missed = false = still = 0
-    for mask, camera in zip(flow.read("moving"), cameras):
+    found = missed = false = static = 0
+    for mask, camera in zip(flow.read("ever_moving"), cameras):
         views = [v for v in n3v_capture.views if v.camera_index == camera]
         changes = np.ptp([render(scene, v.camera, v.time).image for v in views], axis=0).max(-1)
         found += int(((changes > 0.25) & (mask > 0)).sum())
         missed += int(((changes > 0.25) & (mask == 0)).sum())
         false += int(((cv2.dilate(changes, np.ones((13, 13))) < 0.02) & (mask > 0)).sum())
-        still += int((cv2.dilate(changes, np.ones((13, 13))) < 0.02).sum())
+        static += int((cv2.dilate(changes, np.ones((13, 13))) < 0.02).sum())
     assert found > 500 and missed < 0.03 * found
-    assert still > 1000 and false < 0.02 * still
+    assert static > 1000 and false < 0.02 * static
 
 
 def test_a_moving_camera_has_no_mask_and_no_memory_of_held_out_frames(nerfstudio_capture, tmp_path):
     flow, frames = run(nerfstudio_capture.root, tmp_path)
-    assert "moving" not in flow
+    assert "ever_moving" not in flow
     assert not np.isin(flow.read("pair"), np.flatnonzero(frames.split != 0)).any()
     assert len(flow.read("pair")) > 3
 
 
 def test_frames_have_masks_of_what_moves_but_held_out_ones(nerfstudio_capture, tmp_path):
     flow, frames = run(nerfstudio_capture.root, tmp_path)
-    masks, held_out = flow.read("movers"), np.setdiff1d(np.arange(len(frames)), frames.train)
+    masks, held_out = flow.read("moving"), np.setdiff1d(np.arange(len(frames)), frames.train)
     assert masks.shape == (len(frames), frames.height, frames.width) and len(held_out)
     assert not masks[held_out].any()
-    assert flow.attrs["movers_share"] == pytest.approx((masks[frames.train] > 0).mean(), abs=1e-6)
+    assert flow.attrs["moving_share"] == pytest.approx((masks[frames.train] > 0).mean(), abs=1e-6)
 
 
-def test_masks_of_movers_can_be_left_out(nerfstudio_capture, tmp_path):
-    flow, _ = run(nerfstudio_capture.root, tmp_path, movers=False)
-    assert "movers" not in flow and "movers_share" not in flow.attrs
+def test_masks_of_moving_pixels_can_be_left_out(nerfstudio_capture, tmp_path):
+    flow, _ = run(nerfstudio_capture.root, tmp_path, moving=False)
+    assert "moving" not in flow and "moving_share" not in flow.attrs
 
 
 def frameset(camera, time, nxt, train) -> SimpleNamespace:
@@ -314,10 +314,10 @@ def test_motion_mask_ignores_noise_and_flicker_and_finds_what_passes_once(noise,
     assert (mask[outside] == 0).all()
 
 
-def test_motion_mask_of_a_still_scene_or_a_single_frame_is_empty():
-    still = [pattern(8, 8, seed=2)] * 5
-    assert not motion_mask(lambda i: still[i], range(5)).any()
-    assert not motion_mask(lambda i: still[i], [0]).any()
+def test_motion_mask_of_a_static_scene_or_a_single_frame_is_empty():
+    static = [pattern(8, 8, seed=2)] * 5
+    assert not motion_mask(lambda i: static[i], range(5)).any()
+    assert not motion_mask(lambda i: static[i], [0]).any()
     with pytest.raises(ValueError, match="at least one frame"):
         MotionMask([])
 
@@ -333,7 +333,7 @@ def test_it_says_when_what_moves_goes_too_far_to_be_followed(motion, followed, t
         return [line for line in ran.lines if "too far" in line], ran.artifact
 
     said, flow = warnings("first")
-    agrees, masks = flow.read("confidence") > 0, flow.read("movers") > 0
+    agrees, masks = flow.read("confidence") > 0, flow.read("moving") > 0
     share = np.median([agrees[p][masks[i]].mean() for p, (i, _) in enumerate(flow.read("pair")) if masks[i].any()])
     assert not said if followed else f"{100 * share:.0f} % of its pixels" in said[0]
     monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FOLLOWED", share)

@@ -78,7 +78,7 @@ def test_measured_through_a_lens_it_agrees_with_exact_flow_between_pinhole_pictu
     )
     capture = write_nerfstudio(make(options), tmp_path / "capture")
     frames = run_frames(capture.root, tmp_path, holdout=0)
-    settings = FlowSettings(detect_static=False, movers=False)
+    settings = FlowSettings(detect_static=False, moving=False)
     flow = run_stage(Flow(), frames.context.capture, tmp_path, settings, {"frames": frames.artifact, "poses": None}).artifact
     K, forward, confidence = frames.artifact.read("K"), flow.read("forward").astype(float), flow.read("confidence")
     assert flow.read("lens_forward").shape == forward.shape

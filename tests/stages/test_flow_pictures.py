@@ -26,7 +26,7 @@ def make_judge(held_out: tuple[int, ...] = ()) -> Judge:
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (60, 3)).astype(np.float32)
     model = Model(
         GaussianSet.from_points(points, np.full((60, 3), 0.5, np.float32), 0),
-        ConvexSet.from_hulls(np.zeros((0, 6, 3), np.float32), np.zeros((0, 3), np.float32), 0),
+        ConvexSet.from_points(np.zeros((0, 6, 3), np.float32), np.zeros((0, 3), np.float32), 0),
         None,
         0,
     )
@@ -50,7 +50,7 @@ def make_judge(held_out: tuple[int, ...] = ()) -> Judge:
     return Judge(model, frames, None, False)  # type: ignore[arg-type]
 
 
-def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: float = 0.0, movers: object = None) -> Artifact:
+def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: float = 0.0, moving: object = None) -> Artifact:
     """What the model itself renders, ``offset`` px further right, as if it had been measured; camera 1 has a mask."""
     folder.mkdir(parents=True)
     out = ArtifactWriter(folder)
@@ -69,13 +69,13 @@ def flow_of(judge: Judge, pairs: list[tuple[int, int]], folder: Path, offset: fl
         "backward": -np.array(measured, np.float16),
         "confidence": confidence,
         "edges": edges,
-        "moving": np.full((1, HEIGHT, WIDTH), 255, np.uint8),
+        "ever_moving": np.full((1, HEIGHT, WIDTH), 255, np.uint8),
     }
     for name, value in values.items():
         out.write(name, value)
-    if movers is not None:
-        out.write("movers", movers)
-    out.attrs.update(moving_cameras=[1], method="dis-medium")
+    if moving is not None:
+        out.write("moving", moving)
+    out.attrs.update(ever_moving_cameras=[1], method="dis-medium")
     out.finish({})
     return Artifact(folder)
 
@@ -119,9 +119,9 @@ def test_a_strip_shows_frame_measured_rendered_edges_and_what_moves(tmp_path):
 
 def test_a_frame_shows_its_own_mask_where_it_has_one(tmp_path):
     judge = make_judge()
-    movers = np.zeros((COUNT, HEIGHT, WIDTH), np.uint8)
-    movers[4, 0, 0] = 255
-    _, pictures = strip(judge, flow_of(judge, [(0, 1), (4, 5)], tmp_path / "flow", movers=movers), tmp_path / "out")
+    moving = np.zeros((COUNT, HEIGHT, WIDTH), np.uint8)
+    moving[4, 0, 0] = 255
+    _, pictures = strip(judge, flow_of(judge, [(0, 1), (4, 5)], tmp_path / "flow", moving=moving), tmp_path / "out")
     assert pictures["flow/1/moving"][0, 0].tolist() == [20, 85, 148] and (pictures["flow/1/moving"][0, 1] == 40).all()
     assert (pictures["flow/0/moving"] == 0).all(), "a mask of nothing shows the frame"
 

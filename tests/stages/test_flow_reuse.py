@@ -127,7 +127,7 @@ def test_more_frames_of_a_video_leave_the_others_flow_as_it_was(tmp_path, measur
     assert len(measured) == 2 * 3 and second.artifact.info["pairs"] == {"measured": 3, "taken_over": 7}
     assert "  flow: flow of 7 of 10 pairs is taken over from an earlier result, of 3 it was measured" in lines
     assert second.artifact.provenance["earlier"] == first.artifact.path.name
-    assert {"lens_forward", "movers"} <= set(second.artifact.names())
+    assert {"lens_forward", "moving"} <= set(second.artifact.names())
     assert second.artifact.digest == fresh(tmp_path, path)
 
 
@@ -218,11 +218,11 @@ def test_flow_of_another_size_is_not_taken_over(tmp_path, measured, monkeypatch)
 
 
 def test_where_nothing_moves_there_is_no_flow_to_take_over(tmp_path, measured, monkeypatch):
-    still = SimpleNamespace(static=True, reason="all of it stands still", moving_share=0.0)
-    monkeypatch.setattr("e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: still)
+    static = SimpleNamespace(static=True, reason="all of it stands still", largest_moving_share=0.0)
+    monkeypatch.setattr("e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: static)
     run(job(tmp_path, posed(tmp_path / "capture", pictures(6)), flow__detect_static=True))
     monkeypatch.setattr(
-        "e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: SimpleNamespace(**{**vars(still), "static": False})
+        "e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: SimpleNamespace(**{**vars(static), "static": False})
     )
     outcome = run(job(tmp_path, posed(tmp_path / "capture", pictures(8)), flow__detect_static=True))
     assert "are new" not in outcome.reason and len(measured) == 2 * 7
@@ -242,7 +242,7 @@ def test_a_camera_more_leaves_the_flow_of_the_others_as_it_was(tmp_path, measure
     measured.clear()
     outcome = run(job(tmp_path, path))
     assert outcome.artifact.info["pairs"] == {"measured": 3, "taken_over": 6} and len(measured) == 2 * 3
-    assert outcome.reason.endswith("3 of 9 pairs are new") and "moving" in outcome.artifact
+    assert outcome.reason.endswith("3 of 9 pairs are new") and "ever_moving" in outcome.artifact
     assert outcome.artifact.digest == fresh(tmp_path, path)
 
 

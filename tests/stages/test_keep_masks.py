@@ -94,7 +94,7 @@ def test_features_are_found_where_masks_are_white(tmp_path):
         picture[hidden] = noise
         Image.fromarray(picture).save(capture.root / name)
         write_mask(tmp_path / "room/masks" / name, (240, 180), hidden)
-    ran = run_poses(tmp_path / "room", tmp_path / "out", movers="off")
+    ran = run_poses(tmp_path / "room", tmp_path / "out", moving="off")
     assert ran.artifact.read("registered").all()
     with pycolmap.Database.open(tmp_path / "out/checkpoints/poses/colmap/database.db") as database:
         x = np.concatenate([database.read_keypoints(image.image_id)[:, 0] for image in database.read_all_images()])
@@ -175,11 +175,11 @@ def test_what_does_not_count_neither_moves_nor_stands_still(masked, tmp_path):
     from types import SimpleNamespace
 
     frames = frameset(masked, tmp_path)
-    movers = np.zeros((10, 64, 80), np.uint8)
-    movers[:, 20:50, 10:60] = 255
+    moving = np.zeros((10, 64, 80), np.uint8)
+    moving[:, 20:50, 10:60] = 255
 
-    kept, moves = frames.kept(0), movers[0] > 0
-    with_flow, without = (SimpleNamespace(inputs={"flow": flow}) for flow in (write_artifact(tmp_path / "flow", {"movers": movers}), None))
+    kept, moves = frames.kept(0), moving[0] > 0
+    with_flow, without = (SimpleNamespace(inputs={"flow": flow}) for flow in (write_artifact(tmp_path / "flow", {"moving": moving}), None))
     np.testing.assert_array_equal(moving_mask(with_flow, frames, 0), moves & kept)
     np.testing.assert_array_equal(unsteady_mask(with_flow, frames, 0), moves | ~kept)
     np.testing.assert_array_equal(unsteady_mask(without, frames, 0), ~kept)

@@ -8,8 +8,8 @@ import pytest
 from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.vision.sfm.alignment import camera_centres, pose_error, similarity
 from e4dgs.vision.sfm.explains import FARTHEST, NOISE, misfit
+from e4dgs.vision.sfm.fixed_cameras import is_fixed
 from e4dgs.vision.sfm.looks import MOST, choose_looks, expand, look_times
-from e4dgs.vision.sfm.still_cameras import stands_still
 from factory import Options, make, render
 from factory.render import to_uint8
 from factory.writers import flatten, write_mp4
@@ -62,7 +62,7 @@ def test_later_stages_see_a_rig_of_fixed_cameras(solved):
     assert len(frames.train) == CAMERAS * (TIMES - 1)
 
 
-def test_points_stand_still(solved, videos_capture):
+def test_points_are_static(solved, videos_capture):
     """Features on what moves helped the cameras, and are no points of the world: what moves is in another place at each time."""
     scale, R, t = similarity(
         camera_centres(solved.artifact.read("cam_from_world")[::TIMES]),
@@ -80,7 +80,7 @@ def test_a_second_run_gives_the_same_bits(solved, videos_capture, tmp_path):
     assert again.artifact.digest == solved.artifact.digest
 
 
-def test_still_cameras_and_a_moving_one_come_into_one_world(videos_capture, truth, tmp_path):
+def test_fixed_cameras_and_a_moving_one_come_into_one_world(videos_capture, truth, tmp_path):
     folder = tmp_path / "mixed"
     folder.mkdir()
     for name in ("a.mp4", "b.mp4", "e.mp4"):
@@ -125,7 +125,7 @@ def test_a_camera_before_which_something_walks_stands_still(textured):
         picture = textured.copy()
         picture[40:220, 20 + 30 * k : 120 + 30 * k] = np.random.default_rng(7).integers(0, 255, (180, 100, 3), np.uint8)
         pictures.append(picture)
-    assert stands_still(pictures.__getitem__, range(7))
+    assert is_fixed(pictures.__getitem__, range(7))
 
 
 def test_a_camera_that_drifts_by_a_pixel_does_not_stand_still(textured):
@@ -134,17 +134,17 @@ def test_a_camera_that_drifts_by_a_pixel_does_not_stand_still(textured):
     def drifted(k: int) -> np.ndarray:
         return cv2.warpAffine(textured, np.array([[1.0, 0, k / 6], [0, 1, 0]]), (320, 240), borderMode=cv2.BORDER_REPLICATE)
 
-    assert not stands_still(drifted, range(7))
+    assert not is_fixed(drifted, range(7))
 
 
 def test_plain_pictures_tell_nothing():
-    assert not stands_still(lambda k: np.full((120, 160, 3), 90, np.uint8), range(5))
+    assert not is_fixed(lambda k: np.full((120, 160, 3), 90, np.uint8), range(5))
 
 
 def test_pictures_of_two_cameras_are_matched_at_equal_times_alone():
     camera, time = np.repeat([0, 1, 2], 12), np.tile(np.linspace(0, 1, 12), 3)
     looks = choose_looks(camera, time, {0: True, 1: True, 2: False}, "auto", 10)
-    assert len(looks.frames) == 2 * MOST + 12 and looks.still == {0, 1} and not looks.all_still
+    assert len(looks.frames) == 2 * MOST + 12 and looks.fixed == {0, 1} and not looks.all_fixed
     assert looks.image_of_frame.tolist() == [0] * 12 + [1] * 12 + list(range(2, 14))
     across = [(looks.frames[a], looks.frames[b]) for a, b in looks.pairs if camera[looks.frames[a]] != camera[looks.frames[b]]]
     assert len(across) == 3 * MOST and all(time[a] == time[b] for a, b in across)
@@ -192,4 +192,4 @@ def test_a_camera_that_shares_nothing_is_named(videos_capture, tmp_path):
     assert ran.artifact.read("registered").reshape(4, TIMES).all(axis=1).tolist() == [True, True, True, False]
     assert any("no frame of odd.mp4 has a pose" in line for line in ran.lines)
     request = json.loads((ran.context.checkpoints / "colmap" / "request.json").read_text())
-    assert request["all_still"] and len(request["cameras"]) == 4
+    assert request["all_fixed"] and len(request["cameras"]) == 4

@@ -9,8 +9,8 @@ from e4dgs.pipeline import Artifact, Progress
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.views import Views
 from e4dgs.stages.seeding import seeds as room
-from e4dgs.stages.seeding.movers import MoverSeeds
-from e4dgs.stages.seeding.seeds import initial_dynamic, living, mover_seeds
+from e4dgs.stages.seeding.moving import MovingSeeds
+from e4dgs.stages.seeding.seeds import initial_dynamic, living, moving_seeds
 from write_artifact import write_artifact
 
 LOOKS = 20
@@ -52,15 +52,15 @@ def masks() -> np.ndarray:
     return found
 
 
-def flow(folder: Path, fixed: bool = False, movers: bool = False) -> Artifact:
-    """With masks of what ever moves before each fixed camera, or of movers in each frame, or of both, or of neither."""
+def flow(folder: Path, fixed: bool = False, moving: bool = False) -> Artifact:
+    """With masks of what ever moves before each fixed camera, or of moving in each frame, or of both, or of neither."""
     arrays = {"pair": np.zeros((0, 2), np.int32)}
-    if movers:
+    if moving:
         # In frames that are held out everything moves; nobody must look at them.
-        arrays["movers"] = np.concatenate([np.full((HELD_OUT, HEIGHT, WIDTH), 255, np.uint8), masks()])
+        arrays["moving"] = np.concatenate([np.full((HELD_OUT, HEIGHT, WIDTH), 255, np.uint8), masks()])
     if fixed:
-        arrays["moving"] = masks()[::-1]
-    return write_artifact(folder, arrays, **({"moving_cameras": [FIRST + k for k in reversed(range(LOOKS))]} if fixed else {}))
+        arrays["ever_moving"] = masks()[::-1]
+    return write_artifact(folder, arrays, **({"ever_moving_cameras": [FIRST + k for k in reversed(range(LOOKS))]} if fixed else {}))
 
 
 def context(flow: Artifact | None) -> SimpleNamespace:
@@ -69,7 +69,7 @@ def context(flow: Artifact | None) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("fixed", "movers_seeded", "first"),
+    ("fixed", "moving_seeded", "first"),
     [
         (True, False, 6),  # 0.3 of 20 fixed cameras
         (True, True, 6),
@@ -77,16 +77,16 @@ def context(flow: Artifact | None) -> SimpleNamespace:
         (False, False, 1),  # a twentieth of them, where these must do
     ],
 )
-def test_a_seed_may_move_from_a_share_of_the_looks_on(fixed, movers_seeded, first, tmp_path):
-    ctx = context(flow(tmp_path / "flow", fixed, movers=not fixed))
-    dynamic = initial_dynamic(ctx, points(), views(fixed), movers_seeded)
+def test_a_seed_may_move_from_a_share_of_the_looks_on(fixed, moving_seeded, first, tmp_path):
+    ctx = context(flow(tmp_path / "flow", fixed, moving=not fixed))
+    dynamic = initial_dynamic(ctx, points(), views(fixed), moving_seeded)
     assert dynamic.dtype == bool and dynamic.tolist() == [x >= first for x in range(WIDTH)]
     (line,) = ctx.lines
     assert line.startswith(f"{first} of {WIDTH} seeds lie where") and ("fixed camera" in line) is fixed
 
 
-def test_what_fixed_cameras_see_counts_before_masks_of_movers(tmp_path):
-    ctx = context(flow(tmp_path / "flow", fixed=True, movers=True))
+def test_what_fixed_cameras_see_counts_before_masks_of_moving_pixels(tmp_path):
+    ctx = context(flow(tmp_path / "flow", fixed=True, moving=True))
     assert initial_dynamic(ctx, points(), views(True), False).tolist() == [x >= 6 for x in range(WIDTH)]
 
 
@@ -97,27 +97,27 @@ def test_without_masks_every_seed_may_move(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("fixed", "movers", "expected"), [(False, True, "seeds"), (True, True, None), (True, False, None), (False, False, None)]
+    ("fixed", "moving", "expected"), [(False, True, "seeds"), (True, True, None), (True, False, None), (False, False, None)]
 )
-def test_one_camera_seeds_what_moves_when_it_moves_itself(fixed, movers, expected, tmp_path, monkeypatch):
-    """No seeds without masks of movers, nor where the camera stands: nothing tells a depth."""
-    found = MoverSeeds(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]))
+def test_one_camera_seeds_what_moves_when_it_moves_itself(fixed, moving, expected, tmp_path, monkeypatch):
+    """No seeds without masks of moving pixels, nor where the camera stands: nothing tells a depth."""
+    found = MovingSeeds(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]))
     monkeypatch.setattr(room, "camera_seeds", lambda *given: found)
-    ctx = context(flow(tmp_path / "flow", fixed, movers))
+    ctx = context(flow(tmp_path / "flow", fixed, moving))
     ctx.facts = {"frames": LOOKS, "times": LOOKS}
-    assert mover_seeds(ctx, None, views(fixed), points(), 100) is (found if expected else None)
+    assert moving_seeds(ctx, None, views(fixed), points(), 100) is (found if expected else None)
     assert ctx.lines == (["seeds: 3 on what moves, at 2 times"] if expected else [])
 
 
 def test_without_flow_nothing_is_seeded():
-    assert mover_seeds(context(None), None, views(False), points(), 100) is None
+    assert moving_seeds(context(None), None, views(False), points(), 100) is None
 
 
 def test_seeds_of_each_time_live_around_it_and_overlap_the_next():
     time = np.array([0.0] * 4 + [0.5] * 5 + [1.0] * 6)
     rng = np.random.default_rng(0)
     velocities = rng.normal(size=(15, 3))
-    sets = living(MoverSeeds(rng.normal(size=(15, 3)), rng.uniform(size=(15, 3)), velocities, time), FreeMotion(41), 1, 1.0)
+    sets = living(MovingSeeds(rng.normal(size=(15, 3)), rng.uniform(size=(15, 3)), velocities, time), FreeMotion(41), 1, 1.0)
     assert [len(one) for one in sets] == [4, 5, 6]
     for one, frame in zip(sets, (0.0, 20.0, 40.0)):
         assert one.times.tolist() == [frame] * len(one) and one.dynamic.all()

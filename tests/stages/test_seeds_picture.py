@@ -2,7 +2,7 @@
 
 import numpy as np
 from e4dgs.scene.views import Views
-from e4dgs.stages.seeding.movers import MoverSeeds
+from e4dgs.stages.seeding.moving import MovingSeeds
 from e4dgs.stages.seeding.picture import DIMMED, MOVING, seeds_picture
 
 WIDTH, HEIGHT = 64, 48
@@ -37,7 +37,7 @@ def test_seeds_lie_where_the_camera_sees_them():
 
 
 def test_what_moves_has_a_rim_and_is_shown_at_the_picture_s_time_alone():
-    movers = MoverSeeds(np.array([[-1.0, 0, 4], [1, 0, 4]]), np.array([[0.0, 0, 1]] * 2), np.zeros((2, 3)), np.array([0.4, 1.0]))
-    picture = seeds_picture(views(), np.zeros((0, 3)), np.zeros((0, 3)), movers)
+    moving = MovingSeeds(np.array([[-1.0, 0, 4], [1, 0, 4]]), np.array([[0.0, 0, 1]] * 2), np.zeros((2, 3)), np.array([0.4, 1.0]))
+    picture = seeds_picture(views(), np.zeros((0, 3)), np.zeros((0, 3)), moving)
     assert picture[24, 22].tolist() == [0, 0, 255] and picture[24, 24].tolist() == list(MOVING)
     assert picture[24, 42].tolist() == [int(DIMMED * 200)] * 3

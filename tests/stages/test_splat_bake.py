@@ -24,7 +24,7 @@ def made_of_convexes() -> Model:
     centres, colors = rng.uniform(-0.8, 0.8, (40, 1, 3)) + np.array([0, 0, 0.4]), rng.uniform(0, 1, (40, 3))
     points = centres + 0.3 * fibonacci_sphere(6) * rng.uniform(0.3, 1.2, (40, 6, 1))
     gaussians = GaussianSet.from_points(centres[:10, 0].astype(np.float32), colors[:10], 1)
-    return Model(gaussians, ConvexSet.from_hulls(points.astype(np.float32), colors, 1, opacity=0.8), None, 1, background=(1.0, 1.0, 1.0))
+    return Model(gaussians, ConvexSet.from_points(points.astype(np.float32), colors, 1, opacity=0.8), None, 1, background=(1.0, 1.0, 1.0))
 
 
 @pytest.fixture(scope="module")

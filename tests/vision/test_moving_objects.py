@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow
 from e4dgs.vision.moving.evidence import NOISE_FACTOR, Evidence, evidence, spread_of_flow
-from e4dgs.vision.moving.foreground import FrameForeground, frame_foregrounds
+from e4dgs.vision.moving.fixed_camera import FixedCameraMasks, fixed_camera_masks
 from e4dgs.vision.moving.objects import chain, frame_evidence, moving_mask, moving_masks
 from e4dgs.vision.moving.residual import Neighbour, Residual, rigid_residual
 from e4dgs.vision.moving.two_view import epipolar_residual, sampson, two_view
@@ -53,7 +53,7 @@ def room() -> Room:
 
 
 @pytest.fixture(scope="module")
-def still_room() -> Room:
+def static_room() -> Room:
     return Room(0.0)
 
 
@@ -102,15 +102,15 @@ def test_exact_flow_gives_the_moving_objects(room, posed):
 def test_measured_flow_gives_masks_of_every_frame(room):
     masks = list(moving_masks(room.pictures.__getitem__, room.measured(), room.K, room.poses))
     assert len(masks) == FRAMES and all(m.dtype == np.uint8 and m.shape == (HEIGHT, WIDTH) for m in masks)
-    # the box turns towards the camera's own parallax, so parts of it cannot be told from still points; what is masked, moves
+    # the box turns towards the camera's own parallax, so parts of it cannot be told from static points; what is masked, moves
     assert np.mean([iou(m, truth) for m, truth in zip(masks[1:6], room.moves[1:6])]) > 0.55
     assert np.mean([truth[m > 0].mean() for m, truth in zip(masks[1:6], room.moves[1:6])]) > 0.9
 
 
 @pytest.mark.parametrize("posed", [True, False])
-def test_a_still_scene_has_no_mask(still_room, posed):
-    poses = (still_room.K[:5], still_room.poses[:5]) if posed else ()
-    masks = list(moving_masks(still_room.pictures.__getitem__, still_room.measured()[:4], *poses))
+def test_a_static_scene_has_no_mask(static_room, posed):
+    poses = (static_room.K[:5], static_room.poses[:5]) if posed else ()
+    masks = list(moving_masks(static_room.pictures.__getitem__, static_room.measured()[:4], *poses))
     assert np.mean([mask > 0 for mask in masks]) < 0.01
 
 
@@ -156,16 +156,16 @@ def test_pairs_are_read_as_needed(room):
         [pose(z=0.4), pose(z=-0.4)],  # along the view
     ],
 )
-def test_still_points_have_no_residual_and_moving_ones_have_theirs(cameras):
-    still = rigid_residual(K, np.eye(4), [seen_from(camera) for camera in cameras])
-    assert still.error.max() < 2e-3 and still.weight.min() == 1.0
+def test_static_points_have_no_residual_and_moving_ones_have_theirs(cameras):
+    static = rigid_residual(K, np.eye(4), [seen_from(camera) for camera in cameras])
+    assert static.error.max() < 2e-3 and static.weight.min() == 1.0
     moved = rigid_residual(K, np.eye(4), [seen_from(camera, (0.0, sign * 0.2, 0)) for camera, sign in zip(cameras, (1, -1))])
     assert moved.error[BLOCK].min() > 0.5 and moved.error[~BLOCK].max() < 2e-3
 
 
 def test_motion_along_the_epipolar_line_shows_with_a_second_neighbour():
     one = seen_from(pose(0.3), (-0.1, 0, 0))
-    assert rigid_residual(K, np.eye(4), [one]).error.max() < 2e-3  # a nearer still point would look the same
+    assert rigid_residual(K, np.eye(4), [one]).error.max() < 2e-3  # a nearer static point would look the same
     other = seen_from(pose(-0.3), (-0.1, 0, 0))
     assert rigid_residual(K, np.eye(4), [one, other]).error[BLOCK].min() > 0.5
     # the same without poses: each pair alone is blind, the common fit is not
@@ -235,8 +235,8 @@ def test_noise_is_measured_however_much_moves(sigma, moving):
     assert (found.score[moves] > 0).all() and (found.score[~moves] < 0).all()
 
 
-def test_a_rigid_mover_does_not_pass_for_the_noise():
-    """Its pixels agree on their error far better than the still ones do, and in log they would be the higher peak."""
+def test_a_rigid_moving_object_does_not_pass_for_the_noise():
+    """Its pixels agree on their error far better than the static ones do, and in log they would be the higher peak."""
     rng = np.random.default_rng(4)
     error = np.exp(rng.normal(np.log(0.2), 0.8, (HEIGHT, WIDTH)))
     moves = np.zeros(error.shape, bool)
@@ -318,7 +318,7 @@ def test_a_fixed_camera_shows_what_passes_in_each_frame():
         frame[truth] = (220, 30, 30)
         frames.append(np.clip(frame + rng.normal(0, 2, frame.shape), 0, 255).astype(np.uint8))
         truths.append(truth)
-    masks = frame_foregrounds(frames)
+    masks = fixed_camera_masks(frames)
     assert min(iou(mask, truth) for mask, truth in zip(masks, truths)) > 0.7
     with pytest.raises(ValueError, match="frame: expected uint8"):
-        FrameForeground(frames).foreground(frames[0][:10])
+        FixedCameraMasks(frames).moving(frames[0][:10])

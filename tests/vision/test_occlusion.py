@@ -98,7 +98,7 @@ def test_arrivals_are_shared_by_the_four_pixels_around_where_they_land() -> None
 
 
 def passing(speed: int = 6, brighter: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Two pictures of a block of fine texture that moves right before a still wall, its exact flow, and what the second hides."""
+    """Two pictures of a block of fine texture that moves right before a static wall, its exact flow, and what the second hides."""
     rng = np.random.default_rng(4)
     wall, block = (rng.integers(low, high, (60, 90, 3)).astype(np.uint8) for low, high in ((20, 120), (100, 200)))
     pictures = []

@@ -103,7 +103,7 @@ def test_tracks_join_matches_and_leave_out_mistakes():
         (900, {"matched": [0, 0, 0, 40], "shift": 0.1, "flat": 0.0}, "3 frames have no other frame"),
         (900, {"matched": [400] * 4, "shift": 0.001, "flat": 1.0}, "the camera stands still"),
         (900, {"matched": [400] * 4, "shift": 0.1, "flat": 0.95}, "only turns or zooms"),
-        (900, {"matched": [400] * 4, "shift": 0.1, "flat": 0.1}, "enough of the same still things"),
+        (900, {"matched": [400] * 4, "shift": 0.1, "flat": 0.1}, "enough of the same static things"),
     ],
 )
 def test_the_reason_for_no_cameras_is_named(features, pairs, cause):

@@ -1,4 +1,4 @@
-"""Static is said on positive evidence alone: rendered rooms that are still or not, fixed cameras, and features placed by hand."""
+"""Static is said on positive evidence alone: rendered rooms that are static or not, fixed cameras, and features placed by hand."""
 
 from types import SimpleNamespace
 
@@ -20,7 +20,7 @@ def room(motion: float, times: int = 14, rig: str = "path") -> tuple[list[np.nda
 
 
 @pytest.fixture(scope="module")
-def still():
+def static():
     return room(0.0)
 
 
@@ -37,22 +37,22 @@ def decide(pictures, K=None, poses=None, camera=None, time=None, fixed=False, un
 
 
 @pytest.mark.parametrize(("posed", "thin"), [(False, 1), (False, 3), (True, 3)])
-def test_a_camera_that_passes_a_still_room_and_one_in_which_things_move(still, moving, posed, thin):
-    found = [decide(p[::thin], *((K[::thin], poses[::thin]) if posed else ())) for p, K, poses in (still, moving)]
-    assert found[0].static and found[0].moving_share < 0.001 and "obey the camera's motion" in found[0].reason
-    assert not found[1].static and found[1].moving_share > 0.001 and "against the camera's motion" in found[1].reason
+def test_a_camera_that_passes_a_static_room_and_one_in_which_things_move(static, moving, posed, thin):
+    found = [decide(p[::thin], *((K[::thin], poses[::thin]) if posed else ())) for p, K, poses in (static, moving)]
+    assert found[0].static and found[0].largest_moving_share < 0.001 and "obey the camera's motion" in found[0].reason
+    assert not found[1].static and found[1].largest_moving_share > 0.001 and "against the camera's motion" in found[1].reason
     assert found[0].evidence["unlinked"] == 0 and found[0].evidence["supporting"] > 300
 
 
 @pytest.mark.parametrize(("thin", "untimed"), [(1, False), (1, True), (2, True)])
-def test_photos_without_times_are_judged_by_the_same_motion(still, moving, thin, untimed):
-    found = [decide(p[::thin], K[::thin], poses[::thin], untimed=untimed) for p, K, poses in (still, moving)]
+def test_photos_without_times_are_judged_by_the_same_motion(static, moving, thin, untimed):
+    found = [decide(p[::thin], K[::thin], poses[::thin], untimed=untimed) for p, K, poses in (static, moving)]
     assert [one.static for one in found] == [True, False], found
 
 
-def test_flow_between_photos_that_are_far_apart_is_no_motion(monkeypatch, still):
+def test_flow_between_photos_that_are_far_apart_is_no_motion(monkeypatch, static):
     """Flow that finds a tenth of each picture moving: believed between frames of a video, and between photos that are near."""
-    pictures, K, poses = still
+    pictures, K, poses = static
     monkeypatch.setattr(judge, "moving_mask", lambda image, found: np.arange(image.shape[0])[:, None] < 0.1 * image.shape[0])
     monkeypatch.setattr(judge, "frame_evidence", lambda followed: SimpleNamespace(weight=np.ones((240, 320)), score=np.ones((240, 320))))
     for travel, untimed, static in ((0.02, False, False), (0.02, True, False), (0.04, False, False), (0.04, True, True)):
@@ -60,21 +60,21 @@ def test_flow_between_photos_that_are_far_apart_is_no_motion(monkeypatch, still)
         assert decide(pictures, K, poses, untimed=untimed).static is static, (travel, untimed)
 
 
-def test_poses_that_do_not_fit_are_no_evidence(still):
-    pictures, K, poses = still
+def test_poses_that_do_not_fit_are_no_evidence(static):
+    pictures, K, poses = static
     for untimed in (False, True):
         assert not decide(pictures[::3], K[::3], poses[::3][::-1], untimed=untimed).static
 
 
-def test_the_decision_is_the_same_twice(still):
-    pictures = still[0][::3]
+def test_the_decision_is_the_same_twice(static):
+    pictures = static[0][::3]
     assert decide(pictures) == decide(pictures)
 
 
-def test_pictures_that_show_nothing_in_common_or_nothing_at_all_are_not_static(still):
+def test_pictures_that_show_nothing_in_common_or_nothing_at_all_are_not_static(static):
     plain = [np.full((120, 160, 3), 128, np.uint8)] * 4
     noise = [np.random.default_rng(k).integers(0, 256, (120, 160, 3), dtype=np.uint8) for k in range(4)]
-    odd = [*still[0][::4], cv2.resize(noise[0], (320, 240))]
+    odd = [*static[0][::4], cv2.resize(noise[0], (320, 240))]
     for pictures in (plain, noise, odd):
         found = decide(pictures)
         assert not found.static and "too little in common" in found.reason

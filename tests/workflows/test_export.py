@@ -70,9 +70,9 @@ def test_every_pair_becomes_flo_and_png(n3v_capture, workspace, exported, artifa
 
 def test_overlays_colour_edges_and_what_moves_of_the_first_frame(n3v_capture, workspace, exported, artifact):
     frames, stems = stems_of(workspace, artifact, n3v_capture.root)
-    edges, movers = artifact.read("edges"), artifact.read("movers")
+    edges, moving = artifact.read("edges"), artifact.read("moving")
     for stem, (first, _) in zip(stems, artifact.read("pair")):
-        picture, mask = frames.composited(first), movers[first]
+        picture, mask = frames.composited(first), moving[first]
         shown = pixels(exported / f"{stem}_edges.png")
         assert (shown[edges[first] == 255] == (255, 40, 0)).all() and np.array_equal(shown[edges[first] == 0], picture[edges[first] == 0])
         shown = pixels(exported / f"{stem}_moving.png")

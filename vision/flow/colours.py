@@ -17,7 +17,7 @@ CHANNELS = (
 )
 DARKER = 0.75  # factor on colours of vectors longer than `largest`
 UNKNOWN = 1e9  # px; Middlebury marks unknown vectors with components beyond this
-STILL = 0.5  # px; `typical_largest` ignores shorter vectors
+SHORTEST = 0.5  # px; `typical_largest` ignores shorter vectors
 
 
 def flow_colours(flow: np.ndarray, largest: float | None = None) -> np.ndarray:
@@ -49,14 +49,14 @@ def flow_colours(flow: np.ndarray, largest: float | None = None) -> np.ndarray:
 def typical_largest(*flows: np.ndarray) -> float:
     """The length in px that gets full colour: the 99th percentile over all vectors of ``flows`` (float [H, W, 2] each), at least 1 px.
 
-    Unknown vectors and those shorter than half a pixel are left out. Otherwise a small object moving in front of a still background, which
+    Unknown vectors and those shorter than half a pixel are left out. Otherwise a small object moving in front of a static background, which
     is what people look for in flow, would be out of range everywhere. The floor of 1 px keeps noise pale where nothing moves.
     """
     lengths = []
     for flow in flows:
         known, u, v = _split(flow)
         length = np.hypot(u, v)
-        lengths.append(length[known & (length >= STILL)])
+        lengths.append(length[known & (length >= SHORTEST)])
     moving = np.concatenate(lengths) if lengths else np.empty(0)
     return max(1.0, float(np.percentile(moving, 99))) if moving.size else 1.0
 

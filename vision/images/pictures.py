@@ -46,7 +46,7 @@ def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
 
 
 def read_mask(root: Path, name: str, turn: int = 1) -> np.ndarray:
-    """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is foreground. turn: the EXIF orientation of the photo, given if the mask has the
+    """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is masked. turn: the EXIF orientation of the photo, given if the mask has the
     photo's size as stored, so that both are rotated alike."""
     try:
         with open_image(root / name) as image:

@@ -1,4 +1,4 @@
-"""Turns a residual in px into evidence of motion. The noise is measured on the residual itself; most of the picture must be still."""
+"""Turns a residual in px into evidence of motion. The noise is measured on the residual itself; most of the picture must be static."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FEWEST = 32  # pixels; fewer give no statistics
 
 @dataclass(frozen=True)
 class Evidence:
-    """score [H, W] float32 in [-1, 1]: -1 still, 1 moving; weight [H, W] float32 in [0, 1]: 0 unknown; sigma: the measured noise, px."""
+    """score [H, W] float32 in [-1, 1]: -1 static, 1 moving; weight [H, W] float32 in [0, 1]: 0 unknown; sigma: the measured noise, px."""
 
     score: np.ndarray
     weight: np.ndarray
@@ -51,7 +51,7 @@ def evidence(residual: Residual, spread: np.ndarray) -> Evidence:
 def _mode(log: np.ndarray) -> float:
     """The mode of log errors: the highest bin of a histogram smoothed over 0.15, with densities taken per square root of the error.
 
-    On the log axis, a rigid moving object, whose pixels all have about the same error, would give a higher peak than a larger still part
+    On the log axis, a rigid moving object, whose pixels all have about the same error, would give a higher peak than a larger static part
     whose errors spread over a decade. On the axis of the error itself, the density for one equation peaks only at zero. Between the two,
     the mode for n equations lies at sigma times the root of n - 1/2, and of groups equally dense in log the one with less error wins.
     """

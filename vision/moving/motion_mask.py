@@ -71,8 +71,8 @@ def smoothed(frame: np.ndarray) -> np.ndarray:
 def _threshold(frames: np.ndarray, background: np.ndarray) -> np.ndarray:
     """[H, W, 3] grey levels that a change must exceed. The noise is measured per channel, in 16 bands of brightness.
 
-    The median over time of |frame - background| measures the noise if the pixel is still for half of the time, and the median over a
-    band's pixels does if half of them are still. A factor of 1.4826 turns it into a standard deviation.
+    The median over time of |frame - background| measures the noise if the pixel is static for half of the time, and the median over a
+    band's pixels does if half of them are static. A factor of 1.4826 turns it into a standard deviation.
     """
     deviation = np.median(np.abs(frames - background), axis=0)
     band = np.clip(background / 16.0, 0, 15).astype(int)

@@ -1,4 +1,4 @@
-"""How far measured flow is from what camera motion alone would cause: the reprojection error of the best still point for every pixel."""
+"""How far measured flow is from what camera motion alone would cause: the reprojection error of the best static point for every pixel."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-NEAREST = 10.0  # times the median inverse depth; a still point nearer than a tenth of the median depth is not plausible
+NEAREST = 10.0  # times the median inverse depth; a static point nearer than a tenth of the median depth is not plausible
 ITERATIONS = 3  # of reweighting by depth; the cross-multiplied equations are linear, and their weights settle in two
 INVISIBLE = 1e-3  # of the depth without baseline; a point nearer to the second camera than this counts as behind it
 
@@ -64,9 +64,9 @@ def known(neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rigid_residual(K: np.ndarray, cam_from_world: np.ndarray, neighbours: Sequence[Neighbour]) -> Residual:
-    """Reprojection error of the still point on each pixel's ray that best fits the flow to all neighbours.
+    """Reprojection error of the static point on each pixel's ray that best fits the flow to all neighbours.
 
-    K [3, 3] px, cam_from_world [4, 4] of the frame itself. A still point of inverse depth r on the ray of x appears in another frame at
+    K [3, 3] px, cam_from_world [4, 4] of the frame itself. A static point of inverse depth r on the ray of x appears in another frame at
     x' ~ H x + r e, where H = K' R K^-1 is the homography of the plane at infinity and e = K' t the epipole (Hartley and Zisserman, eq.
     9.7). Cross-multiplied, both coordinates of x' are linear in r, so least squares gives r in closed form. The equations are weighted
     with confidence and, over a few rounds, with the depth that turns the algebraic error into the geometric one.
@@ -74,7 +74,7 @@ def rigid_residual(K: np.ndarray, cam_from_world: np.ndarray, neighbours: Sequen
     Why not the Sampson distance of each pair: with one neighbour this error is the distance to the epipolar line, and with two or more it
     also sees motion along the line, because the depths disagree. Without baseline e is 0 and r drops out, which leaves the error of the
     rotation's homography, with no switch between models. r is kept at or above 0 (in front of the camera) and at or below `NEAREST` times
-    the picture's median, so that noise over a tiny baseline cannot explain motion by an absurd depth. Motion that follows one still
+    the picture's median, so that noise over a tiny baseline cannot explain motion by an absurd depth. Motion that follows one static
     point's path in all frames at once is not seen, for example an object that follows the camera at constant speed.
 
     Raises ValueError for neighbours without poses or of other shapes, and for poses that are not finite.
@@ -92,10 +92,10 @@ def rigid_residual(K: np.ndarray, cam_from_world: np.ndarray, neighbours: Sequen
         terms.append((homography, epipole))
         unit = max(unit, float(np.abs(epipole).max()))
     # world units cancel; float32 stays far from its limits
-    return still_point_residual([(h, e / (unit or 1.0)) for h, e in terms], neighbours, bounded=True)
+    return static_point_residual([(h, e / (unit or 1.0)) for h, e in terms], neighbours, bounded=True)
 
 
-def still_point_residual(views: Sequence[tuple[np.ndarray, np.ndarray]], neighbours: Sequence[Neighbour], bounded: bool) -> Residual:
+def static_point_residual(views: Sequence[tuple[np.ndarray, np.ndarray]], neighbours: Sequence[Neighbour], bounded: bool) -> Residual:
     """`rigid_residual` for views (H [3, 3], e [3]) with x' ~ H x + r e. bounded: r is an inverse depth; else of any sign (projective)."""
     height, width = checked(neighbours)
     x = (np.arange(width) + 0.5).astype(np.float32)

@@ -38,13 +38,13 @@ Picture = Callable[[int], np.ndarray]
 
 @dataclass(frozen=True)
 class StaticScene:
-    """static: nothing moves, on positive evidence. moving_share: the largest share of a picture (or of its features) found to move.
+    """static: nothing moves, on positive evidence. largest_moving_share: the largest share of a picture (or of its features) found to move.
 
     reason: one sentence for people. evidence: the numbers behind it, plain JSON values.
     """
 
     static: bool
-    moving_share: float
+    largest_moving_share: float
     reason: str
     evidence: Mapping[str, float | int | str] = field(default_factory=dict)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .residual import Neighbour, Residual, checked, known, still_point_residual
+from .residual import Neighbour, Residual, checked, known, static_point_residual
 from .two_view import FINEST, TwoView, epipolar_residual, match_grid, sampson, two_view
 
 ROUNDS = 6  # of refitting cameras and depths in turn; after that the fit changes by less than its noise
@@ -22,7 +22,7 @@ def uncalibrated_residual(neighbours: Sequence[Neighbour]) -> Residual:
     x' ~ H x + r e holds in any projective frame. H is the homography of some plane, and r, shared by all neighbours, is the parallax
     relative to it (Hartley and Zisserman, result 13.1 and section 18.6). One neighbour's fundamental matrix fixes the frame, and H and e of
     the others are linear in their matches. Cameras and r are then refitted in turn with robust weights. With two or more neighbours, even
-    motion along epipolar lines shows if it is inconsistent with a still point. Falls back to `epipolar_residual` with one neighbour,
+    motion along epipolar lines shows if it is inconsistent with a static point. Falls back to `epipolar_residual` with one neighbour,
     without parallax (a camera that turns, a flat scene), and when the fit fails. Raises ValueError for other shapes.
     """
     checked(neighbours)
@@ -43,7 +43,7 @@ def uncalibrated_residual(neighbours: Sequence[Neighbour]) -> Residual:
     best = min((fit for fit in fits if fit is not None), key=lambda fit: fit[0], default=None)
     if best is None:
         return epipolar_residual(neighbours)
-    return still_point_residual(best[1], neighbours, bounded=False)
+    return static_point_residual(best[1], neighbours, bounded=False)
 
 
 def _plane_and_epipole(model: TwoView, first: np.ndarray, second: np.ndarray) -> View | None:

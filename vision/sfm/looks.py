@@ -21,17 +21,17 @@ PAIRS = 240  # pairs of cameras, over all times; beyond this, fewer times are us
 @dataclass(frozen=True)
 class Looks:
     """frames [L]: the frames used. image [L]: the COLMAP image that each belongs to. pairs: indices into `frames` of the pictures that are
-    matched. image_of_frame [F]: the image that holds each frame's pose. still: cameras that stand still."""
+    matched. image_of_frame [F]: the image that holds each frame's pose. fixed: cameras that stand still."""
 
     frames: list[int]
     image: list[int]
     pairs: list[tuple[int, int]]
     image_of_frame: np.ndarray
-    still: frozenset[int]
+    fixed: frozenset[int]
 
     @property
-    def all_still(self) -> bool:
-        return len(set(self.image)) == len(self.still)
+    def all_fixed(self) -> bool:
+        return len(set(self.image)) == len(self.fixed)
 
     def image_pairs(self) -> list[tuple[int, int]]:
         return sorted({(self.image[a], self.image[b]) for a, b in self.pairs})
@@ -43,8 +43,8 @@ def look_times(cameras: int, times: int) -> int:
     return min(times, max(FEWEST, min(MOST, PAIRS // pairs)))
 
 
-def choose_looks(camera: np.ndarray, time: np.ndarray, still: Mapping[int, bool], matcher: str, overlap: int) -> Looks:
-    """camera, time [F] as in the `frames` artifact; still: whether each camera stands still; matcher, overlap: settings of `poses`, which
+def choose_looks(camera: np.ndarray, time: np.ndarray, fixed: Mapping[int, bool], matcher: str, overlap: int) -> Looks:
+    """camera, time [F] as in the `frames` artifact; fixed: whether each camera stands still; matcher, overlap: settings of `poses`, which
     apply to the frames of a camera that moves."""
     sequences = camera_sequences(camera, time)
     shared = sorted(set.intersection(*({float(time[i]) for i in mine} for mine in sequences.values())))
@@ -57,13 +57,13 @@ def choose_looks(camera: np.ndarray, time: np.ndarray, still: Mapping[int, bool]
     at: dict[float, list[int]] = {}  # indices into `frames` at each time, by camera
     images = 0
     for number, mine in sequences.items():
-        chosen = [i for i in mine if float(time[i]) in seen] or [mine[0]] if still[number] else mine
+        chosen = [i for i in mine if float(time[i]) in seen] or [mine[0]] if fixed[number] else mine
         first = len(frames)
         for k, i in enumerate(chosen):
             at.setdefault(float(time[i]), []).append(len(frames))
             frames.append(i)
-            image.append(images if still[number] else images + k)
-        if still[number]:
+            image.append(images if fixed[number] else images + k)
+        if fixed[number]:
             image_of_frame[mine] = images
             images += 1
         else:
@@ -73,7 +73,7 @@ def choose_looks(camera: np.ndarray, time: np.ndarray, still: Mapping[int, bool]
             pairs |= {(first + a, first + b) for a, b in own}
     for together in at.values():
         pairs |= {(a, b) for n, a in enumerate(together) for b in together[n + 1 :]}
-    return Looks(frames, image, sorted(pairs), image_of_frame, frozenset(c for c, stands in still.items() if stands))
+    return Looks(frames, image, sorted(pairs), image_of_frame, frozenset(c for c, stands in fixed.items() if stands))
 
 
 def expand(arrays: Mapping[str, np.ndarray], image_of_frame: Sequence[int] | np.ndarray) -> dict[str, np.ndarray]:

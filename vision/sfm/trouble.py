@@ -9,7 +9,7 @@ import numpy as np
 
 from .coverage import FEW_FEATURES
 
-STILL = 0.005  # of the longer side; if matches move less than this in nine of ten pairs, the camera stands still
+FIXED = 0.005  # of the longer side; if matches move less than this in nine of ten pairs, the camera stands still
 TURNED = 0.8  # share of the pairs that one homography explains
 LINKED = 0.5  # share of the images that have a verified pair
 
@@ -26,18 +26,18 @@ def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str,
     elif not len(matched) or (matched > 0).mean() < LINKED:
         cause = f"{int((matched == 0).sum())} frames have no other frame that shows the same things"
         remedy = f"try --set {other}, or more frames (--set frames.every=1 or frames.max_frames=N)"
-    elif pairs["shift"] < STILL:
+    elif pairs["shift"] < FIXED:
         cause = "the camera stands still: matches hardly move between any two frames"
         remedy = f"a camera that stands still cannot be reconstructed; move it sideways, or {bring}"
     elif pairs["flat"] > TURNED:
         cause = "the camera only turns or zooms, or sees a single plane: one homography explains most pairs of frames"
         remedy = f"a camera that only turns cannot be reconstructed; move it sideways, or {bring}"
     else:
-        cause = "no two frames show enough of the same still things from far enough apart"
+        cause = "no two frames show enough of the same static things from far enough apart"
         remedy = f"try --set {other}, or more frames (--set frames.every=1 or frames.max_frames=N), or {bring}"
     return (
         f"structure from motion found no cameras for the {frames} frames (median of {median} features an image, {matcher} matching): "
         f"{cause}. "
-        "It needs a camera that moves sideways before a textured background that stands still, with most of each picture "
+        "It needs a camera that moves sideways in front of a static, textured background, with most of each picture "
         f"seen again in the next; {remedy}"
     )

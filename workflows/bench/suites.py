@@ -40,7 +40,7 @@ SUITES: dict[str, list[Row]] = {
     "step": [
         row(
             "motions",
-            "a step on control nodes; with a rig as --capture, one on a rig, and what it saves that most stands still",
+            "a step on control nodes; with a rig as --capture, one on a rig, and what it saves that most of it is static",
             f"{STEP}.motions",
         ),
         row("split", "where the time of a step goes", f"{STEP}.split"),

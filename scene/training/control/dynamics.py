@@ -12,7 +12,7 @@ from ...model import Model
 from ...views import Views
 
 TIMES = 12  # times sampled over the capture to measure how far a primitive travels
-STILL_PIXELS = 0.3  # primitives that travel less than this, seen from the nearest training camera, are static
+STATIC_PIXELS = 0.3  # primitives that travel less than this, seen from the nearest training camera, are static
 
 
 def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
@@ -25,7 +25,7 @@ def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
     return mean, (paths - mean).norm(dim=2).amax(0)
 
 
-def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIXELS, share: float = 0.0) -> int:
+def freeze_static_gaussians(model: Model, views: Views, pixels: float = STATIC_PIXELS, share: float = 0.0) -> int:
     """Take Gaussians that travel less than ``pixels`` out of the field and fix them at their mean position. If they are less than ``share``
     of those in the field, none leaves, because selecting the others would cost more than it saves. Returns how many left."""
     index = model.gaussians.dynamic.nonzero()[:, 0]
@@ -36,11 +36,11 @@ def freeze_still_gaussians(model: Model, views: Views, pixels: float = STILL_PIX
     with torch.no_grad():
         nearest = torch.cdist(model.gaussians.means[index], centres).amin(1)
     focal = float(views.K[views.train, 0, 0].max())
-    still = travel * focal / nearest.clamp(min=views.near) < pixels
-    if float(still.float().mean()) < share:
+    static = travel * focal / nearest.clamp(min=views.near) < pixels
+    if float(static.float().mean()) < share:
         return 0
-    model.bake(mean[still], index[still])
-    return int(still.sum())
+    model.bake(mean[static], index[static])
+    return int(static.sum())
 
 
 def dynamic_from_masks(points: np.ndarray, views: Views, looks: Iterable[tuple[int, np.ndarray]], share: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from ...views import Views
 from ..curriculum import Curriculum
 from ..recipe import Recipe
 from ..schedule import Phase
-from ..turning import bound_to_bodies
+from ..turning import bound_to_rigid_parts
 from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .hidden import seen_share
 from .learned_model import LearnedModel
@@ -52,21 +52,21 @@ class DensityControl:
         self._ends_moving = phases[-1].move if phases else False
         self._hidden_at = {round(share * total) for share in recipe.hidden_at} if grow and settings.hidden else set()
 
-    def after_step(self, step: int, phase: Phase, bodies_alone: bool) -> None:
-        """Do what is due after ``step`` steps. bodies_alone: only Gaussians that belong to a rigid body may be split."""
+    def after_step(self, step: int, phase: Phase, rigid_parts_alone: bool) -> None:
+        """Do what is due after ``step`` steps. rigid_parts_alone: only Gaussians that belong to a rigid part may be split."""
         if step in self._hidden_at:
             self._remove_hidden(step, phase)
         if step == self._last_removal < self.total:
             self._remove_hardly_seen(step)
         if step % self.every == 0 and step >= FIRST_ROUND and step / max(self.total, 1) <= self.grow_until:
-            self.round(step, phase, bodies_alone)
+            self.round(step, phase, rigid_parts_alone)
 
     def finish(self, step: int) -> None:
         """The last removal, if training ended before it was due."""
         if step < self._last_removal or self._last_removal >= self.total:
             self._remove_hardly_seen(step)
 
-    def round(self, step: int, phase: Phase, bodies_alone: bool = False) -> None:
+    def round(self, step: int, phase: Phase, rigid_parts_alone: bool = False) -> None:
         """One round: remove primitives that have faded, and add Gaussians where the error is."""
         self._prune(step)
         if not self.grow:
@@ -77,7 +77,7 @@ class DensityControl:
         room = min(self._most(phase) - alive, MOST_FOR_ONE * self.budget - len(model.gaussians))
         if room <= 0:
             return
-        error = torch.where(bound_to_bodies(model), measured.error_gaussians, 0.0) if bodies_alone else measured.error_gaussians
+        error = torch.where(bound_to_rigid_parts(model), measured.error_gaussians, 0.0) if rigid_parts_alone else measured.error_gaussians
         rounds_left = max(1, round((self.grow_until - progress) * self.total / self.every))
         wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
         chosen = choose_to_split(model.gaussians, error, min(room, wanted))

@@ -1,4 +1,4 @@
-"""Changes to the motion during training: its parts are spread again, turning parts become bodies, and static Gaussians leave it."""
+"""Changes to the motion during training: its parts are spread again, turning parts become rigid, and static Gaussians leave it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ...views import Views
 from ..curriculum import Curriculum
 from ..recipe import Recipe
 from ..schedule import Phase
-from ..turning import bodies_for_turning_parts
+from ..turning import make_turning_parts_rigid
 from .density import measure_responsibility
-from .dynamics import freeze_still_gaussians
+from .dynamics import freeze_static_gaussians
 from .learned_model import LearnedModel
 
-# New bodies settle on small images first, with everything else frozen: scales, steps at each scale, and the most as a share of all steps.
+# New rigid parts settle on small images first, with everything else frozen: scales, steps at each scale, the most as a share of all steps.
 SETTLE_SCALES, SETTLE_STEPS, SETTLE_SHARE = (0.125, 0.25, 0.5), 1000, 0.03
 SOLID = 0.2  # the motion is spread over Gaussians more opaque than this
 SEARCH_VIEWS = 120  # views whose error shows where a part may turn
@@ -27,7 +27,7 @@ class MotionControl:
 
     phases: of the whole training. event: called with what happened. say: called with what is going on.
 
-    bodies_alone: whether new bodies are settling while nothing else learns, as of the last `settling`.
+    rigid_parts_alone: whether new rigid parts are settling while nothing else learns, as of the last `settling`.
     """
 
     def __init__(
@@ -44,30 +44,30 @@ class MotionControl:
         self.learned, self.views, self.curriculum, self.settings, self.recipe = learned, views, curriculum, settings, recipe
         self.total = sum(phase.iterations for phase in phases)
         self._event, self._say = event, say
-        self.bodies_alone = False
+        self.rigid_parts_alone = False
         self._spread = 0  # how often the motion has been spread again
         self._searched = 0  # how often turning parts have been searched for
-        self._joined: int | None = None  # step at which the last body was added
+        self._joined: int | None = None  # step at which the last rigid part was added
         self._froze = False
 
     def settling(self, phase: Phase, step: int) -> Phase:
-        """``phase``, with smaller images while new bodies settle."""
+        """``phase``, with smaller images while new rigid parts settle."""
         each = max(1, min(SETTLE_STEPS, round(SETTLE_SHARE * self.total)))
         turn = (step - self._joined) // each if self._joined is not None else len(SETTLE_SCALES)
-        self.bodies_alone = turn < len(SETTLE_SCALES)
-        return replace(phase, scale=min(phase.scale, SETTLE_SCALES[turn])) if self.bodies_alone else phase
+        self.rigid_parts_alone = turn < len(SETTLE_SCALES)
+        return replace(phase, scale=min(phase.scale, SETTLE_SCALES[turn])) if self.rigid_parts_alone else phase
 
     def after_step(self, step: int, phase: Phase, skipped: dict[str, int]) -> None:
         """Do what is due after ``step`` steps. The number of Gaussians that left the motion is written to ``skipped``."""
         progress = step / max(self.total, 1)
         self._spread_anew(step, progress)
-        if self._searched < len(self.recipe.bodies_at) and progress >= self.recipe.bodies_at[self._searched]:
-            self._search_bodies(step, phase)
+        if self._searched < len(self.recipe.rigid_parts_at) and progress >= self.recipe.rigid_parts_at[self._searched]:
+            self._search_rigid_parts(step, phase)
         if not self._froze and progress >= self.recipe.freeze_at and self.curriculum.complete(step):
             self._froze = True
             model = self.learned.model
-            count = freeze_still_gaussians(model, self.views, self.recipe.freeze_pixels, self.recipe.freeze_share)
-            skipped["still Gaussians taken out of the field"] = count
+            count = freeze_static_gaussians(model, self.views, self.recipe.freeze_pixels, self.recipe.freeze_share)
+            skipped["static Gaussians taken out of the field"] = count
             self._event(f"step {step}: {count} of {len(model.gaussians)} Gaussians do not move and left the field")
 
     def state(self) -> dict[str, Any]:
@@ -92,13 +92,13 @@ class MotionControl:
         self.learned.renew(renewed, step)
         self._event(f"step {step}: the motion is spread anew")
 
-    def _search_bodies(self, step: int, phase: Phase) -> None:
+    def _search_rigid_parts(self, step: int, phase: Phase) -> None:
         """Search for parts that have much of the error and turn too fast for gradients."""
         self._searched, model = self._searched + 1, self.learned.model
         self._say("looking for parts that turn")
         probed = self.curriculum.probe(step, SEARCH_VIEWS)
         error = measure_responsibility(model, self.views, probed, True, phase.scale).error_gaussians
-        source = bodies_for_turning_parts(model, self.views, error, self.settings.seed, self._event)
+        source = make_turning_parts_rigid(model, self.views, error, self.settings.seed, self._event)
         if source is not None and model.field is not None:
             self.learned.renew(model.field, step)
             self.learned.replace(model.gaussians, source, step)

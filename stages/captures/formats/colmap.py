@@ -22,7 +22,7 @@ from ..arrays import MOST_POINTS
 from ..capture import Options, Reading, Shot
 from ..keep_masks import add_masks
 from ..lens import LARGEST_TERM, Lens, distortion_of
-from ..rigs import cameras_of, folders_of, stand_still
+from ..rigs import all_fixed, cameras_of, folders_of
 
 _FOLDERS = ("sparse/0", "sparse")
 # COLMAP's camera models in the order of their ids. For the supported models: whether fx and fy are one value, and how many distortion
@@ -105,7 +105,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=tuple(file for part, file in files.items() if part != "points3D" or has_points),
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
-        fixed_cameras=stand_still(shots),
+        fixed_cameras=all_fixed(shots),
         untimed=not rig,
         notes=tuple(notes),
     )

@@ -16,7 +16,7 @@ from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
 from ..capture import TEST, TRAIN, Options, Reading, Shot
-from ..rigs import stand_still
+from ..rigs import all_fixed
 
 _FILES = ((TRAIN, "train_meta.json"), (TEST, "test_meta.json"))
 _POINTS = "init_pt_cld.npz"
@@ -55,7 +55,7 @@ def read(root: Path, options: Options) -> Reading:
         shots=shots,
         alpha=alpha,
         has_split=True,
-        fixed_cameras=stand_still(shots),
+        fixed_cameras=all_fixed(shots),
         sources=(*sources, *([_POINTS] if points is not None else [])),
         points=points,
         point_colors=colors,
@@ -97,7 +97,7 @@ def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> list[Shot
 
 
 def _points(root: Path) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Points and colours of `init_pt_cld.npz`: `data` [P, 6 or 7] = xyz, rgb in [0,1], foreground."""
+    """Points and colours of `init_pt_cld.npz`: `data` [P, 6 or 7] = xyz, rgb in [0,1], segmentation label."""
     if not (root / _POINTS).is_file():
         return None, None
     data = load_array(root, _POINTS, (6, 7), "data")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from ..masks import on_movers, still_matches
+from ..masks import on_moving, static_matches
 from . import database as db
 from .reconstruct import DATABASE, map_database
 
@@ -61,10 +61,10 @@ def _copy(source: Path, target: Path, names: list[str], pairs: list[tuple[int, i
         for i, image_id in enumerate(ids):
             keypoints = np.asarray(old.read_keypoints(image_id), np.float32)
             new.write_keypoints(image_id, keypoints)
-            moving.append(on_movers(masks, np.full(len(keypoints), i), keypoints[:, :2], size))
+            moving.append(on_moving(masks, np.full(len(keypoints), i), keypoints[:, :2], size))
         for a, b in pairs:
             if old.exists_matches(ids[a], ids[b]):
-                new.write_matches(ids[a], ids[b], still_matches(old.read_matches(ids[a], ids[b]), moving[a], moving[b]))
+                new.write_matches(ids[a], ids[b], static_matches(old.read_matches(ids[a], ids[b]), moving[a], moving[b]))
 
 
 def _sample(path: Path, names: list[str], pairs: list[tuple[int, int]]) -> dict[str, np.ndarray]:

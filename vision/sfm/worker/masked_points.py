@@ -1,4 +1,4 @@
-"""`without_movers`: removes points on moving pixels. Runs in the worker process: imports pycolmap."""
+"""`without_moving_points`: removes points on moving pixels. Runs in the worker process: imports pycolmap."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from ..masks import on_movers
+from ..masks import on_moving
 from ..sound import observe
 
 ENOUGH = 50  # points that must be left; with fewer, all stay
 
 
-def without_movers(model: pycolmap.Reconstruction, request: dict[str, Any]) -> None:
+def without_moving_points(model: pycolmap.Reconstruction, request: dict[str, Any]) -> None:
     """Removes, in place, points that some image saw on moving pixels: matched at several times, such points are in several places.
 
     request: `masks`, npz file with `masks` [n, h, w] bool of the images `names` (False for images whose camera moved); without it nothing
@@ -30,7 +30,7 @@ def without_movers(model: pycolmap.Reconstruction, request: dict[str, Any]) -> N
         camera = model.camera(model.image(i).camera_id)
         size[frame] = camera.width, camera.height
     seen = observe(model)
-    moving = on_movers(masks, np.array([frame_of[i] for i in seen.image], np.int64), seen.xy, size)
+    moving = on_moving(masks, np.array([frame_of[i] for i in seen.image], np.int64), seen.xy, size)
     gone = np.unique(seen.point[moving])
     if len(np.unique(seen.point)) - len(gone) < ENOUGH:
         return

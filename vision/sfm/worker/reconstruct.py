@@ -9,12 +9,12 @@ import numpy as np
 import pycolmap
 
 from ..sound import observe, purge
-from ..trouble import STILL
+from ..trouble import FIXED
 from ..turning.result import turning_arrays
 from ..turning.solve import ANYHOW
 from . import database as db
 from .mapping import ENOUGH, map_images
-from .masked_points import without_movers
+from .masked_points import without_moving_points
 from .reclaim import reclaim
 from .refine import refine_or_keep
 from .result import result_arrays, used_features
@@ -53,7 +53,7 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
     names = list(request["names"])
     found = survey(path, names, request["pairs"])
     facts: dict[str, Any] = {"features": found.features, "pairs": found.facts, "parts": [], "notes": [], "turning": False}
-    if found.facts["verified"] and found.facts["shift"] < STILL:
+    if found.facts["verified"] and found.facts["shift"] < FIXED:
         return result_arrays(None, names), facts  # the mapper would search for a first pair for many minutes
     turned = turning_arrays(path, request, found, report)
     if turned is not None and turned[0]["registered"].sum() >= ENOUGH * len(names):
@@ -82,7 +82,7 @@ def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tupl
     report("refining", 1, 1)
     facts["notes"] = notes + tell(names, observations, [lost, more], undone, merged, again)
     facts["parts"] = parts([largest, *others])
-    without_movers(largest, request)
+    without_moving_points(largest, request)
     return {**result_arrays(largest, names), **used}, facts
 
 

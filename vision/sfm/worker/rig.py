@@ -15,14 +15,14 @@ import pycolmap
 
 from . import database as db
 from .reconstruct import DATABASE, first_camera, map_database
-from .starts import reconstruct_still
+from .starts import reconstruct_fixed
 
 LOOKS = "looks.db"  # features and raw matches of all pictures, in the request's folder
 
 
 def reconstruct_rig(request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """`request`: as for `reconstruct`, but `names` and `pairs` are of the pictures used. `images` [L]: the image that each belongs to;
-    `cameras` [n]: the camera of each image; `all_still`: whether each camera has one image; `masks`: npz file, see `without_movers`.
+    `cameras` [n]: the camera of each image; `all_fixed`: whether each camera has one image; `masks`: npz file, see `without_moving_points`.
 
     Returns what `reconstruct` returns, for the n images.
     """
@@ -50,8 +50,8 @@ def reconstruct_rig(request: dict[str, Any], report: db.Report) -> tuple[dict[st
             partial.replace(path)
         return path
 
-    if request["all_still"]:
-        return reconstruct_still(merged([0] * len(firsts), "shared.db"), merged(groups, DATABASE), below, report)
+    if request["all_fixed"]:
+        return reconstruct_fixed(merged([0] * len(firsts), "shared.db"), merged(groups, DATABASE), below, report)
     path = merged(groups, DATABASE)
     db.verify(path, firsts, joined, seed, report)
     return map_database(path, below, report)

@@ -1,4 +1,4 @@
-"""`reconstruct_still`: cameras that stand still, one image each. Runs in the worker process: imports pycolmap.
+"""`reconstruct_fixed`: cameras that stand still, one image each. Runs in the worker process: imports pycolmap.
 
 With a few pictures from far apart, the mapper can start wrongly in many ways: a plane that fills the pictures (a wall, a floor) fits
 several focal lengths and shapes, and no later picture tells them apart. So the mapper starts several times, at different focal lengths,
@@ -18,7 +18,7 @@ from ..explains import Places, misfit
 from ..sound import purge
 from . import database as db
 from .mapping import map_once
-from .masked_points import without_movers
+from .masked_points import without_moving_points
 from .refine import lens_of, refine_or_keep
 from .result import result_arrays
 from .survey import survey
@@ -37,7 +37,7 @@ class Found(NamedTuple):
     model: pycolmap.Reconstruction | None
 
 
-def reconstruct_still(shared: Path, own: Path, request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def reconstruct_fixed(shared: Path, own: Path, request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """shared, own: databases with raw matches of the images of `request`; in `shared` all images have one lens, in `own` each has its own.
     Returns what `reconstruct` returns."""
     names = list(request["names"])
@@ -56,7 +56,7 @@ def reconstruct_still(shared: Path, own: Path, request: dict[str, Any], report: 
         return result_arrays(None, names), facts
     facts["parts"] = [best.model.num_reg_images()]
     notes.append(f"the mapper began {tried} times; the cameras that explain all matches best are kept")
-    without_movers(best.model, request)
+    without_moving_points(best.model, request)
     return result_arrays(best.model, names), facts
 
 

@@ -15,15 +15,15 @@ SIZE = 640  # px, about, of the longest side at which evidence is gathered; larg
 NOISIER = 1.5  # times the picture's noise, the most assumed at any brightness: shot noise grows with the root of brightness, but a moving
 # object may fill a band of brightness by itself, and its motion is not noise
 CHANGES = 2.0  # log odds of a full change; the background may hold what stood there first, so colour can outvote it
-STILL = -1.0  # log odds of no change; what stands still for long is background, unless its colour moves elsewhere
+STATIC = -1.0  # log odds of no change; what does not move for a long time is background, unless its colour moves elsewhere
 ONCE = 0.1  # share of a masked region that must change at some time; a region that never does only shares the colour of something moving
 
 
-class FrameForeground:
-    """Per-frame masks of one fixed camera: call `foreground(frame)` at any time after construction.
+class FixedCameraMasks:
+    """Per-frame masks of one fixed camera: call `moving(frame)` at any time after construction.
 
     The background is the temporal median of the sampled frames. A person who stays in one place most of the time is part of it, so the
-    difference alone finds arms and outlines, not bodies. Colours find the rest: those that change more often than others are taken as
+    difference alone finds arms and outlines, not torsos. Colours find the rest: those that change more often than others are taken as
     colours of moving objects (`colour_odds`). Both kinds of evidence are added and averaged within the edges of the picture
     (`moving_mask`), and a region is kept if part of it changes at some time. Noise alone masks nothing.
     """
@@ -43,7 +43,7 @@ class FrameForeground:
         """Evidence of one frame, uint8 [H, W, 3]: log odds of motion, float32 in [-3, 4]; all pixels have equal weight."""
         return self._evidence(frame)[0]
 
-    def foreground(self, frame: np.ndarray) -> np.ndarray:
+    def moving(self, frame: np.ndarray) -> np.ndarray:
         """Mask uint8 [H, W] of one frame, aligned with its edges: 255 on objects that move now or at another time."""
         import cv2
 
@@ -63,7 +63,7 @@ class FrameForeground:
             raise ValueError(f"frame: expected uint8 {list(self._shape)}, got {frame.dtype} {list(frame.shape)}")
         small = self._reduced(frame)
         change = self._change.score(small)
-        score = np.where(change > 0, CHANGES * change, STILL) + odds_at(self._odds, small)
+        score = np.where(change > 0, CHANGES * change, STATIC) + odds_at(self._odds, small)
         score = cv2.resize(score.astype(np.float32), frame.shape[1::-1], interpolation=cv2.INTER_LINEAR)
         return Evidence(score, np.ones_like(score), 0.0), change > 0
 
@@ -94,7 +94,7 @@ class _Change(MotionMask):
         return np.clip(np.log(np.maximum(ratio, 1e-6)) / np.log(DECADE), -1.0, 1.0).astype(np.float32)
 
 
-def frame_foregrounds(frames: Sequence[np.ndarray]) -> list[np.ndarray]:
+def fixed_camera_masks(frames: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Masks uint8 [H, W] of all frames, uint8 [H, W, 3], of one fixed camera."""
-    background = FrameForeground([frames[i] for i in sample(range(len(frames)))])
-    return [background.foreground(frame) for frame in frames]
+    background = FixedCameraMasks([frames[i] for i in sample(range(len(frames)))])
+    return [background.moving(frame) for frame in frames]

@@ -1,4 +1,4 @@
-"""Masks of movers gathered small: as large as the pictures, in the right place, the same however the work is cut."""
+"""Masks of moving pixels gathered small: as large as the pictures, in the right place, the same however the work is cut."""
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
-from e4dgs.stages.measured_flow import movers as module
-from e4dgs.stages.measured_flow.movers import FIXED_SIZE, Movers
+from e4dgs.stages.measured_flow import moving_masks as module
+from e4dgs.stages.measured_flow.moving_masks import FIXED_SIZE, MovingMasks
 from e4dgs.vision.flow.two_way import FlowPair
 
 WIDTH, HEIGHT, FRAMES, STEP = 2 * FIXED_SIZE, 270, 7, 40
@@ -35,7 +35,7 @@ def clip() -> tuple[list[np.ndarray], list[np.ndarray], list[FlowPair]]:
 def masks(fixed: bool, posed: bool = True, stretch: int = module.STRETCH) -> tuple[list[np.ndarray], list[np.ndarray]]:
     pictures, squares, pairs = clip()
     poses = (np.tile(K, (FRAMES, 1, 1)), np.tile(np.eye(4), (FRAMES, 1, 1))) if posed else (None, None)
-    gathered = Movers(WIDTH, HEIGHT, *poses, fixed)
+    gathered = MovingMasks(WIDTH, HEIGHT, *poses, fixed)
     for k, picture in enumerate(pictures):
         gathered.add_picture(k, picture)
     for k, pair in enumerate(pairs):
@@ -62,7 +62,7 @@ def test_the_masks_do_not_depend_on_how_the_work_is_cut():
 
 
 def test_one_frame_has_an_empty_mask():
-    gathered = Movers(WIDTH, HEIGHT, None, None, fixed=False)
+    gathered = MovingMasks(WIDTH, HEIGHT, None, None, fixed=False)
     gathered.add_picture(0, clip()[0][0])
     with ThreadPoolExecutor(1) as pool:
         (job,) = gathered.masks(pool)

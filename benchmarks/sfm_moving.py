@@ -1,11 +1,11 @@
 """Poses of structure from motion with and without the features on what moves, against the truth, over several seeds.
 
-    python benchmarks/sfm_movers.py SCENES [--out FILE.json] [--only NAME ...] [--seeds N] [--work DIR]
+    python benchmarks/sfm_moving.py SCENES [--out FILE.json] [--only NAME ...] [--seeds N] [--work DIR]
 
 SCENES is the folder of captures (../shared/scenes). Pictures: the video `room_video/room.mp4`, and crops about the middle of the pictures
-of `room_mono`, which is a longer lens, in which what moves covers more (`movers`: mean share of the truth's masks, every 8th frame). The
+of `room_mono`, which is a longer lens, in which what moves covers more (`moving`: mean share of the truth's masks, every 8th frame). The
 stage `poses` runs with its default settings; features and raw matches are computed once a picture, verification and mapping for every seed.
-`mapper` is the mapper's own result, `first` the first pass after the robust adjustment (what poses.movers=off gives), `second` the second
+`mapper` is the mapper's own result, `first` the first pass after the robust adjustment (what poses.moving=off gives), `second` the second
 pass, `final` what the stage keeps. Percent: rms distance of camera centres after alignment, of the path's length; degrees: median angle of
 rotations. Seconds: a pass is verification, mapping and adjustment, without features and matching (`prepare`); `masks` is flow and masks.
 Writes JSON with protocol and machine; rows that FILE.json holds already are kept.
@@ -123,9 +123,9 @@ def measure(capture_path: Path, truth: np.ndarray, seed: int, work: Path, raw: P
         with np.load(colmap / "masked" / "result.npz") as arrays:
             row["second"] = error(arrays["cam_from_world"])
     row["final"] = error(artifact.read("cam_from_world"))
-    row |= {"movers_share": artifact.attrs["movers_share"], "second_pass": artifact.attrs["second_pass"]}
+    row |= {"moving_share": artifact.attrs["moving_share"], "second_pass": artifact.attrs["second_pass"]}
     moving = at.get("what moves", ended)
-    again = at.get("matches off movers", ended)
+    again = at.get("matches off moving pixels", ended)
     began = at.get("matching", started) if prepared else at.get("registering", started)
     seconds = {"first pass": moving - began, "masks": again - moving, "second pass": ended - again}
     return row | {"seconds": {name: round(value, 1) for name, value in seconds.items()}}
@@ -134,7 +134,7 @@ def measure(capture_path: Path, truth: np.ndarray, seed: int, work: Path, raw: P
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "sfm_movers.json")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "sfm_moving.json")
     parser.add_argument("--only", action="append", default=[], choices=list(CROPS))
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--work", type=Path, help="a folder to keep between calls")
@@ -148,7 +148,7 @@ def main() -> None:
         for name in args.only or CROPS:
             folder = work / name.replace(" ", "_")
             path, share = capture_of(args.scenes, name, folder / "capture")
-            entry = document["pictures"].setdefault(name, {"movers": round(share or 0.0, 3), "runs": []})
+            entry = document["pictures"].setdefault(name, {"moving": round(share or 0.0, 3), "runs": []})
             for seed in range(args.seeds):
                 if any(run["seed"] == seed for run in entry["runs"]):
                     continue

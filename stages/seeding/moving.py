@@ -27,7 +27,7 @@ FEWEST_FRAMES = 3  # least number of frames of a camera for a path, and of camer
 AROUND = 3  # frames on either side over which the velocity is measured for one camera
 
 
-class MoverSeeds(NamedTuple):
+class MovingSeeds(NamedTuple):
     """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units per frame, time [N] in [0, 1] of each position."""
 
     points: np.ndarray
@@ -48,7 +48,7 @@ def rig_seeds(
     most: int,
     seed: int,
     advance: Callable[[int], None] = lambda n: None,
-) -> MoverSeeds | None:
+) -> MovingSeeds | None:
     """Up to ``most`` seeds on the visual hulls of the masks at key times; None if no seed is found or fewer than three cameras have masks.
 
     mask(i): [H, W] bool, moving pixels of frame i, or None. advance: called with the number of key times that are done.
@@ -74,23 +74,23 @@ def rig_seeds(
         known_steps = np.stack([there for _, (_, there) in steps]) if steps else np.zeros((1, len(points)), bool)
         moved = np.stack([d * (to - points) for d, (to, _) in steps]) if steps else np.zeros((1, len(points), 3))
         velocity = (moved * known_steps[..., None]).sum(0) / np.maximum(known_steps.sum(0), 1)[:, None]
-        found.append(MoverSeeds(points, colors, velocity * per_frame(views, times, k), np.full(len(points), times[k])))
+        found.append(MovingSeeds(points, colors, velocity * per_frame(views, times, k), np.full(len(points), times[k])))
     return join(found)
 
 
 def camera_seeds(
-    flow: StoredFlow, views: Views, still: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
-) -> MoverSeeds | None:
+    flow: StoredFlow, views: Views, static: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
+) -> MovingSeeds | None:
     """Up to ``most`` seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth.
 
-    still [P, 3]: points that are mostly static. advance: called with the number of frames that are done.
+    static [P, 3]: points that are mostly static. advance: called with the number of frames that are done.
     """
     found = []
     cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
     for frames in cameras:
         chain = Chain(flow, frames)
         objects = follow_objects(chain, len(frames))
-        depths = object_depths(objects, views, frames, still)
+        depths = object_depths(objects, views, frames, static)
         advance(len(frames))
         known = [float(np.median(values[values > 0])) for values in depths if (values > 0).any()]
         if not known:
@@ -116,7 +116,7 @@ def camera_seeds(
             picture = views.load(frames[k]) / 255.0
             color = picture[begin[:, 1].astype(int), begin[:, 0].astype(int)]
             time = np.full(len(begin), views.time[frames[k]])
-            found.append(MoverSeeds(where[near.index(k)].astype(np.float64), color, velocity, time))
+            found.append(MovingSeeds(where[near.index(k)].astype(np.float64), color, velocity, time))
     return join(found)
 
 
@@ -137,8 +137,8 @@ def per_frame(views: Views, times: np.ndarray, k: int) -> float:
     return (high - low) / frames if frames > 0 else 1.0
 
 
-def join(found: list[MoverSeeds]) -> MoverSeeds | None:
-    return MoverSeeds(*(np.concatenate(parts) for parts in zip(*found))) if found else None
+def join(found: list[MovingSeeds]) -> MovingSeeds | None:
+    return MovingSeeds(*(np.concatenate(parts) for parts in zip(*found))) if found else None
 
 
 def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:

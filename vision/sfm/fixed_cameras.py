@@ -1,4 +1,4 @@
-"""`stands_still`: whether one camera took all of its frames from one place, judged by features that stay where they are."""
+"""`is_fixed`: whether one camera took all of its frames from one place, judged by features that stay where they are."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STAY = 0.3  # share of all features that must be found again within `SHIFT`; peo
 FEWEST = 20  # features that must be found again; a plain picture has no evidence
 
 
-def stands_still(picture: Callable[[int], np.ndarray], frames: Sequence[int]) -> bool:
+def is_fixed(picture: Callable[[int], np.ndarray], frames: Sequence[int]) -> bool:
     """picture(i): uint8 [H, W, 3] of frame i; frames: those of one camera, in order of time. False if the pictures give no evidence."""
     if len(frames) < 2:
         return False

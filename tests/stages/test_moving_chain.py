@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.seeding import chain as mover_chain
+from e4dgs.stages.seeding import chain as moving_chain
 from e4dgs.stages.seeding.chain import Chain
 from moving_square import FRAMES, WIDTH, flow_of, left_edge
 
 
 @pytest.mark.parametrize("size", [480, WIDTH // 2])
 def test_a_track_ends_where_the_mask_does(size, tmp_path, monkeypatch):
-    monkeypatch.setattr(mover_chain, "SIZE", size)
+    monkeypatch.setattr(moving_chain, "SIZE", size)
     flow = flow_of(tmp_path / "flow")
     chain = Chain(flow, list(range(FRAMES)))
     inside, outside = left_edge(0) + 20, left_edge(0) - 20

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.stages.seeding.depths import ANYWHERE
-from e4dgs.stages.seeding.movers import APART, KEYS, camera_seeds, key_times, rig_seeds, slope
+from e4dgs.stages.seeding.moving import APART, KEYS, camera_seeds, key_times, rig_seeds, slope
 from moving_square import CAMERA, FOCAL, FRAMES, SQUARE, WALL, flow_of, pose, views, wall
 from sliding_ball import RADIUS, TIMES, place, sliding_ball
 
@@ -36,7 +36,7 @@ def test_before_one_camera_nothing_hidden_means_no_seeds(tmp_path):
 
 def test_before_a_rig_seeds_lie_on_the_ball_at_each_time(rig):
     flow, seen, _ = rig
-    seeds = rig_seeds(flow, seen, lambda i: flow.movers(i) > 127, 2000, 0)
+    seeds = rig_seeds(flow, seen, lambda i: flow.moving(i) > 127, 2000, 0)
     assert seeds is not None and len(np.unique(seeds.time)) == TIMES
     speed = 1.0 / (TIMES - 1)  # it slides by one unit over the capture
     for t in np.unique(seeds.time):

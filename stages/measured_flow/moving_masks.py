@@ -1,4 +1,4 @@
-"""Masks of movers in the training frames of one camera, from small pictures collected while flow is measured at full size."""
+"""Masks of moving pixels in the training frames of one camera, from small pictures collected while flow is measured at full size."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ import numpy as np
 
 from ...vision.flow.method import size_within
 from ...vision.flow.two_way import FlowPair
-from ...vision.moving.foreground import frame_foregrounds
+from ...vision.moving.fixed_camera import fixed_camera_masks
 from ...vision.moving.objects import moving_masks
 from ..artifacts.frameset import FrameSet
 
-# px, longest side at which movers are detected. On `room_mono` (480x270, true poses) masks made at 240 and 160 px have an intersection
-# over union with the truth of 0.866 and 0.862, and the time is proportional to the area. The background model of a fixed camera costs less.
+# px, longest side at which moving pixels are detected. On `room_mono` (480x270, true poses) masks made at 240 and 160 px have an
+# intersection over union with the truth of 0.866 and 0.862, and the time is proportional to the area. The background model of a fixed
+# camera costs less.
 SIZE = 160
 FIXED_SIZE = 240
 GAPS = (1, 3)  # distances to the frames on either side that each frame is compared with; as good here as three, in two thirds of the time
 STRETCH = 16  # frames per job
 
 
-class Movers:
+class MovingMasks:
     """Collects small pictures and flow of one camera, then computes its masks. Frames are numbered 0, 1, ... in order of time. Any thread
     may add.
 
@@ -40,7 +41,7 @@ class Movers:
         self._pairs: dict[int, FlowPair] = {}
 
     @classmethod
-    def of_camera(cls, frames: FrameSet, mine: list[int], fixed: bool) -> Movers:
+    def of_camera(cls, frames: FrameSet, mine: list[int], fixed: bool) -> MovingMasks:
         """For the frames ``mine`` of one camera, in order of time."""
         if frames.K is None or frames.cam_from_world is None:
             return cls(frames.width, frames.height, None, None, fixed)
@@ -66,7 +67,7 @@ class Movers:
         count = len(self._pictures)
         pictures = [self._pictures[k] for k in range(count)]
         if self._fixed:
-            return [pool.submit(lambda: [self._grown(mask) for mask in frame_foregrounds(pictures)])]
+            return [pool.submit(lambda: [self._grown(mask) for mask in fixed_camera_masks(pictures)])]
         pairs: Sequence[FlowPair | None] = [self._pairs.get(k) for k in range(count - 1)]
         make: Callable[[range], list[np.ndarray]] = lambda only: [  # noqa: E731
             self._grown(mask) for mask in moving_masks(pictures.__getitem__, pairs, self._K, self._poses, GAPS, only)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.posing import second_pass
-from e4dgs.stages.posing.movers import FEWEST, mover_masks
+from e4dgs.stages.posing.moving_masks import FEWEST, lens_moving_masks
 from e4dgs.stages.posing.second_pass import LEAST, choose_pass, needless
 from e4dgs.vision.sfm import runner
 from e4dgs.vision.sfm.alignment import pose_error
-from e4dgs.vision.sfm.masks import on_movers, still_matches
+from e4dgs.vision.sfm.masks import on_moving, static_matches
 from e4dgs.vision.sfm.pose_agreement import Matches, agreement
 from factory import Box, Cells, Motion, Object, Options, make, render, write_images
 from run_stage import run_frames, run_poses
@@ -60,12 +60,12 @@ def posed(truth: np.ndarray, busy) -> dict[str, np.ndarray]:
     }
 
 
-def test_a_second_pass_without_movers_runs_and_is_no_worse(solved, truth, box):
+def test_a_second_pass_without_moving_pixels_runs_and_is_no_worse(solved, truth, box):
     attrs = solved.artifact.attrs
     assert box.mean() > 0.2
-    assert 0.01 < attrs["movers_share"] < 1 and attrs["registered"] == TIMES
+    assert 0.01 < attrs["moving_share"] < 1 and attrs["registered"] == TIMES
     assert (solved.context.checkpoints / "colmap" / "masked" / "result.json").is_file()
-    assert "of the features used lie on movers" in attrs["second_pass"] and "is kept: its cameras explain" in attrs["second_pass"]
+    assert "of the features used lie on moving objects" in attrs["second_pass"] and "is kept: its cameras explain" in attrs["second_pass"]
     assert f"what moves: {attrs['second_pass']}" in solved.lines
     with np.load(solved.context.checkpoints / "colmap" / "result.npz") as first:
         before = pose_error(first["cam_from_world"], truth)
@@ -101,8 +101,8 @@ def resumed(killed):
 
 
 def test_off_leaves_the_first_pass(busy, resumed):
-    off = run_poses(busy.root, resumed, movers="off", max_features=FEATURES)
-    assert off.artifact.attrs["movers_share"] is None and off.artifact.attrs["second_pass"] == "poses.movers=off"
+    off = run_poses(busy.root, resumed, moving="off", max_features=FEATURES)
+    assert off.artifact.attrs["moving_share"] is None and off.artifact.attrs["second_pass"] == "poses.moving=off"
     assert not any("what moves" in line for line in off.lines)
     with np.load(resumed / "checkpoints" / "poses" / "colmap" / "result.npz") as first:
         assert np.array_equal(first["cam_from_world"][:, :3, :3], off.artifact.read("cam_from_world")[:, :3, :3])
@@ -128,7 +128,7 @@ def test_a_run_killed_in_the_second_pass_goes_on_there(busy, resumed, solved, mo
     original = runner.run_worker
     for module in (runner, second_pass):
         monkeypatch.setattr(module, "run_worker", watched)
-    monkeypatch.setattr(second_pass, "mover_masks", lambda *_: pytest.fail("the masks were there"))
+    monkeypatch.setattr(second_pass, "lens_moving_masks", lambda *_: pytest.fail("the masks were there"))
     again = run_poses(busy.root, resumed, max_features=FEATURES)
     assert tasks == ["reconstruct_masked"], "what the first pass found was kept"
     assert np.array_equal(again.artifact.read("cam_from_world"), solved.artifact.read("cam_from_world"))
@@ -141,7 +141,7 @@ def test_masks_lie_on_the_box_and_frames_without_a_pose_have_none(busy, truth, b
     arrays["cam_from_world"][3] = np.nan
     arrays["K"][3] = np.nan
     values = [arrays[name] for name in ("K", "cam_from_world", "distortion", "size")]
-    masks = mover_masks(frames, *values, lambda: advanced.append(1))
+    masks = lens_moving_masks(frames, *values, lambda: advanced.append(1))
     assert masks.shape == box.shape and len(advanced) == TIMES
     assert not masks[3].any()
     others = np.arange(TIMES) != 3
@@ -150,7 +150,7 @@ def test_masks_lie_on_the_box_and_frames_without_a_pose_have_none(busy, truth, b
 
 def test_masks_follow_the_lens(busy):
     """A mask of the pinhole image is bent as the picture is: what was masked is what is shown there."""
-    from e4dgs.stages.posing.movers import _Lens
+    from e4dgs.stages.posing.moving_masks import _Lens
     from e4dgs.vision.images.pictures import undistort
 
     K, terms = busy.synthetic.views[0].camera.K, np.array([0.4, 0.0, 0.0, 0.0])
@@ -180,7 +180,7 @@ def test_the_second_pass_runs_from_the_threshold_on(share, runs, tmp_path, monke
     frames = SimpleNamespace(camera=np.zeros(FEWEST, int))
     passes = second_pass.second_pass(frames, {}, tmp_path, (first, {}), False, lambda *_: None)
     assert bool(calls) is runs and ("new" in passes.arrays) is runs
-    assert passes.movers_share == pytest.approx(share)
+    assert passes.moving_share == pytest.approx(share)
     assert ("no second pass" in passes.told) is not runs
 
 
@@ -198,14 +198,14 @@ def test_places_are_looked_up_at_the_size_of_the_mask():
     masks[1, 1, 2] = True  # pixels 20..30 x 10..20 of the picture
     xy = np.array([[20.0, 10.0], [29.9, 19.9], [30.0, 10.0], [20.0, 9.9], [20.0, 10.0], [-3.0, 500.0]])
     frame = np.array([1, 1, 1, 1, 0, 1])
-    assert on_movers(masks, frame, xy, np.array([[80, 40], [80, 40]])).tolist() == [True, True, False, False, False, False]
-    assert on_movers(masks, np.zeros(0, int), np.zeros((0, 2)), np.array([[80, 40]])).shape == (0,)
+    assert on_moving(masks, frame, xy, np.array([[80, 40], [80, 40]])).tolist() == [True, True, False, False, False, False]
+    assert on_moving(masks, np.zeros(0, int), np.zeros((0, 2)), np.array([[80, 40]])).shape == (0,)
 
 
-def test_a_match_goes_when_either_end_is_on_a_mover():
+def test_a_match_goes_when_either_end_is_on_a_moving_object():
     matches = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], np.uint32)
-    assert still_matches(matches, np.array([False, True]), np.array([False, True])).tolist() == [[0, 0]]
-    assert still_matches(np.zeros((0, 2), np.uint32), np.zeros(0, bool), np.zeros(0, bool)).shape == (0, 2)
+    assert static_matches(matches, np.array([False, True]), np.array([False, True])).tolist() == [[0, 0]]
+    assert static_matches(np.zeros((0, 2), np.uint32), np.zeros(0, bool), np.zeros(0, bool)).shape == (0, 2)
 
 
 def exact_matches(truth: np.ndarray, busy, count: int = 200) -> Matches:

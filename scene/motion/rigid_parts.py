@@ -1,19 +1,19 @@
-"""Rigid bodies among the control nodes: parts whose turn was found by search. Each has its own keyframes instead of the network."""
+"""Rigid parts among the control nodes: parts whose turn was found by search. Each has its own keyframes instead of the network."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
 
-# Distance of a body from everything else, in extents, along the first hyper coordinate: no other node is near the body's own Gaussians.
+# Distance of a rigid part from everything else, in extents, along the first hyper coordinate: no other node is near its own Gaussians.
 FAR = 10.0
 
 
-class Bodies(nn.Module):
-    """b rigid bodies, whose poses are interpolated linearly between keys that are evenly spaced over [0, 1].
+class RigidParts(nn.Module):
+    """b rigid parts, whose poses are interpolated linearly between keys that are evenly spaced over [0, 1].
 
-    Parameters: ``quats`` [T, b, 4] (w x y z, any nonzero norm) turn a body about its own rest position; ``shifts`` [T, b, 3] in world units
-    move it. Buffers: rest positions ``home`` [b, 3] and ``radius`` [b], world units.
+    Parameters: ``quats`` [T, b, 4] (w x y z, any nonzero norm) turn a rigid part about its own rest position; ``shifts`` [T, b, 3] in world
+    units move it. Buffers: rest positions ``home`` [b, 3] and ``radius`` [b], world units.
     """
 
     home: Tensor
@@ -30,12 +30,12 @@ class Bodies(nn.Module):
         return len(self.home)
 
     @staticmethod
-    def none(device: torch.device | str = "cpu") -> Bodies:
+    def none(device: torch.device | str = "cpu") -> RigidParts:
         shapes = (0, 3), (0,), (1, 0, 4), (1, 0, 3)
-        return Bodies(*(torch.zeros(shape, device=device) for shape in shapes))
+        return RigidParts(*(torch.zeros(shape, device=device) for shape in shapes))
 
     def hyper(self, extent: float) -> Tensor:
-        """[b, 2] hyper coordinates of the bodies, for nodes that spread over ``extent`` (world units)."""
+        """[b, 2] hyper coordinates of the rigid parts, for nodes that spread over ``extent`` (world units)."""
         beside = torch.zeros(len(self), 2, device=self.home.device)
         beside[:, 0] = FAR * extent * torch.arange(1, len(self) + 1, device=self.home.device)
         return beside
@@ -50,8 +50,8 @@ class Bodies(nn.Module):
         return quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), self.shifts[low] * (1 - f) + self.shifts[high] * f
 
     def course(self, extent: float) -> Tensor:
-        """How unsteadily the bodies move from key to key, a scalar: the mean change of their velocities, in half radians and in units of
-        ``extent`` (world units). A steady turn or a straight path at constant speed gives zero."""
+        """How unsteadily the rigid parts move from key to key, a scalar: the mean change of their velocities, in half radians and in units
+        of ``extent`` (world units). A steady turn or a straight path at constant speed gives zero."""
         if len(self.quats) < 3 or not len(self):
             return torch.zeros((), device=self.home.device)
         quats = nn.functional.normalize(self.quats, dim=2)
@@ -62,12 +62,12 @@ class Bodies(nn.Module):
         return turning + self.shifts.diff(n=2, dim=0).norm(dim=2).mean() / extent
 
     @torch.no_grad()
-    def joined(self, home: Tensor, radius: float, quats: Tensor, shifts: Tensor) -> Bodies:
-        """These bodies and one more at ``home`` [3] with ``radius``, ``quats`` [T, 4] and ``shifts`` [T, 3]; T is the same for all."""
+    def joined(self, home: Tensor, radius: float, quats: Tensor, shifts: Tensor) -> RigidParts:
+        """These rigid parts and one more at ``home`` [3] with ``radius``, ``quats`` [T, 4] and ``shifts`` [T, 3]; T is the same for all."""
         if not len(self):
-            return Bodies(home[None], home.new_tensor([radius]), quats[:, None], shifts[:, None])
+            return RigidParts(home[None], home.new_tensor([radius]), quats[:, None], shifts[:, None])
         homes, radii = torch.cat([self.home, home[None]]), torch.cat([self.radius, home.new_tensor([radius])])
-        return Bodies(homes, radii, torch.cat([self.quats, quats[:, None]], 1), torch.cat([self.shifts, shifts[:, None]], 1))
+        return RigidParts(homes, radii, torch.cat([self.quats, quats[:, None]], 1), torch.cat([self.shifts, shifts[:, None]], 1))
 
 
 def aligned(quats: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Detects movers in the pictures, using the poses of the first pass of structure from motion."""
+"""Detects moving pixels in the pictures, using the poses of the first pass of structure from motion."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ FOLLOWED = 0.6  # share of the picture that must have consistent flow for the fl
 REACH = 6  # pictures on either side that are cached while their neighbours are judged
 
 
-def mover_masks(
+def lens_moving_masks(
     frames: FrameSet, K: np.ndarray, cam_from_world: np.ndarray, distortion: np.ndarray, size: np.ndarray, advance: Callable[[], None]
 ) -> np.ndarray:
-    """Masks of movers in the pictures on which features were found (with lens distortion): bool [F, h, w], longest side `SIZE`.
+    """Masks of moving pixels in the pictures on which features were found (with lens distortion): bool [F, h, w], longest side `SIZE`.
 
     K [F, 3, 3] px and distortion [F, 4] fit pictures of `size` [F, 2] (width, height) px; cam_from_world [F, 4, 4]; NaN without a pose.
     DIS measures flow between frames in order of time; pairs without reliable flow are left out. Nothing is masked in frames

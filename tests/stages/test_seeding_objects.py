@@ -44,7 +44,7 @@ def growing(folder, frames=6, beside=True):
     out.write("forward", forward)
     out.write("backward", backward)
     out.write("confidence", np.full((frames - 1, HEIGHT, WIDTH), 255, np.uint8))
-    out.write("movers", masks)
+    out.write("moving", masks)
     out.finish({})
     return Chain(StoredFlow(Artifact(folder)), list(range(frames)))
 

@@ -1,6 +1,6 @@
 """Masks of what moves against their truth, and whether captures are recognised as static.
 
-    python benchmarks/movers.py SCENES [--out FILE.json] [--pictures DIR] [--only NAME ...]
+    python benchmarks/moving.py SCENES [--out FILE.json] [--pictures DIR] [--only NAME ...]
 
 SCENES is the folder of captures (../shared/scenes). Masks: `room_mono` with its poses, and again without them, against the `object` masks
 of its flow files; `basketball` (fixed train cameras, every frame) against `seg/`; `balloon1` has no truth, its masks are for the eye.
@@ -27,7 +27,7 @@ from e4dgs.pipeline import Artifact, ArtifactWriter, Progress
 from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
 from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow
-from e4dgs.vision.moving.foreground import frame_foregrounds
+from e4dgs.vision.moving.fixed_camera import fixed_camera_masks
 from e4dgs.vision.moving.objects import moving_masks
 from e4dgs.vision.moving.static_scene import static_scene
 from e4dgs.workflows.bench.machine import machine
@@ -97,7 +97,7 @@ def measure_masks(name: str, scenes: Path, folder: Path, pictures_to: Path | Non
             mine = [int(i) for i in frames.train if frames.camera[i] == camera]
             shown = [frames.composited(i) for i in mine]
             started = time.perf_counter()
-            masks += frame_foregrounds(shown)
+            masks += fixed_camera_masks(shown)
             seconds += time.perf_counter() - started
             pictures += shown
             for i in mine:
@@ -166,8 +166,8 @@ def measure_static(name: str, scenes: Path, folder: Path) -> dict[str, Any]:
     )
     seconds = time.perf_counter() - started
     right = found.static == STATIC[name]
-    share = round(found.moving_share, 5)
-    return {"static": found.static, "right": right, "moving_share": share, "reason": found.reason, "seconds": round(seconds, 2)} | {
+    share = round(found.largest_moving_share, 5)
+    return {"static": found.static, "right": right, "largest_moving_share": share, "reason": found.reason, "seconds": round(seconds, 2)} | {
         "evidence": dict(found.evidence)
     }
 
@@ -175,12 +175,12 @@ def measure_static(name: str, scenes: Path, folder: Path) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "movers.json")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "moving.json")
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--only", action="append", default=[], help="a name of the masks or of the static decisions")
     args = parser.parse_args()
     document: dict[str, Any] = {"machine": machine(), "protocol": " ".join((__doc__ or "").split("\n\n")[2].split())}
-    with tempfile.TemporaryDirectory(prefix="e4dgs-movers-") as temporary:
+    with tempfile.TemporaryDirectory(prefix="e4dgs-moving-") as temporary:
         for group, names, measure in (("masks", MASKS, measure_masks), ("static", STATIC, measure_static)):
             document[group] = {}
             for name in names:
