@@ -45,9 +45,24 @@ def test_a_figure_that_is_slightly_off_is_stale():
 
 def test_settings_that_documents_name_exist():
     fields = {stage.name: set(stage.settings.model_fields) for stage in reconstruction().stages.values()}
+    former = {stage.name: set(stage.settings.renamed) for stage in reconstruction().stages.values()}
     for document in DOCUMENTS:
+        old = document == "docs/glossary.md"
         for stage, key in re.findall(rf"(?:--set |`)({'|'.join(fields)})\.([a-z0-9_]+)[=`]", (ROOT / document).read_text()):
-            assert key in fields[stage] or document == "CHANGELOG.md", f"{document} names {stage}.{key}"
+            known = key in fields[stage] or document == "CHANGELOG.md" or (old and key in former[stage])
+            assert known, f"{document} names {stage}.{key}"
+
+
+def test_the_glossary_has_every_setting_that_was_renamed():
+    rows = [line.split("|")[1:3] for line in (ROOT / "docs" / "glossary.md").read_text().splitlines() if line.startswith("| setting ")]
+    told = {old: new for row in rows for old, new in zip(*(re.findall(r"`([a-z.]+)`", cell) for cell in row), strict=True)}
+    expected = {
+        f"{stage.name}.{old}": f"{stage.name}.{new}"
+        for stage in reconstruction().stages.values()
+        for old, new in stage.settings.renamed.items()
+    }
+    assert told == expected
+    assert all(new in stage.settings.model_fields for stage in reconstruction().stages.values() for new in stage.settings.renamed.values())
 
 
 def test_the_readme_is_short():
