@@ -14,16 +14,16 @@ from .training.choices import auto_iterations, use_nodes
 
 
 class CoarseSettings(TrainingSettings):
-    iterations: int = Field(0, ge=0, le=1_000_000, description="optimiser steps of this stage; 0 chooses by the capture")
-    effort: float = Field(1.0, gt=0, le=100, description="factor on the steps that are chosen by the capture")
+    iterations: int = Field(0, ge=0, le=1_000_000, description="optimiser steps of this stage; 0: chosen for the capture")
+    effort: float = Field(1.0, gt=0, le=100, description="factor on the number of steps that is chosen for the capture")
     motion: Literal["auto", "planes", "nodes", "free"] = Field(
         "auto",
-        description="what moves primitives: the six-plane field; control nodes (auto: where each frame is from another side); each one "
-        "itself, for a while (auto: where masks show what moves)",
+        description="what moves primitives: planes, the six-plane field; nodes, control nodes (auto: if each frame is seen from another "
+        "side); free, each primitive moves and lives for a time of its own (auto: if masks show what moves)",
     )
-    strategy: Strategy = Field("two-stage", description="one of the four trainings of Table 3; `fine` follows it")
-    full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps on images of half the size, before those of full size")
-    seeds: int = Field(0, ge=0, le=2_000_000, description="Gaussians to begin with; 0 chooses: half the budget for rigs, else 8000")
+    strategy: Strategy = Field("two-stage", description="training strategy, one of the four of Table 3; `fine` uses the same")
+    full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps that use images of half the size, before the full size")
+    seeds: int = Field(0, ge=0, le=2_000_000, description="initial number of Gaussians; 0: half the budget for rigs, else 8000")
 
 
 class Coarse(Stage):

@@ -14,8 +14,8 @@ from .facts import Facts
 
 class FineSettings(RefinementSettings):
     iterations: int = Field(1500, ge=0, le=1_000_000, description="optimiser steps of this stage")
-    lr_scale: float = Field(0.3, gt=0, le=1, description="factor on the first rates of what `coarse` has already trained")
-    convex_opacity: float = Field(0.3, gt=0, lt=1, description="opacity with which convexes begin")
+    lr_scale: float = Field(0.3, gt=0, le=1, description="factor on the initial learning rates of what `coarse` has trained")
+    convex_opacity: float = Field(0.3, gt=0, lt=1, description="initial opacity of convexes")
 
 
 class Fine(Stage):

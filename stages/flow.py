@@ -26,19 +26,19 @@ class FlowSettings(Settings):
 
     method: Literal["auto", "raft", "raft-small", "dis"] = Field(
         "auto",
-        description="auto: RAFT where weights are given, else dense inverse search of OpenCV; raft without weights takes torchvision's",
+        description="auto: RAFT if weights are given, else OpenCV's dense inverse search (DIS); raft without weights uses torchvision's",
     )
-    weights: Path | None = Field(None, description="RAFT's published weights, basic or small, as safetensors or .pth")
-    iterations: int = Field(20, ge=1, le=100, description="updates of RAFT at most")
-    tolerance: float = Field(0.05, ge=0, le=10, description="px; RAFT stops after an update that moves the flow by less")
+    weights: Path | None = Field(None, description="published weights of RAFT, basic or small, as safetensors or .pth")
+    iterations: int = Field(20, ge=1, le=100, description="most updates of RAFT")
+    tolerance: float = Field(0.05, ge=0, le=10, description="px; RAFT stops after an update that changes the flow by less")
     preset: Literal["ultrafast", "fast", "medium"] = Field("medium", description="speed of DIS; medium is the most accurate")
     max_size: int | None = Field(960, ge=64, le=65_536, description="px; flow of larger pictures is computed at this longest side")
-    max_pairs: int = Field(400, ge=0, le=1_000_000, description="pairs of frames at most, spread evenly over cameras and times")
-    detect_static: bool = Field(
-        True, description="find out whether anything moves before measuring; nothing is measured where nothing does"
+    max_pairs: int = Field(400, ge=0, le=1_000_000, description="most pairs of frames, spread evenly over cameras and times")
+    detect_static: bool = Field(True, description="first check whether anything moves; if nothing does, no flow is measured")
+    moving: bool = Field(
+        True, description="masks of moving pixels in each frame: flow minus camera motion, or changes that a fixed camera sees"
     )
-    moving: bool = Field(True, description="masks of what moves in each frame: flow minus camera motion, or change before a fixed camera")
-    grow: int = Field(4, ge=0, le=100, description="px by which the mask of what changes before a fixed camera is widened")
+    grow: int = Field(4, ge=0, le=100, description="px by which the mask of all pixels that ever change in a fixed camera is widened")
 
 
 class Flow(Stage):

@@ -22,20 +22,20 @@ class FramesSettings(Settings):
     """How the capture is read. The names match the arguments of `captures.recognise`."""
 
     format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "images", "video", "videos"] | None = Field(
-        None, description="reader to use; recognised from the files when not set"
+        None, description="format of the capture; recognised from the files if it is not given"
     )
-    static: bool = Field(False, description="nothing moves: all times are one, no flow, no deformation")
-    holdout: int = Field(8, ge=0, le=100_000, description="every N-th frame is test where the files carry no split; 0 for none")
-    background: Literal["white", "black"] | None = Field(None, description="what alpha is composited on; white for captures with alpha")
-    max_size: int | None = Field(None, ge=16, le=65_536, description="px; larger pictures are scaled down by area, intrinsics along")
-    max_frames: int | None = Field(None, ge=2, le=1_000_000, description="at most so many frames of a camera (videos without poses: 200)")
+    static: bool = Field(False, description="nothing moves: all frames count as one time, without flow and deformation")
+    holdout: int = Field(8, ge=0, le=100_000, description="every N-th frame is a test frame if the files define no split; 0: none")
+    background: Literal["white", "black"] | None = Field(None, description="colour behind pictures with alpha; white if there is alpha")
+    max_size: int | None = Field(None, ge=16, le=65_536, description="px; larger pictures are scaled down, and their intrinsics with them")
+    max_frames: int | None = Field(None, ge=2, le=1_000_000, description="most frames of a camera (videos without poses: 200)")
     every: int | None = Field(
-        None, ge=1, le=1_000_000, description="take every N-th frame of a video or image sequence; wins over max_frames"
+        None, ge=1, le=1_000_000, description="take every N-th frame of a video or image sequence; max_frames is then ignored"
     )
-    fps: float | None = Field(None, gt=0, le=1e6, description="frames per second of numbered images; 30 where the files say nothing")
+    fps: float | None = Field(None, gt=0, le=1e6, description="frames per second of numbered images; 30 if the files do not say")
     sync: Literal["auto", "sound", "frames"] = Field(
         "auto",
-        description="what aligns several videos' clocks; auto: their sound where all have some that tells, else their first frames",
+        description="how the clocks of several videos are aligned; auto: by sound if that is clear for all of them, else by first frames",
     )
 
 

@@ -12,11 +12,11 @@ from .facts import Facts
 
 
 class HullSettings(Settings):
-    k: int = Field(6, ge=3, le=8, description="points of a convex")
-    budget: int = Field(2500, ge=0, le=200_000, description="most convexes; 0 does without")
-    min_edge_density: float = Field(0.25, ge=0, le=1, description="mean edge weight under a seed, over the views that show it")
-    radius: float = Field(1.0, gt=0, le=10, description="factor on the mean distance to the three nearest neighbours")
-    views: int = Field(24, ge=1, description="training views in which edges are counted")
+    k: int = Field(6, ge=3, le=8, description="number of points of a convex")
+    budget: int = Field(2500, ge=0, le=200_000, description="most convexes; 0: none")
+    min_edge_density: float = Field(0.25, ge=0, le=1, description="least mean edge weight under a seed, over the views that show it")
+    radius: float = Field(1.0, gt=0, le=10, description="radius of a convex: factor on the mean distance to its three nearest neighbours")
+    views: int = Field(24, ge=1, description="number of training views in which edges are measured")
 
 
 class Hulls(Stage):
