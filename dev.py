@@ -238,7 +238,7 @@ def create_venv():
     except ImportError:
         stop("Python's venv module is incomplete here. Install it: `apt install python3-venv` (Debian, Ubuntu).")
     if VENV.is_dir() and any(VENV.iterdir()) and not (VENV / "pyvenv.cfg").exists():
-        stop(f"{VENV} holds files and is no Python environment. Move it away, or set E4DGS_VENV to another folder.")
+        stop(f"{VENV} holds files and is not a Python environment. Move it away, or set E4DGS_VENV to another folder.")
     print(f"Creating {VENV}", flush=True)
     if run([sys.executable, "-m", "venv", "--clear", str(VENV)]) != 0:
         stop(f"Could not create the environment {VENV}. Is the folder writable?")

@@ -124,7 +124,7 @@ def measure(capture_path: Path, truth: np.ndarray, seed: int, work: Path, raw: P
             row["second"] = error(arrays["cam_from_world"])
     row["final"] = error(artifact.read("cam_from_world"))
     row |= {"moving_share": artifact.attrs["moving_share"], "second_pass": artifact.attrs["second_pass"]}
-    moving = at.get("what moves", ended)
+    moving = at.get("moving objects", ended)
     again = at.get("matches off moving pixels", ended)
     began = at.get("matching", started) if prepared else at.get("registering", started)
     seconds = {"first pass": moving - began, "masks": again - moving, "second pass": ended - again}

@@ -41,12 +41,12 @@ def one(value: float) -> torch.Tensor:
 def convex(points: np.ndarray, tau: float, kappa: float) -> torch.Tensor:
     """Alpha [H, W] of one opaque convex."""
     corners = torch.tensor(points[None], dtype=torch.float32)
-    hull = Convexes(corners, one(tau), one(kappa), one(0.99), colors=torch.zeros(1, 3))
-    return rasterize(camera(), convexes=hull, background=WHITE).alpha
+    convex = Convexes(corners, one(tau), one(kappa), one(0.99), colors=torch.zeros(1, 3))
+    return rasterize(camera(), convexes=convex, background=WHITE).alpha
 
 
 def convexes() -> plt.Figure:
-    """One hull of six points: kappa makes its border soft or sharp, tau rounds its corners; a Gaussian for comparison."""
+    """One convex of six points: kappa makes its border soft or sharp, tau rounds its corners; a Gaussian for comparison."""
     points = 1.1 * fibonacci_sphere(6)
     quats = torch.tensor([[1.0, 0, 0, 0]])
     ball = Gaussians(torch.zeros(1, 3), quats, torch.full((1, 3), 0.5), one(0.99), colors=torch.zeros(1, 3))
@@ -62,7 +62,7 @@ def convexes() -> plt.Figure:
 
 
 def spheres() -> plt.Figure:
-    """The hulls with which convexes of four, six and eight points begin, and how many points would lie."""
+    """The initial shapes of convexes of four, six and eight points, and how many points would lie."""
     figure = plt.figure(figsize=(9, 2.6))
     for k, count in enumerate((4, 6, 8, 200), 1):
         axis = figure.add_subplot(1, 4, k, projection="3d")

@@ -121,7 +121,7 @@ def _unknown(job: Job, stage: Stage, waiting: list[Row], forced: bool) -> Row:
         own = differences(record["parts"], known)
         reason = "; ".join([*own, reason])
         if not forced and (count := made_before(job, stage, known)):
-            reason += f"; of {count} {stage.items} made before, those that are the same are taken over"
+            reason += f"; of {count} {stage.items} made before, those that are unchanged are reused"
     settings = job.settings[stage.name]
     task = stage.applies(job.capture.facts, settings).reason
     return Row(stage.name, "run", reason, stage.estimate(job.capture.facts, settings), task=task)

@@ -46,7 +46,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
         elif field == "version":  # from older results, whose keys did not contain the code
             continue
         elif field == "capture":
-            lines.append("the capture's files have another content")
+            lines.append("the content of the capture's files changed")
         else:
             lines.append(f"{field}: {before} -> {after}")
     return lines
@@ -55,7 +55,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 def changed_files(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> list[str]:
     """The source files that differ: ``scene/training/rates.py has changed``. A file that merely moved is not listed."""
     if before is None or after is None:
-        return ["made by an earlier version, whose keys did not hold the code"]
+        return ["made by an earlier version, whose keys did not include the code"]
     if before["digest"] == after["digest"]:
         return []
     old, new = before["files"], after["files"]
@@ -67,7 +67,7 @@ def changed_files(before: Mapping[str, Any] | None, after: Mapping[str, Any] | N
             added.remove(twin)
     found = (changed, "has", "have", "changed"), (added, "is", "are", "new"), (gone, "is", "are", "gone")
     lines = [f"{_listed(files)} {many if len(files) > 1 else one} {what}" for files, one, many, what in found if files]
-    return lines or ["source files import one another in another way"]
+    return lines or ["source files import one another differently"]
 
 
 def _listed(files: Sequence[str]) -> str:
@@ -84,7 +84,7 @@ def _line(field: str, name: str, before: Any, after: Any) -> str:
     states = ["skipped" if value is None else "no input" if value == _ABSENT else "there" for value in (before, after)]
     if states != ["there", "there"]:
         return f"input {name}: {states[0]} -> {states[1]}"
-    return f"input {name} has another content"
+    return f"input {name} changed"
 
 
 def _short(value: Any) -> str:

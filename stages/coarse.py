@@ -42,7 +42,7 @@ class Coarse(Stage):
         if use_nodes(known, settings):
             return Applies.yes("Gaussians, moved by control nodes")
         if settings.motion == "free" or (settings.motion == "auto" and known.pairs):
-            return Applies.yes("Gaussians; what masks show to move lives around a time of its own")
+            return Applies.yes("Gaussians; those on moving pixels live around a time of their own")
         return Applies.yes("Gaussians, moved by the six-plane field")
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:

@@ -55,7 +55,7 @@ class Poses(Stage):
             return Applies.yes(
                 f"structure from motion on {known.cameras} cameras at shared times; those that stand still get one pose each"
             )
-        again = "" if settings.moving == "off" or known.static else "; a second pass where what moves could pull the cameras"
+        again = "" if settings.moving == "off" or known.static else "; a second pass if moving objects could disturb the cameras"
         return Applies.yes(f"structure from motion on {known.frames} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
@@ -122,7 +122,7 @@ class Poses(Stage):
         try:
             arrays, facts = finished(request, folder) or run_worker(request, folder, bars)
             if several and several.looks.fixed:
-                told = "cameras that stand still are matched at equal times alone, where what moves is as good as what does not"
+                told = "cameras that stand still are matched only at equal times, when moving objects are as useful as static ones"
             elif settings.moving == "auto":
                 passes = second_pass(frames, request, folder, (arrays, facts), static, bars)
                 arrays, facts, share, told = passes.arrays, passes.facts, passes.moving_share, passes.told
@@ -148,11 +148,11 @@ class Poses(Stage):
         if several:
             write_account(ctx.out, fixed_cameras=several.looks.all_fixed)
         coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged)
-        ctx.log(f"{coverage.summary()}, reprojection error {mean_error:.2f} px in the mean, {median_error:.2f} px in the median")
+        ctx.log(f"{coverage.summary()}, mean reprojection error {mean_error:.2f} px, median {median_error:.2f} px")
         for sentence in facts["notes"]:
             ctx.log(sentence)
         if settings.moving == "auto":
-            ctx.log(f"what moves: {told}")
+            ctx.log(f"moving objects: {told}")
         for sentence in coverage.advice:
             ctx.log(sentence)
         _write(ctx, frames, arrays, coverage)

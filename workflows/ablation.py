@@ -64,8 +64,10 @@ for captures of fixed cameras. Seconds of all stages; a cached stage counts as t
 def ablation(
     captures: Captures,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where ablation.csv, .html and .json go.")],
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each row; mean and spread are shown.")] = 1,
-    rows: Annotated[str | None, typer.Option("--rows", metavar="NAME,NAME", help="Only rows that begin so, as in a,b,full.")] = None,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each row; the tables show mean and spread.")] = 1,
+    rows: Annotated[
+        str | None, typer.Option("--rows", metavar="NAME,NAME", help="Only rows whose names begin like this: a,b,full.")
+    ] = None,
     workspace: Workspace = DEFAULT_WORKSPACE,
     preset: Preset = "default",
     set: Set = None,

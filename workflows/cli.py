@@ -34,7 +34,7 @@ from .view.command import view
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Captures of moving scenes become 4D models that render any view at any time.",
+    help="Turns captures of moving scenes into 4D models that render any view at any time.",
 )
 app.add_typer(bench, name="bench")
 app.add_typer(export, name="export")
@@ -71,7 +71,7 @@ def options_of_all(
 
 @app.command()
 def run(
-    target: Annotated[str, typer.Argument(metavar="all|STAGE", help="Every stage, or one and what it needs.")],
+    target: Annotated[str, typer.Argument(metavar="all|STAGE", help="All stages, or one stage and what it needs.")],
     capture: Capture,
     workspace: Workspace = DEFAULT_WORKSPACE,
     preset: Preset = "default",
@@ -81,7 +81,7 @@ def run(
     static: Static = False,
     format: Format = None,
     store_also: StoreAlso = None,
-    force: Annotated[bool, typer.Option("--force", help="Run the stage (with 'all': every stage) although it is cached.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Run the stage (with 'all': every stage) even if it is cached.")] = False,
     watch: Annotated[bool, typer.Option("--view", help="Open the viewer as soon as there is something to see.")] = False,
     debug: Debug = False,
 ) -> None:
@@ -97,7 +97,7 @@ def run(
         if (found := execute(session, rows, console, _say, targets, forced)) is not None:
             show.show_metrics(console, *found)
         if watch:
-            _say("the viewer goes on; Ctrl-C ends it")
+            _say("the viewer keeps running; Ctrl-C stops it")
 
 
 def _say(message: str) -> None:
@@ -203,7 +203,7 @@ def main(arguments: list[str] | None = None) -> Any:
         errors.print(f"error: {message}", markup=False, highlight=False, soft_wrap=True)
         return error.exit_code if isinstance(error, PipelineError) else 1
     if code == INTERRUPTED:
-        errors.print("interrupted; what is finished is kept, and a long stage continues where its last checkpoint is", highlight=False)
+        errors.print("interrupted; finished results are kept, and a long stage continues from its last checkpoint", highlight=False)
     return code
 
 

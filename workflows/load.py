@@ -53,6 +53,6 @@ def _scene_folder(path: Path, workspace: Path) -> Path:
         names = ", ".join(folder.name for folder in found)
         raise ArtifactError(f"{path}: {workspace} has several scenes of this capture ({names}); give the folder of one, {found[0]}")
     raise ArtifactError(
-        f"{path}: this is no scene's folder, and {workspace} has no scene of such a capture; "
+        f"{path}: this is not the folder of a scene, and {workspace} has no scene of such a capture; "
         f"make one with: e4dgs run all {path}, or name its workspace"
     )

@@ -15,9 +15,9 @@ Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
 Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
 Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
-Format = Annotated[str | None, typer.Option("--format", help="How to read the capture, where files fit two formats.")]
+Format = Annotated[str | None, typer.Option("--format", help="Format of the capture, if its files fit several.")]
 StoreAlso = Annotated[
     list[Path] | None,
-    typer.Option("--store-also", metavar="DIR", help="Another workspace, only read: its results are taken over; may be repeated."),
+    typer.Option("--store-also", metavar="DIR", help="Another workspace, which is only read: its results are reused; may be repeated."),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]

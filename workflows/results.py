@@ -16,7 +16,7 @@ def results(session: Session, stage: str) -> dict[str, Artifact | None]:
     rows = {row.stage: row for row in make_plan(session.job, [stage])}
     wanted, capture = rows[stage], session.options.capture
     if wanted.state == "skip":
-        raise CaptureError(f"{capture}: there is no {stage} of it: {wanted.reason}")
+        raise CaptureError(f"{capture}: this capture has no {stage}: {wanted.reason}")
     if wanted.state == "run":
         raise ArtifactError(
             f"{capture}: the workspace {session.options.workspace} has no {stage} of this capture with these settings ({wanted.reason}); "

@@ -11,4 +11,4 @@ def refuse_edited(stage: Stage, device: str) -> None:
     already imported and the rest would be imported now, so the result would belong to neither version."""
     how = type(stage), stage.device_class and device == "cuda"
     if changed := changed_files(code_of(*how), code_now(*how)):
-        raise StageError(f"{stage.name}: {'; '.join(changed)} since this run began; run it again, what is done is kept")
+        raise StageError(f"{stage.name}: {'; '.join(changed)} since this run began; run it again: finished results are kept")

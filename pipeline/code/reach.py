@@ -78,7 +78,7 @@ def _files_of(one: type, sources: Sources) -> list[File]:
         return []
     path = getattr(sys.modules.get(one.__module__), "__file__", None)
     if path is None:
-        raise StageError(f"{one.__qualname__}: its source is in no file, so nobody could tell when it changes; write it into one")
+        raise StageError(f"{one.__qualname__}: its source is not in a file, so changes to it cannot be noticed; put it into a file")
     files = sources.module(top, parts) if top in sources.packages else []
     return files if files and Path(path).as_posix().endswith(files[0].name) else [File("", path)]
 

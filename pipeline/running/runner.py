@@ -85,7 +85,7 @@ class Runner:
         row = assess(self.job, stage, inputs, forced)
         if row.state == "run" or row.source is not None:
             assert row.key is not None
-            with self.job.store.lock(stage.name, row.key, lambda: self._report(f"{stage.name}: another process is making it, waiting")):
+            with self.job.store.lock(stage.name, row.key, lambda: self._report(f"{stage.name}: another process is computing it; waiting")):
                 row = assess(self.job, stage, inputs, forced)  # the other process may have made it meanwhile
                 while row.source is not None:
                     row = self._trusted.take_over(stage, row) or assess(self.job, stage, inputs, forced)

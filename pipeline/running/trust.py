@@ -56,7 +56,7 @@ class Trusted:
                 if isinstance(error, DamagedError) and artifact.path == self.job.store.path(stage.name, artifact.path.name):
                     place = self.job.store.quarantine_damaged(stage.name, artifact.path.name)
                 moved = f"; moved to {place}" if place is not None else ""
-                self._report(f"{stage.name}: nothing is taken over from an earlier result: {error}{moved}")
+                self._report(f"{stage.name}: nothing is reused from an earlier result: {error}{moved}")
                 row = assess(self.job, stage, inputs)
             else:
                 self.add(artifact)

@@ -69,9 +69,9 @@ class Artifact:
         found.pop(MANIFEST, None)
         for name, (size, _) in self.manifest["files"].items():
             if name not in found:
-                raise DamagedError(self.path, name, "this file is in the manifest and not on disk")
+                raise DamagedError(self.path, name, "this file is in the manifest but not on disk")
             if found.pop(name) != size:
-                raise DamagedError(self.path, name, f"the manifest says {size} bytes and the file has another size")
+                raise DamagedError(self.path, name, f"the manifest says {size} bytes, but the file has another size")
         if found:
             raise DamagedError(self.path, min(found), "this file is not in the manifest")
 

@@ -66,7 +66,7 @@ def _try(descriptor: int, path: Path) -> bool:
             return False
         if error.errno in _NONE:
             raise StageError(
-                f"{path}: this file system has no locks ({error.strerror}), by which runs keep out of one another's way; give a "
+                f"{path}: this file system has no locks ({error.strerror}), which keep runs from disturbing one another; give a "
                 "--workspace on a local disk, or mount the network file system with locks (NFS: without nolock, its lock service running)"
             ) from error
         raise

@@ -54,7 +54,7 @@ class Pins:
         try:
             return [(str(stage), str(key)) for stage, key in content["results"]]
         except (TypeError, KeyError, ValueError):
-            raise ArtifactError(f"{path}: this is no list of pinned results; remove the file, and pin {name} again") from None
+            raise ArtifactError(f"{path}: this is not a list of pinned results; remove the file, and pin {name} again") from None
 
     def _path(self, name: str) -> Path:
         if not _NAME.fullmatch(name):

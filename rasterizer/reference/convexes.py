@@ -12,7 +12,7 @@ from ..validate import usable
 from .hull import extent, hull_area, hull_corners
 from .sh import colors_of
 
-DEGENERATE = 1e-5  # a hull is culled unless its area is above this fraction of its squared extent
+DEGENERATE = 1e-5  # a convex is culled unless the area of its hull is above this fraction of the hull's squared extent
 
 
 @dataclass(eq=False)

@@ -11,7 +11,7 @@ from ...pipeline import Artifact, ArtifactWriter
 
 @dataclass(frozen=True)
 class StoredHulls:
-    """M hulls of K points each."""
+    """M convexes of K points each."""
 
     points: np.ndarray  # [M, K, 3] float32, world units, in the rest pose
     colors: np.ndarray  # [M, 3] float32 in [0, 1]

@@ -51,10 +51,10 @@ def _read(file: IO[bytes], size: int, where: str, columns: tuple[int, ...], most
         raise CaptureError(f"{where}: expected numbers [N,{expected}], found {dtype} {list(shape)}; correct the file or remove it")
     promised = math.prod(shape) * dtype.itemsize
     if not 0 <= shape[0] <= most:
-        raise CaptureError(f"{where}: {shape[0]} rows are more than a capture has; thin them out or remove the file")
+        raise CaptureError(f"{where}: {shape[0]} rows are too many for a capture; thin them out or remove the file")
     if promised > size:
         raise CaptureError(
-            f"{where}: {list(shape)} are promised, which its {size} bytes cannot hold; cut short, copy it again or remove it"
+            f"{where}: {list(shape)} are promised, which its {size} bytes cannot hold; it is cut short: copy it again or remove it"
         )
     file.seek(begin)
     return np.asarray(np.lib.format.read_array(file, allow_pickle=False))

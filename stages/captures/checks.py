@@ -51,7 +51,7 @@ def refuse_huge_files(root: Path, names: Iterable[str]) -> None:
         except OSError as error:
             raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
         if size > _MOST_BYTES:
-            raise CaptureError(f"{name}: {size / 1e9:.0f} GB, which no capture has; copy the file again or remove it")
+            raise CaptureError(f"{name}: {size / 1e9:.0f} GB, which is too large for a capture; copy the file again or remove it")
 
 
 def list_folder(folder: Path) -> list[str]:
@@ -69,7 +69,7 @@ def read_json(root: Path, name: str) -> dict[str, Any]:
     resolve_inside(root, name, name)
     try:
         if path.stat().st_size > _JSON_LIMIT:
-            raise CaptureError(f"{name}: larger than 64 MiB, which is no camera file; check the capture")
+            raise CaptureError(f"{name}: larger than 64 MiB, so it is not a camera file; check the capture")
         data = _parsed(path.read_bytes().decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise CaptureError(f"{name}: not UTF-8 (byte {error.start}); save the file as UTF-8") from error
@@ -89,7 +89,7 @@ def _parsed(text: str) -> Any:
         found = dict(pairs)
         if len(found) < len(pairs):
             names = [key for key, _ in pairs]
-            raise ValueError(f"the name {next(key for key in names if names.count(key) > 1)[:100]!r} stands twice in one object")
+            raise ValueError(f"the name {next(key for key in names if names.count(key) > 1)[:100]!r} appears twice in one object")
         return found
 
     collecting = gc.isenabled()
@@ -155,7 +155,9 @@ def rigid(pose: np.ndarray, where: str) -> np.ndarray:
     if np.abs(result[:3, 3]).max() > _FARTHEST:
         raise CaptureError(f"{where}: the camera stands more than {_FARTHEST:g} world units away; correct the file")
     if pose.shape[0] == 4 and np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
-        raise CaptureError(f"{where}: the last row is {pose[3].tolist()}, not [0, 0, 0, 1]; this is no camera pose (transposed, perhaps)")
+        raise CaptureError(
+            f"{where}: the last row is {pose[3].tolist()}, not [0, 0, 0, 1]; this is not a camera pose (perhaps it is transposed)"
+        )
     rotation = result[:3, :3]
     error = np.abs(rotation.T @ rotation - np.eye(3)).max() if np.abs(rotation).max() < 1e3 else np.inf
     if error > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:

@@ -60,4 +60,4 @@ def unread(folder: Path, layout: str) -> tuple[str, ...]:
     known = (
         f"{_FOLDER}/ beside images/ (give the folder that holds both), {_FOLDER}/ in a flat folder of photos, mask_path of transforms.json"
     )
-    return (f"the folder {_FOLDER}/ is not looked at here, where the layout is {layout}; masks are read from {known}",)
+    return (f"the folder {_FOLDER}/ is ignored, because the layout is {layout}; masks are read from {known}",)

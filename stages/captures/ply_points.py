@@ -47,18 +47,20 @@ def read_points(root: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
         with path.open("rb") as file:
             order, count, fields, begin = _header(file.read(_HEADER_LIMIT), name)
             if count > MOST_POINTS:
-                raise CaptureError(f"{name}: {count} vertices are promised, too many points to begin with; thin them out")
+                raise CaptureError(f"{name}: {count} vertices are promised, which are too many points; thin them out")
             file.seek(begin)
             rest = path.stat().st_size - begin
             table = _ascii(file, rest, count, fields) if order == "ascii" else _binary(file, rest, count, fields, _ORDER[order])
     except OSError as error:
         raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
     except (ValueError, TypeError) as error:
-        raise CaptureError(f"{name}: {count} vertices are promised and not there, perhaps cut short ({error}); copy it again") from error
+        raise CaptureError(
+            f"{name}: {count} vertices are promised, but not all are there; perhaps it is cut short ({error}); copy it again"
+        ) from error
     points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
     bad = np.flatnonzero(~(np.abs(points) < 1e12).all(1))
     if len(bad):
-        raise CaptureError(f"{name}: vertex {bad[0]}: x, y, z = {points[bad[0]].tolist()} is no place; remove the vertex")
+        raise CaptureError(f"{name}: vertex {bad[0]}: x, y, z = {points[bad[0]].tolist()} is not a valid position; remove the vertex")
     return points, _colours(table, dict(fields), count, name)
 
 

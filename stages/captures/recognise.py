@@ -78,7 +78,7 @@ def _existing(path: Path) -> Path:
     if not root.is_dir() and not root.is_file():
         raise CaptureError(f"{path}: neither a file nor a folder; pass a video or the capture's folder")
     if root.is_file() and root.suffix.lower() in (".json", ".npy", *checks.IMAGE_SUFFIXES):
-        raise CaptureError(f"{path}: one file of a capture; pass its folder {root.parent}")
+        raise CaptureError(f"{path}: this is one file of a capture; pass its folder {root.parent}")
     return root
 
 
@@ -111,7 +111,7 @@ def _advice(root: Path) -> str:
     for part in ("", "sparse/0/", "sparse/"):
         for name in checks.list_folder(root / part) if (root / part).is_dir() else ():
             if not (root / part / name).is_file() and not (root / part / name).is_dir():
-                return f"{part}{name} is no file, but a link that leads nowhere, a pipe or a device; put the file itself there"
+                return f"{part}{name} is not a file but a broken link, a pipe or a device; put the file itself there"
     folders = [name for name in names if (root / name).is_dir()]
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."

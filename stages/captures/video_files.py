@@ -45,7 +45,7 @@ def open_video(root: Path, name: str) -> Iterator[Any]:
 
     path = root / name
     if not path.is_file():  # opening a pipe would block
-        raise CaptureError(f"{name}: no file; pass a video file")
+        raise CaptureError(f"{name}: not a file; pass a video file")
     with av.open(str(path), options={"protocol_whitelist": "file", "format_whitelist": ",".join(_CONTAINERS)}) as container:
         for stream in container.streams.video:
             context = stream.codec_context

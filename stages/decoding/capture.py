@@ -69,7 +69,7 @@ def _pinholes(capture: Capture, K: np.ndarray, distortion: np.ndarray, ctx: Cont
         bent |= capture.fisheye > 0
     if bent.any():
         ctx.log(
-            f"{bent.sum()} of {len(bent)} pictures are undistorted to pinhole cameras; what these show is "
+            f"{bent.sum()} of {len(bent)} pictures are undistorted to pinhole cameras; they keep "
             f"at least {kept[bent].min():.0%} of a picture's area, every pixel of it seen by the lens"
         )
     return result

@@ -47,5 +47,5 @@ def nothing_moves(ctx: Context, frames: FrameSet, out: FlowWriter) -> bool:
         bar.advance(1)
     out.write_static(found.static, found.reason, found.largest_moving_share)
     if found.static:
-        ctx.log(f"nothing moves: {found.reason}; no flow, no deformation (flow.detect_static=false measures all the same)")
+        ctx.log(f"nothing moves: {found.reason}; no flow and no deformation (flow.detect_static=false measures flow anyway)")
     return found.static

@@ -134,14 +134,14 @@ def measure(
         ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
         if followed and (share := float(np.median(followed))) < FOLLOWED:
             ctx.log(
-                "what moves goes too far from frame to frame to be followed: flow forward and backward agrees at "
-                f"{100 * share:.0f} % of its pixels; expect it blurred or torn between frames; more frames a second help"
+                "moving objects move too far between frames to be followed: forward and backward flow agree at "
+                f"{100 * share:.0f} % of their pixels; expect them to be blurred or torn between frames; more frames per second help"
             )
     out.write_counts(static=came["static"], measured=came["measured"], taken_over=came["taken"])
     if came["static"]:
         ctx.log(f"nothing moves between the frames of {came['static']} of {count} pairs: their flow is zero and was not measured")
     if came["taken"]:
-        ctx.log(f"flow of {came['taken']} of {count} pairs is taken over from an earlier result, of {came['measured']} it was measured")
+        ctx.log(f"flow of {came['taken']} of {count} pairs is reused from an earlier result; that of {came['measured']} was measured")
     return masks
 
 

@@ -50,7 +50,7 @@ class PairFlows:
             return
         size, motion = working_size(frames, wanted, ctx.settings.max_size)
         if size < min(max(frames.width, frames.height), ctx.settings.max_size or 1 << 30):
-            ctx.log(f"motion of {motion:.1f} px at most: flow is measured at {size} px, the longest side")
+            ctx.log(f"motion is at most {motion:.1f} px: flow is measured at {size} px (longest side)")
         given = ctx.settings
         self.method = open_method(given.method, given.weights, given.preset, given.iterations, given.tolerance, ctx.device, size)
         out.write_method(self.method_name, size)

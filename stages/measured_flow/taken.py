@@ -26,7 +26,9 @@ class TakenFlow:
             self._flow = before
         else:
             was = f"{before.method} at {before.working_size} px"
-            ctx.log(f"the earlier result is of {was}, the longest side, and this one of {method} at {size} px: nothing is taken over")
+            ctx.log(
+                f"the earlier result was measured with {was} (longest side), and this one with {method} at {size} px: nothing is reused"
+            )
 
     def __contains__(self, p: int) -> bool:
         return self._flow is not None and p in self._rows

@@ -11,7 +11,7 @@ LABELS = {
     "matches": "matching",
     "turning": "how the camera turns",
     "mapping": "registering",
-    "moving": "what moves",
+    "moving": "moving objects",
     "verify": "matches off moving pixels",
 }
 

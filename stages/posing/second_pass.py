@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 LEAST = 0.1  # share of a frame's used features; outliers of a tenth, all to one side, shift a Cauchy estimate by 0.15 sigma of a feature
 KEPT = ("the first pass", "the second pass, without them,")
-TURNS = "the camera turns and hardly moves: rotations rest on all of the picture, and motion apart from them cannot be told"
+TURNS = "the camera turns and hardly moves: its rotations are found from the whole picture, so no other motion can be separated from them"
 Result = tuple[dict[str, np.ndarray], dict[str, Any]]
 
 
@@ -41,7 +41,7 @@ def needless(frames: FrameSet, static: bool, registered: np.ndarray) -> str | No
     if static:
         return "static capture: nothing moves"
     if max(np.bincount(np.asarray(frames.camera)[registered]), default=0) < FEWEST:
-        return f"no camera has {FEWEST} frames with a pose, so what moves cannot be told"
+        return f"no camera has {FEWEST} frames with a pose, so moving objects cannot be found"
     return None
 
 
@@ -63,7 +63,7 @@ def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, firs
     worst = int(shares.argmax())
     percent = f"{100 * share:.1f} % of the features used lie on moving objects, {100 * shares[worst]:.1f} % in frame {worst}"
     if shares[worst] < LEAST:
-        return Passes(arrays, facts, share, f"no second pass: {percent}, the most, and {100 * LEAST:g} % does no harm")
+        return Passes(arrays, facts, share, f"no second pass: {percent}, the most; {100 * LEAST:g} % would do no harm")
     request = {**request, "task": "reconstruct_masked", "first": str(folder), "masks": str(file)}
     below = folder / "masked"
     try:

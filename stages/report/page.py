@@ -23,7 +23,7 @@ FLOW_KINDS = (
     ("measured", "measured flow"),
     ("rendered", "rendered flow"),
     ("edges", "edges"),
-    ("moving", "what moves"),
+    ("moving", "moving pixels"),
 )
 MEASURED_AS = ("metrics", "colours", "moving", "flicker")  # entries of the protocol that are sentences, shown in small print
 VIEW_COLUMNS = (("truth", "ground truth"), ("render", "render"), ("error", "error × 4"), ("edges", "edges"), ("depth", "depth"))
@@ -38,8 +38,8 @@ HEADLINES = (  # key, title, unit, decimals
     ("lpips", "LPIPS", "", 4),
     ("psnr_affine", "PSNR after colour fit", "dB", 2),
     ("ssim_affine", "SSIM after colour fit", "", 4),
-    ("psnr_moving", "PSNR of what moves", "dB", 2),
-    ("psnr_static", "PSNR of what is static", "dB", 2),
+    ("psnr_moving", "PSNR of moving pixels", "dB", 2),
+    ("psnr_static", "PSNR of static pixels", "dB", 2),
     ("psnr_foreground", "PSNR where alpha is not 0", "dB", 2),
     ("psnr_other_background", "PSNR on the other background", "dB", 2),
 )

@@ -77,7 +77,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     pictures = np.stack(plates.pictures)
     colors = pictures[[place[int(i)] for i in frame], at[:, 1].astype(int), at[:, 0].astype(int)] / 255.0
     known = len(found) / sum(one.inverse.size for one in maps)
-    ctx.log(f"seeds: plane sweep tells the depth of {known:.0%} of the pixels of {len(maps)} {'cameras' if fixed else 'frames'}")
+    ctx.log(f"seeds: the plane sweep gives the depth of {known:.0%} of the pixels of {len(maps)} {'cameras' if fixed else 'frames'}")
     inverse = {one.frame: one.inverse for one in maps}
     if fixed:
         of_camera = {int(views.camera[frame]): one for frame, one in inverse.items()}

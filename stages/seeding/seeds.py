@@ -64,7 +64,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
         fill = True
     keep = trusted(points, views.centres()[views.train])
     points, colors = points[keep], colors[keep]
-    ctx.log(f"seeds: {len(points)} points; {int((~keep).sum())} that stand alone are left out")
+    ctx.log(f"seeds: {len(points)} points; {int((~keep).sum())} isolated ones are left out")
     measured = points
     swept = sweep(ctx, frames, views, points) if fill and len(points) >= LEAST_POINTS else None
     if swept is not None:
@@ -88,15 +88,15 @@ def moving_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarra
         return None
     if Facts.of(ctx.facts).rig:
         times = np.unique(views.time[views.train])
-        with ctx.progress(len(key_times(times)), "seeds on what moves") as bar:
+        with ctx.progress(len(key_times(times)), "seeds on moving objects") as bar:
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), most, ctx.settings.seed, bar.advance)
     elif flow.has_ever_moving:
         return None
     else:
-        with ctx.progress(len(views.train), "seeds on what moves") as bar:
+        with ctx.progress(len(views.train), "seeds on moving objects") as bar:
             found = camera_seeds(flow, views, points, most, bar.advance)
     if found is not None:
-        ctx.log(f"seeds: {len(found.points)} on what moves, at {len(np.unique(found.time))} times")
+        ctx.log(f"seeds: {len(found.points)} on moving objects, at {len(np.unique(found.time))} times")
     return found
 
 

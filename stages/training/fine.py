@@ -65,10 +65,10 @@ def training_settings(settings: FineSettings, growth: GrowthSettings) -> Trainin
     return TrainingSettings(**settings.model_dump(include=set(RefinementSettings.model_fields)), **growth.model_dump())
 
 
-def add_convexes(model: Model, hulls: StoredHulls, opacity: float) -> None:
-    """Adds convexes in the shape of ``hulls``. Each takes its motion and lifetime from the Gaussian that it came from."""
-    model.convexes = ConvexSet.from_points(hulls.points, hulls.colors, model.sh_degree, opacity)
-    seeds = torch.from_numpy(hulls.seed).long()
+def add_convexes(model: Model, shapes: StoredHulls, opacity: float) -> None:
+    """Adds convexes in the shape of ``shapes``. Each takes its motion and lifetime from the Gaussian that it came from."""
+    model.convexes = ConvexSet.from_points(shapes.points, shapes.colors, model.sh_degree, opacity)
+    seeds = torch.from_numpy(shapes.seed).long()
     for name in ("hyper", *LIFE):
         model.convexes.parameters[name].data.copy_(model.gaussians.parameters[name][seeds])
     model.convexes.dynamic = model.gaussians.dynamic[seeds]

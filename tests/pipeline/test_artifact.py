@@ -90,7 +90,7 @@ def test_truncated_missing_and_foreign_files_are_found_on_opening(artifact):
     with pytest.raises(ArtifactError, match=r"c/0/0: the manifest says \d+ bytes"):
         Artifact(artifact.path)
     chunk.unlink()
-    with pytest.raises(ArtifactError, match=r"c/0/0: this file is in the manifest and not on disk"):
+    with pytest.raises(ArtifactError, match=r"c/0/0: this file is in the manifest but not on disk"):
         Artifact(artifact.path)
     chunk.symlink_to(artifact.path / "chunked" / "c" / "2" / "0")
     with pytest.raises(ArtifactError, match="c/0/0"):

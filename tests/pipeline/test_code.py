@@ -111,7 +111,7 @@ def test_an_import_from_elsewhere_is_another_code(toys):
     toys.edit("stage.py", "from .work.multiply", "from . import one, two\n        from .one")
     before = toys.code()
     toys.edit("stage.py", "from .one", "from .two")
-    assert changed_files(before, toys.code()) == ["source files import one another in another way"]
+    assert changed_files(before, toys.code()) == ["source files import one another differently"]
     for name in ("one", "two"):
         toys.write(f"{name}.py", f"from .{'nobody' if name == 'one' else 'planning'} import multiply\n")
     before = toys.code()

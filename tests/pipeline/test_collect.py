@@ -127,7 +127,7 @@ def test_pins_keep_what_they_name_until_they_are_taken_back(store):
     with pytest.raises(SettingsError, match="letters"):
         pins.add("../up", [("s", "a")])
     (store.root / "pins" / "other.json").write_text("[]")
-    with pytest.raises(ArtifactError, match=r"other\.json: this is no list"):
+    with pytest.raises(ArtifactError, match=r"other\.json: this is not a list"):
         collect(store, none)
     assert keys(store) == ["a"], "a pin that cannot be read is no reason to remove"
 

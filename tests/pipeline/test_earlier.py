@@ -94,10 +94,10 @@ def test_the_plan_says_what_it_can_know(bench):
     assert "items" in first.artifact.provenance and first.artifact.provenance["earlier"] is None
     bench.numbers.write_text("1 2 3 4")
     before = make_plan(job(bench))[-1]
-    assert before.reason == "after numbers; of 3 squares made before, those that are the same are taken over" and before.estimate == 8
+    assert before.reason == "after numbers; of 3 squares made before, those that are unchanged are reused" and before.estimate == 8
     Runner(job(bench)).run(["numbers"])
     known = make_plan(job(bench))[-1]
-    assert known.reason == "input numbers has another content; 1 of 4 squares are new" and known.estimate == 2
+    assert known.reason == "input numbers changed; 1 of 4 squares are new" and known.estimate == 2
     assert explain(job(bench), "squares") == [f"squares would run: {known.reason}"]
     second, _ = run(bench)
     assert second.artifact.provenance["earlier"] == first.artifact.path.name
@@ -156,7 +156,7 @@ def test_damage_is_found_before_anything_is_taken_over(bench, afresh):
     lines: list[str] = []
     outcome = Runner(job(bench), lines.append).run()[-1]
     assert bench.runs()[-4:] == ["1", "2", "3", "4"] and outcome.artifact.digest == afresh("1 2 3 4")
-    assert any("nothing is taken over" in line and "values/c/1" in line and "moved to" in line for line in lines)
+    assert any("nothing is reused" in line and "values/c/1" in line and "moved to" in line for line in lines)
     assert not bench.store.has("squares", first.artifact.path.name)
 
 
@@ -244,7 +244,7 @@ def test_a_result_without_items_lends_none(bench):
     run(bench, squares__none=True)
     bench.numbers.write_text("1 2 3 4")
     Runner(job(bench)).run(["numbers"])
-    assert reason(bench, squares__none=True) == "input numbers has another content"
+    assert reason(bench, squares__none=True) == "input numbers changed"
 
 
 def test_damaged_inputs_are_mended_first(bench, afresh):

@@ -28,7 +28,7 @@ def test_results_of_older_versions_are_read(old):
 
 
 def test_they_are_made_again_since_nobody_knows_by_which_code_they_were_made(old):
-    assert explain(old.job(), "numbers") == ["numbers would run: made by an earlier version, whose keys did not hold the code"]
+    assert explain(old.job(), "numbers") == ["numbers would run: made by an earlier version, whose keys did not include the code"]
     digests = {stage: old.store.open(stage, key).digest for stage, key in old.store.entries()}
     outcomes = Runner(old.job()).run()
     assert {outcome.stage: outcome.artifact.digest for outcome in outcomes} == digests, "what is computed is the same"

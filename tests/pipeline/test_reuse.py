@@ -71,7 +71,7 @@ def test_a_changed_capture_reruns_its_readers(bench):
     bench.run()
     bench.numbers.write_text("1 2 4")
     job = bench.job()
-    assert reason(job, "numbers") == "the capture's files have another content"
+    assert reason(job, "numbers") == "the content of the capture's files changed"
     assert bench.run()["numbers"] == "ran"
 
 
@@ -196,7 +196,7 @@ def test_what_became_of_an_input_is_said():
     old = {"inputs": {"poses": None, "flow": "a", "coarse": "b", "hulls": "c"}}
     new = {"inputs": {"poses": "d", "flow": None, "coarse": "e", "masks": "f", "edges": None}}
     assert differences(old, new) == [
-        "input coarse has another content",
+        "input coarse changed",
         "input edges: no input -> skipped",
         "input flow: there -> skipped",
         "input hulls: there -> no input",

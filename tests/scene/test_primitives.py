@@ -31,10 +31,10 @@ def test_neighbour_radius_is_the_mean_of_three():
     assert (neighbour_radius(np.zeros((4, 3))) > 0).all()
 
 
-def test_hulls_have_their_radius():
-    hulls = fibonacci_convexes(np.array([[1.0, 2, 3], [0, 0, 0]]), np.array([0.5, 2.0]), 6)
-    assert hulls.shape == (2, 6, 3)
-    assert np.allclose(np.linalg.norm(hulls[0] - [1, 2, 3], axis=1), 0.5)
+def test_convexes_have_their_radius():
+    convexes = fibonacci_convexes(np.array([[1.0, 2, 3], [0, 0, 0]]), np.array([0.5, 2.0]), 6)
+    assert convexes.shape == (2, 6, 3)
+    assert np.allclose(np.linalg.norm(convexes[0] - [1, 2, 3], axis=1), 0.5)
 
 
 def test_colours_survive_the_round_trip_through_spherical_harmonics():
@@ -139,8 +139,8 @@ def test_exponential_rate_hits_both_ends():
 
 def test_convexes_shrink_about_their_centroids_and_only_those_that_are_too_large():
     corners = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
-    hulls = np.stack([(0.2 * corners + 3).numpy(), (0.1 * corners).numpy(), (0.1001 * corners).numpy()]).astype(np.float32)
-    convexes = ConvexSet.from_points(hulls, np.zeros((3, 3), np.float32), 0)
+    shapes = np.stack([(0.2 * corners + 3).numpy(), (0.1 * corners).numpy(), (0.1001 * corners).numpy()]).astype(np.float32)
+    convexes = ConvexSet.from_points(shapes, np.zeros((3, 3), np.float32), 0)
     keep_small(convexes, 0.1)
     np.testing.assert_allclose(convexes.points.detach(), np.stack([0.1 * corners + 3, 0.1 * corners, 0.1 * corners]), atol=1e-6)
     assert convexes.points.requires_grad and convexes.points.is_leaf

@@ -49,7 +49,7 @@ def test_a_training_that_is_killed_again_and_again_ends_as_if_nothing_had_happen
 def test_these_trainings_hold_what_could_be_lost():
     """Motion of every kind that was renewed, colours of cameras, convexes, in the end and away from where they began."""
     nodes, fine = whole("nodes"), whole("fine")
-    assert sum("spread anew" in event for event in nodes.log.events) == len(NODES.spread_at)
+    assert sum("the motion was spread" in event for event in nodes.log.events) == len(NODES.spread_at)
     for kind in ("planes", "free", "fine"):
         assert float(whole(kind).model.affine.offset.detach().abs().max()) > 1e-4
     assert len(fine.model.convexes) and {bool(d) for d in fine.model.convexes.dynamic} == {True}

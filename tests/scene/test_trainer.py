@@ -183,5 +183,5 @@ def test_what_is_hardly_seen_goes_once_and_steps_follow(views, prune_at, step):
         model.gaussians.means[:7] = torch.tensor([0.0, 0.0, -50.0])  # behind all cameras
     _, log, _ = train(views, model, phases=node_phases(40, 1.0), recipe=dataclasses.replace(NODES, prune_at=prune_at))
     assert float(model.gaussians.means.detach()[:, 2].min()) > -10
-    removals = [event for event in log.events if "hardly blended" in event]
+    removals = [event for event in log.events if "hardly any training view shows them" in event]
     assert len(removals) == 1 and removals[0].startswith(f"step {step}: ")

@@ -104,7 +104,7 @@ def test_unlike_sounds_align_nothing(tmp_path):
     grey_video(tmp_path / "b.mp4", 50, 25, event(2.0, seed=2))
     assert clocks(tmp_path, ["a.mp4", "b.mp4"], "auto") == (
         [0.0, 0.0],
-        "aligned by their first frames (the sound of b.mp4 does not tell its clock)",
+        "aligned by their first frames (the sound of b.mp4 does not determine its clock)",
     )
     with pytest.raises(CaptureError, match=r"b\.mp4: its sound does not fit that of a\.mp4 .* frames\.sync=frames"):
         recognise(tmp_path, sync="sound")
@@ -145,7 +145,7 @@ def test_damaged_videos_are_named(videos_capture, tmp_path):
 def test_one_frame_is_no_camera(tmp_path):
     grey_video(tmp_path / "a.mp4", 10, 25)
     grey_video(tmp_path / "b.mp4", 1, 25)
-    with pytest.raises(CaptureError, match=r"b\.mp4: one frame alone"):
+    with pytest.raises(CaptureError, match=r"b\.mp4: only one frame"):
         recognise(tmp_path)
 
 

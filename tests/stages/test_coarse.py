@@ -96,8 +96,8 @@ def test_training_stays_finite_and_learns(ball, which, request):
 
 def test_with_masks_what_moves_has_seeds_and_a_life_and_motion_needs_no_warm_up(with_masks):
     ran, phases = with_masks
-    (told,) = [line for line in ran.lines if "on what moves, at" in line]
-    seeds, times = map(int, re.fullmatch(r"seeds: (\d+) on what moves, at (\d+) times", told).groups())
+    (told,) = [line for line in ran.lines if "on moving objects, at" in line]
+    seeds, times = map(int, re.fullmatch(r"seeds: (\d+) on moving objects, at (\d+) times", told).groups())
     assert seeds > 300 and times == len(ran.context.inputs["frames"].read("split")) - int(
         ran.context.inputs["frames"].read("split").astype(bool).sum()
     )
@@ -108,7 +108,7 @@ def test_with_masks_what_moves_has_seeds_and_a_life_and_motion_needs_no_warm_up(
 
 def test_without_masks_training_begins_at_rest(without_masks):
     ran, phases = without_masks
-    assert not any("seeds on what moves" in line for line in ran.lines)
+    assert not any("seeds on moving objects" in line for line in ran.lines)
     assert len(ran.artifact.read("gaussians_means")) < 300
     assert not phases[0].move and phases[-1].move
 

@@ -116,7 +116,7 @@ def test_more_frames_of_a_video_leave_the_others_flow_as_it_was(tmp_path, measur
     assert len(measured) == 2 * 7 and first.artifact.info["pairs"] == {"measured": 7, "taken_over": 0}
     path = video(tmp_path, pictures(11))
     before = make_plan(job(tmp_path, path))[-1].reason
-    assert before.endswith("after frames, poses; of 7 pairs made before, those that are the same are taken over")
+    assert before.endswith("after frames, poses; of 7 pairs made before, those that are unchanged are reused")
     Runner(job(tmp_path, path)).run(["poses"])
     planned = make_plan(job(tmp_path, path))[-1]
     assert planned.reason.endswith("; 3 of 10 pairs are new") and planned.estimate is not None
@@ -125,7 +125,7 @@ def test_more_frames_of_a_video_leave_the_others_flow_as_it_was(tmp_path, measur
     lines: list[str] = []
     second = run(job(tmp_path, path), lines)
     assert len(measured) == 2 * 3 and second.artifact.info["pairs"] == {"measured": 3, "taken_over": 7}
-    assert "  flow: flow of 7 of 10 pairs is taken over from an earlier result, of 3 it was measured" in lines
+    assert "  flow: flow of 7 of 10 pairs is reused from an earlier result; that of 3 was measured" in lines
     assert second.artifact.provenance["earlier"] == first.artifact.path.name
     assert {"lens_forward", "moving"} <= set(second.artifact.names())
     assert second.artifact.digest == fresh(tmp_path, path)
@@ -170,7 +170,7 @@ def test_a_damaged_result_is_measured_again_and_never_believed(tmp_path, measure
     lines: list[str] = []
     outcome = run(job(tmp_path, path), lines)
     assert len(measured) == 2 * 7 and outcome.artifact.digest == fresh(tmp_path, path)
-    assert any("forward/c/2/0/0/0" in line and "nothing is taken over" in line for line in lines)
+    assert any("forward/c/2/0/0/0" in line and "nothing is reused" in line for line in lines)
 
 
 def test_a_chunk_that_spoils_while_it_is_used_is_measured(tmp_path, measured, monkeypatch):
@@ -214,7 +214,7 @@ def test_flow_of_another_size_is_not_taken_over(tmp_path, measured, monkeypatch)
     lines: list[str] = []
     run(job(tmp_path, path), lines)
     assert len(measured) == 2 * 7
-    assert any("the earlier result is of dis-medium at 96 px" in line and "nothing is taken over" in line for line in lines)
+    assert any("the earlier result was measured with dis-medium at 96 px" in line and "nothing is reused" in line for line in lines)
 
 
 def test_where_nothing_moves_there_is_no_flow_to_take_over(tmp_path, measured, monkeypatch):

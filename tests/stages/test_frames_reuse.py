@@ -52,7 +52,7 @@ def test_a_camera_more_is_decoded_alone(n3v_capture, tmp_path, decoded):
     assert decoded == ["cam00.mp4", "cam03.mp4"]
     rig(n3v_capture.root, path, "cam01.mp4")
     (row,) = make_plan(job(tmp_path, path))
-    assert row.reason == "the capture's files have another content; 1 of 3 cameras are new"
+    assert row.reason == "the content of the capture's files changed; 1 of 3 cameras are new"
     whole = Frames().estimate(job(tmp_path, path).capture.facts, FramesSettings())
     assert row.estimate is not None and whole is not None and 0.5 < row.estimate < whole
     decoded.clear()
@@ -127,4 +127,4 @@ def test_pictures_in_files_have_nothing_to_take_over(tmp_path):
     outcome = run(job(tmp_path, path))
     assert outcome.artifact.provenance["items"] == [] and "videos" not in outcome.artifact.info
     Image.new("RGB", (32, 24)).save(path / "004.png")
-    assert run(job(tmp_path, path)).reason == "the capture's files have another content"
+    assert run(job(tmp_path, path)).reason == "the content of the capture's files changed"

@@ -98,7 +98,11 @@ def test_without_metadata_scene_and_points(broken, nerfies_capture):
 CAMERA = "camera/0_000003.json"
 BAD = {
     "no train ids": ("dataset.json", lambda d: d.pop("train_ids") and None, "dataset.json: train_ids"),
-    "id that leads away": ("dataset.json", lambda d: d["train_ids"].__setitem__(2, "../../etc"), "train_ids[2]: '../../etc' is no name"),
+    "id that leads away": (
+        "dataset.json",
+        lambda d: d["train_ids"].__setitem__(2, "../../etc"),
+        "train_ids[2]: '../../etc' is not a file name",
+    ),
     "id of no kind": ("dataset.json", lambda d: d["train_ids"].__setitem__(2, None), "train_ids[2]: expected a non-empty string"),
     "id in both": ("dataset.json", lambda d: d["val_ids"].append(d["train_ids"][0]), "val_ids[3]: '0_000000' is listed twice"),
     "id without image": ("dataset.json", lambda d: d["train_ids"].append("nothing"), "'nothing'"),
@@ -141,5 +145,5 @@ def test_missing_files_are_named(broken):
     with pytest.raises(CaptureError, match=r"points\.npy: not a readable numpy array"):
         recognise(root)
     np.save(root / "points.npy", np.array([[0, 0, 0], [0, np.nan, 0]]))
-    with pytest.raises(CaptureError, match=r"points\.npy: point 1: .* is no place"):
+    with pytest.raises(CaptureError, match=r"points\.npy: point 1: .* is not a valid position"):
         recognise(root)

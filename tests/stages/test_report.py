@@ -233,7 +233,7 @@ def test_pairs_of_frames_stand_beside_their_flow():
         assert expected in text, expected
     titles = ["ground truth", "measured flow", "rendered flow", "edges"]
     section = page[page.index("<h2>Flow") : page.index("<script>")]
-    assert re.findall(r"<span>(.*?)</span>", section) == [*titles, *titles, "what moves"]
+    assert re.findall(r"<span>(.*?)</span>", section) == [*titles, *titles, "moving pixels"]
     shown = [base64.b64decode(url.split(",")[1]).decode() for url in re.findall(r'src="(.*?)"', section)]
     assert shown == ["flow/wheel", *WithFlow().attrs["png_names"][-10:-1]]
     assert "repeat(4," in section and "repeat(5," in section

@@ -106,7 +106,7 @@ def test_one_camera_seeds_what_moves_when_it_moves_itself(fixed, moving, expecte
     ctx = context(flow(tmp_path / "flow", fixed, moving))
     ctx.facts = {"frames": LOOKS, "times": LOOKS}
     assert moving_seeds(ctx, None, views(fixed), points(), 100) is (found if expected else None)
-    assert ctx.lines == (["seeds: 3 on what moves, at 2 times"] if expected else [])
+    assert ctx.lines == (["seeds: 3 on moving objects, at 2 times"] if expected else [])
 
 
 def test_without_flow_nothing_is_seeded():

@@ -66,7 +66,7 @@ def test_a_second_pass_without_moving_pixels_runs_and_is_no_worse(solved, truth,
     assert 0.01 < attrs["moving_share"] < 1 and attrs["registered"] == TIMES
     assert (solved.context.checkpoints / "colmap" / "masked" / "result.json").is_file()
     assert "of the features used lie on moving objects" in attrs["second_pass"] and "is kept: its cameras explain" in attrs["second_pass"]
-    assert f"what moves: {attrs['second_pass']}" in solved.lines
+    assert f"moving objects: {attrs['second_pass']}" in solved.lines
     with np.load(solved.context.checkpoints / "colmap" / "result.npz") as first:
         before = pose_error(first["cam_from_world"], truth)
     after = pose_error(solved.artifact.read("cam_from_world"), truth)
@@ -103,7 +103,7 @@ def resumed(killed):
 def test_off_leaves_the_first_pass(busy, resumed):
     off = run_poses(busy.root, resumed, moving="off", max_features=FEATURES)
     assert off.artifact.attrs["moving_share"] is None and off.artifact.attrs["second_pass"] == "poses.moving=off"
-    assert not any("what moves" in line for line in off.lines)
+    assert not any("moving objects" in line for line in off.lines)
     with np.load(resumed / "checkpoints" / "poses" / "colmap" / "result.npz") as first:
         assert np.array_equal(first["cam_from_world"][:, :3, :3], off.artifact.read("cam_from_world")[:, :3, :3])
 

@@ -108,4 +108,4 @@ def test_tracks_join_matches_and_leave_out_mistakes():
 )
 def test_the_reason_for_no_cameras_is_named(features, pairs, cause):
     message = nothing_registered(4, [features] * 4, pairs, "exhaustive")
-    assert cause in message and ("bring poses" in message or "--set poses." in message)
+    assert cause in message and ("provide poses" in message or "--set poses." in message)

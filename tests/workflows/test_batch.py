@@ -216,7 +216,7 @@ def test_a_batch_that_is_interrupted_ends_its_stages_and_goes_on_later(dnerf_cap
         assert time.monotonic() < until
         time.sleep(0.2)
     process.terminate()  # as Ctrl-C does, which a shell's background jobs do not hear
-    assert "interrupted; what is finished is kept" in process.communicate(timeout=40)[1]
+    assert "interrupted; finished results are kept" in process.communicate(timeout=40)[1]
     assert process.returncode == 130
     assert ledger.progress(dnerf_capture.root.name).state == "waiting"
     running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout

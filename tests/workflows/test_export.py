@@ -109,7 +109,7 @@ def test_other_settings_are_another_flow(n3v_capture, workspace, capsys):
 
 def test_a_capture_without_flow_is_told_why(dnerf_capture, tmp_path, capsys):
     assert cli.main(["export", "flow", str(dnerf_capture.root), "--workspace", str(tmp_path / "w")]) == 2
-    assert "there is no flow of it: every image has its own camera" in capsys.readouterr().err
+    assert "this capture has no flow: every image has its own camera" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_convexes_are_an_animated_mesh_of_their_hulls(finished, tmp_path, capsys
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--convexes", "--voxel", 0.1), "know no voxels"),
+        (("--convexes", "--voxel", 0.1), "have no voxels"),
         (("--voxel", 0), "positive size"),
         (("--time", 0.5, "--times", 2), "give one of them"),
         (("--times", 2, "--out", "a.ply"), "holds one time"),

@@ -53,7 +53,7 @@ def test_an_old_workspace_is_read_and_its_results_are_made_again(old, monkeypatc
     again = json.loads(command("plan", *words, "--json"))["stages"]
     assert {row["state"] for row in again} == {"cached", "skip"}
     new = next(row["key"] for row in again if row["stage"] == "coarse")
-    assert "made by an earlier version, whose keys did not hold the code" in command("diff", before["coarse"], new)
+    assert "made by an earlier version, whose keys did not include the code" in command("diff", before["coarse"], new)
     assert "made by: version 9, e4dgs" in command("show", before["coarse"]) and "made by: code " in command("show", new)
     assert all(f"would remove {stage}/{key}" in command("gc", "--dry-run") for stage, key in before.items())
 

@@ -31,7 +31,7 @@ def open_image(path: Path) -> Iterator[Image]:
     warnings.filterwarnings("ignore", module=r"PIL\.")  # about large photos and odd tags; what matters is raised as an error
     try:
         if not path.is_file():  # reading a pipe would block
-            raise BadImageError("it is no file")
+            raise BadImageError("it is not a file")
         if path.stat().st_size > MOST_BYTES:
             raise BadImageError(f"more than {MOST_BYTES >> 30} GiB")
         with Image.open(path, formats=FORMATS) as image:

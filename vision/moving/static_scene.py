@@ -72,7 +72,7 @@ def static_scene(
     """
     camera, time = np.asarray(camera), np.asarray(time)
     if len(camera) < 2:
-        return StaticScene(False, 0.0, "one picture cannot tell what moves", {"pictures": len(camera)})
+        return StaticScene(False, 0.0, "a single picture does not show what moves", {"pictures": len(camera)})
     order = sorted(range(len(camera)), key=lambda i: (float(time[i]), int(camera[i]), i))
     by_camera = list(camera_sequences(camera, time).values())
     if fixed_cameras:

@@ -18,7 +18,7 @@ def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str,
     """The likeliest cause, then what to do about it. features [n]: count in each image; pairs: what `survey` found about matches."""
     median = int(np.median(features)) if len(features) else 0
     other = "poses.matcher=exhaustive" if matcher != "exhaustive" else "poses.max_features=16384"
-    bring = "bring poses in the files (transforms.json, a COLMAP model) instead"
+    bring = "provide poses in the files (transforms.json, a COLMAP model) instead"
     matched = np.asarray(pairs["matched"])
     if median < FEW_FEATURES:
         cause = f"most frames show fewer than {FEW_FEATURES} features: they are dark, blurred or plain"

@@ -23,23 +23,25 @@ from .work import is_current
 MOST_COMMANDS = 10  # printed at the end; the table has all of them
 # What replaces options that apply only to this machine: in a cluster's file, and in job scripts.
 INSTEAD = {
-    "--jobs": ("set workers and nodes of its pools", "Slurm starts as many as it has room for"),
+    "--jobs": ("set workers and nodes of its pools", "Slurm starts as many as fit"),
     "--memory": ("set memory_gb of its pools", "set memory_gb of the pools in a file for --executor"),
-    "--retries": ("set retries", "a job tries once, and the same command submits again what is not done"),
+    "--retries": ("set retries", "a job tries once, and the same command submits unfinished scenes again"),
 }
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 def batch(
     captures: Annotated[list[str], typer.Argument(metavar="CAPTURE...", help="Paths, patterns with *, lists of scenes in YAML.")],
-    name: Annotated[str, typer.Option("--name", help="Of the batch; the same name goes on with it.")] = "batch",
-    executor: Annotated[str, typer.Option("--executor", metavar="local|FILE.yaml", help="This machine, or a cluster's file.")] = "local",
-    jobs: Annotated[int | None, typer.Option("--jobs", min=1, max=1024, help="local: scenes at a time.")] = None,
-    memory: Annotated[float | None, typer.Option("--memory", min=0.001, help="local: GB of all stages together; 90 % by default.")] = None,
+    name: Annotated[str, typer.Option("--name", help="Name of the batch; the same name continues it.")] = "batch",
+    executor: Annotated[
+        str, typer.Option("--executor", metavar="local|FILE.yaml", help="This machine, or the file of a cluster.")
+    ] = "local",
+    jobs: Annotated[int | None, typer.Option("--jobs", min=1, max=1024, help="local: scenes that run at the same time.")] = None,
+    memory: Annotated[float | None, typer.Option("--memory", min=0.001, help="local: GB for all stages together; 90 % by default.")] = None,
     retries: Annotated[
-        int | None, typer.Option("--retries", min=0, max=100, help="local: more tries of a failed scene; 1 by default.")
+        int | None, typer.Option("--retries", min=0, max=100, help="local: how often to retry a failed scene; 1 by default.")
     ] = None,
-    stage_timeout: Annotated[float | None, typer.Option("--stage-timeout", min=0.1, help="Seconds after which a stage is ended.")] = None,
+    stage_timeout: Annotated[float | None, typer.Option("--stage-timeout", min=0.1, help="Seconds after which a stage is stopped.")] = None,
     emit: Annotated[Literal["slurm"] | None, typer.Option("--emit", help="Write job scripts and run nothing.")] = None,
     workspace: Workspace = DEFAULT_WORKSPACE,
     preset: Preset = "default",
@@ -50,7 +52,7 @@ def batch(
     store_also: StoreAlso = None,
     debug: Debug = False,
 ) -> None:
-    """Run many captures; goes on where it was left. Exit code 1 if a scene failed."""
+    """Run many captures; an unfinished batch is continued. Exit code 1 if a scene failed."""
     from .summary import rows_of, write_summary
 
     if not _NAME.fullmatch(name):
@@ -122,7 +124,7 @@ def words_of_batch(
 
 
 def status(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Of a batch; the newest one by default.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Name of a batch; the newest one by default.")] = None,
     workspace: Workspace = DEFAULT_WORKSPACE,
     debug: Debug = False,
 ) -> None:

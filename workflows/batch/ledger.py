@@ -15,7 +15,7 @@ from ...pipeline.storage.lock import is_locked, locked
 from .listing import Entry, known
 
 State = Literal["waiting", "running", "done", "failed", "lost"]
-LOST = "who ran it is gone; the same e4dgs batch command goes on with it"
+LOST = "the process that ran it is gone; the same e4dgs batch command continues it"
 LOOK = 0.2  # s between two attempts to lock a scene
 
 

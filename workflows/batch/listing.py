@@ -88,7 +88,7 @@ def entries_of(words: Sequence[str], common: Entry) -> list[Entry]:
 
 def _paths(word: str) -> list[str]:
     if "\0" in word:
-        raise SettingsError(f"{word!r}: no name of a file")
+        raise SettingsError(f"{word!r}: not a file name")
     found = sorted(glob.glob(os.path.expanduser(word))) if any(c in word for c in "*?[") else [os.path.expanduser(word)]
     if not found:
         raise SettingsError(f"{word}: no file or folder has such a name")
@@ -103,7 +103,7 @@ def _read_list(file: Path, common: Entry, listed: _Listed) -> None:
     try:
         data = read_yaml(file)
     except (OSError, ValueError) as error:
-        raise SettingsError(f"{file}: this is no list of scenes in YAML ({error})") from error
+        raise SettingsError(f"{file}: this is not a list of scenes in YAML ({error})") from error
     if isinstance(data, list):
         data = {"scenes": data}
     if not isinstance(data, dict) or not isinstance(data.get("scenes"), list):

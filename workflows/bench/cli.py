@@ -16,17 +16,21 @@ from .rows import Bench
 from .run import run
 from .suites import REPEATS, SECONDS, SUITES
 
-app = typer.Typer(no_args_is_help=True, help="Is this machine as fast as it should be? Our code against our bars and against itself.")
+app = typer.Typer(no_args_is_help=True, help="Is this machine as fast as it should be? Times e4dgs against fixed bars and against itself.")
 
 Rows = Annotated[str | None, typer.Option("--rows", metavar="NAME,NAME", help="Only these rows; see --list.")]
-List = Annotated[bool, typer.Option("--list", help="Name the rows and measure nothing.")]
+List = Annotated[bool, typer.Option("--list", help="List the rows and measure nothing.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.json", help="Write every number, with machine and protocol.")]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="0 takes all cores.")]
 Repeats = Annotated[int, typer.Option("--repeats", min=1, help="Runs of each contender.")]
-Seconds = Annotated[float, typer.Option("--seconds", min=0, help="Most time for the runs of one contender together.")]
-Scale = Annotated[float, typer.Option("--scale", min=1e-4, max=1, help="Fraction of all sizes, for a quick look; bars hold at 1 only.")]
-Garden = Annotated[Path | None, typer.Option("--garden", metavar="FILE.npz", help="gsplat's test_garden.npz; else a synthetic scene.")]
-Capture = Annotated[Path | None, typer.Option("--capture", metavar="CAPTURE", help="A capture with poses; the sample without it.")]
+Seconds = Annotated[float, typer.Option("--seconds", min=0, help="Longest time for all runs of one contender.")]
+Scale = Annotated[
+    float, typer.Option("--scale", min=1e-4, max=1, help="Fraction of the full sizes, for a quick look; bars apply only at 1.")
+]
+Garden = Annotated[
+    Path | None, typer.Option("--garden", metavar="FILE.npz", help="gsplat's test_garden.npz; by default a synthetic scene.")
+]
+Capture = Annotated[Path | None, typer.Option("--capture", metavar="CAPTURE", help="A capture with poses; by default the sample.")]
 
 
 @app.command()
@@ -96,7 +100,7 @@ def step(
 @app.command()
 def pipeline(
     captures: Captures,
-    points: Annotated[str, typer.Option("--points", help="By commas: presets, or settings joined by +.")] = LADDER,
+    points: Annotated[str, typer.Option("--points", help="Presets or settings joined by +, separated by commas.")] = LADDER,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each point, with seeds 0, 1, ...")] = 1,
     workspace: Workspace = DEFAULT_WORKSPACE,
     set: Set = None,

@@ -31,7 +31,7 @@ def path_of_file(file: Path, frames: FrameSet) -> CameraPath:
         data = checks.read_json(file.parent, file.name)
     except CaptureError as error:
         raise CaptureError(
-            f'--path {file}: this is no camera path in JSON ({error}); expected {{"frames": [...]}}, or one of {", ".join(NAMES)}'
+            f'--path {file}: this is not a camera path in JSON ({error}); expected {{"frames": [...]}}, or one of {", ".join(NAMES)}'
         ) from error
     rows = data.get("frames")
     if not isinstance(rows, list) or not 0 < len(rows) <= MOST_FRAMES:
@@ -74,5 +74,5 @@ def resolve(path: str, frames: FrameSet, model: Model, count: int | None) -> Cam
     if not Path(path).is_file():
         raise SettingsError(f"--path {path}: neither one of {', '.join(NAMES)} nor a file")
     if count is not None:
-        raise SettingsError("--frames: a file says itself how many views it has; leave it out")
+        raise SettingsError("--frames: a path file defines its number of views itself; leave --frames out")
     return path_of_file(Path(path), frames)

@@ -23,11 +23,17 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/flow in the workspace by default.")]
-Largest = Annotated[float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; chosen by default.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Output folder; by default scenes/<name>/export/flow in the workspace.")
+]
+Largest = Annotated[
+    float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; by default chosen for the flow.")
+]
 
-Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Files; one for each time, at most 60, by default.")]
-Folder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Where to; scenes/<name>/export/ in the workspace by default.")]
+Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Number of files; by default one for each time, at most 60.")]
+Folder = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Output folder; by default scenes/<name>/export/ in the workspace.")
+]
 
 
 @app.command()
@@ -72,7 +78,7 @@ def flow(
     with Progress(len(fields.pairs), "export", console) as bar, writing(folder):
         count = export_flow(fields, pictures, folder, largest, bar.advance)
     for line in (
-        f"{len(fields.pairs)} pairs, {count} files; full colour is {largest:.3g} px, darker is more, black is not known (wheel.png)",
+        f"{len(fields.pairs)} pairs, {count} files; full colour is {largest:.3g} px, darker means more, black means unknown (wheel.png)",
         f"flow: {folder}",
     ):
         console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -22,15 +22,17 @@ if TYPE_CHECKING:
 ENDINGS = (".glb", ".ply")
 USUAL_RATE = 24.0  # times per second for a capture without seconds
 
-Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.glb|FILE.ply|DIR", help="Where to; scenes/<name>/export/mesh by default.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.glb|FILE.ply|DIR", help="Output; by default scenes/<name>/export/mesh.")]
 Times = Annotated[
     int | None,
-    typer.Option("--times", min=1, max=10_000, help="Times from first to last; by default one, the middle; of convexes each, at most 60."),
+    typer.Option(
+        "--times", min=1, max=10_000, help="Number of times, first to last; by default the middle one, for --convexes all, at most 60."
+    ),
 ]
-Hulls = Annotated[bool, typer.Option("--convexes", help="The hulls of the model's convexes, and nothing else.")]
-Moment = Annotated[float | None, typer.Option("--time", min=0, max=1, help="This moment alone, 0 to 1.")]
+Hulls = Annotated[bool, typer.Option("--convexes", help="Only the hulls of the model's convexes.")]
+Moment = Annotated[float | None, typer.Option("--time", min=0, max=1, help="Only this time, 0 to 1.")]
 Voxel = Annotated[
-    float | None, typer.Option("--voxel", metavar="SIZE", help="Width of a voxel in world units; by default what pixels resolve.")
+    float | None, typer.Option("--voxel", metavar="SIZE", help="Width of a voxel in world units; by default what the pixels resolve.")
 ]
 
 
@@ -54,7 +56,7 @@ def mesh(
     if voxel is not None and not 0 < voxel < float("inf"):
         raise SettingsError(f"--voxel {voxel}: give a positive size in world units")
     if convexes and voxel is not None:
-        raise SettingsError("--voxel: the hulls of convexes are exact and know no voxels; leave it out, or --convexes")
+        raise SettingsError("--voxel: the hulls of convexes are exact and have no voxels; leave out --voxel or --convexes")
     if time is not None and times is not None:
         raise SettingsError("--time and --times: give one of them")
     single = is_file(out, ENDINGS)

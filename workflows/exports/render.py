@@ -20,9 +20,13 @@ def render(
     out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
     path: Annotated[str, typer.Option("--path", metavar="NAME|FILE.json", help="turntable, spiral, capture, or a file.")] = "spiral",
     frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures; 120 by default.")] = None,
-    size: Annotated[int | None, typer.Option("--size", min=16, max=16_384, help="Longer side in px; the capture's without it.")] = None,
-    time: Annotated[float | None, typer.Option("--time", min=0, max=1, help="Freeze this moment, 0 to 1; else time goes by once.")] = None,
-    fps: Annotated[float, typer.Option("--fps", min=1, max=240, help="Pictures a second of a video.")] = 30.0,
+    size: Annotated[
+        int | None, typer.Option("--size", min=16, max=16_384, help="Longer side in px; by default that of the capture.")
+    ] = None,
+    time: Annotated[
+        float | None, typer.Option("--time", min=0, max=1, help="Only this time, 0 to 1; by default time runs from 0 to 1.")
+    ] = None,
+    fps: Annotated[float, typer.Option("--fps", min=1, max=240, help="Frames per second of a video.")] = 30.0,
     depth: Annotated[bool, typer.Option("--depth", help="Write depth as EXR beside each PNG.")] = False,
     workspace: Workspace = DEFAULT_WORKSPACE,
     preset: Preset = "default",

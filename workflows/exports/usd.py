@@ -15,10 +15,10 @@ from .trained import is_file, open_trained, writing
 
 ENDINGS = (".usdc", ".usda")
 
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="FILE.usdc|FILE.usda|DIR", help="Where to; scenes/<name>/export/usd by default.")
+Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.usdc|FILE.usda|DIR", help="Output; by default scenes/<name>/export/usd.")]
+Times = Annotated[
+    int | None, typer.Option("--times", min=1, max=10_000, help="Number of time samples; by default one for each time, at most 60.")
 ]
-Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Time samples; one for each time, at most 60, by default.")]
 
 
 def usd(

@@ -69,7 +69,7 @@ def why_not_trusted() -> str | None:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SELFTEST_SECONDS)
     except (OSError, subprocess.TimeoutExpired) as cause:
-        return f"a small render on the GPU did not end: {type(cause).__name__}"
+        return f"a small render on the GPU did not finish: {type(cause).__name__}"
     if done.returncode:
         said = (done.stdout.strip() or done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
         return f"a small render on the GPU went wrong: {said}"

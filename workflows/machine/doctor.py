@@ -47,7 +47,7 @@ def _libraries() -> list[tuple[str, bool | None, str]]:
     try:
         asked = metadata.requires("e4dgs") or []
     except metadata.PackageNotFoundError:
-        return [("libraries", None, "e4dgs runs from its folder, so what it needs was not looked for; pip install . does that")]
+        return [("libraries", None, "e4dgs runs from its source folder, so its requirements were not checked; pip install . installs them")]
     needed: list[tuple[str, bool | None, str]] = []
     optional: dict[str, tuple[str, bool | None, str]] = {}
     for requirement in asked:
@@ -73,7 +73,7 @@ def _version(name: str) -> str | None:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         module = _MODULES.get(name)
-        return f"another distribution brings {module}" if module is not None and find_spec(module) is not None else None
+        return f"{module} comes from another distribution" if module is not None and find_spec(module) is not None else None
 
 
 def _try(check: Callable[[], str]) -> tuple[bool, str]:

@@ -39,7 +39,7 @@ def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path
     try:
         key = digest_bytes(f"{capture.stem} {digest_file(capture)}".encode("utf-8", "surrogateescape"))[:16]
     except OSError as error:
-        raise CaptureError(f"{capture}: cannot be read ({error.strerror or error}); see to its permissions, or to the disk") from error
+        raise CaptureError(f"{capture}: cannot be read ({error.strerror or error}); check its permissions and the disk") from error
     folder = workspace / "unpacked" / key
     while not _held(folder, user):
         _make(capture, folder)
@@ -94,7 +94,7 @@ def _unpack(file: Path, folder: Path) -> None:
             members = archive.infolist()
             total = sum(member.file_size for member in members)
             if len(members) > MOST_FILES or total > MOST_TIMES_LARGER * file.stat().st_size + SLACK:
-                raise CaptureError(f"{file}: {len(members)} files of {total / 1e9:.1f} GB are more than a capture; unpack it yourself")
+                raise CaptureError(f"{file}: {len(members)} files of {total / 1e9:.1f} GB are too many for a capture; unpack it yourself")
             for member in members:
                 _refuse(file, member)
             twice = [name for name, count in Counter(member.filename for member in members).items() if count > 1]
@@ -117,7 +117,7 @@ def _refuse(file: Path, member: zipfile.ZipInfo) -> None:
     if name.is_absolute() or ".." in name.parts or ":" in member.filename:
         raise CaptureError(f"{file}: {member.filename!r} leads out of the archive's folder; pack it again with relative paths")
     if any(map(is_odd, member.filename)) or len(name.parts) > MOST_FOLDERS:
-        raise CaptureError(f"{file}: {member.filename!r} is no name of a file; pack it again with plain names, fewer folders deep")
+        raise CaptureError(f"{file}: {member.filename!r} is not a file name; pack it again with plain names, fewer folders deep")
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind == stat.S_IFLNK:
         raise CaptureError(f"{file}: {member.filename!r} is a link; pack the file that it leads to")

@@ -79,7 +79,7 @@ def show_result(
     if "capture" in parts:
         rows.append(("capture", f"content {str(parts['capture'])[:SHORT]}"))
     if stored.made("earlier"):
-        rows.append(("earlier", f"some of it is taken over from {stored.stage}/{stored.made('earlier')[:SHORT]}"))
+        rows.append(("earlier", f"partly reused from {stored.stage}/{stored.made('earlier')[:SHORT]}"))
     sources = _sources(workspace.resolve(), parts.get("inputs", {}))
     rows += [(f"input {name}", source) for name, source in sources.items()]
     rows += [(f"{stored.stage}.{name}", json.dumps(value, ensure_ascii=False)) for name, value in parts.get("settings", {}).items()]
@@ -141,8 +141,8 @@ def _causes(workspace: Path, one: Stored, two: Stored) -> list[str]:
     lines = differences(before, after)
     old, new = (_sources(workspace, parts.get("inputs", {})) for parts in (before, after))
     for k, line in enumerate(lines):
-        name = line.removeprefix("input ").removesuffix(" has another content")
-        if f"input {name} has another content" == line and "/" in old[name] and "/" in new[name]:
+        name = line.removeprefix("input ").removesuffix(" changed")
+        if f"input {name} changed" == line and "/" in old[name] and "/" in new[name]:
             lines[k] = f"{line}: e4dgs diff {old[name]} {new[name]}"
     for field in ("device", "code_version"):
         if field not in before and one.made(field) != two.made(field):

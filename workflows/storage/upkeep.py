@@ -20,12 +20,13 @@ from .stored import users
 def gc(
     workspace: Workspace = DEFAULT_WORKSPACE,
     keep_bytes: Annotated[
-        str | None, typer.Option("--keep-bytes", metavar="SIZE", help="Only as much as it takes to have at most this, as 10G.")
+        str | None, typer.Option("--keep-bytes", metavar="SIZE", help="Remove only until at most this much is left, for example 10G.")
     ] = None,
     older_than: Annotated[
-        str | None, typer.Option("--older-than", metavar="AGE", help="Only what was last used so long ago, as 30d; old checkpoints, too.")
+        str | None,
+        typer.Option("--older-than", metavar="AGE", help="Only what was last used this long ago, for example 30d; checkpoints, too."),
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be removed, remove nothing.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be removed; remove nothing.")] = False,
     debug: Debug = False,
 ) -> None:
     """Remove results that no scene's last run used and no pin keeps, what archives were unpacked to and what was heard of videos (made
@@ -60,7 +61,10 @@ def gc(
     results = [item for item in items if item.key]
     _say(f"{len(results)} results, {megabytes(sum(item.size for item in results))}; {megabytes(left + spared)} are left")
     if most is not None and left + spared > most:
-        _say("what is left is in use, pinned, too new, or of scenes' last runs; remove a folder under scenes/ to let go of that scene's")
+        _say(
+            "what is left is in use, pinned, too new, or belongs to a scene's last run; "
+            "remove a folder under scenes/ to release the results of that scene"
+        )
 
 
 def _caches(workspace: Path, store: Store, most: int | None, age: float | None, dry_run: bool) -> int:

@@ -18,8 +18,8 @@ LOOK_AGAIN = 2.0  # s between two checks for a newer model
 
 def view(
     capture: Capture,
-    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port of the page; the next free one is taken.")] = 8080,
-    host: Annotated[str, typer.Option("--host", help="0.0.0.0 lets other machines look too.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port of the page, or the next free one.")] = 8080,
+    host: Annotated[str, typer.Option("--host", help="Address to listen on; 0.0.0.0 lets other machines connect.")] = "127.0.0.1",
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a model that a run is about to make.")] = False,
     workspace: Workspace = DEFAULT_WORKSPACE,

@@ -105,7 +105,7 @@ class DensityControl:
         probed = self.curriculum.probe(step, FINAL_VIEWS)
         seen = seen_share(self.learned.model, self.views, probed, phase.move, phase.scale)
         keep = (seen >= self.settings.hidden).nonzero()[:, 0]
-        self._event(f"step {step}: {len(gaussians) - len(keep)} of {len(gaussians)} Gaussians are hidden behind others and go")
+        self._event(f"step {step}: {len(gaussians) - len(keep)} of {len(gaussians)} Gaussians are hidden behind others and were removed")
         self.learned.replace(gaussians.select(keep), keep, step)
 
     def _remove_hardly_seen(self, step: int) -> None:
@@ -115,6 +115,6 @@ class DensityControl:
         before = len(model.gaussians), len(model.convexes)
         self._prune(step, (measured.weight_gaussians, measured.weight_convexes))
         self._event(
-            f"step {step}: removed, hardly blended by any training view: {before[0] - len(model.gaussians)} Gaussians, "
+            f"step {step}: removed because hardly any training view shows them: {before[0] - len(model.gaussians)} Gaussians, "
             f"{before[1] - len(model.convexes)} convexes"
         )

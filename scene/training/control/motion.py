@@ -90,7 +90,7 @@ class MotionControl:
         if renewed is None:
             return
         self.learned.renew(renewed, step)
-        self._event(f"step {step}: the motion is spread anew")
+        self._event(f"step {step}: the motion was spread over the Gaussians again")
 
     def _search_rigid_parts(self, step: int, phase: Phase) -> None:
         """Search for parts that have much of the error and turn too fast for gradients."""

@@ -74,7 +74,7 @@ def read(root: Path, options: Options) -> Reading:
     good = (np.abs(table) < 1e12).all(1)
     if not good.all():
         row = int(good.argmin())
-        raise CaptureError(f"{files['points3D']}: point {row}: {table[row, :3].tolist()} is no place; remove it")
+        raise CaptureError(f"{files['points3D']}: point {row}: {table[row, :3].tolist()} is not a valid position; remove it")
     paths = [checks.find_image(root, f"images/{image.name}", f"{files['images']}: image {image.name!r}: name") for image in images]
     sizes, alpha = checks.image_headers(root, paths)
     rig, odd = cameras_of(root, paths)
@@ -154,7 +154,10 @@ def _lens(camera: tuple[str, float, float, list[float]], where: str, width: int,
     checks.number(file_height, f"{where}: height", 1, 1e6)
     sx, sy = width / file_width, height / file_height
     if abs(sx / sy - 1) > 0.02:
-        raise CaptureError(f"{where}: made for {file_width:g}x{file_height:g}, the images are {width}x{height}, another shape; resize them")
+        raise CaptureError(
+            f"{where}: made for {file_width:g}x{file_height:g}, but the images are {width}x{height}, "
+            "which have another aspect ratio; resize them"
+        )
     fisheye = model.endswith("FISHEYE")
     return Lens(checks.intrinsics(fx * sx, fy * sy, cx * sx, cy * sy, where), distortion_of(terms), fisheye)
 

@@ -110,7 +110,7 @@ def _poses(root: Path, cameras: list[str]) -> np.ndarray:
 def _camera(row: np.ndarray, where: str, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """(K, cam_from_world) of one row. The focal length is scaled from the file's h, w to the size of the pictures."""
     if not (np.abs(row) < 1e12).all():
-        raise CaptureError(f"{where}: holds NaN, Inf or numbers that nothing measures; estimate the poses again")
+        raise CaptureError(f"{where}: holds NaN, Inf or impossibly large numbers; estimate the poses again")
     width, height = size
     matrix = row[:15].reshape(3, 5)
     down, right, back = matrix[:, 0], matrix[:, 1], matrix[:, 2]
@@ -122,7 +122,8 @@ def _camera(row: np.ndarray, where: str, size: tuple[int, int]) -> tuple[np.ndar
     sx, sy = width / file_width, height / file_height
     if abs(sx / sy - 1) > 0.02:
         raise CaptureError(
-            f"{where}: made for {file_width:g}x{file_height:g}, the pictures are {width}x{height}, another shape; correct h and w"
+            f"{where}: made for {file_width:g}x{file_height:g}, but the pictures are {width}x{height}, "
+            "which have another aspect ratio; correct h and w"
         )
     return checks.intrinsics(focal * sx, focal * sy, width / 2, height / 2, where), cam_from_world
 
@@ -149,6 +150,6 @@ def _frames_of(root: Path, camera: str) -> list[str]:
             for name in names:
                 checks.resolve_inside(root, f"{folder}/{name}", f"{folder}/{name}")
                 if not (root / folder / name).is_file():
-                    raise CaptureError(f"{folder}/{name}: no file, but a folder, a pipe or a link that leads nowhere; put the image there")
+                    raise CaptureError(f"{folder}/{name}: not a file but a folder, a pipe or a broken link; put the image there")
             return [f"{folder}/{name}" for name in names]
     raise CaptureError(f"{camera}: holds no images; add its frames or remove the camera (and its row in {_POSES})")

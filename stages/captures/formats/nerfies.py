@@ -84,7 +84,7 @@ def _ids(data: dict[str, Any]) -> dict[str, int]:
             where = f"{_DATASET}: {field}[{i}]"
             name = str(raw) if isinstance(raw, int) and not isinstance(raw, bool) else checks.text(raw, where)
             if not re.fullmatch(r"[\w.\- ]{1,200}", name) or name in (".", ".."):
-                raise CaptureError(f"{where}: {name[:200]!r} is no name of a file; rename the files and correct the lists")
+                raise CaptureError(f"{where}: {name[:200]!r} is not a file name; rename the files and correct the lists")
             if name in result:
                 raise CaptureError(f"{where}: {name!r} is listed twice; list each id once, in train_ids or in val_ids")
             result[name] = split
@@ -150,7 +150,8 @@ def _lens(data: dict[str, Any], file: str, size: tuple[int, int]) -> Lens:
     sx, sy = size[0] / width, size[1] / height
     if abs(sx / sy - 1) > 0.02:
         raise CaptureError(
-            f"{file}: image_size says {width:g}x{height:g}, the picture is {size[0]}x{size[1]}, another shape; correct either"
+            f"{file}: image_size says {width:g}x{height:g}, but the picture is {size[0]}x{size[1]}, "
+            "which has another aspect ratio; correct either"
         )
     focal = checks.number(data.get("focal_length"), f"{file}: focal_length", 1e-3, 1e7)
     ratio = checks.number(data.get("pixel_aspect_ratio", 1.0), f"{file}: pixel_aspect_ratio", 0.01, 100)
@@ -177,5 +178,5 @@ def _cloud(root: Path, center: np.ndarray, scale: float) -> np.ndarray | None:
     points = load_array(root, _POINTS, (3,))
     bad = np.flatnonzero(~(np.abs(points) <= _FAR).all(1))
     if len(bad):
-        raise CaptureError(f"{_POINTS}: point {bad[0]}: {points[bad[0]].tolist()} is no place; remove it, or the file")
+        raise CaptureError(f"{_POINTS}: point {bad[0]}: {points[bad[0]].tolist()} is not a valid position; remove it, or the file")
     return (points - center) * scale if len(points) else None

@@ -103,7 +103,9 @@ def _points(root: Path) -> tuple[np.ndarray | None, np.ndarray | None]:
     data = load_array(root, _POINTS, (6, 7), "data")
     bad = np.flatnonzero(~(np.abs(data[:, :6]) < 1e12).all(1))
     if len(bad):
-        raise CaptureError(f"{_POINTS}: data: point {bad[0]}: {data[bad[0], :6].tolist()} is no place and colour; remove it, or the file")
+        raise CaptureError(
+            f"{_POINTS}: data: point {bad[0]}: {data[bad[0], :6].tolist()} is not a valid position and colour; remove it, or the file"
+        )
     if not len(data):
         return None, None
     return data[:, :3].copy(), np.clip(np.rint(data[:, 3:6] * 255), 0, 255).astype(np.uint8)

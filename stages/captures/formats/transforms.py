@@ -52,7 +52,7 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: in
     sx, sy = width / file_width, height / file_height
     if abs(sx / sy - 1) > 0.02:
         raise CaptureError(
-            f"{where}: w, h say {file_width:g}x{file_height:g}, but the images are {width}x{height}, another shape; "
+            f"{where}: w, h say {file_width:g}x{file_height:g}, but the images are {width}x{height}, which have another aspect ratio; "
             "correct w and h or the images"
         )
     fx = _focal(value("fl_x"), value("camera_angle_x", 1e-6, math.pi - 1e-6), file_width)

@@ -45,7 +45,7 @@ def read(root: Path, options: Options) -> Reading:
     total = len(header.seconds)
     taken = choose(total, options, DEFAULT_MAX_FRAMES)
     if len(taken) < 2:
-        raise CaptureError(f"{path.name}: {len(taken)} frame(s) to work with; a scene needs more, lower frames.every")
+        raise CaptureError(f"{path.name}: {len(taken)} frame(s) are left; a scene needs more: lower frames.every")
     step = taken[1] - taken[0]
     begin, span = header.seconds[0], header.seconds[taken[-1]] - header.seconds[taken[0]]
     # Times are divided by the span, because `_unit_times` would keep the seconds of a video shorter than 1 s as they are.

@@ -85,7 +85,7 @@ def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | Non
                     f"{name}: its sound does not fit that of {names[longest]} at one shift clearly better than at others; "
                     "start all videos with a clap, or trim them to one start and use frames.sync=frames"
                 )
-            return zero, f"aligned by their first frames (the sound of {name} does not tell its clock)"
+            return zero, f"aligned by their first frames (the sound of {name} does not determine its clock)"
         shifts.append(shift)
     return [shift - shifts[0] for shift in shifts], "aligned by their sound"
 
@@ -97,7 +97,7 @@ def _shared(
     gaps = [float(np.median(np.diff(s))) if len(s) > 1 else 0.0 for s in local]
     for name, seconds in zip(names, local, strict=True):
         if len(seconds) < 2:
-            raise CaptureError(f"{name}: one frame alone; a camera needs more, take the file out of the folder")
+            raise CaptureError(f"{name}: only one frame; a camera needs more, so take the file out of the folder")
     slowest = max(range(len(names)), key=lambda n: gaps[n])
     begin = max(range(len(names)), key=lambda n: shifts[n])
     end = min(range(len(names)), key=lambda n: shifts[n] + local[n][-1])

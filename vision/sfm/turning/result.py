@@ -44,7 +44,7 @@ def turning_arrays(
 def _told(turning: Turning, arrays: dict[str, np.ndarray]) -> str:
     begin = "the camera turns and hardly moves, so cameras were found from how it turns"
     if not turning.moved:
-        return f"{begin}; nothing tells distances: every point is put equally far away, and views from elsewhere will be wrong"
+        return f"{begin}; nothing determines distances: all points are placed equally far away, and views from elsewhere will be wrong"
     return (
         f"{begin}, then how it moved: points are seen under a median angle of {np.median(arrays['angles']):.2g} degrees, "
         "so views far from the camera's path will be wrong"

@@ -31,13 +31,13 @@ def map_images(path: Path, request: dict[str, Any], report: Report) -> tuple[lis
         return models, False, []
     again = map_once(path, request, report, True)
     if not again or (models and again[0].num_reg_images() < HALF * models[0].num_reg_images()):
-        words = f"the adjustment found {trouble}; with the lens held fixed fewer images register, so it stays: poses are doubtful"
+        words = f"the adjustment found {trouble}; with a fixed lens fewer images register, so this lens is kept: poses are doubtful"
         return models, False, [words] if models else []
     camera = again[0].camera(again[0].image(min(again[0].reg_image_ids())).camera_id)
     ratio = camera.mean_focal_length() / max(camera.width, camera.height)
     words = (
-        f"the pictures do not tell the lens (the adjustment found {trouble}): a focal length of {ratio:.2f} times the longer side is "
-        "taken; bring poses or intrinsics in the files (transforms.json) if you know better"
+        f"the pictures do not determine the lens (the adjustment found {trouble}): a focal length of {ratio:.2f} times the longer side is "
+        "taken; provide poses or intrinsics in the files (transforms.json) if you know better"
     )
     return again, True, [words]
 

@@ -49,7 +49,7 @@ def reconstruct_fixed(shared: Path, own: Path, request: dict[str, Any], report: 
         if alone.misfit < best.misfit - OWN:
             others, more = _best(own, request, matches, report)
             best, tried = min(best, alone, others, key=lambda found: found.misfit), tried + more
-            notes.append("each camera has a lens of its own: one for all explains the matches worse")
+            notes.append("each camera gets its own lens: one for all explains the matches worse")
     found = survey(shared if best.model is None or len(best.model.cameras) == 1 else own, names, request["pairs"])
     facts: dict[str, Any] = {"features": found.features, "pairs": found.facts, "parts": [], "notes": notes, "turning": False}
     if best.model is None:

@@ -73,10 +73,10 @@ def tell(
     said = []
     strays, points = sum(p.observations for p in lost), sum(p.points for p in lost)
     if strays + points > WORTH * observations:
-        said.append(f"taken out: {points} points without depth or behind a camera, and {strays} of {observations} observations")
+        said.append(f"removed: {points} points without depth or behind a camera, and {strays} of {observations} observations")
     images = sorted({index[name] for p in lost for name in p.images} - {index[name] for name in (*merged, *again)})
     if images:
-        said.append(f"{frames_named(images)}: a pose was found and taken back, since hardly any sound point holds it")
+        said.append(f"{frames_named(images)}: a pose was found but dropped, because hardly any sound point supports it")
     if merged:
         said.append(f"{frames_named([index[name] for name in merged])}: joined from another part of the reconstruction")
     if again:

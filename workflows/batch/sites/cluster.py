@@ -31,28 +31,28 @@ class Pool(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     provider: Literal["local", "slurm", "kubernetes"] = "local"
-    workers: int = Field(1, ge=1, description="scenes at a time on one node")
-    cores: int | None = Field(None, ge=1, description="threads of each worker; not given: 1, local: as many as it finds")
-    memory_gb: float | None = Field(None, gt=0, description="of each worker; a stage that takes more is ended")
-    gpus: int = Field(0, ge=0, description="of one node, or pod; ask Slurm for them in options, too")
-    nodes: int = Field(1, ge=1, description="most nodes, or pods, at a time")
+    workers: int = Field(1, ge=1, description="scenes that run on one node at the same time")
+    cores: int | None = Field(None, ge=1, description="threads of each worker; by default 1, for local all cores")
+    memory_gb: float | None = Field(None, gt=0, description="memory of each worker; a stage that takes more is stopped")
+    gpus: int = Field(0, ge=0, description="GPUs of one node or pod; for Slurm, request them in options as well")
+    nodes: int = Field(1, ge=1, description="most nodes or pods at the same time")
     walltime: str = "04:00:00"
     partition: str | None = None
     account: str | None = None
     options: str = Field("", description="further #SBATCH lines")
-    setup: str = Field("", description="shell lines before a worker starts, such as the activation of an environment")
+    setup: str = Field("", description="shell lines that run before a worker, for example to activate an environment")
     image: str | None = Field(None, description="kubernetes: container image with e4dgs")
     namespace: str = "default"
-    volumes: list[tuple[str, str]] = Field(default_factory=list, description="kubernetes: claim and where it is mounted")
-    address: str | None = Field(None, description="of the head, as nodes reach it")
+    volumes: list[tuple[str, str]] = Field(default_factory=list, description="kubernetes: each claim and where it is mounted")
+    address: str | None = Field(None, description="address at which nodes reach the head")
 
 
 class Cluster(BaseModel):
     """A file like those in `workflows/clusters`. gpu: pool for training and what follows; None: the CPU pool does everything."""
 
     model_config = ConfigDict(extra="forbid")
-    retries: int = Field(1, ge=0, description="further tries of a stage that failed; lost workers hardly count")
-    lost_after: int = Field(120, ge=4, description="seconds without a word from a node after which its scenes go to another one")
+    retries: int = Field(1, ge=0, description="how often a failed stage is retried; lost workers hardly count")
+    lost_after: int = Field(120, ge=4, description="seconds without a sign of life from a node after which its scenes go to another")
     cpu: Pool = Pool.model_validate({})
     gpu: Pool | None = None
 

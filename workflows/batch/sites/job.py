@@ -47,7 +47,7 @@ def _requeue(scene: str, part: str) -> int:
     if not job or restarts >= MOST_RESTARTS:
         print(f"{scene}: {part}: out of time after {restarts} restarts; submit it again with more time", file=sys.stderr)
         return 1
-    print(f"{scene}: {part}: near the time limit; goes on in a new job", flush=True)
+    print(f"{scene}: {part}: near the time limit; continues in a new job", flush=True)
     return subprocess.run(["scontrol", "requeue", job]).returncode
 
 
