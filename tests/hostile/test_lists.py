@@ -20,11 +20,11 @@ LISTS = {
     "aliases in a setting": (BOMB + "scenes: [a]\nsettings: {coarse.seed: *a11}\n", "aliases written out"),
     "merges": (MERGES + "scenes: [a]\nsettings: *m11\n", "aliases written out"),
     "an alias of itself": ("scenes: &s [*s]\n", "within itself"),
-    "an alias that is not there": ("scenes: [*nowhere]\n", "no list of scenes"),
-    "deep": ("scenes: " + "[" * 100_000, "no list of scenes"),
-    "a program": ("scenes: !!python/object/apply:os.system ['true']\n", "no list of scenes"),
-    "a bad date": ("scenes: [2024-99-99]\n", "no list of scenes"),
-    "a number of 5000 digits": ("scenes: [" + "9" * 5000 + "]\n", "no list of scenes"),
+    "an alias that is not there": ("scenes: [*nowhere]\n", "not a list of scenes"),
+    "deep": ("scenes: " + "[" * 100_000, "not a list of scenes"),
+    "a program": ("scenes: !!python/object/apply:os.system ['true']\n", "not a list of scenes"),
+    "a bad date": ("scenes: [2024-99-99]\n", "not a list of scenes"),
+    "a number of 5000 digits": ("scenes: [" + "9" * 5000 + "]\n", "not a list of scenes"),
     "a sweep of 10^20": (
         "scenes: [a]\nsweep:\n" + "".join(f"  coarse.s{i}: [{', '.join(map(str, range(100)))}]\n" for i in range(10)),
         "at most",
@@ -32,10 +32,10 @@ LISTS = {
     "a name that leads out": ("scenes: [{capture: a, name: ../../../out}]\n", "scene 1: name"),
     "an absolute name": ("scenes: [{capture: a, name: /tmp/out}]\n", "scene 1: name"),
     "a name with a line break": ('scenes: [{capture: a, name: "a\\nb"}]\n', "scene 1: name"),
-    "a path with a zero": ('scenes: ["a\\0b"]\n', "no (name of a file|list of scenes)"),
-    "a mapping as a key": ("? {a: b}\n: c\n", "no list of scenes"),
-    "not UTF-8": (b"scenes: [\xff\xfe]\n", "no list of scenes"),
-    "control characters": (b"scenes: [\x1b\x00]\n", "no list of scenes"),
+    "a path with a zero": ('scenes: ["a\\0b"]\n', "not a (file name|list of scenes)"),
+    "a mapping as a key": ("? {a: b}\n: c\n", "not a list of scenes"),
+    "not UTF-8": (b"scenes: [\xff\xfe]\n", "not a list of scenes"),
+    "control characters": (b"scenes: [\x1b\x00]\n", "not a list of scenes"),
     "empty": ("", "expected a list of captures"),
 }
 
@@ -70,8 +70,8 @@ def test_plain_aliases_are_read(tmp_path):
 
 EYE = np.eye(4).tolist()
 PATHS = {
-    "deep": ('{"frames": ' + "[" * 100_000, "no camera path"),
-    "not UTF-8": (b'{"frames": "\xff"}', "no camera path"),
+    "deep": ('{"frames": ' + "[" * 100_000, "not a camera path"),
+    "not UTF-8": (b'{"frames": "\xff"}', "not a camera path"),
     "a name twice": ('{"frames": [], "frames": []}', "twice"),
     "a pose of 400 digits": ([{"cam_from_world": [[10**400, 0, 0, 0], *EYE[1:]]}], "frame 0: cam_from_world"),
     "NaN": ([{"cam_from_world": [[float("nan"), 0, 0, 0], *EYE[1:]]}], "finite"),

@@ -178,7 +178,7 @@ def test_what_a_stage_derives_from_counts_where_it_is_ours(toys):
 
 def test_a_stage_that_is_in_no_file_is_refused():
     alone = type("Alone", (Stage,), {"name": "alone", "__module__": "nowhere"})
-    with pytest.raises(StageError, match="Alone: its source is in no file"):
+    with pytest.raises(StageError, match="Alone: its source is not in a file"):
         code_of(alone)
 
 

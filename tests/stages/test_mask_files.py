@@ -99,8 +99,8 @@ def test_masks_that_no_one_looks_at_are_spoken_of(dnerf_capture, n3v_capture, vi
 
     for source, kind in ((dnerf_capture.root, "dnerf"), (n3v_capture.root, "n3v"), (video_capture.root, "video")):
         (note,) = notes(source, kind)
-        assert "masks/ is not looked at" in note and f"the layout is {kind}" in note and "mask_path" in note
+        assert "masks/ is ignored" in note and f"the layout is {kind}" in note and "mask_path" in note
     shutil.copytree(images_capture.root, tmp_path / "room/images")
     (tmp_path / "room/masks").mkdir()
-    assert any("masks/ is not looked at" in note and "folder that holds both" in note for note in recognise(tmp_path / "room/images").notes)
-    assert not any("not looked at" in note for note in recognise(tmp_path / "room").notes)
+    assert any("masks/ is ignored" in note and "folder that holds both" in note for note in recognise(tmp_path / "room/images").notes)
+    assert not any("is ignored" in note for note in recognise(tmp_path / "room").notes)

@@ -91,7 +91,7 @@ def test_a_list_has_settings_for_all_and_for_one_and_a_sweep(tmp_path):
         ("scenes: [{capture: a, nam: b}]", "scene 1: unknown field nam"),
         ("scenes: [a]\nsweep: {coarse.seed: 3}", "list of values"),
         ("scenes: [{capture: a, settings: 3}]", "settings: expected"),
-        ("scenes: [", "no list of scenes in YAML"),
+        ("scenes: [", "not a list of scenes in YAML"),
     ],
 )
 def test_a_bad_list_is_one_message_that_names_the_place(tmp_path, text, said):

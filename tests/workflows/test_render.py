@@ -75,7 +75,7 @@ def test_a_frozen_moment_is_that_moment_in_every_picture(finished, tmp_path):
     [
         ("[]", ('"frames"',)),
         ('{"frames": []}', ('"frames"',)),
-        ("{", ("no camera path in JSON",)),
+        ("{", ("not a camera path in JSON",)),
         ('{"frames": [3]}', ("frame 0", "object")),
         ('{"frames": [{}]}', ("frame 0", "neither cam_from_world nor transform_matrix")),
         ('{"frames": [{"cam_from_world": [[1]]}]}', ("frame 0: cam_from_world", "4x4")),
