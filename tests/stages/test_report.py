@@ -187,8 +187,8 @@ def test_the_command_and_the_quality_over_time_are_shown_when_known():
     shown = render_report("robot", Evaluation(), infos(), PLAN, values, None, "e4dgs run all 'my capture'")  # type: ignore[arg-type]
     assert "e4dgs run all &#39;my capture&#39;" in shown and "PSNR over time, test" in shown and "PSNR over time, val" not in shown
     without = render_report("robot", Evaluation(), infos(), PLAN, metrics())  # type: ignore[arg-type]
-    assert "Flicker is measured where" not in shown
-    assert "Flicker is measured where" in render_report("robot", Evaluation(), infos(), PLAN, {**values, "flicker": None})  # type: ignore[arg-type]
+    assert "Flicker is measured if" not in shown
+    assert "Flicker is measured if" in render_report("robot", Evaluation(), infos(), PLAN, {**values, "flicker": None})  # type: ignore[arg-type]
     assert "The same again" not in without and "PSNR over time" not in without, "one time is no course"
 
 
