@@ -335,7 +335,7 @@ def test_it_says_when_what_moves_goes_too_far_to_be_followed(motion, followed, t
     said, flow = warnings("first")
     agrees, masks = flow.read("confidence") > 0, flow.read("moving") > 0
     share = np.median([agrees[p][masks[i]].mean() for p, (i, _) in enumerate(flow.read("pair")) if masks[i].any()])
-    assert not said if followed else f"{100 * share:.0f} % of its pixels" in said[0]
+    assert not said if followed else f"{100 * share:.0f} % of their pixels" in said[0]
     monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FOLLOWED", share)
     assert not warnings("at the threshold")[0]
     monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FOLLOWED", np.nextafter(share, 1))
