@@ -45,6 +45,10 @@ def protocol(
         "motion (Farneback), where it is above 0.5 px; flow: tOF in px",
         "notes": list(notes),
     }
+    if frames.every_time > 1:
+        result["times"] = (
+            f"frames.every_time={frames.every_time}; test: training cameras at the times left out; val: what the files hold out"
+        )
     if measured and settings.lpips_weights is not None:
         result["lpips_weights_blake3"] = blake3(Path(settings.lpips_weights).read_bytes()).hexdigest()
     return result
