@@ -13,7 +13,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage
-from .evaluation.spread import SAMPLE
+from .evaluation.spread import SAMPLE, flicker_cameras
 from .facts import Facts
 
 Split = Literal["train", "val", "test"]
@@ -48,9 +48,11 @@ class Evaluate(Stage):
         return Applies.yes(f"no views in {', '.join(settings.splits)}: training views are measured instead")
 
     def estimate(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> float | None:
-        """On two cores: about 1.2 s per view and megapixel for rendering and metrics, without LPIPS."""
+        """On two cores: about 1.2 s per view and megapixel for rendering and metrics, without LPIPS; as much at each time for flicker."""
         known = Facts.of(facts)
         views = SAMPLE + sum(known.splits.get(split, 0) for split in settings.splits)
+        if known.fixed_cameras and not known.static:
+            views += flicker_cameras(known.times) * known.times
         return 3.0 + 1.2 * views * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: EvaluateSettings, device: str) -> Resources:

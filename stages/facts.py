@@ -9,6 +9,7 @@ from typing import Any, Self
 from ..scene.training.curriculum import MIN_CAMERAS
 
 _ONLY_WHERE_TRUE = ("upright", "untimed")  # left out of the JSON if false
+_ONLY_WHERE_UNUSUAL = {"every_time": 1, "new_items": None}  # left out of the JSON if they have these values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +36,7 @@ class Facts:
     images_in_files: bool = True  # pictures are image files; nothing is extracted from videos
     upright: bool = False  # images are rotated as their EXIF data ask
     untimed: bool = False  # the files give no times: frames are in the order of their names
+    every_time: int = 1  # every so many-th time trains, and the others are test; 1 unless frames.every_time is set
     new_items: int | None = None  # in an estimate: how many of the stage's items are computed; the others are reused
 
     @classmethod
@@ -51,7 +53,8 @@ class Facts:
     def as_json(self) -> dict[str, Any]:
         """Inverse of `of`."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
-        left_out = [name for name in _ONLY_WHERE_TRUE if not values[name]] + (["new_items"] if self.new_items is None else [])
+        left_out = [name for name in _ONLY_WHERE_TRUE if not values[name]]
+        left_out += [name for name, usual in _ONLY_WHERE_UNUSUAL.items() if values[name] == usual]
         return {name: value for name, value in values.items() if name not in left_out}
 
     @property

@@ -32,6 +32,9 @@ class FramesSettings(Settings):
     every: int | None = Field(
         None, ge=1, le=1_000_000, description="take every N-th frame of a video or image sequence; max_frames is then ignored"
     )
+    every_time: int = Field(
+        1, ge=1, le=1_000_000, description="train on every N-th time and test on the others, in place of holdout; 1 trains on all"
+    )
     fps: float | None = Field(None, gt=0, le=1e6, description="frames per second of numbered images; 30 if the files do not say")
     sync: Literal["auto", "sound", "frames"] = Field(
         "auto",

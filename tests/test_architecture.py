@@ -154,7 +154,7 @@ def imports_inside(path: Path, but: tuple[str, ...] = ()) -> list[str]:
     return [one.name for one in functions if any(isinstance(node, ast.Import | ast.ImportFrom) for node in ast.walk(one))]
 
 
-@pytest.mark.parametrize("name", ["frames", "flow", "coarse", "hulls", "fine", "evaluate"])
+@pytest.mark.parametrize("name", ["frames", "poses", "flow", "coarse", "hulls", "fine", "evaluate"])
 def test_a_stage_imports_its_work_in_run_alone(name):
     """What only a plan asks for is imported by the methods that a plan asks: so it is in no key."""
     inside = imports_inside(ROOT / "stages" / f"{name}.py")

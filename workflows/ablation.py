@@ -43,6 +43,8 @@ COLUMNS = {
     "edge_psnr": "edge PSNR",
     "flicker_static": "flicker, static",
     "flicker_edges": "flicker, edges",
+    "flicker_warped": "flicker, along motion",
+    "flicker_flow": "tOF, px",
     "seconds": "seconds",
     "gaussians": "Gaussians",
     "convexes": "convexes",
@@ -53,8 +55,8 @@ PAGE = """<!doctype html>
 <style>:root { color-scheme: light dark } body { font: 15px/1.5 sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em }
 table { border-collapse: collapse } td, th { padding: .3em .8em; text-align: right; border-bottom: 1px solid #8885 }
 td:nth-child(-n+2), th:nth-child(-n+2) { text-align: left }</style></head><body><h1>Ablation</h1>
-<p>Means over seeds; the spread is the highest PSNR minus the lowest. Held-out views: test, else validation. Flicker in levels of 8 bits,
-for captures of fixed cameras. Seconds of all stages; a cached stage counts as the run took that made it. {{ note }}</p>
+<p>Means over seeds; the spread is the highest PSNR minus the lowest. Held-out views: test, else validation. Flicker in levels of 8 bits
+and tOF, for captures of fixed cameras. Seconds of all stages; a cached stage counts as the run took that made it. {{ note }}</p>
 <table><tr>{% for title in titles %}<th>{{ title }}</th>{% endfor %}</tr>
 {% for row in rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
 {% endfor %}</table></body></html>

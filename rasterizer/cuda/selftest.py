@@ -8,6 +8,7 @@ Compares the images and gradients of a small scene with both kinds of primitive.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -15,15 +16,26 @@ from torch import Tensor
 from .. import Camera, Convexes, Gaussians, rasterize
 
 WIDTH, HEIGHT = 40, 24
+Results = Callable[[], dict[str, Tensor]]
 LIMIT = 1e-3  # relative L2 distance of images and of each gradient; leaves room for a pixel or two on a threshold
 
 
 def problem(device: str) -> str | None:
     """One line about what is wrong with backend "cuda" on this device, or None if nothing is."""
+    return disagreement(lambda: _results("cpu", "cpu"), lambda: _results("cuda", device))
+
+
+def disagreement(on_cpu: Results, on_device: Results) -> str | None:
+    """One line about what the device computes otherwise than the CPU, or why it does not compute at all; None if the results agree.
+
+    on_cpu, on_device: compute the same values, by names for people.
+    """
     try:
-        want, got = _results("cpu", "cpu"), _results("cuda", device)
+        want, got = on_cpu(), on_device()
     except Exception as cause:  # any failure is the answer
         return f"the CUDA kernels do not run here: {type(cause).__name__}: {str(cause).splitlines()[0] if str(cause) else ''}"
+    if missing := want.keys() ^ got.keys():
+        return f"the CUDA kernels compute something else than the CPU's: only one of them has {min(missing)}"
     for name, value in want.items():
         distance = float((got[name].cpu() - value).norm() / value.norm().clamp(min=1e-12))
         if not distance <= LIMIT:

@@ -27,6 +27,7 @@ class FrameSet:
     camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 if none); K [F,3,3] float64 px and
     cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
+    every_time: every so many-th time trains, and the pictures of the same cameras at the other times are test; 1 if all times train.
     files, upright: the image files, and whether they are rotated as their EXIF data ask; crop [F,4] px, or None if all pictures are shown
     whole.
     fixed_cameras: several cameras that do not move, according to the files or structure from motion.
@@ -40,7 +41,7 @@ class FrameSet:
         self.root = Path(root)
         self.width, self.height = facts.width, facts.height
         self.background, self.alpha = stored.background, facts.alpha
-        self.upright, self.untimed = facts.upright, facts.untimed
+        self.upright, self.untimed, self.every_time = facts.upright, facts.untimed, facts.every_time
         self.names, self.files = stored.names, stored.files
         self.mask_files, self.keep_files = stored.mask_files, stored.keep_files
         self.keep_turns = stored.keep_turns or [1] * len(self.names)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from ...pipeline import CaptureError
 from ..facts import Facts
 from . import checks
+from . import skipped_times as skipping
 from .common_size import Crop, common_size, crop, told
 
 TRAIN, VAL, TEST = 0, 1, 2
@@ -33,6 +33,7 @@ class Options:
     max_size: int | None = None
     max_frames: int | None = None
     every: int | None = None
+    every_time: int = 1
     fps: float | None = None
     sync: str = "auto"
     heard: Path | None = None
@@ -135,7 +136,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     shots = reading.shots
     _refuse_duplicates(shots)
     split = np.array([s.split for s in shots], dtype=np.uint8)
-    if not reading.has_split and options.holdout:
+    if not reading.has_split and options.holdout and options.every_time == 1:
         split[np.arange(len(shots)) % options.holdout == 0] = TEST
     if not (split == TRAIN).any():
         raise CaptureError(
@@ -152,6 +153,12 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     keys = sorted({s.camera for s in shots})
     index = {key: i for i, key in enumerate(keys)}
     camera = np.array([index[s.camera] for s in shots], dtype=np.int32)
+    notes = reading.notes
+    if options.every_time > 1:
+        left_out = skipping.skipped_times(root, split == TRAIN, camera, time, options.every_time)
+        split[split != TRAIN] = VAL  # new views apart from new times: one mean of both would say little about either
+        split[left_out] = TEST
+        notes += (skipping.told(split, time, options.every_time),)
     following = np.full(len(shots), -1, np.int32) if static else _next_frames(shots, camera, time, split)
 
     posed = all(s.cam_from_world is not None for s in shots)
@@ -180,6 +187,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         images_in_files=not reading.videos,
         upright=reading.upright,
         untimed=reading.untimed and not static,
+        every_time=options.every_time,
     )
     images = None if reading.videos else tuple(str(s.file) for s in shots)
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
@@ -221,7 +229,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         points=reading.points,
         point_colors=reading.point_colors,
         K_hint=hint,
-        notes=(*reading.notes, *([note] if (note := told(sizes, [s.name for s in shots], common)) else [])),
+        notes=(*notes, *([note] if (note := told(sizes, [s.name for s in shots], common)) else [])),
     )
 
 
@@ -260,15 +268,19 @@ def _next_frames(shots: Sequence[Shot], camera: np.ndarray, time: np.ndarray, sp
     """Index of the same camera's train frame at its next time, -1 if none.
 
     Held-out frames have no next frame and are skipped, so that flow is never measured on a picture that is used for evaluation. Pictures
-    of different sizes form no pair: scaled to a common size, they would seem to move.
+    of different sizes form no pair: scaled to a common size, they would seem to move. Nor do pictures with a cut between them.
     """
     result = np.full(len(shots), -1, np.int32)
     for key in np.unique(camera):
-        members = np.flatnonzero((camera == key) & (split == TRAIN))
+        members = np.flatnonzero(camera == key)
         members = members[np.argsort(time[members], kind="stable")].tolist()
-        for a, b in itertools.pairwise(members):
-            if time[b] > time[a] and shots[a].linked and shots[a].size == shots[b].size:
-                result[a] = b
+        last, linked = -1, True
+        for i in members:
+            if split[i] == TRAIN:
+                if last >= 0 and linked and time[i] > time[last] and shots[last].size == shots[i].size:
+                    result[last] = i
+                last, linked = i, True
+            linked = linked and shots[i].linked
     return result
 
 

@@ -36,6 +36,7 @@ def recognise(
     max_size: int | None = None,
     max_frames: int | None = None,
     every: int | None = None,
+    every_time: int = 1,
     fps: float | None = None,
     sync: str = "auto",
     heard: Path | None = None,
@@ -44,12 +45,13 @@ def recognise(
 
     `format` forces a reader; `static` sets all times to 0; every `holdout`-th frame is test if the files carry no split
     (0: none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px limits the longer
-    side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; `fps` gives
+    side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; with
+    `every_time` above 1, only every so many-th time trains and the others are test, in place of `holdout`; `fps` gives
     numbered images their times in seconds; `sync` ("auto" | "sound" | "frames") chooses how the clocks of several videos are aligned,
     and `heard` is a folder that caches the sound envelopes of long ones. Raises `CaptureError` if the capture is unreadable or
     inconsistent, or fits two formats.
     """
-    options = Options(format, static, holdout, background, max_size, max_frames, every, fps, sync, heard)
+    options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, heard)
     root = _existing(Path(path))
     kind = _choose(root, format)
     if (max_frames or every) and kind not in _STEPPED:

@@ -10,15 +10,15 @@ import numpy as np
 from ...scene.metrics.flicker import Flicker, steady_pixels
 from ..artifacts.frameset import FrameSet
 from .judge import Judge
+from .spread import flicker_cameras, spread
 
-CAMERAS, TIMES = 3, 60  # most cameras of the capture, and most neighbouring times of each, that are rendered
 FEWEST = 3  # least number of times of a camera
 
 
 def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
-    """`static` and `edges` in 8-bit levels and `flow` in px, as means over `pairs` pairs of times of `cameras` cameras. `per_pair` has the
-    three values of each pair with its `camera` and both `times`. None for captures without a fixed camera that saw several times. Held-out
-    cameras are preferred if there are any. Times are taken from the first one on."""
+    """`static`, `edges` and `warped` in 8-bit levels and `flow` in px, as means over `pairs` pairs of times of `cameras` cameras.
+    `per_pair` has the four values of each pair with its `camera` and both `times`. None for captures without a fixed camera that saw
+    several times. Held-out cameras are preferred if there are any. Each camera counts with all of its times."""
     if not judge.fixed or judge.model.field is None:
         return None
     seen: dict[int, list[int]] = {}
@@ -29,10 +29,10 @@ def measure_flicker(judge: Judge, frames: FrameSet) -> dict[str, Any] | None:
     cameras = [camera for camera in (wholly or sorted(seen)) if len(seen[camera]) >= FEWEST]
     if not cameras:
         return None
-    chosen = [cameras[k] for k in np.unique(np.linspace(0, len(cameras) - 1, CAMERAS).round().astype(int))]
+    chosen = spread(cameras, flicker_cameras(max(len(seen[camera]) for camera in cameras)))
     flicker, pairs = Flicker(), []
     for camera in chosen:
-        order = sorted(seen[camera], key=lambda i: float(frames.time[i]))[:TIMES]
+        order = sorted(seen[camera], key=lambda i: float(frames.time[i]))
         flicker.begin(steady_pixels(frames.composited(i) / 255.0 for i in order))
         for i in order:
             flicker.add(judge.render(i)[0], frames.composited(i) / 255.0)

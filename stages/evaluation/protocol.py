@@ -41,9 +41,14 @@ def protocol(
         "colours": "of the mean training camera; psnr_affine after one affine a channel and view",
         "moving": "of fixed cameras: pixels within 2 px of one that is more than 0.1 from the camera's median over time",
         "metrics": "float64 on clamped float renders; SSIM 11x11 Gaussian, sigma 1.5, zero padding; edges: Canny 50/100, within 2 px",
-        "flicker": "fixed cameras, neighbouring times; excess change of the render, in levels of 8 bits; flow: tOF in px",
+        "flicker": "fixed cameras, all neighbouring times; excess change of the render, in levels of 8 bits; warped: along the truth's "
+        "motion (Farneback), where it is above 0.5 px; flow: tOF in px",
         "notes": list(notes),
     }
+    if frames.every_time > 1:
+        result["times"] = (
+            f"frames.every_time={frames.every_time}; test: training cameras at the times left out; val: what the files hold out"
+        )
     if measured and settings.lpips_weights is not None:
         result["lpips_weights_blake3"] = blake3(Path(settings.lpips_weights).read_bytes()).hexdigest()
     return result

@@ -8,6 +8,14 @@ from typing import Any
 SAMPLE = 16  # training views measured besides the held-out ones; if they are far better, the model has overfitted to its views
 
 
+FLICKER_CAMERAS, FLICKER_PAIRS = 3, 180  # most cameras of which flicker is measured, and from which number of pairs of times on fewer
+
+
+def flicker_cameras(times: int) -> int:
+    """Of how many fixed cameras flicker is measured, each at all of its ``times``."""
+    return max(1, min(FLICKER_CAMERAS, FLICKER_PAIRS // max(times, 1)))
+
+
 def spread(items: Sequence[int], count: int) -> list[int]:
     """Up to ``count`` items, evenly spread, including both ends."""
     if len(items) <= count:

@@ -10,7 +10,7 @@ from typing import Any
 from .plot import Plot, Series, numbers
 
 SPLITS = ("test", "val", "train")
-FLICKER = (("static", "where nothing moves", "a"), ("edges", "at edges", "b"))
+FLICKER = (("static", "where nothing moves", "a"), ("edges", "at edges", "b"), ("warped", "along the motion", "c"))
 
 
 def is_number(value: Any) -> bool:

@@ -31,6 +31,12 @@ KINDS = (("gaussians", "Gaussians"), ("convexes", "convexes"))
 VIEWS_OPEN = 6  # the others are folded away
 DATA, MOVIE = "data:image/png;base64,", "data:video/mp4;base64,"
 MOVIES = (("over_time", "held-out views in order of time: ground truth, render"), ("turntable", "a turn about the scene"))
+FLICKER = (  # key, title, unit
+    ("static", "flicker where nothing moves", "levels"),
+    ("edges", "flicker at edges", "levels"),
+    ("warped", "flicker along the motion", "levels"),
+    ("flow", "flow differs from the truth's by", "px"),
+)
 HEADLINES = (  # key, title, unit, decimals
     ("psnr", "PSNR", "dB", 2),
     ("edge_psnr", "PSNR near edges", "dB", 2),
@@ -137,7 +143,7 @@ def facts(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     if is_number(metrics.get("train_seconds")):
         found.append(("trained in", duration(float(metrics["train_seconds"]))))
     flicker = metrics.get("flicker") or {}
-    for name, title, unit in (("static", "flicker where nothing moves", "levels"), ("edges", "flicker at edges", "levels")):
+    for name, title, unit in FLICKER:
         if is_number(flicker.get(name)):
             found.append((title, f"{flicker[name]:.2f} {unit}"))
     if is_number(metrics.get("render_fps")):

@@ -15,7 +15,7 @@ MOST_POINTS = 600  # per polyline; longer curves are thinned, keeping both ends
 
 @dataclass
 class Series:
-    """A curve: ``points`` are (x, y); ``style`` is the CSS class a, b, c or d that colours it."""
+    """A curve: ``points`` are (x, y); ``style`` is the CSS class a, b or c that colours it."""
 
     label: str
     points: list[tuple[float, float]]

@@ -3,11 +3,12 @@
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from e4dgs.scene.metrics.edge_psnr import edge_psnr
-from e4dgs.scene.metrics.flicker import STEADY, Flicker, steady_pixels
+from e4dgs.scene.metrics.flicker import MEASURES, STEADY, Flicker, _moves, steady_pixels
 from e4dgs.scene.metrics.lpips import Lpips, expected_shapes
 from e4dgs.scene.metrics.psnr import CAP, affine_fit, psnr
 from e4dgs.scene.metrics.ssim import ssim, ssim_map
@@ -246,4 +247,56 @@ def test_flicker_begins_anew_with_each_camera_and_measures_flow():
         flicker.add(truth, truth)
         flicker.add(truth, moved)  # the render stands still where the truth moves
     assert len(flicker.rows) == 2 and flicker.means()["flow"] > 0.1
-    assert Flicker().means() == {"static": None, "edges": None, "flow": None}
+    assert Flicker().means() == {"static": None, "edges": None, "warped": None, "flow": None}
+
+
+def sliding(count=5, step=2, start=0):
+    """Pictures of a textured square that slides to the right over a flat ground by ``step`` px a time."""
+    coarse = cv2.resize(np.random.default_rng(4).random((8, 8, 3)), (32, 32), interpolation=cv2.INTER_CUBIC).clip(0, 1)
+    pictures = []
+    for k in range(count):
+        image = np.full((64, 96, 3), 0.4)
+        left = 10 + start + step * k
+        image[16:48, left : left + 32] = coarse
+        pictures.append(image)
+    return pictures
+
+
+def test_a_perfect_render_of_something_that_moves_has_no_flicker():
+    found = flicker_of(sliding(), sliding()).means()
+    assert set(found) == set(MEASURES) and all(value == pytest.approx(0, abs=1e-9) for value in found.values())
+
+
+def test_noise_on_what_moves_is_the_known_flicker_along_the_motion():
+    """Renders are brighter by 5 levels at every second time: their change along the motion exceeds the truth's by 5."""
+    renders = [truth + 5 / 255 * (k % 2) for k, truth in enumerate(sliding())]
+    found = flicker_of(renders, sliding()).means()
+    assert found["warped"] == pytest.approx(5.0, rel=0.03) and found["static"] == pytest.approx(5.0, rel=1e-6)
+
+
+def test_a_pattern_that_stays_behind_flickers_along_the_motion_alone():
+    """Seen from the moving surface it changes, though at each pixel the render changes exactly as the truth does."""
+    pattern = 0.04 * np.random.default_rng(6).standard_normal((64, 96, 1))
+    found = flicker_of([truth + pattern for truth in sliding()], sliding()).means()
+    assert found["static"] == pytest.approx(0, abs=1e-9) and found["edges"] == pytest.approx(0, abs=1e-9)
+    assert found["warped"] > 2.0
+
+
+def test_a_render_that_lags_has_another_flow():
+    """The truth speeds up by 1 px a time; a render that is one time behind moves 1 px less."""
+    places = [0, 1, 3, 6, 10, 15]
+    truths = [sliding(1, start=place)[0] for place in places]
+    found = {lag: flicker_of([truths[max(k - lag, 0)] for k in range(6)], truths).means() for lag in (0, 1, 2)}
+    assert found[0]["flow"] == 0 and found[0]["warped"] == 0
+    assert found[2]["flow"] > found[1]["flow"] > 0.3
+    assert found[1]["warped"] > 5.0 and found[1]["edges"] > 3.0
+
+
+def test_what_stands_still_or_leaves_the_picture_is_no_motion():
+    standing = [picture()] * 3
+    assert flicker_of(standing, standing).means()["warped"] is None
+    out = np.zeros((20, 30, 2), np.float32)
+    out[..., 0] = 4.0
+    assert _moves(out, -out)[:, :26].all() and not _moves(out, -out)[:, 26:].any(), "the last pixels leave the picture"
+    assert not _moves(out, -0.7 * out).any(), "what is hidden at the next time: the way back leads elsewhere"
+    assert not _moves(0.1 * out, -0.1 * out).any(), "slower than half a pixel"

@@ -393,7 +393,7 @@ def test_flicker_is_measured_at_fixed_cameras_at_held_out_ones_where_there_are_a
     model = SimpleNamespace(render=render, near=0.01, field=object())
     found = measure_flicker(Judge(model, frames, None, True), frames)  # type: ignore[arg-type]
     assert found is not None and found["cameras"] == looked_at and found["pairs"] == 3 * looked_at
-    assert found["static"] == pytest.approx(5.0, rel=1e-4) and found["edges"] is None
+    assert found["static"] == pytest.approx(5.0, rel=1e-4) and found["edges"] is None and found["warped"] is None
     assert shown == [0, 1, 2, 3] * looked_at
     expected = [(one, step) for one in ([1] if test_camera else [0, 1]) for step in pairwise(np.linspace(0, 1, 4))]
     assert [(row["camera"], tuple(row["times"])) for row in found["per_pair"]] == expected

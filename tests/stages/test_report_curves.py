@@ -5,15 +5,19 @@ from e4dgs.stages.report.curves import over_time
 from e4dgs.stages.report.page import total_of
 
 
-def pair(camera: int, begin: float, static: float | None, edges: float | None) -> dict:
-    return {"camera": camera, "times": [begin, begin + 0.5], "static": static, "edges": edges, "flow": 0.1}
+def pair(camera: int, begin: float, static: float | None, edges: float | None, warped: float | None = None) -> dict:
+    return {"camera": camera, "times": [begin, begin + 0.5], "static": static, "edges": edges, "warped": warped, "flow": 0.1}
 
 
 def test_flicker_has_a_point_for_each_pair_of_times_the_mean_of_its_cameras():
-    rows = [pair(0, 0.0, 1.0, 2.0), pair(0, 0.5, 3.0, None), pair(2, 0.5, 5.0, 4.0), pair(2, 0.0, None, 6.0)]
+    rows = [pair(0, 0.0, 1.0, 2.0), pair(0, 0.5, 3.0, None), pair(2, 0.5, 5.0, 4.0), pair(2, 0.0, None, 6.0, 7.0)]
     (plot,) = over_time({"flicker": {"static": 3.0, "edges": 4.0, "per_pair": rows}})
     curves = {series.label: series.points for series in plot.series}
-    assert curves == {"where nothing moves": [(0.25, 1.0), (0.75, 4.0)], "at edges": [(0.25, 4.0), (0.75, 4.0)]}
+    assert curves == {
+        "where nothing moves": [(0.25, 1.0), (0.75, 4.0)],
+        "at edges": [(0.25, 4.0), (0.75, 4.0)],
+        "along the motion": [(0.25, 7.0)],
+    }
     assert plot.y_label == "levels"
 
 

@@ -61,12 +61,34 @@ def test_kernels_are_trusted_once_they_agree_with_the_cpu_s(machine, monkeypatch
     monkeypatch.setattr(devices.subprocess, "run", run)
     machine.cuDriverGetVersion = lambda pointer: setattr(pointer._obj, "value", machine.driver)
     machine.driver = 13000
-    with pytest.raises(SettingsError, match=r"a small render on the GPU went wrong: the gradient of gaussians\.means is off"):
+    with pytest.raises(SettingsError, match=r"a small training step on the GPU went wrong: the gradient of gaussians\.means is off"):
         resolve_device("cuda")
     assert resolve_device("auto") == "cuda" and resolve_device("auto") == "cuda" and len(asked) == 2
-    assert asked[0][1:] == ["-m", "e4dgs.rasterizer.cuda.selftest"]
+    assert asked[0][1:] == ["-m", "e4dgs.scene.cuda.selftest"]
     machine.driver = 13010
     assert resolve_device("auto") == "cuda" and len(asked) == 3
+
+
+def test_an_edit_of_any_kernel_asks_again(machine, monkeypatch, tmp_path):
+    """All that is compiled for a GPU, whichever folder it is in, and the Python code that launches it."""
+    machine.cuDriverGetVersion = lambda pointer: 0
+    package = devices.PACKAGE
+    sources = [
+        path for kind in ("*.cu", "*.cuh") for folder in ("rasterizer", "scene", "vision") for path in (package / folder).rglob(kind)
+    ]
+    sources += [*(package / "rasterizer" / "math").glob("*.h"), *(package / "scene" / "cuda").glob("*.py")]
+    sources += (package / "rasterizer" / "cuda" / "runtime").glob("*.py")
+    copied = []
+    for path in sources:
+        copied.append(tmp_path / path.relative_to(package))
+        copied[-1].parent.mkdir(parents=True, exist_ok=True)
+        copied[-1].write_bytes(path.read_bytes())
+    monkeypatch.setattr(devices, "PACKAGE", tmp_path)
+    proofs = {devices._proof()}
+    for path in copied:
+        path.write_bytes(path.read_bytes() + b"\n")
+        proofs.add(devices._proof())
+    assert len(copied) > 25 and len(proofs) == len(copied) + 1
 
 
 def test_a_selftest_that_does_not_end_is_no_proof(machine, monkeypatch, tmp_path):

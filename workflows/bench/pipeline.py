@@ -24,7 +24,7 @@ from ..session import Options, open_session
 LADDER = "coarse.effort=0.05,fast,coarse.effort=0.4,default"
 HELD_OUT = ("test", "val")
 METRICS = ("psnr", "psnr_affine", "ssim", "lpips", "edge_psnr", "psnr_foreground", "psnr_moving", "psnr_static")
-FLICKER = ("static", "edges")
+FLICKER = ("static", "edges", "warped", "flow")
 
 
 @dataclass

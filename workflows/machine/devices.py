@@ -17,6 +17,8 @@ from ...pipeline import SettingsError
 
 DEVICES = ("auto", "cpu", "cuda")
 SELFTEST_SECONDS = 300  # time limit; the first self-test also compiles the kernels
+PACKAGE = Path(__file__).resolve().parents[2]
+KERNELS = ("rasterizer/cuda", "rasterizer/math", "scene/cuda")  # folders of all that computes on a GPU, and of the self-test
 EXTRAS = "install e4dgs[cuda13], or e4dgs[cuda12] where torch.version.cuda starts with 12"
 NVRTC_PACKAGES = ("nvidia.cu13", "nvidia.cuda_nvrtc")  # modules of NVRTC in NVIDIA's wheels for CUDA 13 and 12
 TOOLKITS = ("CUDA_HOME", "CUDA_PATH", "CONDA_PREFIX")  # environment variables that name a toolkit's folder
@@ -60,19 +62,19 @@ def why_not_cuda() -> str | None:
 
 
 def why_not_trusted() -> str | None:
-    """Why the GPU cannot be trusted, or None if a small render on it agrees with the CPU's. The render runs in a separate process.
-    Agreement is remembered for these kernels, torch and driver."""
+    """Why the GPU cannot be trusted, or None if a small render and a training step on it agree with the CPU's. They run in a separate
+    process. Agreement is remembered for these kernels, torch and driver."""
     proof = _proof()
     if proof.is_file():
         return None
-    command = [sys.executable, "-m", "e4dgs.rasterizer.cuda.selftest"]
+    command = [sys.executable, "-m", "e4dgs.scene.cuda.selftest"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SELFTEST_SECONDS)
     except (OSError, subprocess.TimeoutExpired) as cause:
-        return f"a small render on the GPU did not finish: {type(cause).__name__}"
+        return f"a small training step on the GPU did not finish: {type(cause).__name__}"
     if done.returncode:
         said = (done.stdout.strip() or done.stderr.strip() or f"exit code {done.returncode}").splitlines()[-1]
-        return f"a small render on the GPU went wrong: {said}"
+        return f"a small training step on the GPU went wrong: {said}"
     with suppress(OSError):  # the check is then repeated next time
         proof.parent.mkdir(parents=True, exist_ok=True)
         proof.touch()
@@ -82,10 +84,9 @@ def why_not_trusted() -> str | None:
 def _proof() -> Path:
     """A file that exists once these CUDA kernels, with this torch and driver, have agreed with the CPU's on this machine."""
     state = hashlib.sha256()
-    kernels = Path(__file__).resolve().parents[2] / "rasterizer"
-    for path in sorted([*kernels.glob("cuda/*"), *kernels.glob("math/*")]):
-        if path.is_file():
-            state.update(path.name.encode() + path.read_bytes())
+    for path in sorted(path for folder in KERNELS for path in (PACKAGE / folder).rglob("*")):
+        if path.suffix in (".cu", ".cuh", ".h", ".py"):
+            state.update(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes())
     spec, driver = find_spec("torch"), ctypes.c_int(0)
     assert spec is not None and spec.origin is not None
     state.update((Path(spec.origin).parent / "version.py").read_bytes())

@@ -44,7 +44,7 @@ def read(root: Path, options: Options) -> Reading:
             time=float((times[k] - times[0]) / (times[-1] - times[0])),
             size=(headers[names[number]].width, headers[names[number]].height),
             seconds=float(times[k] - times[0]),
-            split=TEST if options.holdout and not options.static and k % options.holdout == 0 else TRAIN,
+            split=TEST if options.holdout and options.every_time == 1 and not options.static and k % options.holdout == 0 else TRAIN,
         )
         for number, name in enumerate(names)
         for k, i in enumerate(taken[number])

@@ -1,0 +1,79 @@
+"""The proof that a GPU trains as the CPU does, on the emulator: it holds there, it launches every kernel, and it fails if one is wrong."""
+
+import re
+from functools import cache, partial
+from pathlib import Path
+
+import pytest
+import torch
+from e4dgs.rasterizer.cuda.selftest import disagreement
+from e4dgs.scene.cuda import selftest
+from pretend_cuda import pretending_cuda
+from simt import Emulator, needs_compiler
+
+pytestmark = needs_compiler
+ROOT = Path(__file__).resolve().parents[2]
+DECLARED = re.compile(r'extern "C" __global__ void(?: __launch_bounds__\([^)]*\))?\s+(\w+)\(')
+NOT_BY_DEFAULT = {"sum_slots"}  # only with torch.use_deterministic_algorithms(True)
+
+
+class OneWrong(Emulator):
+    """An emulator in which one kernel is wrong: all floats that it writes are too large by a hundredth, all flags are inverted."""
+
+    def __init__(self, wrong: str) -> None:
+        super().__init__()
+        self.wrong = wrong
+
+    def launch(self, program, kernel, blocks, threads, *arguments):
+        tensors = [argument for argument in arguments if isinstance(argument, torch.Tensor)] if kernel == self.wrong else []
+        before = [tensor.clone() for tensor in tensors]
+        super().launch(program, kernel, blocks, threads, *arguments)
+        for tensor, old in zip(tensors, before):
+            if not torch.equal(tensor, old):  # it was written
+                if tensor.is_floating_point():
+                    tensor *= 1.01
+                else:
+                    tensor.copy_(1 - tensor)
+
+
+@cache
+def on_cpu():
+    return selftest._step("planes", "cpu")
+
+
+def test_the_proof_holds_and_covers_every_kernel():
+    with pretending_cuda() as pretending:
+        assert selftest.problem("cuda") is None
+    declared = {
+        name
+        for floor in ("rasterizer", "scene")
+        for path in (ROOT / floor / "cuda").glob("*.cu")
+        for name in DECLARED.findall(path.read_text())
+    }
+    assert len(declared) > 20 and declared - set(pretending.kernels) == NOT_BY_DEFAULT
+
+
+@pytest.mark.parametrize(
+    ("kernel", "named"),
+    [
+        ("adam_narrow", "the step of gaussians"),
+        ("adam_wide", "the step of field.planes"),
+        ("displace_backward", "the gradient of"),
+        ("look_up", "the loss|the render|the gradient"),
+        ("spread_lines", "the gradient of field.planes.time"),
+        ("photometric_gradient", "the gradient of"),
+        ("smoothness_gradient", "the gradient of field.planes"),
+        ("blend_backward", "the gradient of gaussians"),
+    ],
+)
+def test_a_kernel_that_is_wrong_is_noticed(kernel, named):
+    with pretending_cuda(emulator=OneWrong(kernel)):
+        found = disagreement(on_cpu, partial(selftest._step, "planes", "cuda"))
+    assert re.search(rf"compute something else than the CPU's: ({named})", found or ""), found
+
+
+def test_what_only_one_of_them_computes_is_named():
+    one, two = {"the loss": torch.ones(1)}, {"the loss": torch.ones(1), "the gradient of x": torch.ones(1)}
+    assert "only one of them has the gradient of x" in (disagreement(lambda: one, lambda: two) or "")
+    assert disagreement(lambda: one, lambda: dict(one)) is None
+    assert "do not run here: KeyError" in (disagreement(lambda: one, lambda: {}["x"]) or "")
