@@ -22,8 +22,6 @@ const std::array<float, kTaps> kWindow = [] {
     return w;
 }();
 
-#define E4DGS_INLINE [[gnu::always_inline]] inline  // a function that is not inlined would be compiled for the baseline only
-
 // Eight floats: a row under the horizontal window is read at every offset, and the wider a load, the more often it touches two cache lines.
 typedef float Eight __attribute__((vector_size(32)));
 static_assert(sizeof(Eight) == kSpare * sizeof(float));
