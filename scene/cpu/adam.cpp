@@ -12,14 +12,14 @@ namespace {
 
 constexpr int64_t kGrain = 16384;  // floats
 
-inline bool any(const float* gradient, int64_t n) {
+E4DGS_INLINE bool any(const float* gradient, int64_t n) {
     uint32_t found = 0;  // on the bits, so that the loop is vectorised; NaN counts as a gradient
     for (int64_t i = 0; i < n; ++i) found |= std::bit_cast<uint32_t>(gradient[i]) & 0x7fffffffu;
     return found != 0;
 }
 
-inline void adam_range(float* __restrict p, const float* __restrict g, float* __restrict m, float* __restrict v, int64_t n, const AdamStep& step,
-                       float rate, float inverse_root) {
+E4DGS_INLINE void adam_range(float* __restrict p, const float* __restrict g, float* __restrict m, float* __restrict v, int64_t n,
+                             const AdamStep& step, float rate, float inverse_root) {
     for (int64_t i = 0; i < n; ++i) {
         m[i] = step.beta1 * m[i] + (1.0f - step.beta1) * g[i];
         v[i] = step.beta2 * v[i] + (1.0f - step.beta2) * g[i] * g[i];
@@ -27,18 +27,53 @@ inline void adam_range(float* __restrict p, const float* __restrict g, float* __
     }
 }
 
+// Rows of W floats, too few for a loop of their own: kRows of them at once, and those without a gradient keep what they have.
+template <int W>
+E4DGS_INLINE void adam_narrow(float* __restrict p, const float* __restrict g, float* __restrict m, float* __restrict v, int64_t begin, int64_t end,
+                              const AdamStep& step, float rate, float inverse_root) {
+    constexpr int kRows = 64;
+    float value[kRows * W], first[kRows * W], second[kRows * W];
+    uint32_t found[kRows * W];
+    p += begin * W, g += begin * W, m += begin * W, v += begin * W;
+    for (int64_t row = begin; row < end; row += kRows, p += kRows * W, g += kRows * W, m += kRows * W, v += kRows * W) {
+        const int count = int(std::min<int64_t>(kRows, end - row)), n = count * W;
+        for (int r = 0; r < count; ++r) {
+            uint32_t bits = 0;
+            for (int c = 0; c < W; ++c) bits |= std::bit_cast<uint32_t>(g[r * W + c]) & 0x7fffffffu;
+            for (int c = 0; c < W; ++c) found[r * W + c] = bits;
+        }
+        std::copy(p, p + n, value), std::copy(m, m + n, first), std::copy(v, v + n, second);
+        adam_range(value, g, first, second, n, step, rate, inverse_root);
+        for (int i = 0; i < n; ++i) {
+            p[i] = found[i] ? value[i] : p[i];
+            m[i] = found[i] ? first[i] : m[i];
+            v[i] = found[i] ? second[i] : v[i];
+        }
+    }
+}
+
 E4DGS_CLONES void adam_block(float* p, const float* g, float* m, float* v, int64_t begin, int64_t end, int64_t width, const AdamStep step) {
     const float rate = step.rate / step.correction1, inverse_root = 1.0f / std::sqrt(step.correction2);
-    for (int64_t r = begin; r < end;) {  // consecutive rows with a gradient are updated together
-        if (!any(g + r * width, width)) {
-            ++r;
-            continue;
+    switch (width) {
+        case 1: return adam_narrow<1>(p, g, m, v, begin, end, step, rate, inverse_root);
+        case 2: return adam_narrow<2>(p, g, m, v, begin, end, step, rate, inverse_root);
+        case 3: return adam_narrow<3>(p, g, m, v, begin, end, step, rate, inverse_root);
+        case 4: return adam_narrow<4>(p, g, m, v, begin, end, step, rate, inverse_root);
+    }
+    constexpr int kRows = 256;
+    int64_t found[kRows];
+    for (int64_t r = begin; r < end;) {
+        int count = 0;  // collected first: which rows have a gradient cannot be predicted
+        for (const int64_t last = std::min(end, r + kRows); r < last; ++r) {
+            found[count] = r * width;
+            count += any(g + r * width, width);
         }
-        int64_t last = r + 1;
-        while (last < end && any(g + last * width, width)) ++last;
-        const int64_t at = r * width;
-        adam_range(p + at, g + at, m + at, v + at, (last - r) * width, step, rate, inverse_root);
-        r = last;
+        for (int k = 0; k < count;) {  // consecutive rows are updated together
+            const int64_t at = found[k++];
+            int64_t size = width;
+            for (; k < count && found[k] == at + size; ++k) size += width;
+            adam_range(p + at, g + at, m + at, v + at, size, step, rate, inverse_root);
+        }
     }
 }
 

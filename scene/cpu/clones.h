@@ -7,3 +7,6 @@
 #else
 #define E4DGS_CLONES
 #endif
+
+// For what such a function calls: a function that is not inlined there is compiled for the baseline only.
+#define E4DGS_INLINE [[gnu::always_inline]] inline

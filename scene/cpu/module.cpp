@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <initializer_list>
 #include <optional>
 #include <stdexcept>
@@ -107,8 +108,9 @@ e4dgs::Skinning skinning_of(const In& rest, const In* quats, const In& rest_hype
 void link_to(e4dgs::Skinning& in, const Links& link) {
     if (link.ndim() != 2 || int64_t(link.shape(0)) != in.n || link.shape(1) < 1 || link.shape(1) > size_t(e4dgs::kMostLinks))
         throw std::invalid_argument("link must be [N,1 to 8] for the N of rest");
-    for (size_t i = 0; i < link.size(); ++i)
-        if (link.data()[i] < 0 || link.data()[i] >= in.nodes) throw std::invalid_argument("link names a node that is not there");
+    uint32_t most = 0;  // negative numbers count as large ones; one test at the end, so that the loop is vectorised
+    for (size_t i = 0; i < link.size(); ++i) most = std::max(most, uint32_t(link.data()[i]));
+    if (link.size() && most >= uint32_t(in.nodes)) throw std::invalid_argument("link names a node that is not there");
     in.link = link.data(), in.links = int(link.shape(1));
 }
 

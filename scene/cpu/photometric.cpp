@@ -1,8 +1,6 @@
 #include "photometric.h"
 
 #include <algorithm>
-#include <array>
-#include <cmath>
 #include <cstdint>
 #include <cstdlib>
 #include <memory>
@@ -10,118 +8,29 @@
 #include <utility>
 #include <vector>
 
-#include "clones.h"
+#include "photometric_rows.h"
 
 namespace e4dgs {
 namespace {
 
-constexpr int kRadius = 5;
-constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;  // SSIM constants for values in [0,1]
+// The image goes through in strips of rows. Within a strip, three passes follow each other, kTogether rows at a time: moments, SSIM and its
+// derivatives, gradient. Each pass keeps only the rows that the next one still needs, in a ring that stays in the cache.
+constexpr int kRing = 16;        // rows kept
+constexpr int kBehind = 3;       // groups of kTogether rows between a pass and the next
+constexpr int kLeastStrip = 32;  // rows; the passes before the last also do the rows above and below a strip
+static_assert(kRing % kTogether == 0 && kBehind * kTogether >= 2 * kRadius && kRing >= (kBehind + 1) * kTogether);
 
-const std::array<float, 2 * kRadius + 1> kWindow = [] {
-    std::array<float, 2 * kRadius + 1> w{};
-    double sum = 0;
-    for (int i = -kRadius; i <= kRadius; ++i) sum += std::exp(-i * i / (2 * 1.5 * 1.5));
-    for (int i = -kRadius; i <= kRadius; ++i) w[i + kRadius] = static_cast<float>(std::exp(-i * i / (2 * 1.5 * 1.5)) / sum);
-    return w;
-}();
-
-constexpr int kChannels = 3;
-
-// Horizontal pass over one interleaved row of `n` = 3 W floats in a buffer padded by kRadius pixels on both sides.
-inline void convolve_row(const float* __restrict padded, int n, float* __restrict out) {
-#pragma GCC ivdep
-    for (int i = 0; i < n; ++i) {
-        float sum = 0;
-        for (int k = 0; k < 2 * kRadius + 1; ++k) sum += kWindow[k] * padded[i + k * kChannels];
-        out[i] = sum;
-    }
-}
-
-// Vertical pass for row y of map [H, n]. Rows outside the image are `zeros` [n]; the sums stay in registers.
-inline void convolve_column(const float* map, const float* zeros, int height, int n, int y, float* __restrict out) {
-    const float* row[2 * kRadius + 1];
-    for (int k = 0; k < 2 * kRadius + 1; ++k) {
-        const int at = y + k - kRadius;
-        row[k] = at >= 0 && at < height ? map + static_cast<int64_t>(at) * n : zeros;
-    }
-#pragma GCC ivdep
-    for (int i = 0; i < n; ++i) {
-        float sum = 0;
-        for (int k = 0; k < 2 * kRadius + 1; ++k) sum += kWindow[k] * row[k][i];
-        out[i] = sum;
-    }
-}
-
-E4DGS_CLONES void moments_row(const float* x, const float* y, int n, float* const out[5], float* scratch) {
-    const int pad = kRadius * kChannels;
-    for (int m = 0; m < 5; ++m) {
-        float* p = scratch + pad;
-        for (int i = 0; i < n; ++i) p[i] = m == 0 ? x[i] : m == 1 ? y[i] : m == 2 ? x[i] * x[i] : m == 3 ? y[i] * y[i] : x[i] * y[i];
-        convolve_row(scratch, n, out[m]);
-    }
-}
-
-// From the five windowed moments of a row: the sum of SSIM, and the derivatives of SSIM with respect to mu_x, E[xx], E[xy].
-E4DGS_CLONES double ssim_row(const float* const maps[5], const float* zeros, int height, int n, int y, float* d_mu, float* d_xx, float* d_xy, float* rows) {
-    float* m[5];
-    for (int k = 0; k < 5; ++k) {
-        m[k] = rows + static_cast<int64_t>(k) * n;
-        convolve_column(maps[k], zeros, height, n, y, m[k]);
-    }
-    float *__restrict m0 = m[0], *__restrict m1 = m[1], *__restrict m2 = m[2], *__restrict m3 = m[3], *__restrict m4 = m[4];
-#pragma GCC ivdep
-    for (int i = 0; i < n; ++i) {
-        const float mx = m0[i], my = m1[i];
-        const float vx = m2[i] - mx * mx, vy = m3[i] - my * my, cov = m4[i] - mx * my;
-        const float a = 2 * mx * my + kC1, b = 2 * cov + kC2, c = mx * mx + my * my + kC1, d = vx + vy + kC2;
-        const float inv = 1.0f / (c * d), s = a * b * inv;
-        const float ds_dcov = 2 * a * inv, ds_dvx = -s / d;
-        m0[i] = s;
-        d_xx[i] = ds_dvx;
-        d_xy[i] = ds_dcov;
-        d_mu[i] = 2 * my * b * inv - s * 2 * mx / c - 2 * mx * ds_dvx - my * ds_dcov;
-    }
-    double sum = 0;
-    for (int i = 0; i < n; ++i) sum += m0[i];
-    return sum;
-}
-
-E4DGS_CLONES void derivative_row(const float* const in[3], int n, float* const out[3], float* scratch) {
-    const int pad = kRadius * kChannels;
-    for (int m = 0; m < 3; ++m) {
-        for (int i = 0; i < n; ++i) scratch[pad + i] = in[m][i];
-        convolve_row(scratch, n, out[m]);
-    }
-}
-
-E4DGS_CLONES double gradient_row(const float* x, const float* y, const float* const maps[3], const float* zeros, int height, int n, int row, float scale_l1,
-                                 float scale_ssim, float* grad, float* rows) {
-    float *mu = rows, *xx = rows + n, *xy = rows + 2 * static_cast<int64_t>(n);
-    convolve_column(maps[0], zeros, height, n, row, mu);
-    convolve_column(maps[1], zeros, height, n, row, xx);
-    convolve_column(maps[2], zeros, height, n, row, xy);
-    for (int i = 0; i < n; ++i) {
-        const float difference = x[i] - y[i];
-        const float sign = difference > 0 ? 1.0f : difference < 0 ? -1.0f : 0.0f;
-        grad[i] = scale_l1 * sign - scale_ssim * (mu[i] + 2 * x[i] * xx[i] + y[i] * xy[i]);
-    }
-    double sum = 0;
-    for (int i = 0; i < n; ++i) sum += std::fabs(x[i] - y[i]);
-    return sum;
-}
-
-// Memory for the maps. The calling thread keeps it from call to call, because fresh pages cost more than the arithmetic.
-class Planes {
+// Memory for the rings. The calling thread keeps it from call to call, because fresh pages cost as much as the arithmetic.
+class Buffer {
 public:
-    explicit Planes(size_t floats) : data_(floats <= kept_.second ? kept_.first.release() : fresh(floats)), size_(std::max(floats, kept_.second)) {
+    explicit Buffer(size_t floats) : data_(floats <= kept_.second ? kept_.first.release() : fresh(floats)), size_(std::max(floats, kept_.second)) {
         kept_.second = 0;
     }
-    ~Planes() {
+    ~Buffer() {
         kept_.first.reset(size_ <= kMostKept ? data_ : (std::free(data_), nullptr));
         kept_.second = size_ <= kMostKept ? size_ : 0;
     }
-    Planes(const Planes&) = delete;
+    Buffer(const Buffer&) = delete;
     float* data() { return data_; }
 
 private:
@@ -139,49 +48,103 @@ private:
     size_t size_;
 };
 
-thread_local std::pair<std::unique_ptr<float, Planes::Free>, size_t> Planes::kept_{nullptr, 0};
+thread_local std::pair<std::unique_ptr<float, Buffer::Free>, size_t> Buffer::kept_{nullptr, 0};
+
+struct Images {
+    const float *x, *y;
+    float* grad;
+    int height, n;
+    float scale_l1, scale_ssim;
+    double *ssim, *l1;  // sums of each row
+};
+
+// Rows of a strip's memory, each `stride` floats apart: an odd number of cache lines, so that the rows of a ring do not compete for one place.
+struct Strip {
+    static constexpr int kRows = kRing * (kMoments + kDerivatives) + kTogether * (1 + kDerivatives) + 2;
+    static size_t stride(int n) { return size_t(((n + 2 * kPad + kSpare) / 16 + 1) | 1) * 16; }
+
+    Strip(const Images& images, float* memory) : in(images), memory_(memory), stride_(stride(images.n)) {
+        for (int k = 0; k < kTogether * kDerivatives + 2; ++k) std::fill(memory_ + k * stride_, memory_ + (k + 1) * stride_, 0.0f);
+    }
+
+    // Rows first .. last of the gradient.
+    void run(int first, int last) {
+        for (int group = 0; group < kBehind; ++group) moments(first - 2 * kRadius + kTogether * group);
+        const int groups = (last - first + kTogether - 1) / kTogether;
+        for (int group = 0; group < groups + kBehind; ++group) {
+            moments(first - 2 * kRadius + kTogether * (group + kBehind));
+            ssim(first - kRadius + kTogether * group, first, last);
+            if (group >= kBehind) gradient(first + kTogether * (group - kBehind), last);
+        }
+    }
+
+private:
+    const Images& in;
+    float* memory_;
+    size_t stride_;
+
+    bool inside(int row) const { return row >= 0 && row < in.height; }
+    float* row(int k) const { return memory_ + k * stride_; }
+    const float* zeros() const { return row(0); }
+    float* padded(int o, int k) const { return row(2 + kDerivatives * o + k); }
+    float* ssim_of(int o) const { return row(2 + kTogether * kDerivatives + o); }
+    float* ring(int k, int at) const { return row(2 + kTogether * (1 + kDerivatives) + k * kRing + (at & (kRing - 1))); }
+    const float* image(const float* from, int at) const { return inside(at) ? from + int64_t(at) * in.n : zeros(); }
+
+    void moments(int begin) {
+        for (int at = std::max(begin, 0); at < std::min(begin + kTogether, in.height); ++at) {
+            float* const out[kMoments] = {ring(0, at), ring(1, at), ring(2, at), ring(3, at), ring(4, at)};
+            moments_row(image(in.x, at), image(in.y, at), in.n, out, row(1));
+        }
+    }
+
+    void ssim(int begin, int first, int last) {
+        const float* maps[kMoments][kSpan];
+        for (int k = 0; k < kMoments; ++k)
+            for (int j = 0; j < kSpan; ++j) maps[k][j] = inside(begin + j - kRadius) ? ring(k, begin + j - kRadius) : zeros();
+        SsimRow out[kTogether];
+        for (int o = 0; o < kTogether; ++o) out[o] = {ssim_of(o), {padded(o, 0) + kPad, padded(o, 1) + kPad, padded(o, 2) + kPad}};
+        ssim_rows(maps, in.n, out);
+        const float *x[kTogether], *y[kTogether];
+        double sums[kTogether], differences[kTogether];
+        for (int o = 0; o < kTogether; ++o) x[o] = image(in.x, begin + o), y[o] = image(in.y, begin + o);
+        sum_rows(out, x, y, in.n, sums, differences);
+        for (int o = 0; o < kTogether; ++o) {
+            const int at = begin + o;
+            if (at >= first && at < last) in.ssim[at] = sums[o], in.l1[at] = differences[o];
+            if (!inside(at)) continue;
+            const float* const from[kDerivatives] = {padded(o, 0), padded(o, 1), padded(o, 2)};
+            float* const to[kDerivatives] = {ring(kMoments, at), ring(kMoments + 1, at), ring(kMoments + 2, at)};
+            derivative_row(from, in.n, to);
+        }
+    }
+
+    void gradient(int begin, int last) {
+        const float *maps[kDerivatives][kSpan], *x[kTogether], *y[kTogether];
+        float* grad[kTogether];
+        for (int k = 0; k < kDerivatives; ++k)
+            for (int j = 0; j < kSpan; ++j) maps[k][j] = inside(begin + j - kRadius) ? ring(kMoments + k, begin + j - kRadius) : zeros();
+        for (int o = 0; o < kTogether; ++o) {
+            x[o] = image(in.x, begin + o), y[o] = image(in.y, begin + o);
+            grad[o] = begin + o < last ? in.grad + int64_t(begin + o) * in.n : nullptr;
+        }
+        gradient_rows(x, y, maps, in.n, in.scale_l1, in.scale_ssim, grad);
+    }
+};
 
 }  // namespace
 
 Photometric photometric(const float* x, const float* y, int height, int width, float w_l1, float w_ssim, float* grad, int threads) {
     const int n = width * kChannels;
-    const int64_t size = static_cast<int64_t>(height) * n;
-    const double count = static_cast<double>(size);
-    Planes planes(static_cast<size_t>(8 * size));
-    float* plane[8];
-    for (int k = 0; k < 8; ++k) plane[k] = planes.data() + k * size;
-    const std::vector<float> zeros(n, 0.0f);
+    const double count = static_cast<double>(height) * n;
     std::vector<double> row_sum(height, 0.0), row_l1(height, 0.0);
-
-#pragma omp parallel num_threads(threads)
-    {
-        std::vector<float> scratch(n + 2 * kRadius * kChannels, 0.0f), rows(5 * static_cast<size_t>(n));
-        const auto at = [&](int k, int r) { return plane[k] + static_cast<int64_t>(r) * n; };
-#pragma omp for schedule(static)
-        for (int r = 0; r < height; ++r) {
-            float* const out[5] = {at(0, r), at(1, r), at(2, r), at(3, r), at(4, r)};
-            moments_row(x + static_cast<int64_t>(r) * n, y + static_cast<int64_t>(r) * n, n, out, scratch.data());
-        }
-#pragma omp for schedule(static)
-        for (int r = 0; r < height; ++r) {
-            const float* const maps[5] = {plane[0], plane[1], plane[2], plane[3], plane[4]};
-            row_sum[r] = ssim_row(maps, zeros.data(), height, n, r, at(5, r), at(6, r), at(7, r), rows.data());
-        }
-        // The three derivative maps go through the same (symmetric) window; planes 0-2 are free again.
-#pragma omp for schedule(static)
-        for (int r = 0; r < height; ++r) {
-            const float* const in[3] = {at(5, r), at(6, r), at(7, r)};
-            float* const out[3] = {at(0, r), at(1, r), at(2, r)};
-            derivative_row(in, n, out, scratch.data());
-        }
-#pragma omp for schedule(static)
-        for (int r = 0; r < height; ++r) {
-            const float* const maps[3] = {plane[0], plane[1], plane[2]};
-            const int64_t start = static_cast<int64_t>(r) * n;
-            row_l1[r] = gradient_row(x + start, y + start, maps, zeros.data(), height, n, r, static_cast<float>(w_l1 / count),
-                                     static_cast<float>(w_ssim / count), grad + start, rows.data());
-        }
-    }
+    const Images images{x, y, grad, height, n, static_cast<float>(w_l1 / count), static_cast<float>(w_ssim / count), row_sum.data(), row_l1.data()};
+    const int strips = std::clamp(height / kLeastStrip, 1, std::max(threads, 1));
+    const size_t each = Strip::kRows * Strip::stride(n);
+    Buffer buffer(strips * each);
+#pragma omp parallel for num_threads(strips) schedule(static)
+    for (int k = 0; k < strips; ++k)
+        Strip(images, buffer.data() + k * each).run(int(int64_t(height) * k / strips), int(int64_t(height) * (k + 1) / strips));
     Photometric result{0.0, 0.0};
     for (int r = 0; r < height; ++r) {
         result.ssim += row_sum[r];

@@ -4,23 +4,20 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
-#include <limits>
+#include <memory>
+#include <numeric>
 #include <vector>
 
 #include "clones.h"
 #include "flush.h"
+#include "skinning_weights.h"
 
 namespace e4dgs {
 namespace {
 
-constexpr int kBlock = 64;        // positions whose weights are computed together
 constexpr int64_t kRange = 4096;  // positions per partial sum; fixed, so that sums do not depend on the number of threads
 constexpr float kLeastNorm = 1e-6f;
 
-// A node's rigid motion, or its gradient, in one vector: rotation matrix 9, the translation added after it 3, quaternion 4. Blending the
-// nodes of a position is then a weighted sum of such vectors.
-constexpr int kRigid = 16;
-enum { kR = 0, kShift = 9, kQuat = 12 };
 typedef float Rigid __attribute__((vector_size(4 * kRigid)));
 
 // Gradient sums of a node: rigid motion 16, falloff 1, hyper coordinates.
@@ -30,68 +27,6 @@ static_assert(gHyper + kMostHyper <= kSums);
 
 #define LOAD(vector, from) std::memcpy(&(vector), (from), sizeof(Rigid))
 #define STORE(to, vector) std::memcpy((to), &(vector), sizeof(Rigid))
-
-inline float exp_of(float x) {  // x <= 0; relative error below 2e-7
-    x = std::max(x, -80.0f) * 1.44269504f;
-    const float whole = std::floor(x + 0.5f), f = (x - whole) * 0.69314718f;
-    float p = 1.0f / 720.0f;
-    p = p * f + 1.0f / 120.0f, p = p * f + 1.0f / 24.0f, p = p * f + 1.0f / 6.0f, p = p * f + 0.5f, p = p * f + 1.0f, p = p * f + 1.0f;
-    return p * std::bit_cast<float>((int32_t(whole) + 127) << 23);
-}
-
-// All positions are relative to the first node, so that a scene far from the origin loses no precision.
-struct Frames {
-    float origin[3];
-    std::vector<float> rigid, home;  // [nodes, 16], [nodes, 3] relative to `origin`
-};
-
-Frames frames_of(const Skinning& in) {
-    Frames frames{{in.home[0], in.home[1], in.home[2]}, std::vector<float>(size_t(in.nodes) * kRigid), std::vector<float>(size_t(in.nodes) * 3)};
-    for (int b = 0; b < in.nodes; ++b) {
-        const float *q = in.turns + 4 * b, w = q[0], x = q[1], y = q[2], z = q[3];
-        float *r = &frames.rigid[size_t(b) * kRigid], *home = &frames.home[size_t(b) * 3];
-        // The rotation matrix of a unit quaternion: v + 2 w (a x v) + 2 a x (a x v).
-        const float matrix[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z),
-                                 2 * (y * z - w * x), 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
-        std::copy(matrix, matrix + 9, r + kR);
-        for (int j = 0; j < 3; ++j) home[j] = in.home[3 * b + j] - frames.origin[j];
-        for (int j = 0; j < 3; ++j)
-            r[kShift + j] = home[j] + in.shifts[3 * b + j] - matrix[3 * j] * home[0] - matrix[3 * j + 1] * home[1] - matrix[3 * j + 2] * home[2];
-        std::copy(q, q + 4, r + kQuat);
-    }
-    return frames;
-}
-
-struct Weights {
-    float value[kMostLinks][kBlock];  // sum to one over the links
-    float d2[kMostLinks][kBlock];
-};
-
-E4DGS_CLONES void weigh(const Skinning& in, const Frames& frames, int64_t begin, int count, Weights& out) {
-    float best[kBlock], total[kBlock];
-    for (int j = 0; j < kBlock; ++j) best[j] = -std::numeric_limits<float>::max(), total[j] = 0;
-    for (int k = 0; k < in.links; ++k) {
-        for (int j = 0; j < kBlock; ++j) {
-            const int64_t i = begin + std::min(j, count - 1);  // repeats the last position if the block is not full
-            const int32_t b = in.link[in.links * i + k];
-            float d2 = 0;
-            for (int c = 0; c < 3; ++c) {
-                const float d = in.rest[3 * i + c] - frames.origin[c] - frames.home[size_t(3 * b + c)];
-                d2 += d * d;
-            }
-            for (int c = 0; c < in.hyper; ++c) {
-                const float d = in.rest_hyper[in.hyper * i + c] - in.home_hyper[in.hyper * b + c];
-                d2 += d * d;
-            }
-            out.d2[k][j] = d2, out.value[k][j] = -d2 * in.falloff[b];
-        }
-        for (int j = 0; j < kBlock; ++j) best[j] = std::max(best[j], out.value[k][j]);
-    }
-    for (int k = 0; k < in.links; ++k)
-        for (int j = 0; j < kBlock; ++j) total[j] += out.value[k][j] = exp_of(out.value[k][j] - best[j]);
-    for (int k = 0; k < in.links; ++k)
-        for (int j = 0; j < kBlock; ++j) out.value[k][j] /= total[j];
-}
 
 // +1, or -1 if the quaternion is on the opposite side from the first: q and -q are the same rotation, but would cancel in a sum.
 inline float side_of(const float* rigid, const float* first) {
@@ -110,9 +45,9 @@ inline void product(const float* p, const float* q, float* out) {  // rotation b
 
 inline float inverse_norm(const float* q) { return 1.0f / std::max(std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), kLeastNorm); }
 
-E4DGS_CLONES void blend_block(const Skinning& in, const Frames& frames, const Weights& weights, int64_t begin, int count, float* blended) {
-    for (int j = 0; j < count; ++j) {
-        const int32_t* link = in.link + in.links * (begin + j);
+E4DGS_CLONES void blend_block(const Skinning& in, const Frames& frames, const Weights& weights, const Block& block, float* blended) {
+    for (int j = 0; j < block.count; ++j) {
+        const int32_t* link = in.link + in.links * block.row[j];
         const float* first = frames.rigid.data() + size_t(link[0]) * kRigid;
         Rigid sum = {};
         for (int k = 0; k < in.links; ++k) {
@@ -126,9 +61,10 @@ E4DGS_CLONES void blend_block(const Skinning& in, const Frames& frames, const We
     }
 }
 
-E4DGS_CLONES void apply_block(const Skinning& in, const Frames& frames, const float* blended, int64_t begin, int count, float* moved, float* turned) {
-    for (int j = 0; j < count; ++j) {
-        const int64_t i = begin + j;
+// The positions of the block are consecutive.
+E4DGS_CLONES void apply_block(const Skinning& in, const Frames& frames, const float* blended, const Block& block, float* moved, float* turned) {
+    for (int j = 0; j < block.count; ++j) {
+        const int64_t i = block.row[0] + j;
         const float *m = blended + kRigid * j, inverse = inverse_norm(m + kQuat);
         float x[3], unit[4];
         for (int c = 0; c < 3; ++c) x[c] = in.rest[3 * i + c] - frames.origin[c];
@@ -140,10 +76,10 @@ E4DGS_CLONES void apply_block(const Skinning& in, const Frames& frames, const fl
 }
 
 // From the gradients of the outputs to those of the blended motion [count, 16] and of the positions and quaternions themselves.
-E4DGS_CLONES void unapply_block(const Skinning& in, const Frames& frames, const float* blended, int64_t begin, int count, const float* g_moved,
+E4DGS_CLONES void unapply_block(const Skinning& in, const Frames& frames, const float* blended, const Block& block, const float* g_moved,
                                 const float* g_turned, const SkinningGrad& out, float* back) {
-    for (int j = 0; j < count; ++j) {
-        const int64_t i = begin + j;
+    for (int j = 0; j < block.count; ++j) {
+        const int64_t i = block.row[j];
         const float *m = blended + kRigid * j, *q = in.quats + 4 * i, *g = g_moved + 3 * i, inverse = inverse_norm(m + kQuat);
         float* to = back + kRigid * j;
         for (int c = 0; c < 3; ++c) {
@@ -162,11 +98,11 @@ E4DGS_CLONES void unapply_block(const Skinning& in, const Frames& frames, const 
     }
 }
 
-E4DGS_CLONES void unblend_block(const Skinning& in, const Frames& frames, const Weights& weights, const float* back, int64_t begin, int count,
+E4DGS_CLONES void unblend_block(const Skinning& in, const Frames& frames, const Weights& weights, const float* back, const Block& block,
                                 const SkinningGrad& out, float* totals) {
     alignas(64) float parts[kMostLinks][kRigid];
-    for (int j = 0; j < count; ++j) {
-        const int64_t i = begin + j;
+    for (int j = 0; j < block.count; ++j) {
+        const int64_t i = block.row[j];
         const int32_t* link = in.link + in.links * i;
         const float* first = frames.rigid.data() + size_t(link[0]) * kRigid;
         float own[kMostLinks], mean = 0, g_hyper[kMostHyper] = {};
@@ -204,9 +140,21 @@ E4DGS_CLONES void unblend_block(const Skinning& in, const Frames& frames, const 
     }
 }
 
+// Fills `block` with the next positions that have a gradient, and returns where to go on. Most of those that the camera does not see have none.
+int64_t with_gradient(const float* g_moved, const float* g_turned, int64_t next, int64_t end, Block& block) {
+    for (; next < end && block.count < kBlock; ++next) {
+        uint32_t found = 0;  // on the bits, so that NaN counts
+        for (int c = 0; c < 3; ++c) found |= std::bit_cast<uint32_t>(g_moved[3 * next + c]);
+        for (int c = 0; c < 4; ++c) found |= std::bit_cast<uint32_t>(g_turned[4 * next + c]);
+        block.row[block.count] = next;
+        block.count += (found & 0x7fffffffu) != 0;
+    }
+    return next;
+}
+
 // From sums over positions to the gradients of a node's own parameters.
 void finish_node(const Skinning& in, const Frames& frames, int b, const double* sum, const SkinningGrad& out) {
-    const float *q = in.turns + 4 * b, w = q[0], x = q[1], y = q[2], z = q[3], *home = &frames.home[size_t(3 * b)];
+    const float *q = in.turns + 4 * b, w = q[0], x = q[1], y = q[2], z = q[3], *home = &frames.place[size_t(b) * kPlace];
     double r[9];  // the translation contains -R home, so its gradient also reaches the rotation
     for (int c = 0; c < 3; ++c)
         for (int a = 0; a < 3; ++a) r[3 * c + a] = sum[kR + 3 * c + a] - sum[kShift + c] * home[a];
@@ -230,13 +178,13 @@ void skin_forward(const Skinning& in, float* moved, float* turned, int threads) 
         [[maybe_unused]] const FlushDenormals flush;
 #pragma omp for schedule(static)
         for (int64_t k = 0; k < blocks; ++k) {
-            const int64_t begin = k * kBlock;
-            const int count = int(std::min<int64_t>(kBlock, in.n - begin));
+            Block block{int(std::min<int64_t>(kBlock, in.n - k * kBlock)), {}};
+            std::iota(block.row, block.row + block.count, k * kBlock);
             Weights weights;
             alignas(64) float blended[kBlock * kRigid];
-            weigh(in, frames, begin, count, weights);
-            blend_block(in, frames, weights, begin, count, blended);
-            apply_block(in, frames, blended, begin, count, moved, turned);
+            weigh(in, frames, block, weights);
+            blend_block(in, frames, weights, block, blended);
+            apply_block(in, frames, blended, block, moved, turned);
         }
     }
 }
@@ -247,7 +195,7 @@ void skin_backward(const Skinning& in, const float* g_moved, const float* g_turn
     std::vector<double> sums(width, 0.0);
     const int64_t ranges = (in.n + kRange - 1) / kRange;
     constexpr int64_t kTogether = 64;  // ranges whose totals are in memory at once
-    std::vector<float> totals(size_t(std::min(ranges, kTogether)) * width);
+    const auto totals = std::make_unique_for_overwrite<float[]>(size_t(std::min(ranges, kTogether)) * width);
     for (int64_t first = 0; first < ranges; first += kTogether) {
         const int64_t last = std::min(ranges, first + kTogether);
 #pragma omp parallel num_threads(threads)
@@ -255,21 +203,27 @@ void skin_backward(const Skinning& in, const float* g_moved, const float* g_turn
             [[maybe_unused]] const FlushDenormals flush;
 #pragma omp for schedule(static)
             for (int64_t r = first; r < last; ++r) {
-                float* mine = totals.data() + size_t(r - first) * width;
+                float* mine = totals.get() + size_t(r - first) * width;
                 std::fill(mine, mine + width, 0.0f);
-                for (int64_t begin = r * kRange; begin < std::min(in.n, (r + 1) * kRange); begin += kBlock) {
-                    const int count = int(std::min<int64_t>(kBlock, in.n - begin));
+                const int64_t begin = r * kRange, end = std::min(in.n, begin + kRange);
+                std::fill(out.rest + 3 * begin, out.rest + 3 * end, 0.0f), std::fill(out.quats + 4 * begin, out.quats + 4 * end, 0.0f);
+                std::fill(out.rest_hyper + in.hyper * begin, out.rest_hyper + in.hyper * end, 0.0f);
+                for (int64_t next = begin; next < end;) {
+                    Block block{0, {}};
+                    next = with_gradient(g_moved, g_turned, next, end, block);
+                    if (!block.count) break;
                     Weights weights;
                     alignas(64) float blended[kBlock * kRigid], back[kBlock * kRigid];
-                    weigh(in, frames, begin, count, weights);
-                    blend_block(in, frames, weights, begin, count, blended);
-                    unapply_block(in, frames, blended, begin, count, g_moved, g_turned, out, back);
-                    unblend_block(in, frames, weights, back, begin, count, out, mine);
+                    weigh(in, frames, block, weights);
+                    blend_block(in, frames, weights, block, blended);
+                    unapply_block(in, frames, blended, block, g_moved, g_turned, out, back);
+                    unblend_block(in, frames, weights, back, block, out, mine);
                 }
             }
 #pragma omp for schedule(static)
-            for (int64_t f = 0; f < int64_t(width); ++f)
-                for (int64_t r = 0; r < last - first; ++r) sums[size_t(f)] += double(totals[size_t(r) * width + size_t(f)]);
+            for (int64_t f = 0; f < int64_t(width); f += kSums)
+                for (int64_t r = 0; r < last - first; ++r)
+                    for (int64_t c = f; c < f + kSums; ++c) sums[size_t(c)] += double(totals[size_t(r) * width + size_t(c)]);
         }
     }
     for (int b = 0; b < in.nodes; ++b) finish_node(in, frames, b, &sums[size_t(b) * kSums], out);

@@ -9,7 +9,15 @@ from e4dgs.scene.training.optimiser import EPSILON, RowAdam
 
 def parameters(dtype=torch.float32):
     generator = torch.Generator().manual_seed(1)
-    shapes = {"a.wide": (700, 45), "a.one": (700,), "b.cube": (50, 4, 3), "b.none": (0, 3)}
+    shapes = {
+        "a.wide": (700, 45),
+        "a.one": (700,),
+        "a.two": (130, 2),
+        "a.three": (64, 3),
+        "a.four": (65, 4),
+        "b.cube": (50, 4, 3),
+        "b.none": (0, 3),
+    }
     return {name: torch.randn(shape, generator=generator).to(dtype).requires_grad_() for name, shape in shapes.items()}
 
 
@@ -32,15 +40,16 @@ def test_steps_are_those_of_adam_in_float64():
         assert p.grad is None
 
 
-def test_rows_without_a_gradient_keep_value_and_moments():
-    ours = {"a.wide": torch.ones(6, 3, requires_grad=True)}
+@pytest.mark.parametrize("width", [1, 2, 3, 4, 5, 24])
+def test_rows_without_a_gradient_keep_value_and_moments(width):
+    ours = {"a.wide": torch.ones(6, width, requires_grad=True)}
     adam = RowAdam(ours, {"a.wide": lambda progress: 0.1})
     p = ours["a.wide"]
-    p.grad = torch.ones(6, 3)
+    p.grad = torch.ones(6, width)
     adam.step(0.0)
     before, moments = p.detach().clone(), {k: v.clone() for k, v in adam.state().items()}
-    p.grad = torch.zeros(6, 3)
-    p.grad[2, 1], p.grad[5, 0] = 0.5, torch.nan
+    p.grad = torch.zeros(6, width)
+    p.grad[2, -1], p.grad[5, 0] = 0.5, torch.nan
     adam.step(0.5)
     changed = (p.detach() != before).any(1)
     assert changed.tolist() == [False, False, True, False, False, True]

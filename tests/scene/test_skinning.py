@@ -104,6 +104,20 @@ def test_any_number_of_threads_gives_the_same_bits():
         assert all(torch.equal(a, b) for a, b in zip(runs[0], other))
 
 
+def test_positions_without_a_gradient_take_no_part():
+    points, quats, hyper, link, nodes = scene(500, 40, dtype=torch.float32)
+    seen = torch.arange(500) % 7 == 2
+    found = []
+    for rows in (torch.ones(500, dtype=torch.bool), seen):
+        leaves = [p[rows].clone().requires_grad_() for p in (points, quats, hyper)]
+        there = Nodes(*(p.clone().requires_grad_() for p in nodes))
+        moved, turned = skin(*leaves, link[rows], there)
+        (moved[seen[rows]].sum() + turned[seen[rows]].square().sum()).backward()
+        assert all(not p.grad[~seen[rows]].any() for p in leaves)
+        found.append([p.grad[seen[rows]] for p in leaves] + [p.grad for p in there[1:]])
+    assert all(torch.equal(a, b) and a.any() for a, b in zip(*found))
+
+
 def test_bad_links_and_shapes_are_refused():
     points, quats, hyper, link, nodes = scene(8, 5, dtype=torch.float32)
     with pytest.raises(ValueError, match="not there"):
