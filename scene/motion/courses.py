@@ -8,10 +8,12 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from ..primitives import SHADES
+
 RANK = 32  # courses
 OUTPUTS = 7  # of a node at a time: a turn (4) and a shift (3)
 WIDTH, DEPTH = 128, 3  # of the layers that take places
-TIME_WIDTH, TIME_DEPTH = 128, 2  # of the layers that take times: one row for each time, so they cost almost nothing
+TIME_WIDTH, TIME_DEPTH, LIGHT_WIDTH = 128, 2, 64  # of the layers that take times: one row for each time, so they cost almost nothing
 PLACE_BANDS, TIME_BANDS = 5, 6  # octaves of the positional encoding (Tancik et al. 2020)
 LEAK = 0.01  # slope below zero: a unit that is zero everywhere gets no gradient, and the first steps can put all units in that state
 HEADS = 1e-4  # standard deviation of the last layer's initial weights, so that motion grows from rest
@@ -35,7 +37,8 @@ class SharedCourses(nn.Module):
         time = _layers([1 + 2 * TIME_BANDS, *[TIME_WIDTH] * TIME_DEPTH, RANK], generator)
         with torch.no_grad():
             place[-1].weight.normal_(0.0, HEADS, generator=generator)
-        self.place, self.time = nn.ModuleList(place), nn.ModuleList(time)
+        light = _layers([1 + 2 * TIME_BANDS, LIGHT_WIDTH, SHADES], generator)
+        self.place, self.time, self.light_courses = nn.ModuleList(place), nn.ModuleList(time), nn.ModuleList(light)
 
     def weights(self, encoded: Tensor) -> Tensor:
         """[B, 7, RANK] weights at places [B, 33] as returned by `encode_places`."""
@@ -43,8 +46,15 @@ class SharedCourses(nn.Module):
 
     def courses(self, times: Sequence[float]) -> Tensor:
         """[T, RANK] courses at ``times``, each clamped to [0, 1]."""
+        return _through(self.time, self._encode(times))
+
+    def light(self, times: Sequence[float]) -> Tensor:
+        """[T, SHADES] courses of light at ``times``, each clamped to [0, 1]."""
+        return _through(self.light_courses, self._encode(times))
+
+    def _encode(self, times: Sequence[float]) -> Tensor:
         clamped = next(self.parameters()).new_tensor([[min(max(float(t), 0.0), 1.0)] for t in times])
-        return _through(self.time, encode(clamped, TIME_BANDS))
+        return encode(clamped, TIME_BANDS)
 
 
 def encode_places(places: Tensor) -> Tensor:

@@ -120,6 +120,9 @@ class ControlNodes(nn.Module):
         strain = (now[edge] - now[:, None] - turned).norm(dim=2) / at_rest.norm(dim=2).clamp(min=1e-6)
         return strain.mean()
 
+    def light(self, t: float) -> Tensor:
+        return self.network.light([t])[0]
+
     def regulariser(self) -> Tensor:
         """Nodes have no planes to smooth."""
         return torch.zeros((), device=self.positions.device)
