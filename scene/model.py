@@ -71,7 +71,9 @@ class Model:
         g, c = self.gaussians, self.convexes
         means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
         shown, convex_shown = g.opacities, c.opacities
+        light = None
         if self.field is not None and move:
+            light = self.field.light(t)
             index = self._moving(g, camera, margin=0.25)
             convex_index = self._moving(c, camera, margin=0.25)
             n = len(index)
@@ -92,8 +94,8 @@ class Model:
                         )
                 if len(convex_index):
                     points = points.index_copy(0, convex_index, moved.points[n:].reshape(-1, *points.shape[1:]))
-        gaussians = Gaussians(means, quats, torch.exp(log_scales), shown, sh=g.sh(degree))
-        convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), convex_shown, sh=c.sh(degree))
+        gaussians = Gaussians(means, quats, torch.exp(log_scales), shown, sh=g.sh(degree, light))
+        convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), convex_shown, sh=c.sh(degree, light))
         return gaussians, convexes
 
     def centres_at(self, index: Tensor, t: float) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
 HYPER = 2  # extra coordinates of control nodes, in addition to x, y, z
+SHADES = 3  # courses of light that the colours of primitives can follow
 ALWAYS = 1e4  # frames; a primitive with so long a life is present throughout
 LIFE = ("times", "log_spans", "velocities", "spins")
 
@@ -76,10 +77,16 @@ class PrimitiveSet:
         """[N] in (0, 1)."""
         return torch.sigmoid(self.opacity_logits)
 
-    def sh(self, degree: int) -> Tensor:
-        """[N, (degree+1)^2, 3], or fewer coefficients if the set has no more."""
+    def sh(self, degree: int, light: Tensor | None = None) -> Tensor:
+        """[N, (degree+1)^2, 3], or fewer coefficients if the set has no more. Under ``light`` [SHADES] (`Motion.light`), the colour that
+        all directions share is multiplied by 1 + shades . light."""
+        dc = self.sh_dc
+        if light is not None:
+            # Not a matrix product: its gradient may depend on where tensors lie in memory, and a resumed training would differ.
+            gain = (self.shades * light).sum(1)
+            dc = dc + gain[:, None, None] * (dc + 0.5 / SH_C0)  # a colour is 0.5 + SH_C0 dc
         rest = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
-        return torch.cat([self.sh_dc, self.sh_rest[:, :rest]], dim=1) if rest else self.sh_dc
+        return torch.cat([dc, self.sh_rest[:, :rest]], dim=1) if rest else dc
 
     def rest_points(self) -> Tensor:
         """[N * corners, 3] positions that the motion displaces."""
@@ -123,10 +130,10 @@ class PrimitiveSet:
 
 class GaussianSet(PrimitiveSet):
     """Eq. 2: means [N,3] world units, quats [N,4] w x y z of any norm, log_scales [N,3], opacity_logits [N], sh_dc [N,1,3],
-    sh_rest [N,R,3], hyper [N,2] (see `Rest`), and the life of each (see `Life`)."""
+    sh_rest [N,R,3], hyper [N,2] (see `Rest`), shades [N,3] (see `sh`), and the life of each (see `Life`)."""
 
     KIND = "gaussians"
-    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "hyper", *LIFE)
+    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "hyper", "shades", *LIFE)
 
     def rest_points(self) -> Tensor:
         return self.means
@@ -151,6 +158,7 @@ class GaussianSet(PrimitiveSet):
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(n, (sh_degree + 1) ** 2 - 1, 3),
                 "hyper": torch.zeros(n, HYPER),
+                "shades": torch.zeros(n, SHADES),
                 **whole_life(n),
             }
         )
@@ -158,10 +166,10 @@ class GaussianSet(PrimitiveSet):
 
 class ConvexSet(PrimitiveSet):
     """Eq. 3: points [M,K,3] world units, log_tau and log_kappa [M] (1/world unit), opacity_logits [M], sh_dc [M,1,3], sh_rest [M,R,3],
-    hyper [M,2] (see `Rest`), and the life of each (see `Life`)."""
+    hyper [M,2] (see `Rest`), shades [M,3] (see `sh`), and the life of each (see `Life`)."""
 
     KIND = "convexes"
-    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest", "hyper", *LIFE)
+    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest", "hyper", "shades", *LIFE)
 
     def rest_points(self) -> Tensor:
         return self.points.reshape(-1, 3)
@@ -178,6 +186,7 @@ class ConvexSet(PrimitiveSet):
                 "sh_dc": torch.zeros(0, 1, 3),
                 "sh_rest": torch.zeros(0, (sh_degree + 1) ** 2 - 1, 3),
                 "hyper": torch.zeros(0, HYPER),
+                "shades": torch.zeros(0, SHADES),
                 **whole_life(0),
             }
         )
@@ -198,6 +207,7 @@ class ConvexSet(PrimitiveSet):
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(m, (sh_degree + 1) ** 2 - 1, 3),
                 "hyper": torch.zeros(m, HYPER),
+                "shades": torch.zeros(m, SHADES),
                 **whole_life(m),
             }
         )

@@ -103,6 +103,8 @@ def prepared(kind: str, folder: Path | None, dies: tuple[str, int] | None = None
         phases = coarse_phases("two-stage", STEPS, False, 0.5)
     elif kind == "nodes":
         model.field = make_nodes(gaussians.means.detach().numpy(), QUICK)
+        with torch.no_grad():
+            gaussians.opacity_logits[:8] = -0.5  # nodes are spread again over what is opaque
         phases = node_phases(STEPS, 0.5)
     else:
         model.field = FreeMotion(TIMES)

@@ -31,25 +31,29 @@ class SharedCourses(nn.Module):
     def __init__(self, seed: int = 0) -> None:
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
-        place = _layers([3 * (1 + 2 * PLACE_BANDS), *[WIDTH] * DEPTH, OUTPUTS * RANK], generator)
-        time = _layers([1 + 2 * TIME_BANDS, *[TIME_WIDTH] * TIME_DEPTH, RANK], generator)
+        place = layers([3 * (1 + 2 * PLACE_BANDS), *[WIDTH] * DEPTH, OUTPUTS * RANK], generator)
+        time = layers([1 + 2 * TIME_BANDS, *[TIME_WIDTH] * TIME_DEPTH, RANK], generator)
         with torch.no_grad():
             place[-1].weight.normal_(0.0, HEADS, generator=generator)
         self.place, self.time = nn.ModuleList(place), nn.ModuleList(time)
 
     def weights(self, encoded: Tensor) -> Tensor:
         """[B, 7, RANK] weights at places [B, 33] as returned by `encode_places`."""
-        return _through(self.place, encoded).view(len(encoded), OUTPUTS, RANK) * RANK**-0.5
+        return through(self.place, encoded).view(len(encoded), OUTPUTS, RANK) * RANK**-0.5
 
     def courses(self, times: Sequence[float]) -> Tensor:
         """[T, RANK] courses at ``times``, each clamped to [0, 1]."""
-        clamped = next(self.parameters()).new_tensor([[min(max(float(t), 0.0), 1.0)] for t in times])
-        return _through(self.time, encode(clamped, TIME_BANDS))
+        return through(self.time, encode_times(times, next(self.parameters())))
 
 
 def encode_places(places: Tensor) -> Tensor:
     """Positional encoding [B, 33] of ``places`` [B, 3], scaled so that the scene spans about [-1, 1]."""
     return encode(places, PLACE_BANDS)
+
+
+def encode_times(times: Sequence[float], like: Tensor) -> Tensor:
+    """Positional encoding [T, 13] of ``times``, each clamped to [0, 1], with the type and device of ``like``."""
+    return encode(like.new_tensor([[min(max(float(t), 0.0), 1.0)] for t in times]), TIME_BANDS)
 
 
 def encode(x: Tensor, bands: int) -> Tensor:
@@ -58,7 +62,7 @@ def encode(x: Tensor, bands: int) -> Tensor:
     return torch.cat([x, torch.sin(scaled).flatten(1), torch.cos(scaled).flatten(1)], 1)
 
 
-def _layers(sizes: list[int], generator: torch.Generator) -> list[nn.Linear]:
+def layers(sizes: list[int], generator: torch.Generator) -> list[nn.Linear]:
     """Linear layers initialised so that the scale of the activations is kept through ReLUs (He et al. 2015)."""
     layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
     with torch.no_grad():
@@ -69,7 +73,8 @@ def _layers(sizes: list[int], generator: torch.Generator) -> list[nn.Linear]:
     return layers
 
 
-def _through(layers: nn.ModuleList, x: Tensor) -> Tensor:
+def through(layers: nn.ModuleList, x: Tensor) -> Tensor:
+    """``x`` [N, d] through ``layers``, with leaky ReLUs between them."""
     for layer in layers[:-1]:
         x = nn.functional.leaky_relu(layer(x), LEAK)
     return layers[-1](x)

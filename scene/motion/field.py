@@ -131,5 +131,8 @@ class DeformationField(nn.Module):
         change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)
         return rigidity, change.norm(dim=1).mean()
 
+    def light(self, t: float) -> None:
+        """Colours do not change over time."""
+
     def regulariser(self) -> Tensor:
         return self.planes.total_variation()

@@ -34,6 +34,9 @@ class FreeMotion(nn.Module):
         """Inverse of `state_dict` and `config`."""
         return cls(config["times"])
 
+    def light(self, t: float) -> None:
+        """Colours do not change: primitives can appear and vanish instead."""
+
     def carry(self, rest: Rest, t: float) -> Moved:
         life = rest.life
         assert life is not None

@@ -72,6 +72,11 @@ class Motion(Protocol):
         over two steps of ``dt``: two scalars of order one."""
         ...
 
+    def light(self, t: float) -> Tensor | None:
+        """How bright the scene's light is at ``t``: [SHADES] courses of light, which each primitive follows by its own `shades`; None if
+        colours do not change over time."""
+        ...
+
     def regulariser(self) -> Tensor:
         """The term of lambda_3 in Eq. 9, a scalar."""
         ...

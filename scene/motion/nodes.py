@@ -17,6 +17,7 @@ from ..primitives import HYPER
 from ..rotation import rotate
 from .courses import SharedCourses, encode_places
 from .interface import Moved, Rest
+from .light import Light
 from .rigid_parts import RigidParts
 from .skinning import Nodes, nearest_nodes, skin
 
@@ -31,7 +32,7 @@ class ControlNodes(nn.Module):
     """Implements `Motion` by linear blend skinning over the nearest nodes. Nodes start at rest.
 
     Parameters: the ``network`` (place and time of a node -> a turn about its rest position and a shift), ``log_radii`` [B], the radii of
-    the nodes' influence, and ``hyper`` [B, 2].
+    the nodes' influence, ``hyper`` [B, 2], and the ``light``.
 
     Args:
         positions: [B, 3] rest positions, world units.
@@ -61,6 +62,7 @@ class ControlNodes(nn.Module):
         self.register_buffer("centre", torch.as_tensor(centre).float().to(positions.device))
         self.extent, self.reach = float(extent), float(reach)
         self.network = SharedCourses(seed).to(positions.device)
+        self.light = Light(seed).to(positions.device)
         generator = torch.Generator().manual_seed(seed)
         self.log_radii = nn.Parameter(spacing(positions).log())
         # Not zero: with equal coordinates everywhere, their gradient would be zero.
@@ -186,7 +188,7 @@ class ControlNodes(nn.Module):
     def with_rigid_parts(self, rigid_parts: RigidParts) -> ControlNodes:
         """The same nodes with ``rigid_parts`` in place of the current ones."""
         nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, rigid_parts=rigid_parts)
-        nodes.network, nodes.log_radii, nodes.hyper = self.network, self.log_radii, self.hyper
+        nodes.network, nodes.light, nodes.log_radii, nodes.hyper = self.network, self.light, self.log_radii, self.hyper
         return nodes
 
     @torch.no_grad()
@@ -195,7 +197,7 @@ class ControlNodes(nn.Module):
         coordinates of the nearest old one."""
         positions = torch.tensor(farthest_points(points, len(self.positions)), dtype=torch.float32, device=self.positions.device)
         nodes = ControlNodes(positions, self.centre, self.extent, self.reach, rigid_parts=self.rigid_parts)
-        nodes.network = self.network
+        nodes.network, nodes.light = self.network, self.light
         nodes.hyper.copy_(self.hyper[torch.cdist(positions, self.positions).argmin(1)])
         return nodes
 

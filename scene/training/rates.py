@@ -30,6 +30,7 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
         "sh_dc": exponential(1e-2 * k, 1e-2 * ATTRIBUTES_END),
         "sh_rest": exponential(1e-3 * k, 1e-3 * ATTRIBUTES_END),
         "hyper": exponential(1e-4 * unit * k, 1e-5 * unit),
+        "shades": exponential(3e-3 * k, 3e-3 * ATTRIBUTES_END),
         "times": exponential(2e-2 * k, 2e-3),
         "log_spans": exponential(1e-2 * k, 1e-3),
         "velocities": exponential(0.2 * s.lr_means * unit * k, 0.2 * s.lr_means * unit / 50),
@@ -51,7 +52,7 @@ def learning_rates(names: Iterable[str], settings: TrainingSettings, unit: float
             return primitives[last]
         if last in ("log_radii", "hyper"):
             return radii if last == "log_radii" else hyper
-        if last.startswith("network."):
+        if last.startswith(("network.", "light.")):
             return network
         if last.startswith("rigid_parts."):
             return rigid_parts if last == "rigid_parts.quats" else exponential(rigid_parts(0) * unit / 4, rigid_parts(1) * unit / 4)

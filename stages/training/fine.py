@@ -69,6 +69,6 @@ def add_convexes(model: Model, shapes: StoredHulls, opacity: float) -> None:
     """Adds convexes in the shape of ``shapes``. Each takes its motion and lifetime from the Gaussian that it came from."""
     model.convexes = ConvexSet.from_points(shapes.points, shapes.colors, model.sh_degree, opacity)
     seeds = torch.from_numpy(shapes.seed).long()
-    for name in ("hyper", *LIFE):
+    for name in ("hyper", "shades", *LIFE):
         model.convexes.parameters[name].data.copy_(model.gaussians.parameters[name][seeds])
     model.convexes.dynamic = model.gaussians.dynamic[seeds]

@@ -25,7 +25,7 @@ class Path(torch.nn.Module):
 
     worth_culling = True
     steady = False
-    carry = DeformationField.carry  # by its displacement
+    carry, light = DeformationField.carry, DeformationField.light  # by its displacement
 
     def links(self, points, hyper):
         return None

@@ -76,7 +76,7 @@ def test_gradients_reach_every_parameter():
     hyper = torch.full((40, 2), 0.1, requires_grad=True)
     moved = nodes.carry(given._replace(hyper=hyper), 0.4)
     rigidity, course = nodes.priors(given.points, given.points, 0.4, 0.1)
-    (moved.points.square().sum() + moved.quats.square().sum() + rigidity + course).backward()
+    (moved.points.square().sum() + moved.quats.square().sum() + rigidity + course + nodes.light(0.4).square().sum()).backward()
     for name, parameter in nodes.named_parameters():
         assert not parameter.numel() or (
             parameter.grad is not None and torch.isfinite(parameter.grad).all() and parameter.grad.abs().sum() > 0

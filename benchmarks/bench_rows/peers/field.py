@@ -106,7 +106,8 @@ class TorchField(nn.Module):
         return rigidity, change.norm(dim=1).mean()
 
     steady = False
-    worth_culling, links, spread_over, carry = True, DeformationField.links, DeformationField.spread_over, DeformationField.carry
+    worth_culling, links, spread_over = True, DeformationField.links, DeformationField.spread_over
+    carry, light = DeformationField.carry, DeformationField.light
 
     def regulariser(self) -> Tensor:
         """As `HexPlanes.total_variation`."""
