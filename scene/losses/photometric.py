@@ -55,4 +55,4 @@ class _Photometric(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx, grad_output: Tensor):  # type: ignore[override]
         (grad,) = ctx.saved_tensors
-        return grad * grad_output, None, None, None
+        return grad if float(grad_output) == 1.0 else grad * grad_output, None, None, None
