@@ -103,9 +103,10 @@ EXTREMES = {
 }
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("name", EXTREMES.keys())
-def test_extreme_values_give_finite_pictures_and_gradients(backend: str, name: str) -> None:
-    scene = prepared(random_scene(2, gaussians=8, convexes=6, degree=1), backend)
+def test_extreme_values_give_finite_pictures_and_gradients(backend: str, name: str, antialiased: bool) -> None:
+    scene = prepared(random_scene(2, gaussians=8, convexes=6, degree=1, antialiased=antialiased), backend)
     for value in EXTREMES[name]:
         tensor = scene.tensors()[name].clone()
         tensor[2].view(-1)[-1] = value
