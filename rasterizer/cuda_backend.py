@@ -15,10 +15,11 @@ from .cuda.runtime import Launcher, launcher_for
 from .cuda.state import Inputs, camera_numbers
 from .types import CONVEX_FIELDS, GAUSSIAN_FIELDS, IMAGES, Camera, Convexes, Frame, Gaussians
 
+View = tuple[int, int, float, bool]  # width, height, near, antialiased
 LEADING = 3  # K, cam_from_world and background come before the primitives' fields
 
 
-def rasterize_cuda(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor) -> Frame:
+def rasterize_cuda(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor, antialiased: bool = False) -> Frame:
     """Render with the CUDA kernels. Called by `rasterize`, which has checked the arguments and made them uniform.
 
     The primitives' tensors are contiguous float32 on one device; the extras of both kinds have the same width E. The camera and the
@@ -31,13 +32,13 @@ def rasterize_cuda(camera: Camera, gaussians: Gaussians, convexes: Convexes, bac
     tensors = [camera.K, camera.cam_from_world, background]
     tensors += [getattr(gaussians, name) for name in GAUSSIAN_FIELDS]
     tensors += [getattr(convexes, name) for name in CONVEX_FIELDS]
-    outputs = _Rasterize.apply(launcher, (camera.width, camera.height, camera.near), *tensors)
+    outputs = _Rasterize.apply(launcher, (camera.width, camera.height, camera.near, antialiased), *tensors)
     return Frame(*outputs)
 
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, launcher: Launcher, view: tuple[int, int, float], *tensors: Tensor | None) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, launcher: Launcher, view: View, *tensors: Tensor | None) -> tuple[Tensor, ...]:
         inputs = _inputs(view, tensors)
         keep = any(ctx.needs_input_grad)
         deterministic = torch.are_deterministic_algorithms_enabled()
@@ -94,16 +95,17 @@ def _names(inputs: Inputs) -> list[str]:
     return names
 
 
-def _inputs(view: tuple[int, int, float], tensors: Any) -> Inputs:
+def _inputs(view: View, tensors: Any) -> Inputs:
     plain: list[Any] = [None if t is None else t.detach().contiguous() for t in tensors]
     K, cam_from_world, background = plain[:LEADING]
     gaussians = Gaussians(**dict(zip(GAUSSIAN_FIELDS, plain[LEADING:])))
     convexes = Convexes(**dict(zip(CONVEX_FIELDS, plain[LEADING + len(GAUSSIAN_FIELDS) :])))
-    width, height, near = view
+    width, height, near, antialiased = view
     device = gaussians.means.device
     numbers = camera_numbers(Camera(K, cam_from_world, width, height, near), device)
     channels = gaussians.extras.shape[1] if gaussians.extras is not None else 0
-    return Inputs(numbers, width, height, background.to(device, torch.float32, non_blocking=True), gaussians, convexes, channels)
+    background = background.to(device, torch.float32, non_blocking=True)
+    return Inputs(numbers, width, height, background, gaussians, convexes, channels, antialiased)
 
 
 def _what_to_lower(inputs: Inputs, keep: bool, cause: BaseException) -> str:

@@ -27,6 +27,7 @@ def rasterize(
     *,
     backend: Backend = "auto",
     validate: bool = False,
+    antialiased: bool = False,
 ) -> Frame:
     """Render Gaussians and convexes, depth-sorted together and blended front to back in one pass (Edge4DGS, Eq. 1-7).
 
@@ -36,6 +37,11 @@ def rasterize(
         kernels for the device of the tensors.
     validate: if True, non-finite or out-of-range values of a primitive raise an error. If False, only the affected primitives are
         culled, with zero gradient. A non-finite camera or background always raises.
+    antialiased: if True, a primitive smaller than a pixel fades instead of being drawn as large as a pixel, and one that comes close to
+        the camera fades or is clipped instead of vanishing. Gaussians: the opacity is multiplied by
+        sqrt(det cov / det(cov + 0.3 I)) of the 2D covariance. Convexes: no edge is sharper than a pixel, the opacity keeps the total
+        that a sharp convex would have, and points nearer than `near` are moved to that plane. Both: the opacity falls smoothly from
+        z = 2 near to 0 at z = near. The formulas are in docs/maths.md. Models are trained for one mode.
 
     Inputs are float32 or float64 tensors on one device. Gradients flow to all of them, including K and cam_from_world. If the primitives
     are on a CUDA device, the camera and the background may stay on the CPU, which avoids waiting for the device. Their values are not
@@ -70,7 +76,7 @@ def rasterize(
 
         double = torch.float64
         return rasterize_reference(
-            _cast(camera, double), _cast(gaussians, double), _cast(convexes, double), background.to(double).contiguous()
+            _cast(camera, double), _cast(gaussians, double), _cast(convexes, double), background.to(double).contiguous(), antialiased
         )
     if backend == "cpu":
         if device.type != "cpu":
@@ -86,14 +92,14 @@ def rasterize(
         camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
         # The camera stays in float64: it is small, and every primitive's position goes through it.
         camera = _cast(camera, torch.float64)
-        return rasterize_cpu(camera, _cast(gaussians, single), _cast(convexes, single), background.to(single).contiguous())
+        return rasterize_cpu(camera, _cast(gaussians, single), _cast(convexes, single), background.to(single).contiguous(), antialiased)
     if backend == "cuda":
         from .cuda_backend import rasterize_cuda
 
         single = torch.float32
         if not capturing:
             camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
-        return rasterize_cuda(camera, _cast(gaussians, single), _cast(convexes, single), background)
+        return rasterize_cuda(camera, _cast(gaussians, single), _cast(convexes, single), background, antialiased)
     raise ValueError(f"backend must be 'auto', 'cpu', 'cuda' or 'reference', got {backend!r}")
 
 

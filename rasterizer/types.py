@@ -19,7 +19,8 @@ class Camera:
     K: [3, 3] float, pixels. Only fx, fy, cx, cy are used; skew is rejected.
     cam_from_world: [4, 4] float, the rigid transform from world to camera coordinates. Only its first three rows are used.
     width, height: pixels.
-    near: world units along z. A Gaussian is culled if its centre has z < near, a convex if any of its points does.
+    near: world units along z. A Gaussian is culled if its centre has z < near, a convex if any of its points does (in the antialiased
+        mode, if all of them do).
 
     K and cam_from_world may carry gradients. The camera's centre is -R^T t.
     """

@@ -68,6 +68,7 @@ void read_scene(const nb::dict& camera, const nb::dict& gaussians, const nb::dic
     if (cam.width < 1 || cam.height < 1 || (cam.width + kTile - 1) / kTile > 65535 || (cam.height + kTile - 1) / kTile > 65535)
         throw std::invalid_argument("image of " + std::to_string(cam.width) + " x " + std::to_string(cam.height) + " pixels is out of range");
     to.extras = nb::cast<int>(camera["extras"]);
+    to.antialiased = nb::cast<bool>(camera["antialiased"]);
 
     to.gaussians.n = length(gaussians, "means", 0);
     to.gaussians.means = array<float>(gaussians, "means", to.gaussians.n * 3, held);

@@ -9,6 +9,13 @@ inline void load_points(const ConvexInput& in, const int64_t* index, Pack* point
         for (int j = 0; j < 3; ++j) centre[j] += points[3 * k + j] / Pack(K);
 }
 
+inline void mean_of(const Pack (*p)[3], int count, Pack* mean) {
+    for (int j = 0; j < 3; ++j) {
+        mean[j] = Pack(0);
+        for (int k = 0; k < count; ++k) mean[j] += p[k][j] / Pack(count);
+    }
+}
+
 // The bounding box of the polygon in which L_i <= limit for every edge. The normals (A, B) turn once around from edge to edge, so the
 // extreme in a direction is bounded by the two edges whose normals enclose it. The box is never too small, and exact if both edges touch
 // the polygon.
@@ -29,7 +36,8 @@ inline void polygon_box(const ConvexView<Pack>& v, const Pack* A, const Pack* B,
     }
 }
 
-inline void project_convex_lanes(const ProjectConvexes& job, const Camera<Pack>& camera, const int64_t* index, int count) {
+template <bool AA>
+void project_convex_lanes(const ProjectConvexes& job, const Camera<Pack>& camera, const int64_t* index, int count) {
     const SceneInput& scene = *job.scene;
     const ConvexInput& in = scene.convexes;
     const int K = in.points_each;
@@ -43,15 +51,26 @@ inline void project_convex_lanes(const ProjectConvexes& job, const Camera<Pack>&
         lane[0][l] = double(opacity), lane[1][l] = opacity * inverse > 1.0f && opacity <= 1.0f ? double(inverse) * double(opacity) - 1.0 : 0.0;
         job.depth[index[l]] = __builtin_nan("");
     }
-    const Pack over = lanes_of(lane[1]);
+    Pack over = lanes_of(lane[1]);
     Truths good = bounded(points, 3 * K) & (tau > Pack(0)) & (tau <= Pack(kLargest)) & (kappa > Pack(0)) & (kappa <= Pack(kLargest)) & (over > Pack(0));
     if (none(good)) return;
 
     ConvexView<Pack> view;
     Pack c[3], A[kMaxPoints], B[kMaxPoints], C[kMaxPoints];
-    good = good & project_convex(camera, points, K, view, [](ConvexView<Pack>& v, Truths those) { find_corners(v, those); });
+    good = good & project_convex<AA>(camera, points, K, view, [](ConvexView<Pack>& v, Truths those) { find_corners(v, those); });
     if (none(good)) return;
-    to_camera(camera, centre, c);
+    if constexpr (AA) {
+        mean_of(view.p, K, c);  // the centroid of the points before clipping may be behind the camera
+        const Footprint<Pack> print = footprint(camera, area_of(view), view.perimeter, view.zc, kappa);
+        kappa = print.kappa;
+        const Pack opacity = lanes_of(lane[0]) * print.share * fade(view.zc, camera.near_z);
+        over = opacity * Pack(double(1.0f / kMinAlpha)) - Pack(1);
+        good = good & (over > Pack(0));
+        if (none(good)) return;
+        store_lanes(opacity, lane[0]);
+    } else {
+        to_camera(camera, centre, c);
+    }
     const Pack x0 = camera.fx * c[0] / c[2] + camera.cx, y0 = camera.fy * c[1] / c[2] + camera.cy, rho = kappa / tau;
     edge_lines(camera, view, tau, x0, y0, A, B, C);
     // alpha >= kMinAlpha if tau S / ln 2 <= limit
@@ -105,6 +124,6 @@ void project_convexes(const ProjectConvexes& job, int64_t first, int64_t last) {
     for (int64_t at = first; at < last; at += kLanes) {
         int64_t index[kLanes];
         for (int l = 0; l < kLanes; ++l) index[l] = at + l < last ? at + l : at;
-        project_convex_lanes(job, camera, index, last - at < kLanes ? int(last - at) : kLanes);
+        (job.scene->antialiased ? project_convex_lanes<true> : project_convex_lanes<false>)(job, camera, index, last - at < kLanes ? int(last - at) : kLanes);
     }
 }

@@ -1,7 +1,8 @@
 // Converts Gaussians to records. A Gaussian with a bad value is culled here and does not affect any other. Included by project.inl.
 
 // logs: log2 of the opacities; meaningless if an opacity is bad.
-inline void project_lanes(const ProjectGaussians& job, const Camera<Pack>& camera, const int64_t* index, int count, const float* logs) {
+template <bool AA>
+void project_lanes(const ProjectGaussians& job, const Camera<Pack>& camera, const int64_t* index, int count, const float* logs) {
     const SceneInput& scene = *job.scene;
     const GaussianInput& in = scene.gaussians;
     Pack mean[3], quat[4], scale[3], opacity;
@@ -19,6 +20,13 @@ inline void project_lanes(const ProjectGaussians& job, const Camera<Pack>& camer
     alignas(64) double lane[12][kLanes];
     for (int l = 0; l < kLanes; ++l) lane[0][l] = double(logs[l]);
     exponent = *reinterpret_cast<const Doubles*>(lane[0]);
+    if constexpr (AA) {
+        Pack k[3];
+        const Pack near = fade(view.p[2], camera.near_z), share2 = dilation_share2(view, k) * near * near;
+        const Truths there = share2 >= Pack(double(kMinAlpha) * double(kMinAlpha));  // else alpha never reaches kMinAlpha
+        exponent += choose(there, Pack(0.5) * log2(choose(there, share2, Pack(1))), Pack(0));
+        good = good & there & (exponent >= Pack(kLog2MinAlpha));
+    }
     exponent_factor(view, f);
     const Pack radius2 = exponent + Pack(kSlack - kLog2MinAlpha), reach = radius2 * Pack(2 / kLog2E);
     const Pack rx = sqrt(reach * view.cov[0]) * Pack(1.00001), ry = sqrt(reach * view.cov[2]) * Pack(1.00001);
@@ -57,6 +65,6 @@ void project_gaussians(const ProjectGaussians& job, int64_t first, int64_t last)
     for (int at = 0; at < n; at += kLanes) {
         int64_t index[kLanes];
         for (int l = 0; l < kLanes; ++l) index[l] = first + (at + l < n ? at + l : at);
-        project_lanes(job, camera, index, n - at < kLanes ? n - at : kLanes, logs + at);
+        (job.scene->antialiased ? project_lanes<true> : project_lanes<false>)(job, camera, index, n - at < kLanes ? n - at : kLanes, logs + at);
     }
 }

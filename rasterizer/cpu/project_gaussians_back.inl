@@ -1,5 +1,6 @@
 // Propagates the sums of Gaussians back through projection and colour to the inputs. Included by project.inl.
 
+template <bool AA>
 struct GaussianRows {
     static constexpr int kMost = kSlotShape + kGaussianShape;  // colour 3, z, then the moments
 
@@ -26,7 +27,7 @@ struct GaussianRows {
         for (int j = 0; j < 5; ++j) moments[j] = lanes_of(sums[5 + j]) * Pack(kLn2);  // alpha = 2^e
         moments_backward(f, moments, dmean2, dcov);
         Pack dmean[3] = {0, 0, 0}, dquat[4] = {0, 0, 0, 0}, dscale[3] = {0, 0, 0};
-        project_gaussian_backward(camera, view, mean, scale, dmean2, dcov, lanes_of(sums[3]), dmean, dquat, dscale, grad);
+        project_gaussian_backward<AA>(camera, view, mean, scale, dmean2, dcov, lanes_of(sums[3]), lanes_of(sums[4]), dmean, dquat, dscale, grad);
         colours_backward(in, out, camera, mean, index, mine, sums, dmean, grad);
 
         const auto write = [&](float* to, const Pack* from, int width) { write_rows(to, from, width, index, mine); };
@@ -37,5 +38,7 @@ struct GaussianRows {
 };
 
 void backproject_gaussians(const BackprojectGaussians& job, int64_t first, int64_t last, double* camera) {
-    with_camera_grad(camera, [&](auto& grad) { backproject<GaussianRows>(job, first, last, grad); });
+    with_camera_grad(camera, [&](auto& grad) {
+        job.scene->antialiased ? backproject<GaussianRows<true>>(job, first, last, grad) : backproject<GaussianRows<false>>(job, first, last, grad);
+    });
 }

@@ -32,6 +32,7 @@ struct SceneInput {
     ConvexInput convexes;
     int extras = 0;  // number of channels E
     float background[3] = {0, 0, 0};
+    bool antialiased = false;
 };
 
 struct FrameOutput {

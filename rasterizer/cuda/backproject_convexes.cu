@@ -1,5 +1,5 @@
 // Propagates the sums of convexes back through hull, projection and colour to the inputs, one thread per convex, in double. Features:
-// POINTS, SH_DEGREE (-1: colors), CAMERA.
+// POINTS, SH_DEGREE (-1: colors), CAMERA, ANTIALIASED.
 #include "camera_sum.cuh"
 #include "convex_hull.cuh"
 #include "inputs.cuh"
@@ -20,15 +20,28 @@ extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
         const float *corners = points + 3 * POINTS * int64(i), *sum = sums + kConvexSums * int64(i);
         ConvexView<double> view;
         see_convex(cam, corners, view);
-        const double tau = taus[i], kappa = kappas[i], rho = kappa / tau;
+        const double tau = taus[i], drho = -kLn2 * sum[5];  // E = 2^(rho lse), alpha = opacity / (1 + E)
+        double kappa = kappas[i], dz = sum[3], darea = 0.0, dperimeter = 0.0;
+#if ANTIALIASED
+        const double area = area_of(view), g = sum[4];
+        const Footprint<double> print = footprint(cam, area, view.perimeter, view.zc, kappa);
+        double dsharp;
+        footprint_backward(cam, print, area, view.perimeter, view.zc, kappa, g, drho / tau, dsharp, darea, dperimeter, dz, part);
+        dz += g * fade_slope(view.zc, cam.near_z);
+        kappa = print.kappa;
+#endif
+        const double rho = kappa / tau;
         double gA[kMaxPoints], gB[kMaxPoints], gC[kMaxPoints], out[3 * POINTS], dtau = 0.0, dkappa = 0.0, centre[3], dcentre[3] = {0, 0, 0}, dcolor[3];
-        for (int e = 0; e < view.slots; ++e) {  // E = 2^(rho lse), alpha = opacity / (1 + E)
+        for (int e = 0; e < view.slots; ++e) {
             const float* edge = sum + kConvexEdges + 3 * e;
             gA[e] = -kLn2 * rho * edge[0], gB[e] = -kLn2 * rho * edge[1], gC[e] = -kLn2 * rho * edge[2];
         }
         for (double& d : out) d = 0.0;
-        project_convex_backward(cam, view, corners, tau, kappa, records[i].x0, records[i].y0, gA, gB, gC, -kLn2 * sum[5], -kLn2 * sum[6], double(sum[3]),
-                                out, dtau, dkappa, part);
+        project_convex_backward<bool(ANTIALIASED)>(cam, view, corners, tau, kappa, records[i].x0, records[i].y0, gA, gB, gC, drho, -kLn2 * sum[6], dz,
+                                                   darea, dperimeter, out, dtau, dkappa, part);
+#if ANTIALIASED
+        dkappa = dsharp;
+#endif
         centroid_of(corners, centre);
         for (int c = 0; c < 3; ++c) dcolor[c] = sum[c];
         color_backward(cam, centre, looks, i, dcolor, dlooks, dcentre, part);

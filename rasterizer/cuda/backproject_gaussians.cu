@@ -1,5 +1,5 @@
 // Propagates the sums of Gaussians back through projection and colour to the inputs, one thread per Gaussian, in double. Features:
-// SH_DEGREE (-1: colors), CAMERA.
+// SH_DEGREE (-1: colors), CAMERA, ANTIALIASED.
 #include "camera_sum.cuh"
 #include "inputs.cuh"
 #include "records.cuh"
@@ -25,7 +25,7 @@ extern "C" __global__ void __launch_bounds__(kBackThreads)
         for (int j = 0; j < 5; ++j) moments[j] = kLn2 * double(sum[5 + j]);  // alpha = 2^e
         moments_backward(records[i].f, moments, dmean2, dcov);
         double dmean[3] = {0, 0, 0}, dquat[4] = {0, 0, 0, 0}, dscale[3] = {0, 0, 0};
-        project_gaussian_backward(cam, view, mean, scale, dmean2, dcov, double(sum[3]), dmean, dquat, dscale, part);
+        project_gaussian_backward<bool(ANTIALIASED)>(cam, view, mean, scale, dmean2, dcov, double(sum[3]), double(sum[4]), dmean, dquat, dscale, part);
         const double position[3] = {mean[0], mean[1], mean[2]};
         for (int c = 0; c < 3; ++c) dcolor[c] = sum[c];
         color_backward(cam, position, looks, i, dcolor, dlooks, dmean, part);

@@ -94,14 +94,14 @@ def _backproject(
         looks, degree = looks_of(g)
         names = ("means", "quats", "scales", "opacities", "looks")
         grads = [out.get(f"gaussians.{name}") for name in names]
-        program = programs.backproject_gaussians(degree, camera)
+        program = programs.backproject_gaussians(degree, camera, inputs.antialiased)
         shape = (c_int32(n), g.means, g.quats, g.scales, g.opacities, looks, state.gaussians, state.visible, sums[0])
         launcher.launch(program, "backproject_gaussians", blocks, THREADS, *view, *shape, *grads, rows if camera else None)
     if m:
         looks, degree = looks_of(c)
         names = ("points", "tau", "kappa", "opacities", "looks")
         grads = [out.get(f"convexes.{name}") for name in names]
-        program = programs.backproject_convexes(inputs.points, degree, camera)
+        program = programs.backproject_convexes(inputs.points, degree, camera, inputs.antialiased)
         shape = (c_int32(m), c.points, c.tau, c.kappa, c.opacities, looks, state.convexes, state.visible[n:], sums[1])
         launcher.launch(program, "backproject_convexes", convex_blocks, THREADS, *view, *shape, *grads, rows[blocks:] if camera else None)
     return rows

@@ -1,6 +1,6 @@
-// A convex seen by the camera, with the corners of its hull. Features: POINTS.
+// A convex seen by the camera, with the corners of its hull. Features: POINTS, ANTIALIASED.
 #pragma once
-#include "device.cuh"
+#include "inputs.cuh"
 //
 #include "convex.h"
 #include "hull.h"
@@ -14,7 +14,7 @@ struct HullPlane {
 };
 
 __device__ inline bool see_convex(const Camera<double>& cam, const float* points, ConvexView<double>& view) {
-    return project_convex(cam, points, POINTS, view, [](ConvexView<double>& v, bool& good) {
+    return project_convex<bool(ANTIALIASED)>(cam, points, POINTS, view, [](ConvexView<double>& v, bool& good) {
         int corner[kMaxPoints];
         const int n = hull_corners(HullPlane{v}, v.points, corner);
         v.slots = n;
@@ -22,6 +22,14 @@ __device__ inline bool see_convex(const Camera<double>& cam, const float* points
         v.corner[n] = n ? corner[0] : 0;
         good = good && n > 0;
     });
+}
+
+// The mean of p [POINTS][3].
+__device__ inline void mean_of(const double (*p)[3], double* mean) {
+    for (int j = 0; j < 3; ++j) {
+        mean[j] = 0.0;
+        for (int k = 0; k < POINTS; ++k) mean[j] += p[k][j] / POINTS;
+    }
 }
 
 __device__ inline void centroid_of(const float* points, double* centre) {

@@ -74,12 +74,12 @@ def _project(launcher: Launcher, inputs: Inputs, records: Tensor, convex_records
     if n:
         looks, degree = looks_of(g)
         shape = (g.means, g.quats, g.scales, g.opacities, looks, inputs.extras(g), channels)
-        program = programs.project_gaussians(degree)
+        program = programs.project_gaussians(degree, inputs.antialiased)
         launcher.launch(program, "project_gaussians", -(-n // THREADS), THREADS, *view, c_int32(n), *shape, records, depth, boxes)
     if m:
         looks, degree = looks_of(c)
         shape = (c.points, c.tau, c.kappa, c.opacities, looks, inputs.extras(c), channels)
-        program = programs.project_convexes(inputs.points, degree)
+        program = programs.project_convexes(inputs.points, degree, inputs.antialiased)
         out = (convex_records, depth[n:], boxes[n:])
         launcher.launch(program, "project_convexes", -(-m // THREADS), THREADS, *view, c_int32(m), *shape, *out)
 

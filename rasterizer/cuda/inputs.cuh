@@ -8,6 +8,10 @@
 #define SH_DEGREE -1  // colours are given directly
 #endif
 
+#if !defined(ANTIALIASED)
+#define ANTIALIASED 0
+#endif
+
 namespace e4dgs {
 
 constexpr int kShDegree = SH_DEGREE < 0 ? 0 : SH_DEGREE;

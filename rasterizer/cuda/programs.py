@@ -18,13 +18,18 @@ def program(name: str, **features: int) -> Program:
     return Program(HERE / f"{name}.cu", tuple(sorted((key.upper(), value) for key, value in features.items())))
 
 
-def project_gaussians(degree: int) -> Program:
+def _mode(antialiased: bool) -> dict[str, int]:
+    """The feature of the second mode; the programs of the default mode do not have it."""
+    return {"antialiased": 1} if antialiased else {}
+
+
+def project_gaussians(degree: int, antialiased: bool = False) -> Program:
     """degree: degree of the SH, -1 if colours are given directly."""
-    return program("project_gaussians", sh_degree=degree)
+    return program("project_gaussians", sh_degree=degree, **_mode(antialiased))
 
 
-def project_convexes(points: int, degree: int) -> Program:
-    return program("project_convexes", points=points, sh_degree=degree)
+def project_convexes(points: int, degree: int, antialiased: bool = False) -> Program:
+    return program("project_convexes", points=points, sh_degree=degree, **_mode(antialiased))
 
 
 def tiles(points: int, key_bits: int) -> Program:
@@ -40,25 +45,31 @@ def blend_backward(points: int, extras: int, depth: bool) -> Program:
     return program("blend_backward", points=points, extras=extras, depth=int(depth))
 
 
-def backproject_gaussians(degree: int, camera: bool) -> Program:
-    return program("backproject_gaussians", sh_degree=degree, camera=int(camera))
+def backproject_gaussians(degree: int, camera: bool, antialiased: bool = False) -> Program:
+    return program("backproject_gaussians", sh_degree=degree, camera=int(camera), **_mode(antialiased))
 
 
-def backproject_convexes(points: int, degree: int, camera: bool) -> Program:
-    return program("backproject_convexes", points=points, sh_degree=degree, camera=int(camera))
+def backproject_convexes(points: int, degree: int, camera: bool, antialiased: bool = False) -> Program:
+    return program("backproject_convexes", points=points, sh_degree=degree, camera=int(camera), **_mode(antialiased))
 
 
 def needed(
-    points: int = 0, degree: int = 3, extras: int = 0, depth: bool = False, camera: bool = False, backward: bool = True
+    points: int = 0,
+    degree: int = 3,
+    extras: int = 0,
+    depth: bool = False,
+    camera: bool = False,
+    backward: bool = True,
+    antialiased: bool = False,
 ) -> list[Program]:
     """All programs needed to render such a scene. Use it to compile them in parallel before the first frame (`warm_up`)."""
-    found = [project_gaussians(degree), tiles(points, 16), blend_forward(points, min(extras, CHANNELS))]
+    found = [project_gaussians(degree, antialiased), tiles(points, 16), blend_forward(points, min(extras, CHANNELS))]
     if points:
-        found.append(project_convexes(points, degree))
+        found.append(project_convexes(points, degree, antialiased))
     if backward:
-        found += [blend_backward(points, min(extras, CHANNELS), depth), backproject_gaussians(degree, camera)]
+        found += [blend_backward(points, min(extras, CHANNELS), depth), backproject_gaussians(degree, camera, antialiased)]
         if points:
-            found.append(backproject_convexes(points, degree, camera))
+            found.append(backproject_convexes(points, degree, camera, antialiased))
     return found
 
 
@@ -72,6 +83,8 @@ RECORDED: dict[str, Program] = {
         *needed(points=6, degree=3, extras=2, depth=True),
         *needed(points=8, degree=3, extras=CHANNELS, depth=True, camera=True),
         *needed(points=6, degree=-1),
+        *needed(points=6, degree=-1, antialiased=True),
+        *needed(points=8, degree=3, extras=CHANNELS, depth=True, camera=True, antialiased=True),
         tiles(6, 32),
     )
 }

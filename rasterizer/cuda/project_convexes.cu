@@ -1,5 +1,5 @@
 // Converts convexes to records, one thread per convex, in double: cull, project, hull, colour. A convex with a bad value is culled here
-// and does not affect any other. Features: POINTS, SH_DEGREE (-1: colors).
+// and does not affect any other. Features: POINTS, SH_DEGREE (-1: colors), ANTIALIASED.
 #include "convex_hull.cuh"
 #include "inputs.cuh"
 #include "records.cuh"
@@ -29,8 +29,10 @@ __device__ inline void polygon_box(int n, const double* A, const double* B, cons
 }
 
 __device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam, int64 i, ConvexRecord& record, TileBox& box, double& depth) {
-    const float *points = in.points + 3 * POINTS * i, opacity = in.opacities[i];
-    const double tau = in.tau[i], kappa = in.kappa[i];
+    const float* points = in.points + 3 * POINTS * i;
+    float opacity = in.opacities[i];
+    const double tau = in.tau[i];
+    double kappa = in.kappa[i];
     constexpr float inverse = 1.0f / kMinAlpha;  // fainter convexes never reach kMinAlpha
     bool good = opacity * inverse > 1.0f && opacity <= 1.0f && tau > 0.0 && is_bounded(tau) && kappa > 0.0 && is_bounded(kappa);
     for (int j = 0; j < 3 * POINTS; ++j) good = good && is_finite(points[j]);
@@ -39,11 +41,21 @@ __device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam
 
     double centre[3], c[3], A[kMaxPoints], B[kMaxPoints], C[kMaxPoints];
     centroid_of(points, centre);
+#if ANTIALIASED
+    mean_of(view.p, c);  // the centroid of the points before clipping may be behind the camera
+    const Footprint<double> print = footprint(cam, area_of(view), view.perimeter, view.zc, kappa);
+    kappa = print.kappa;
+    const double shown = double(opacity) * print.share * fade(view.zc, cam.near_z), over = shown * double(inverse) - 1.0;
+    if (!(over > 0.0)) return false;
+    opacity = float(shown);
+#else
     to_camera(cam, centre, c);
+    const double over = double(inverse) * double(opacity) - 1.0;
+#endif
     const double x0 = cam.fx * c[0] / c[2] + cam.cx, y0 = cam.fy * c[1] / c[2] + cam.cy, rho = kappa / tau;
     edge_lines(cam, view, tau, x0, y0, A, B, C);
     // alpha >= kMinAlpha if tau S / ln 2 <= limit
-    const double exact = log2(double(inverse) * double(opacity) - 1.0) * tau / kappa, limit = exact + kSlack + 1e-5 * fabs(exact);
+    const double exact = log2(over) * tau / kappa, limit = exact + kSlack + 1e-5 * fabs(exact);
     double sum = limit + x0 + y0;
     for (int k = 0; k < view.slots; ++k) sum += fabs(A[k]) + fabs(B[k]) + fabs(C[k]);
     if (!(fabs(sum) <= 1e300 && is_bounded(rho) && is_bounded(limit) && is_bounded(view.zc))) return false;
@@ -69,7 +81,11 @@ __device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam
 using namespace e4dgs;
 
 // depth [n]: z of the centroid, infinite if culled. boxes [n]: empty if culled.
-extern "C" __global__ void __launch_bounds__(128)
+// Blocks that should fit on a multiprocessor at once. Left to itself (0), the compiler spills a few registers of the antialiased mode to fit
+// a third one.
+constexpr int kFitting = ANTIALIASED ? 2 : 0;
+
+extern "C" __global__ void __launch_bounds__(128, kFitting)
     project_convexes(const double* camera, int width, int height, int n, const float* points, const float* tau, const float* kappa, const float* opacities,
                      const float* looks, const float* extras, int channels, ConvexRecord* records, double* depth, TileBox* boxes) {
     const int i = int(blockIdx.x * blockDim.x + threadIdx.x);

@@ -1,5 +1,5 @@
 // Converts Gaussians to records, one thread per Gaussian, in double: cull, project, colour. A Gaussian with a bad value is culled here and
-// does not affect any other. Features: SH_DEGREE (-1: colors).
+// does not affect any other. Features: SH_DEGREE (-1: colors), ANTIALIASED.
 #include "inputs.cuh"
 #include "records.cuh"
 //
@@ -23,7 +23,16 @@ __device__ inline bool project(const GaussianInputs& in, const Camera<double>& c
 
     double f[3];
     exponent_factor(view, f);
-    const double exponent = log2(double(opacity)), radius2 = exponent + (kSlack - kLog2MinAlpha), reach = radius2 * (2 / kLog2E);
+#if ANTIALIASED
+    double k[3];
+    const double near = fade(view.p[2], cam.near_z), share2 = dilation_share2(view, k) * near * near;
+    if (!(share2 >= double(kMinAlpha) * double(kMinAlpha))) return false;  // alpha never reaches kMinAlpha
+    const double exponent = log2(double(opacity)) + 0.5 * log2(share2);
+    if (!(exponent >= kLog2MinAlpha)) return false;
+#else
+    const double exponent = log2(double(opacity));
+#endif
+    const double radius2 = exponent + (kSlack - kLog2MinAlpha), reach = radius2 * (2 / kLog2E);
     const double rx = sqrt(reach * view.cov[0]) * 1.00001, ry = sqrt(reach * view.cov[2]) * 1.00001;
     const double x = view.mean[0], y = view.mean[1], z = view.p[2];
     const double low_x = larger(x - rx, 0.5), high_x = smaller(x + rx, cam.width - 0.5);

@@ -24,6 +24,7 @@ class Inputs:
     gaussians: Gaussians
     convexes: Convexes
     channels: int
+    antialiased: bool = False
 
     @property
     def device(self) -> torch.device:

@@ -3,7 +3,7 @@
 // S = (1/tau) ln sum_i w_i exp(tau H_i) with w_i = K l_i / sum(l), alpha = opacity / (1 + exp(kappa S)).
 // T is a number, or a vector of numbers for several convexes. Their hulls may have different numbers of edges, so a slot can be empty.
 #pragma once
-#include "camera.h"
+#include "antialias.h"
 
 namespace e4dgs {
 
@@ -21,17 +21,32 @@ struct ConvexView {
     T u[kMaxPoints][3], inverse_norm[kMaxPoints];
 };
 
-// Returns false if the convex is culled (a point nearer than near_z, or a hull that is a point, a line or a sliver). points [K][3], world.
-// find_corners(view, good) computes slots, edge and corner from x and y.
-template <class T, class S, class F>
+// Area of the hull in the plane. In empty slots, corner 0 appears twice and the triangle has no area.
+template <class T>
+E4DGS_HD T area_of(const ConvexView<T>& v) {
+    T area = T(0);
+    for (int k = 1; k + 1 < v.slots; ++k)
+        area += T(0.5) * ((v.cx[k] - v.cx[0]) * (v.cy[k + 1] - v.cy[0]) - (v.cy[k] - v.cy[0]) * (v.cx[k + 1] - v.cx[0]));
+    return area;
+}
+
+// Returns false if the convex is culled (a hull that is a point, a line or a sliver; a point nearer than near_z, or in the antialiased
+// mode (AA), which clips, all of them). points [K][3], world. find_corners(view, good) computes slots, edge and corner from x and y.
+template <bool AA, class T, class S, class F>
 E4DGS_HD Truth<T> project_convex(const Camera<T>& cam, const S* points, int count, ConvexView<T>& v, F&& find_corners) {
     v.points = count;
     v.zc = T(0);
     Truth<T> good = T(0) <= T(0);
     for (int i = 0; i < count; ++i) {
         to_camera(cam, points + 3 * i, v.p[i]);
-        good = good & (v.p[i][2] >= cam.near_z);
-        v.zc += v.p[i][2];
+        if constexpr (!AA) {
+            good = good & (v.p[i][2] >= cam.near_z);
+            v.zc += v.p[i][2];
+        }
+    }
+    if constexpr (AA) {
+        good = good & clip_points(v.p, count, cam.near_z);
+        for (int i = 0; i < count; ++i) v.zc += v.p[i][2];
     }
     if (none(good)) return good;
     v.zc = v.zc / T(count);
@@ -42,14 +57,12 @@ E4DGS_HD Truth<T> project_convex(const Camera<T>& cam, const S* points, int coun
     find_corners(v, good);
     for (int k = 0; k <= v.slots; ++k) v.cx[k] = pick(v.x, v.corner[k]), v.cy[k] = pick(v.y, v.corner[k]);
 
-    T low_x = v.x[0], high_x = v.x[0], low_y = v.y[0], high_y = v.y[0], area = T(0);
+    T low_x = v.x[0], high_x = v.x[0], low_y = v.y[0], high_y = v.y[0];
     for (int i = 1; i < count; ++i) {
         low_x = smaller(low_x, v.x[i]), high_x = larger(high_x, v.x[i]);
         low_y = smaller(low_y, v.y[i]), high_y = larger(high_y, v.y[i]);
     }
-    for (int k = 1; k + 1 < v.slots; ++k)  // in empty slots, corner 0 appears twice and the triangle has no area
-        area += T(0.5) * ((v.cx[k] - v.cx[0]) * (v.cy[k + 1] - v.cy[0]) - (v.cy[k] - v.cy[0]) * (v.cx[k + 1] - v.cx[0]));
-    const T extent = larger(high_x - low_x, high_y - low_y);
+    const T area = area_of(v), extent = larger(high_x - low_x, high_y - low_y);
     good = good & (area > T(kDegenerateHull) * extent * extent);
     if (none(good)) return good;
 
@@ -88,11 +101,12 @@ E4DGS_HD void edge_lines(const Camera<T>& cam, const ConvexView<T>& v, T tau, T 
 // gA, gB, gC: gradients of the lines' coefficients, 0 in slots without an edge. drho: gradient of kappa / tau. dz: gradient of the
 // centroid's depth. dspread: sum over pixels of dL/d(rho lse) (lse - sum_i p_i L_i), where p is the softmax of the lines, because
 // d(rho lse)/dtau = -(kappa / tau^2) (lse - sum_i p_i (L_i - log2 w_i)). Adds to dpoints [K][3], dtau and dkappa. The gradient of a
-// vanishing edge is gC_i / l_i; it stays finite because gC_i is proportional to w_i.
-template <class T, class S, class G>
+// vanishing edge is gC_i / l_i; it stays finite because gC_i is proportional to w_i. darea, dperimeter: gradients of the hull's area and
+// perimeter, used in the antialiased mode (AA), in which kappa is the limited one and dz includes all that depends on the depth.
+template <bool AA, class T, class S, class G>
 E4DGS_HD void project_convex_backward(const Camera<T>& cam, const ConvexView<T>& v, const S* points, T tau, T kappa, T x0, T y0,
-                                      const T* gA, const T* gB, const T* gC, T drho, T dspread, T dz, T* dpoints, T& dtau, T& dkappa,
-                                      G& grad) {
+                                      const T* gA, const T* gB, const T* gC, T drho, T dspread, T dz, T darea, T dperimeter, T* dpoints,
+                                      T& dtau, T& dkappa, G& grad) {
     const T k = tau * v.zc * T(kLog2E), dx0 = (x0 - cam.cx) / cam.fx, dy0 = (y0 - cam.cy) / cam.fy;
     T dcx[kMaxPoints + 1], dcy[kMaxPoints + 1], dx[kMaxPoints], dy[kMaxPoints], dk = T(0), total = T(0), along_weights = T(0);
     for (int i = 0; i <= v.slots; ++i) dcx[i] = dcy[i] = T(0);
@@ -117,7 +131,13 @@ E4DGS_HD void project_convex_backward(const Camera<T>& cam, const ConvexView<T>&
         const T ex = v.ex[i], ey = v.ey[i];
         const T dex = -dn1 + v.cy[i] * dn2, dey = dn0 - v.cx[i] * dn2;
         const T inward = ex * dex + ey * dey, il = T(1) / v.length[i];
-        const T dl = choose(v.edge[i], (gC[i] * il - total / v.perimeter) * T(kLog2E), T(0));
+        T dl = choose(v.edge[i], (gC[i] * il - total / v.perimeter) * T(kLog2E), T(0));
+        if constexpr (AA) {
+            dl += choose(v.edge[i], dperimeter, T(0));
+            const T half = T(0.5) * darea;
+            dcx[i] += half * v.cy[i + 1], dcy[i] -= half * v.cx[i + 1];
+            dcx[i + 1] -= half * v.cy[i], dcy[i + 1] += half * v.cx[i];
+        }
         const T vx = (dex - ex * inward) * il + ex * dl, vy = (dey - ey * inward) * il + ey * dl;
         dcx[i] -= ey * dn2 + vx, dcy[i] += ex * dn2 - vy;
         dcx[i + 1] += vx, dcy[i + 1] += vy;
@@ -126,10 +146,20 @@ E4DGS_HD void project_convex_backward(const Camera<T>& cam, const ConvexView<T>&
     dtau -= dspread * kappa / (tau * tau) + along_weights / tau;
     dkappa += drho / tau;
     const T share = (dk * tau * T(kLog2E) + dz) / T(v.points);
+    T before[kMaxPoints][3], clipped[kMaxPoints][3];  // points before clipping; gradients of the clipped ones
     for (int i = 0; i < v.points; ++i) {
         const T iz = T(1) / v.p[i][2];
         const T dp[3] = {dx[i] * iz, dy[i] * iz, share - (dx[i] * v.x[i] + dy[i] * v.y[i]) * iz};
-        to_camera_backward(cam, points + 3 * i, dp, dpoints + 3 * i, grad);
+        if constexpr (AA) {
+            to_camera(cam, points + 3 * i, before[i]);
+            for (int j = 0; j < 3; ++j) clipped[i][j] = dp[j];
+        } else {
+            to_camera_backward(cam, points + 3 * i, dp, dpoints + 3 * i, grad);
+        }
+    }
+    if constexpr (AA) {
+        clip_points_backward(before, v.points, cam.near_z, clipped);
+        for (int i = 0; i < v.points; ++i) to_camera_backward(cam, points + 3 * i, clipped[i], dpoints + 3 * i, grad);
     }
 }
 

@@ -1,6 +1,6 @@
 // A 3D Gaussian seen by a pinhole camera: EWA splatting as in 3DGS (Kerbl et al. 2023), forward and backward.
 #pragma once
-#include "camera.h"
+#include "antialias.h"
 
 namespace e4dgs {
 
@@ -88,6 +88,30 @@ E4DGS_HD void exponent_factor(const GaussianView<T>& v, T* f) {
     f[2] = half / sy;
 }
 
+// The opacity's factor for the dilation, squared: det cov / det (cov + 0.3 I). The first one is |b0 x b1|^2, again without cancellation.
+template <class T>
+E4DGS_HD T dilation_share2(const GaussianView<T>& v, T* k) {
+    const T *b0 = v.b, *b1 = v.b + 3;
+    k[0] = b0[1] * b1[2] - b0[2] * b1[1], k[1] = b0[2] * b1[0] - b0[0] * b1[2], k[2] = b0[0] * b1[1] - b0[1] * b1[0];
+    return (k[0] * k[0] + k[1] * k[1] + k[2] * k[2]) / v.det;
+}
+
+// g: gradient of ln sqrt(dilation_share2), which must not be 0. Adds to db [6].
+template <class T>
+E4DGS_HD void dilation_share_backward(const GaussianView<T>& v, T g, T* db) {
+    T k[3];
+    const T share2 = dilation_share2(v, k), down = T(kDilation) * g / v.det;
+    const T *b0 = v.b, *b1 = v.b + 3;
+    const T xx = b0[0] * b0[0] + b0[1] * b0[1] + b0[2] * b0[2], yy = b1[0] * b1[0] + b1[1] * b1[1] + b1[2] * b1[2];
+    // d/dk: k (1 / |k|^2 - 1 / det), and det - |k|^2 = 0.3 (xx + yy) + 0.09
+    const T up = down * (xx + yy + T(kDilation)) / (share2 * v.det);
+    for (int i = 0; i < 3; ++i) {
+        const int j = (i + 1) % 3, m = (i + 2) % 3;
+        db[i] += up * (b1[j] * k[m] - b1[m] * k[j]) - down * b0[i];
+        db[3 + i] += up * (k[j] * b0[m] - k[m] * b0[j]) - down * b1[i];
+    }
+}
+
 // Converts the moments of the exponent's gradient over the pixels, moments = sum g * (u, v, uu, uv, vv), to the gradients of the 2D
 // mean [2] and covariance [3] (xx, xy counted once, yy).
 template <class T>
@@ -104,15 +128,20 @@ E4DGS_HD void moments_backward(const T* f, const T* moments, T* dmean, T* dcov) 
 
 // G is CameraGrad<T>, or a type that ignores what is added to it.
 // dmean2 [2] px, dcov [3] with dL = dcov0 dxx + 2 dcov1 dxy + dcov2 dyy, dz: gradient of the centre's depth.
+// g: gradient of ln opacity, used in the antialiased mode (AA), where the covariance and the depth change the opacity.
 // Adds to dmean, dquat and dscale.
-template <class T, class S, class G>
+template <bool AA, class T, class S, class G>
 E4DGS_HD void project_gaussian_backward(const Camera<T>& cam, const GaussianView<T>& v, const S* mean, const S* scale, const T* dmean2,
-                                        const T* dcov, T dz, T* dmean, T* dquat, T* dscale, G& grad) {
+                                        const T* dcov, T dz, T g, T* dmean, T* dquat, T* dscale, G& grad) {
     const T z = v.p[2], iz = T(1) / z, x = v.p[0] * iz, y = v.p[1] * iz;
     T db[6];
     for (int j = 0; j < 3; ++j) {
         db[j] = 2 * (dcov[0] * v.b[j] + dcov[1] * v.b[3 + j]);
         db[3 + j] = 2 * (dcov[1] * v.b[j] + dcov[2] * v.b[3 + j]);
+    }
+    if constexpr (AA) {
+        dilation_share_backward(v, g, db);
+        dz += g * fade_slope(z, cam.near_z);
     }
     T drot[9], dtm[6];
     for (int k = 0; k < 3; ++k)
@@ -145,12 +174,12 @@ E4DGS_HD void project_gaussian_backward(const Camera<T>& cam, const GaussianView
     to_camera_backward(cam, mean, dp, dmean, grad);
 
     const T w = v.q[0], qx = v.q[1], qy = v.q[2], qz = v.q[3];
-    const T* g = drot;
+    const T* d = drot;
     const T dq[4] = {
-        2 * (qz * (g[3] - g[1]) + qy * (g[2] - g[6]) + qx * (g[7] - g[5])),
-        2 * (qy * (g[1] + g[3]) + qz * (g[2] + g[6]) + w * (g[7] - g[5]) - 2 * qx * (g[4] + g[8])),
-        2 * (qx * (g[1] + g[3]) + qz * (g[5] + g[7]) + w * (g[2] - g[6]) - 2 * qy * (g[0] + g[8])),
-        2 * (qx * (g[2] + g[6]) + qy * (g[5] + g[7]) + w * (g[3] - g[1]) - 2 * qz * (g[0] + g[4])),
+        2 * (qz * (d[3] - d[1]) + qy * (d[2] - d[6]) + qx * (d[7] - d[5])),
+        2 * (qy * (d[1] + d[3]) + qz * (d[2] + d[6]) + w * (d[7] - d[5]) - 2 * qx * (d[4] + d[8])),
+        2 * (qx * (d[1] + d[3]) + qz * (d[5] + d[7]) + w * (d[2] - d[6]) - 2 * qy * (d[0] + d[8])),
+        2 * (qx * (d[2] + d[6]) + qy * (d[5] + d[7]) + w * (d[3] - d[1]) - 2 * qz * (d[0] + d[4])),
     };
     const T along = v.q[0] * dq[0] + v.q[1] * dq[1] + v.q[2] * dq[2] + v.q[3] * dq[3];
     for (int i = 0; i < 4; ++i) dquat[i] += (dq[i] - along * v.q[i]) * v.q_scale;

@@ -33,7 +33,7 @@ def projected(scene: Scene) -> tuple[Camera, Splats, Shapes]:
     gaussians = _cast(scene.gaussians or _empty_gaussians(camera), torch.float64)
     convexes = _cast(scene.convexes or _empty_convexes(camera), torch.float64)
     gaussians, convexes = _pad_extras(replace(gaussians, extras=None), replace(convexes, extras=None))
-    return camera, project_gaussians(camera, gaussians), project_convexes(camera, convexes)
+    return camera, project_gaussians(camera, gaussians, scene.antialiased), project_convexes(camera, convexes, scene.antialiased)
 
 
 def raw_alphas(scene: Scene) -> tuple[Tensor, Tensor]:

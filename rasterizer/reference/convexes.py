@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..types import Camera, Convexes
 from ..validate import usable
+from .antialias import clip_points, fade, footprint
 from .hull import extent, hull_area, hull_corners
 from .sh import colors_of
 
@@ -30,15 +31,21 @@ class Shapes:
     extras: Tensor  # [m, E]
 
 
-def project_convexes(camera: Camera, convexes: Convexes) -> Shapes:
-    """Cull convexes (bad values, any point nearer than `near`, degenerate hull) and compute the outlines of the rest."""
+def project_convexes(camera: Camera, convexes: Convexes, antialiased: bool = False) -> Shapes:
+    """Cull convexes (bad values, any point nearer than `near`, degenerate hull) and compute the outlines of the rest.
+
+    In the antialiased mode, points nearer than `near` are clipped; only a convex without any point in front is culled.
+    """
     rotation, translation = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
     with torch.no_grad():
         z = (convexes.points @ rotation.T + translation)[..., 2]
-        index = (usable(convexes) & (z >= camera.near).all(1)).nonzero()[:, 0]
+        seen = (z > camera.near).any(1) if antialiased else (z >= camera.near).all(1)
+        index = (usable(convexes) & seen).nonzero()[:, 0]
 
     # From here on, only survivors: a culled primitive is not part of the autograd graph, so its gradient is zero, never NaN.
     points = convexes.points[index] @ rotation.T + translation
+    if antialiased:
+        points = clip_points(points, camera.near)
     plane = points[..., :2] / points[..., 2:]  # (x/z, y/z)
     starts, ends, is_edge, kept = silhouettes(plane.detach())
     index, points, plane = index[kept], points[kept], plane[kept]
@@ -55,16 +62,23 @@ def project_convexes(camera: Camera, convexes: Convexes) -> Shapes:
 
     # w_i = K l_i / sum(l) keeps alpha continuous when a point enters or leaves the hull.
     perimeter = (lengths * is_edge).sum(1, keepdim=True)
+    depths, kappa, opacities = points[..., 2].mean(1), convexes.kappa[index], convexes.opacities[index]
+    if antialiased:
+        # Padding repeats the first edge; relative to its start, its triangle has no area.
+        p, q = a - a[:, :1], b - a[:, :1]
+        area = 0.5 * (p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]).sum(1)
+        kappa, share = footprint(kappa, area, perimeter[:, 0], depths, torch.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+        opacities = opacities * share * fade(depths, camera.near)
     log_weights = torch.log(lengths.shape[1] * lengths / perimeter).masked_fill(~is_edge, -torch.inf)
     assert convexes.extras is not None  # rasterize() has padded them
     return Shapes(
         index=index,
-        depths=points[..., 2].mean(1),
+        depths=depths,
         normals=normals,
         log_weights=log_weights,
         tau=convexes.tau[index],
-        kappa=convexes.kappa[index],
-        opacities=convexes.opacities[index],
+        kappa=kappa,
+        opacities=opacities,
         colors=colors_of(convexes, index, convexes.points[index].mean(1), camera),
         extras=convexes.extras[index],
     )

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..types import Camera, Gaussians
 from ..validate import usable
+from .antialias import fade
 from .sh import colors_of
 
 DILATION = 0.3  # px^2, added to the diagonal of the 2D covariance
@@ -40,7 +41,7 @@ def rotations(quats: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, -1) for row in rows], -2)
 
 
-def project_gaussians(camera: Camera, gaussians: Gaussians) -> Splats:
+def project_gaussians(camera: Camera, gaussians: Gaussians, antialiased: bool = False) -> Splats:
     """Cull Gaussians (bad values, centre nearer than `near`) and project the rest."""
     rotation, translation = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
     with torch.no_grad():
@@ -62,13 +63,16 @@ def project_gaussians(camera: Camera, gaussians: Gaussians) -> Splats:
         dim=-2,
     )
     factors = jacobian @ rotation @ rotations(gaussians.quats[index]) * gaussians.scales[index][:, None, :]
+    opacities = gaussians.opacities[index]
+    if antialiased:
+        opacities = opacities * dilation_share(factors) * fade(z, camera.near)
     assert gaussians.extras is not None  # rasterize() has padded them
     return Splats(
         index=index,
         depths=z,
         centres=torch.stack([fx * x / z + cx, fy * y / z + cy], -1),
         factors=factors,
-        opacities=gaussians.opacities[index],
+        opacities=opacities,
         colors=colors_of(gaussians, index, means, camera),
         extras=gaussians.extras[index],
     )
@@ -83,6 +87,17 @@ def clamp_without_gradient(slope: Tensor, size: int, focal: Tensor, principal: T
     return torch.where(clamped == slope, slope, clamped)
 
 
+def determinant(m1: Tensor, m2: Tensor) -> Tensor:
+    """[n] det(M M^T + 0.3 I) from the rows of M."""
+    return torch.linalg.cross(m1, m2).square().sum(-1) + DILATION * (m1.square() + m2.square()).sum(-1) + DILATION**2
+
+
+def dilation_share(factors: Tensor) -> Tensor:
+    """[n] sqrt(det(M M^T) / det(M M^T + 0.3 I)) = |m1 x m2| / sqrt(det), the part of the area that the dilation leaves to the Gaussian."""
+    m1, m2 = factors.unbind(1)
+    return torch.linalg.vector_norm(torch.linalg.cross(m1, m2), dim=-1) / determinant(m1, m2).sqrt()
+
+
 def gaussian_alphas(splats: Splats, pixels: Tensor) -> Tensor:
     """[P, n] o exp(-1/2 d^T C^-1 d) at pixels [P, 2], before the cap and the cutoff; d = pixel - centre, C = M M^T + 0.3 I.
 
@@ -90,7 +105,7 @@ def gaussian_alphas(splats: Splats, pixels: Tensor) -> Tensor:
     d^T adj(C) d = |m2 dx - m1 dy|^2 + 0.3 (dx^2 + dy^2). Both are sums of squares, so needle-shaped Gaussians suffer no cancellation.
     """
     m1, m2 = splats.factors.unbind(1)
-    det = torch.linalg.cross(m1, m2).square().sum(-1) + DILATION * (m1.square() + m2.square()).sum(-1) + DILATION**2
+    det = determinant(m1, m2)
     dx, dy = (pixels[:, None, :] - splats.centres).unbind(-1)
     across = (m2 * dx[..., None] - m1 * dy[..., None]).square().sum(-1)
     return splats.opacities * torch.exp(-0.5 * (across + DILATION * (dx * dx + dy * dy)) / det)

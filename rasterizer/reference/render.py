@@ -13,10 +13,10 @@ from .gaussians import gaussian_alphas, project_gaussians
 BLOCK = 1 << 22  # (pixel, primitive) pairs evaluated at a time; bounds the memory if no gradients are kept
 
 
-def rasterize_reference(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor) -> Frame:
+def rasterize_reference(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor, antialiased: bool = False) -> Frame:
     """Render in float64; see `rasterize`. All tensors are float64 on one device; the extras of both kinds have the same width E."""
-    splats = project_gaussians(camera, gaussians)
-    shapes = project_convexes(camera, convexes)
+    splats = project_gaussians(camera, gaussians, antialiased)
+    shapes = project_convexes(camera, convexes, antialiased)
 
     # Gaussians come first and the sort is stable, so at equal depth they stay in front of the convexes.
     depths = torch.cat([splats.depths, shapes.depths])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from e4dgs.rasterizer import Camera, Convexes, Gaussians
 from e4dgs.rasterizer.reference.scene import Scene
@@ -84,6 +86,7 @@ def random_scene(
     height: int = 23,
     spread: float = 1.0,
     size: float = 0.35,
+    antialiased: bool = False,
 ) -> Scene:
     """Gaussians and convexes strewn about the world's origin in front of `make_camera`. float64; use `.to(torch.float32)` for cpu."""
     return Scene(
@@ -91,7 +94,16 @@ def random_scene(
         random_gaussians(seed, gaussians, degree, extras, spread, size) if gaussians else None,
         random_convexes(seed, convexes, points, degree, extras, spread, 1.4 * size) if convexes else None,
         torch.tensor([0.2, 0.5, 0.8], dtype=F64),
+        antialiased,
     )
+
+
+def through_the_camera(seed: int = 0, **options: Any) -> Scene:
+    """An antialiased scene in which many primitives lie at and behind the near plane, which is far out."""
+    scene = random_scene(seed, antialiased=True, **options)
+    scene.camera.cam_from_world[2, 3] = 0.5
+    scene.camera.near = 0.25
+    return scene
 
 
 def prism(corners: list[list[float]], depth: float = 0.0) -> Tensor:

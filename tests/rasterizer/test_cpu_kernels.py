@@ -5,7 +5,7 @@ import torch
 
 from .compare import assert_gradients_close, assert_images_close, cotangents, decided_by_threshold, gradients
 from .kernels import needs_cpu
-from .scenes import Scene, generator, make_camera, random_convexes, random_scene, uniform
+from .scenes import Scene, generator, make_camera, random_convexes, random_scene, through_the_camera, uniform
 
 pytestmark = needs_cpu
 
@@ -18,9 +18,15 @@ def check(scene: Scene, max_decided: float = 0.05) -> None:
     assert_gradients_close(gradients(single, "cpu", weights), gradients(single, "reference", weights), relative=1e-4)
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("points", [3, 6, 8])
-def test_every_instruction_set_agrees_with_the_reference(instruction_set: str, points: int) -> None:
-    check(random_scene(11, gaussians=50, convexes=25, points=points, degree=2, extras=3, width=43, height=29))
+def test_every_instruction_set_agrees_with_the_reference(instruction_set: str, points: int, antialiased: bool) -> None:
+    options = {"degree": 2, "extras": 3, "width": 43, "height": 29, "antialiased": antialiased}
+    check(random_scene(11, gaussians=50, convexes=25, points=points, **options))
+
+
+def test_every_instruction_set_clips_and_fades_as_the_reference(instruction_set: str) -> None:
+    check(through_the_camera(12, gaussians=60, convexes=40, degree=1, size=0.3, width=43, height=29), max_decided=0.15)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -58,13 +64,14 @@ def test_a_pixel_that_stops_in_a_later_chunk() -> None:
 @pytest.mark.parametrize("kind", ["gaussians", "convexes"])
 @pytest.mark.parametrize("seed", range(6))
 def test_bounds_cut_no_visible_tail(kind: str, seed: int) -> None:
-    """One primitive a picture, most of them faint or thin: every pixel that the reference blends is blended."""
+    """One primitive a picture, most of them faint or thin, in either mode: every pixel that the reference blends is blended."""
     for k in range(8):
         scene = random_scene(100 * seed + k, **{kind: 1}, degree=None, width=53, height=38, size=1.2)
         owner = getattr(scene, kind)
         owner.opacities[:] = float(uniform(generator(seed), 0.004, 0.03, 8)[k])
         if kind == "gaussians":
             owner.scales[:, k % 3] *= 1e-3
+        scene.antialiased = k % 2 == 1
         single = scene.to(torch.float32)
         got, want, decided = single.render("cpu"), single.render("reference"), decided_by_threshold(single)
         assert torch.equal((got.alpha > 0)[~decided], (want.alpha > 0)[~decided])

@@ -10,11 +10,12 @@ STEP = 1e-6
 CALM = 2e-4  # distance of every alpha from its thresholds, hundreds of times what a step can change
 
 
-def calm_scene(kind: str, degree: int | None) -> Scene:
+def calm_scene(kind: str, degree: int | None, antialiased: bool = False) -> Scene:
     """The first of a row of random scenes (W != H, extras) in which no pixel is near a threshold."""
     counts = {"gaussians": (4, 0), "convexes": (0, 4), "both": (3, 3)}[kind]
     for seed in range(200):
-        scene = random_scene(seed, *counts, points=5, degree=degree, extras=2, width=13, height=9, spread=0.6, size=0.5)
+        options = {"points": 5, "degree": degree, "extras": 2, "width": 13, "height": 9, "antialiased": antialiased}
+        scene = random_scene(seed, *counts, spread=0.6, size=0.5, **options)
         frame = scene.render()
         drawn = bool(frame.visible_gaussians.all()) and bool(frame.visible_convexes.all())
         if drawn and not bool(decided_by_threshold(scene, CALM, 1e-2, 1e-3).any()):
@@ -24,6 +25,7 @@ def calm_scene(kind: str, degree: int | None) -> Scene:
 
 SCENES = {(kind, degree): calm_scene(kind, degree) for kind in ("gaussians", "convexes", "both") for degree in (None, 1)}
 SCENES["both", 3] = calm_scene("both", 3)
+SCENES["both, antialiased", None] = calm_scene("both", None, antialiased=True)
 CASES = [(kind, degree, name) for (kind, degree), scene in SCENES.items() for name in scene.tensors()]
 
 

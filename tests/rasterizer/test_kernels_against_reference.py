@@ -1,11 +1,13 @@
 """All kernels against the float64 oracle: images within 2e-5 outside threshold pixels, every gradient within 1e-3."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from .compare import assert_gradients_close, assert_images_close, cotangents, decided_by_threshold, gradients
 from .kernels import ALL_KERNELS, EMULATED, needs_cpu
-from .scenes import F64, Scene, needles, one_convex, prism, random_scene
+from .scenes import F64, Scene, needles, one_convex, prism, random_scene, through_the_camera
 
 SCENES = {
     "gaussians sh0": {"gaussians": 60, "degree": 0},
@@ -23,12 +25,23 @@ SCENES = {
     "both, one pixel": {"gaussians": 10, "convexes": 10, "degree": 2, "extras": 1, "width": 1, "height": 1},
     "both 17x33": {"gaussians": 30, "convexes": 20, "degree": 2, "width": 17, "height": 33},
     "both 33x17": {"gaussians": 30, "convexes": 20, "degree": 2, "extras": 1, "width": 33, "height": 17},
+    "both, antialiased": {"gaussians": 40, "convexes": 20, "degree": 1, "extras": 2, "antialiased": True},
+    "small both, antialiased": {
+        "gaussians": 120,
+        "convexes": 80,
+        "degree": 0,
+        "size": 0.04,
+        "width": 50,
+        "height": 36,
+        "antialiased": True,
+    },
+    "convexes K=8, antialiased": {"convexes": 25, "points": 8, "degree": None, "antialiased": True},
     "both, beside the image": {"gaussians": 60, "convexes": 30, "degree": 1, "spread": 4.0, "width": 45, "height": 20},
 }
 
 
 # What differs between the CUDA kernels' programs; all scenes run on a GPU, and with `--kernels=cuda` emulated.
-FEW = ("gaussians colors extras", "convexes K=8", "both sh3 extras", "both 33x17")
+FEW = ("gaussians colors extras", "convexes K=8", "both sh3 extras", "both 33x17", "both, antialiased", "small both, antialiased")
 CASES = [
     pytest.param(kernels.values[0], name, seed, marks=kernels.marks, id=f"{kernels.values[0]}-{name}-{seed}")
     for kernels in ALL_KERNELS
@@ -77,8 +90,17 @@ def test_opaque_layers_that_stop_pixels(kernels: str) -> None:
     check(scene, kernels)
 
 
-def test_needles_and_plates(kernels: str) -> None:
-    check(needles(), kernels)
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_needles_and_plates(kernels: str, antialiased: bool) -> None:
+    check(replace(needles(), antialiased=antialiased), kernels)
+
+
+@pytest.mark.parametrize("points", [3, 6])
+def test_primitives_that_cross_the_near_plane(kernels: str, points: int) -> None:
+    scene = through_the_camera(5, gaussians=60, convexes=40, points=points, degree=1, extras=2, size=0.3)
+    visible = scene.render("reference").visible_convexes
+    assert int(visible.sum()) > int(replace(scene, antialiased=False).render("reference").visible_convexes.sum())
+    check(scene, kernels, max_decided=0.15)
 
 
 @pytest.mark.parametrize("tau", [1.0, 30.0, 1000.0])

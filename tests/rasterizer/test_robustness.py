@@ -9,7 +9,7 @@ from e4dgs.rasterizer import Frame
 from torch import Tensor
 
 from .compare import OUTPUTS, assert_images_close, decided_by_threshold, gradients
-from .scenes import F64, Scene, needles, one_convex, prism, random_scene, stack
+from .scenes import F64, Scene, needles, one_convex, prism, random_scene, stack, through_the_camera
 
 
 def prepared(scene: Scene, backend: str) -> Scene:
@@ -60,10 +60,15 @@ FIELDS = ["means", "quats", "scales", "opacities", "sh", "extras"]
 CONVEX_FIELDS = ["points", "tau", "kappa", "opacities", "sh", "extras"]
 
 
-@pytest.mark.parametrize("name", [f"gaussians.{f}" for f in FIELDS] + [f"convexes.{f}" for f in CONVEX_FIELDS])
-def test_one_poisoned_primitive_leaves_all_others_bit_identical(backend: str, name: str) -> None:
+POISONED = [(f"gaussians.{f}", False) for f in FIELDS] + [(f"convexes.{f}", False) for f in CONVEX_FIELDS]
+POISONED += [("gaussians.scales", True), ("convexes.points", True)]
+
+
+@pytest.mark.parametrize(("name", "antialiased"), POISONED)
+def test_one_poisoned_primitive_leaves_all_others_bit_identical(backend: str, name: str, antialiased: bool) -> None:
     kind = name.split(".")[0]
-    scene = prepared(random_scene(1, gaussians=30, convexes=15, degree=1, extras=2), backend)
+    options = {"gaussians": 30, "convexes": 15, "degree": 1, "extras": 2}
+    scene = prepared(through_the_camera(1, **options) if antialiased else random_scene(1, **options), backend)
     tensors = scene.tensors()
     faint = tensors[f"{kind}.opacities"].clone()
     faint[4] = 0
@@ -103,9 +108,10 @@ EXTREMES = {
 }
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("name", EXTREMES.keys())
-def test_extreme_values_give_finite_pictures_and_gradients(backend: str, name: str) -> None:
-    scene = prepared(random_scene(2, gaussians=8, convexes=6, degree=1), backend)
+def test_extreme_values_give_finite_pictures_and_gradients(backend: str, name: str, antialiased: bool) -> None:
+    scene = prepared(random_scene(2, gaussians=8, convexes=6, degree=1, antialiased=antialiased), backend)
     for value in EXTREMES[name]:
         tensor = scene.tensors()[name].clone()
         tensor[2].view(-1)[-1] = value

@@ -1,5 +1,7 @@
 """Gaussians whose rotation or covariance is badly conditioned."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians
@@ -28,9 +30,18 @@ def test_quaternions_whose_components_differ_by_1e30(component: int) -> None:
     check(scene.having({"gaussians.quats": quats}))
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_needles_and_plates_of_1e_6_to_1(instruction_set: str, seed: int) -> None:
-    check(needles(seed, n=24))
+def test_needles_and_plates_of_1e_6_to_1(instruction_set: str, seed: int, antialiased: bool) -> None:
+    check(replace(needles(seed, n=24), antialiased=antialiased))
+
+
+def test_compensation_of_scales_over_six_decades() -> None:
+    """From all of the opacity to none of it: what a threshold does not decide has image and gradients of the reference."""
+    scene = random_scene(23, gaussians=60, degree=0, antialiased=True)
+    scales = torch.exp(uniform(generator(3), -11.0, 1.0, 60, 3))
+    frame = check(scene.having({"gaussians.scales": scales}))
+    assert 10 < int(frame.visible_gaussians.sum()) < 50
 
 
 def test_a_needle_through_many_tiles() -> None:

@@ -26,13 +26,20 @@ def read(name: str, direction: torch.Tensor) -> torch.Tensor:
     return direction * torch.tensor([1.0, 1, 1, 0], dtype=F64)[:, None] if name == "cam_from_world" else direction
 
 
+@pytest.mark.parametrize("mode", ["default", "antialiased", "near plane"])
 @pytest.mark.parametrize("points", [3, 8])
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES.keys())
-def test_central_differences_where_width_and_height_differ(size: tuple[int, int], points: int) -> None:
+def test_central_differences_where_width_and_height_differ(size: tuple[int, int], points: int, mode: str) -> None:
     width, height = size
     # Near the middle, since the clamp of the Jacobian's slopes moves with K and carries no gradient by contract.
     # Rounded to float32 first, so that reference and kernels start from the same numbers.
-    single = random_scene(50, 7, 5, points=points, degree=2, extras=1, width=width, height=height, spread=0.4).to(torch.float32)
+    options = {"points": points, "degree": 2, "extras": 1, "width": width, "height": height, "antialiased": mode != "default"}
+    single = random_scene(50, 7, 5, spread=0.4, size=0.35 if mode == "default" else 0.2, **options).to(torch.float32)
+    if mode == "near plane":  # some Gaussians fade, some convexes are clipped
+        assert single.gaussians is not None
+        single.gaussians.means.mul_(0.1)
+        single.camera.cam_from_world[:3, 3] = torch.tensor([0.0, 0.0, 0.6])
+        single.camera.near = 0.3
     scene: Scene = single.to(F64)
     decided = decided_by_threshold(scene, alpha_band=1e-4, stop_band=1e-2, depth_band=1e-4)
     assert float(decided.double().mean()) < 0.1

@@ -55,7 +55,8 @@ def scenes(draw: st.DrawFn) -> tuple[Scene, dict[str, list[int]]]:
             name = draw(st.sampled_from(["scales", "opacities"] if kind == "gaussians" else ["tau", "kappa", "opacities"]))
             getattr(owner, name)[row] = draw(POISON)
             bad[kind].append(row)
-    scene = Scene(camera, gaussians, convexes, uniform(g, 0, 1, 3))
+    camera.near = draw(st.sampled_from([0.01, 3.0]))  # in front of the scene, or in the middle of it
+    scene = Scene(camera, gaussians, convexes, uniform(g, 0, 1, 3), draw(st.booleans()))
     return scene.to(torch.float32), bad
 
 

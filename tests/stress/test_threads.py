@@ -15,6 +15,7 @@ SCENES = {
     "gaussians": {"gaussians": 2500},
     "convexes": {"convexes": 1500},
     "mix": {"gaussians": 1500, "convexes": 700},
+    "mix, antialiased": {"gaussians": 1500, "convexes": 700, "antialiased": True},
 }
 
 
