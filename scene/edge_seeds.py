@@ -24,7 +24,7 @@ def edge_density(model: Model, views: Views, frames: list[int]) -> tuple[np.ndar
         with torch.no_grad():
             gaussians, _ = model.at(float(views.time[i]), camera)
         probe = torch.zeros(len(model.gaussians), 2, device=model.device, requires_grad=True)
-        frame = rasterize(camera, replace(gaussians, extras=probe))
+        frame = rasterize(camera, replace(gaussians, extras=probe), antialiased=model.antialiased)
         edges = views.edges(i)
         (frame.extras * torch.stack([torch.ones_like(edges), edges], -1)).sum().backward()
         if probe.grad is not None:

@@ -27,6 +27,7 @@ class Model:
     gaussians, convexes: the two sets at rest. field: the motion, None if nothing moves. sh_degree: highest degree that is rendered.
     near: world units; nothing nearer to a camera was learned, so nothing nearer is drawn. background: RGB in [0, 1] used in training.
     affine: how each training camera records the model's colours; None if all record them alike. Held-out views use the mean camera.
+    antialiased: the mode of `rasterize` for which the model is trained and in which it is drawn.
     """
 
     def __init__(
@@ -38,6 +39,7 @@ class Model:
         near: float = 0.01,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         affine: CameraAffine | None = None,
+        antialiased: bool = False,
     ) -> None:
         self.gaussians = gaussians
         self.convexes = convexes
@@ -46,6 +48,7 @@ class Model:
         self.near = near
         self.background = background
         self.affine = affine
+        self.antialiased = antialiased
         self._links: dict[str, tuple[PrimitiveSet, Tensor | None]] = {}
 
     @property
@@ -162,7 +165,8 @@ class Model:
         background = torch.tensor(self.background) if background is None else background
         with torch.no_grad():
             gaussians, convexes = self.at(time, camera)
-            return rasterize(camera, gaussians, convexes, background, backend=backend)  # type: ignore[arg-type]
+            mode = self.antialiased
+            return rasterize(camera, gaussians, convexes, background, backend=backend, antialiased=mode)  # type: ignore[arg-type]
 
     def bake(self, displacement: Tensor, index: Tensor) -> None:
         """Move the rest positions of the Gaussians ``index`` by ``displacement`` [m, 3] and take them out of the field."""
@@ -188,6 +192,7 @@ class Model:
             "near": self.near,
             "background": list(self.background),
             "affine_cameras": None if self.affine is None else self.affine.cameras,
+            "antialiased": self.antialiased,
         }
 
     @classmethod
@@ -203,7 +208,7 @@ class Model:
             affine.load_state_dict({name: torch.tensor(np.asarray(arrays["affine_" + name])) for name in affine.state_dict()})
         red, green, blue = (float(c) for c in config["background"])
         sets = GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays)
-        return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine)
+        return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, bool(config["antialiased"]))
 
 
 def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes | FreeMotion:

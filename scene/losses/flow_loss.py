@@ -41,8 +41,8 @@ def _detached(kind: Kind, extras: Tensor) -> Kind:
     return replace(kind, **fixed)
 
 
-def _blend(camera: Camera, gaussians: Gaussians, convexes: Convexes, extras: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    frame = rasterize(camera, _detached(gaussians, extras[0]), _detached(convexes, extras[1]))
+def _blend(model: Model, camera: Camera, gaussians: Gaussians, convexes: Convexes, extras: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    frame = rasterize(camera, _detached(gaussians, extras[0]), _detached(convexes, extras[1]), antialiased=model.antialiased)
     return frame.extras, frame.alpha.detach()
 
 
@@ -68,7 +68,7 @@ def _flow_between(model: Model, camera: Camera, now: Moved, next_camera: Camera,
         # Bounded by the image width, so that a single primitive beside the camera cannot dominate the sum.
         flow = flow.clamp(-camera.width, camera.width)
         extras.append(torch.where(kind.dynamic[:, None], flow, flow.detach()))
-    flow, alpha = _blend(camera, now[0], now[1], (extras[0], extras[1]))
+    flow, alpha = _blend(model, camera, now[0], now[1], (extras[0], extras[1]))
     return flow / alpha.clamp(min=0.05)[..., None], alpha
 
 

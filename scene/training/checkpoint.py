@@ -79,6 +79,7 @@ def model_of(folder: Path) -> tuple[Model, int] | None:
     tensors, state = found
     config = state["model"]
     affine = None if config["affine_cameras"] is None else CameraAffine(config["affine_cameras"])
-    model = Model(*_primitives(tensors), None, int(config["sh_degree"]), float(config["near"]), tuple(config["background"]), affine)
+    looks = float(config["near"]), tuple(config["background"]), affine, bool(config["antialiased"])
+    model = Model(*_primitives(tensors), None, int(config["sh_degree"]), *looks)
     restore(model, tensors, state)
     return model, int(state["iteration"])

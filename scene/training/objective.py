@@ -83,7 +83,7 @@ class Objective:
         gaussians, convexes = model.at(float(views.time[i]), camera, phase.move, sh_degree)
         spread = self.spread if step % EVERY == 0 and step > BEGIN * self.total else 0.0
         seen = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
-        frame = rasterize(camera, *seen, background)
+        frame = rasterize(camera, *seen, background, antialiased=model.antialiased)
         color = frame.color
         if model.affine is not None:
             color = model.affine(color, views.recorded_by(i))

@@ -124,4 +124,4 @@ def _render(model: Model, gaussians: Gaussians | None, frames: FrameSet, i: int,
     if gaussians is not None:
         return rasterize(camera, gaussians, None, background)
     with torch.no_grad():
-        return rasterize(camera, *model.at(t), background)
+        return rasterize(camera, *model.at(t), background, antialiased=model.antialiased)

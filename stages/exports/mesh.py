@@ -54,7 +54,7 @@ def look(model: Model, frames: FrameSet, i: int, t: float) -> Look:
 
     camera = camera_of(model, frames, i)
     with torch.no_grad():
-        frame = rasterize(camera, *with_depth(camera, *model.at(t), unit=1.0), torch.zeros(3))
+        frame = rasterize(camera, *with_depth(camera, *model.at(t), unit=1.0), torch.zeros(3), antialiased=model.antialiased)
     alpha = frame.alpha.clamp(min=1e-6)
     first, second = (frame.extras / alpha[..., None]).unbind(-1)
     spread = (second - first.square()).clamp(min=0).sqrt()

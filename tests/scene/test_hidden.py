@@ -68,8 +68,9 @@ def test_at_half_size_the_share_is_the_same():
     assert whole[:2].tolist() == pytest.approx(half[:2].tolist(), abs=0.05)
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_footprint_is_what_a_picture_of_it_alone_sums_to(seed):
+def test_a_footprint_is_what_a_picture_of_it_alone_sums_to(seed, antialiased):
     """Any orientation and place; the rasterizer leaves out what is fainter than 1/255, up to some percent of a strong one."""
     random = np.random.default_rng(seed)
     camera = views([ahead()]).rasterizer_camera(0)
@@ -80,5 +81,6 @@ def test_a_footprint_is_what_a_picture_of_it_alone_sums_to(seed):
         torch.tensor([0.95]),
         colors=torch.zeros(1, 3),
     )
-    alone = float(rasterize(camera, replace(one), None, torch.zeros(3)).alpha.sum())
-    assert float(footprint(camera, one)) == pytest.approx(alone, rel=0.04)
+    alone = float(rasterize(camera, replace(one), None, torch.zeros(3), antialiased=antialiased).alpha.sum())
+    own = footprint(camera, one, dilation=0.0) if antialiased else footprint(camera, one)
+    assert float(own) == pytest.approx(alone, rel=0.04)

@@ -36,18 +36,18 @@ def seen_share(model: Model, views: Views, frames: list[int], move: bool, scale:
         with torch.no_grad():
             gaussians, convexes = model.at(float(views.time[i]), camera, move)
         probe = torch.zeros(count, 1, device=device, requires_grad=True)
-        frame = rasterize(camera, replace(gaussians, extras=probe), convexes, nothing)
+        frame = rasterize(camera, replace(gaussians, extras=probe), convexes, nothing, antialiased=model.antialiased)
         (weight,) = torch.autograd.grad(frame.extras.sum(), probe)
         with torch.no_grad():
-            own = footprint(camera, gaussians)
+            own = footprint(camera, gaussians, 0.0 if model.antialiased else DILATION)
             judged = inside_image(camera, gaussians.means) & (own > LEAST)
             best = torch.where(judged, torch.maximum(best, weight[:, 0] / own.clamp(min=LEAST)), best)
     return torch.where(best < 0, torch.inf, best)
 
 
-def footprint(camera: Camera, gaussians: Gaussians) -> Tensor:
+def footprint(camera: Camera, gaussians: Gaussians, dilation: float = DILATION) -> Tensor:
     """[N] px: the sum of each Gaussian's alpha over an image of that Gaussian alone, 2 pi o sqrt(det S) with opacity o and projected
-    covariance S (Zwicker et al. 2001), for centres in front of the camera."""
+    covariance S (Zwicker et al. 2001), for centres in front of the camera. dilation: px^2 added to S; none in the antialiased mode."""
     R, T = (part.to(gaussians.means) for part in (camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]))
     fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
     x, y, z = (gaussians.means @ R.T + T).unbind(1)
@@ -55,5 +55,5 @@ def footprint(camera: Camera, gaussians: Gaussians) -> Tensor:
     axes = R @ (quats_to_matrices(gaussians.quats) * gaussians.scales[:, None])  # [N, 3, 3], a principal axis in each column
     across = fx / z[:, None] * (axes[:, 0] - (x / z)[:, None] * axes[:, 2])
     down = fy / z[:, None] * (axes[:, 1] - (y / z)[:, None] * axes[:, 2])
-    a, b, c = across.square().sum(1) + DILATION, (across * down).sum(1), down.square().sum(1) + DILATION
+    a, b, c = across.square().sum(1) + dilation, (across * down).sum(1), down.square().sum(1) + dilation
     return 2 * math.pi * gaussians.opacities * (a * c - b * b).clamp(min=1e-12).sqrt()
