@@ -79,7 +79,7 @@ def model_of(folder: Path) -> tuple[Model, int] | None:
     tensors, state = found
     config = state["model"]
     affine = None if config["affine_cameras"] is None else CameraAffine(config["affine_cameras"])
-    looks = float(config["near"]), tuple(config["background"]), affine, bool(config["antialiased"])
-    model = Model(*_primitives(tensors), None, int(config["sh_degree"]), *looks)
+    model = Model(*_primitives(tensors), None, int(config["sh_degree"]), float(config["near"]), tuple(config["background"]), affine)
+    model.antialiased = bool(config["antialiased"])
     restore(model, tensors, state)
     return model, int(state["iteration"])

@@ -35,7 +35,9 @@ def picture(model: Model, camera: Camera, time: float, look: str = "colour", pri
             flow, alpha = rendered_flow(model, camera, start, camera, start + FLOW_STEP, named(model, primitives))
             shown = flow_colours(torch.where(alpha[..., None] > 0.5, flow, 0.0).cpu().numpy())
         else:
-            frame = rasterize(camera, *chosen(model, camera, time, primitives), torch.tensor(model.background), antialiased=model.antialiased)
+            frame = rasterize(
+                camera, *chosen(model, camera, time, primitives), torch.tensor(model.background), antialiased=model.antialiased
+            )
             shown = to_bytes(frame.color.cpu().numpy())
             if look == "depth":
                 shown = depth_picture(frame.depth.cpu().numpy(), frame.alpha.cpu().numpy())

@@ -48,7 +48,9 @@ def measure_responsibility(model: Model, views: Views, frames: list[int], move: 
         with torch.no_grad():
             gaussians, convexes = model.at(float(views.time[i]), camera, move)
         probes = [torch.zeros(count, 2, device=device, requires_grad=True) for count in (n, m)]
-        frame = rasterize(camera, replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1]), background, antialiased=model.antialiased)
+        frame = rasterize(
+            camera, replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1]), background, antialiased=model.antialiased
+        )
         with torch.no_grad():
             color = frame.color if model.affine is None else model.affine(frame.color, views.recorded_by(i))
             error = (color - views.target(i, scale)).abs().mean(-1)
