@@ -68,6 +68,7 @@ void project_convex_lanes(const ProjectConvexes& job, const Camera<Pack>& camera
         good = good & (over > Pack(0));
         if (none(good)) return;
         store_lanes(opacity, lane[0]);
+        keep_off_camera(camera, centre);
     } else {
         to_camera(camera, centre, c);
     }

@@ -37,6 +37,7 @@ struct ConvexRows {
             footprint_backward(camera, print, area, view.perimeter, view.zc, kappa, g, drho / tau, dsharp, darea, dperimeter, dz, grad);
             dz += g * fade_slope(view.zc, camera.near_z);
             kappa = print.kappa;
+            keep_off_camera(camera, centre);
         }
         Pack gA[kMaxPoints], gB[kMaxPoints], gC[kMaxPoints], dpoints[3 * kMaxPoints], dtau = 0, dkappa = 0, dcentre[3] = {0, 0, 0};
         const Pack rho = kappa / tau;

@@ -43,6 +43,9 @@ extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
         dkappa = dsharp;
 #endif
         centroid_of(corners, centre);
+#if ANTIALIASED
+        keep_off_camera(cam, centre);
+#endif
         for (int c = 0; c < 3; ++c) dcolor[c] = sum[c];
         color_backward(cam, centre, looks, i, dcolor, dlooks, dcentre, part);
         for (int j = 0; dpoints && j < 3 * POINTS; ++j) dpoints[3 * POINTS * int64(i) + j] = saturated(out[j] + dcentre[j % 3] / POINTS);

@@ -48,6 +48,7 @@ __device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam
     const double shown = double(opacity) * print.share * fade(view.zc, cam.near_z), over = shown * double(inverse) - 1.0;
     if (!(over > 0.0)) return false;
     opacity = float(shown);
+    keep_off_camera(cam, centre);
 #else
     to_camera(cam, centre, c);
     const double over = double(inverse) * double(opacity) - 1.0;

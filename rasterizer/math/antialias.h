@@ -11,6 +11,8 @@ constexpr double kPixelEdge = 0.18204784532536746;  // 0.8 / (2 ln 9)
 constexpr double kBlurWide = 6.579736267392906;   // a = 2 pi^2 / 3, from hulls much wider than their edges
 constexpr double kBlurThin = 2.705808084277845;   // b = (pi^2 / 6)^2, from hulls much thinner
 
+constexpr double kOffCamera = 1e-6;  // times near_z
+
 // The factor on opacities close to the camera: 0 at near_z, 1 from 2 near_z on, with a continuous slope.
 template <class T>
 E4DGS_HD T fade(T z, T near_z) {
@@ -82,6 +84,17 @@ E4DGS_HD void clip_points_backward(const T (*p)[3], int count, T near_z, T (*dp)
         }
         dp[i][2] += choose(p[i][2] > near_z, along * inverse, T(0));
     }
+}
+
+// The centroid [3] of a clipped convex, before clipping, may be the camera's centre, from which there is no view direction. It is then
+// moved forward a little. World coordinates.
+template <class T>
+E4DGS_HD void keep_off_camera(const Camera<T>& cam, T* centroid) {
+    T distance2 = T(0);
+    for (int j = 0; j < 3; ++j) distance2 += (centroid[j] - cam.centre[j]) * (centroid[j] - cam.centre[j]);
+    const T least = T(kOffCamera) * cam.near_z;
+    const Truth<T> on_it = distance2 < least * least;
+    for (int j = 0; j < 3; ++j) centroid[j] = choose(on_it, cam.centre[j] + least * cam.R[6 + j], centroid[j]);
 }
 
 // A convex whose edges are no sharper than a pixel. With t = (limited kappa / kappa)^2 and r = (limited kappa 2 A / P)^2, A and P in world

@@ -7,8 +7,11 @@ import math
 import torch
 from torch import Tensor
 
+from ..types import Camera
+
 # From 10 % to 90 % of its height, an edge is 2 ln 9 / kappa wide. A sharp edge seen through a pixel's box is 0.8 pixels wide.
 PIXEL_EDGE = 0.8 / (2 * math.log(9))
+OFF_CAMERA = 1e-6  # times near
 BLUR_WIDE, BLUR_THIN = 2 * math.pi**2 / 3, (math.pi**2 / 6) ** 2
 
 
@@ -32,6 +35,16 @@ def clip_points(points: Tensor, near: float) -> Tensor:
     moved = points + (near - z) / gap * (mean - points)
     moved = torch.cat([moved[..., :2], torch.full_like(z, near)], -1)
     return torch.where(behind, moved, points)
+
+
+def keep_off_camera(centroids: Tensor, camera: Camera) -> Tensor:
+    """[m, 3] world; a centroid (before clipping) at the camera's centre, which has no view direction, is moved forward a little."""
+    with torch.no_grad():
+        rotation, translation = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
+        centre, least = -rotation.T @ translation, OFF_CAMERA * camera.near
+        on_it = (centroids - centre).norm(dim=-1, keepdim=True) < least
+        shift = torch.where(on_it, centre + least * rotation[2] - centroids, 0.0)
+    return centroids + shift
 
 
 def footprint(kappa: Tensor, area: Tensor, perimeter: Tensor, depths: Tensor, focal: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..types import Camera, Convexes
 from ..validate import usable
-from .antialias import clip_points, fade, footprint
+from .antialias import clip_points, fade, footprint, keep_off_camera
 from .hull import extent, hull_area, hull_corners
 from .sh import colors_of
 
@@ -63,12 +63,14 @@ def project_convexes(camera: Camera, convexes: Convexes, antialiased: bool = Fal
     # w_i = K l_i / sum(l) keeps alpha continuous when a point enters or leaves the hull.
     perimeter = (lengths * is_edge).sum(1, keepdim=True)
     depths, kappa, opacities = points[..., 2].mean(1), convexes.kappa[index], convexes.opacities[index]
+    centroids = convexes.points[index].mean(1)
     if antialiased:
         # Padding repeats the first edge; relative to its start, its triangle has no area.
         p, q = a - a[:, :1], b - a[:, :1]
         area = 0.5 * (p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]).sum(1)
         kappa, share = footprint(kappa, area, perimeter[:, 0], depths, torch.sqrt(camera.K[0, 0] * camera.K[1, 1]))
         opacities = opacities * share * fade(depths, camera.near)
+        centroids = keep_off_camera(centroids, camera)
     log_weights = torch.log(lengths.shape[1] * lengths / perimeter).masked_fill(~is_edge, -torch.inf)
     assert convexes.extras is not None  # rasterize() has padded them
     return Shapes(
@@ -79,7 +81,7 @@ def project_convexes(camera: Camera, convexes: Convexes, antialiased: bool = Fal
         tau=convexes.tau[index],
         kappa=kappa,
         opacities=opacities,
-        colors=colors_of(convexes, index, convexes.points[index].mean(1), camera),
+        colors=colors_of(convexes, index, centroids, camera),
         extras=convexes.extras[index],
     )
 

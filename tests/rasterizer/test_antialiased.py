@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from e4dgs.rasterizer import Camera, Gaussians
+from e4dgs.rasterizer import Camera, Convexes, Gaussians
 from e4dgs.rasterizer.reference.antialias import clip_points
 from torch import Tensor
 
@@ -231,6 +231,20 @@ def test_clipped_points_lie_in_the_plane_and_inside_the_hull() -> None:
     assert torch.equal(clipped[~front][:, 2], torch.full((int((~front).sum()),), 0.1, dtype=F64))
     directions = torch.randn(50, 3, generator=g, dtype=F64)  # inside: no direction in which a point lies further out than all of the hull
     assert bool(((clipped @ directions.T).amax(1) <= (points @ directions.T).amax(1) + 1e-12).all())
+
+
+def test_a_convex_around_the_camera_has_a_colour(backend: str) -> None:
+    """Its centroid is the camera's centre, from which there is no view direction."""
+    box = torch.tensor([[[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (-1.0, 1)]], dtype=F64)
+    sh = torch.randn(1, 4, 3, generator=generator(8), dtype=F64)
+    number = torch.ones(1, dtype=F64)
+    camera = replace(facing(), cam_from_world=torch.eye(4, dtype=F64))
+    scene = Scene(camera, None, Convexes(box, 20 * number, 20 * number, 0.9 * number, sh=sh), BLACK, True)
+    scene = scene if backend == "reference" else scene.to(torch.float32)
+    frame = scene.render(backend)
+    assert float(frame.alpha.min()) > 0.8
+    assert bool(torch.isfinite(frame.color).all())
+    assert all(bool(torch.isfinite(gradient).all()) for gradient in gradients(scene, backend, cotangents(frame)).values())
 
 
 def test_what_crosses_the_near_plane_has_finite_gradients(backend: str) -> None:
