@@ -35,10 +35,25 @@ def fitted(frames) -> Gaussians:
 def test_the_fit_is_nearer_than_uniform_gaussians_from_cameras_it_has_not_seen(frames, fitted):
     model = made_of_convexes()
     loss = loss_of(model, fitted, frames, 0.0)
-    uniform = [loss_of(model, Baked(model, GaussianFit.uniform(model.convexes.points.detach(), s)).at(0.0), frames, 0.0) for s in SPREADS]
+    uniform = [
+        loss_of(model, Baked(model, GaussianFit.uniform(model.convexes.points.detach(), s), torch.ones(10)).at(0.0), frames, 0.0)
+        for s in SPREADS
+    ]
     assert (loss.cameras, loss.convexes) == (4, 40)
     assert loss.psnr > max(one.psnr for one in uniform) + 0.7
     assert "40 convexes became Gaussians" in str(loss)
+
+
+def test_an_antialiased_model_loses_less_when_its_opacities_are_adjusted_for_other_programs(frames):
+    """Gaussians of about a pixel, which programs without the antialiased mode draw too large."""
+    rng = np.random.default_rng(6)
+    gaussians = GaussianSet.from_points(rng.uniform(-0.8, 0.8, (3000, 3)), rng.uniform(0, 1, (3000, 3)), 1, opacity=0.6, max_scale=0.01)
+    model = Model(gaussians, ConvexSet.empty(6, 1), None, 1, background=(1.0, 1.0, 1.0), antialiased=True)
+    baked = bake(model, frames)
+    assert 0.05 < float(baked.share.median()) < 0.95
+    as_it_is = Baked(model, baked.fit, torch.ones(3000))
+    adjusted, plain = (loss_of(model, one.at(0.0), frames, 0.0).psnr for one in (baked, as_it_is))
+    assert adjusted > plain + 6 and adjusted > 30
 
 
 def test_the_same_model_gives_the_same_gaussians(frames, fitted):
