@@ -208,7 +208,8 @@ class Model:
             affine.load_state_dict({name: torch.tensor(np.asarray(arrays["affine_" + name])) for name in affine.state_dict()})
         red, green, blue = (float(c) for c in config["background"])
         sets = GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays)
-        return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, bool(config["antialiased"]))
+        antialiased = bool(config.get("antialiased", False))  # models from before that mode are for the default one
+        return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, antialiased)
 
 
 def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes | FreeMotion:

@@ -123,9 +123,11 @@ class PrimitiveSet:
 
     @classmethod
     def from_arrays(cls, arrays) -> Self:
-        """Inverse of `to_arrays`; ``arrays`` is any mapping with these names."""
-        parameters = {name: torch.tensor(np.asarray(arrays[f"{cls.KIND}_{name}"])) for name in cls.FIELDS}
-        return cls(parameters, torch.tensor(np.asarray(arrays[f"{cls.KIND}_dynamic"])))
+        """Inverse of `to_arrays`; ``arrays`` is any mapping with these names. Sets from before `shades` do not follow the light."""
+        dynamic, shades = torch.tensor(np.asarray(arrays[f"{cls.KIND}_dynamic"])), f"{cls.KIND}_shades"
+        stored = {name: arrays[f"{cls.KIND}_{name}"] for name in cls.FIELDS if name != "shades"}
+        stored["shades"] = arrays[shades] if shades in arrays else np.zeros((len(dynamic), SHADES), np.float32)
+        return cls({name: torch.tensor(np.asarray(stored[name])) for name in cls.FIELDS}, dynamic)
 
 
 class GaussianSet(PrimitiveSet):

@@ -42,7 +42,7 @@ def test_without_a_compiler_it_says_which_package_to_install(tmp_path):
 def test_it_never_clears_a_folder_that_is_no_environment(dev, tmp_path):
     (tmp_path / "venv").mkdir()
     (tmp_path / "venv" / "thesis.tex").write_text("years of work")
-    with pytest.raises(SystemExit, match="no Python environment"):
+    with pytest.raises(SystemExit, match="is not a Python environment"):
         dev.create_venv()
     assert (tmp_path / "venv" / "thesis.tex").exists()
 

@@ -81,9 +81,11 @@ class ControlNodes(nn.Module):
         """Inverse of `state_dict` and `config`."""
         rigid_parts = RigidParts(*(state["rigid_parts." + name] for name in ("home", "radius", "quats", "shifts")))
         nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"], rigid_parts=rigid_parts)
-        if missing := nodes.state_dict().keys() - state.keys():  # written by a version with a different network
+        # Models from before light have no shades, so that any light is right for them.
+        own = nodes.state_dict()
+        if missing := [name for name in own.keys() - state.keys() if not name.startswith("light.")]:  # a version with a different network
             raise KeyError(sorted(missing)[0])
-        nodes.load_state_dict(state)
+        nodes.load_state_dict(own | state)
         return nodes
 
     # -- Motion -------------------------------------------------------------------------------------------------------------------

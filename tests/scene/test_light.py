@@ -50,6 +50,17 @@ def test_light_multiplies_the_colour_that_all_directions_share():
     assert (model.field.light(0.0) - model.field.light(0.3)).abs().max() > 0.01
 
 
+def test_a_model_from_before_light_is_loaded_and_looks_the_same_at_all_times():
+    model = lit(shades=0.0)
+    older = {name: array for name, array in model.to_arrays().items() if not name.endswith("_shades") and "field_light." not in name}
+    assert len(older) == len(model.to_arrays()) - 2 - len(list(model.field.light.parameters()))
+    loaded = Model.from_arrays(older, {name: value for name, value in model.config.items() if name != "antialiased"})
+    assert not loaded.antialiased
+    for t in TIMES:
+        for now, before in zip(loaded.at(t), model.at(t)):
+            assert torch.equal(now.sh, before.sh)
+
+
 def test_the_rest_state_has_no_light():
     model = lit()
     assert torch.equal(model.at(0.5, move=False)[0].sh, model.gaussians.sh(1))

@@ -50,8 +50,12 @@ def rasterize_torch(
     tile: int = TILE,
     block: int = BLOCK,
     together: int = TOGETHER,
+    antialiased: bool = False,
 ) -> Frame:
-    """Render in float32. Arguments and result as in `rasterize`; only Gaussians can be drawn. Visibility is that of the image's box."""
+    """Render in float32. Arguments and result as in `rasterize`; only Gaussians can be drawn, in the default mode. Visibility is that of
+    the image's box."""
+    if antialiased:
+        raise ValueError("the torch rasterizer has no antialiased mode")
     if gaussians is None or (convexes is not None and len(convexes.points)):
         raise ValueError("the torch rasterizer draws Gaussians, and nothing else")
     splats = project(camera, gaussians)
