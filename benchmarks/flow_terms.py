@@ -78,8 +78,8 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
             start = min(t, 1 - 2 * dt)
             here, there = (rendered_flow(judge.model, camera, s, camera, s + dt)[0].numpy() for s in (start, start + dt))
         counts = (fields.edges(first) >= EDGE) & (fields.confidence(p) >= TRUSTED) & (alpha > COVERED)
-        moving = fields.moving_pixels(first, int(frames.camera[first]))
-        moves = counts & (moving > 0) if moving is not None else counts
+        mask = fields.moving_pixels(first, int(frames.camera[first]))
+        moves = counts & (mask > 0) if mask is not None else counts
         distance = np.linalg.norm(fields.forward(p).astype(np.float32) - flow, axis=-1)
         everywhere.append(distance[counts])
         moving.append(distance[moves])
