@@ -18,14 +18,18 @@ NOT_BY_DEFAULT = {"sum_slots"}  # only with torch.use_deterministic_algorithms(T
 
 
 class OneWrong(Emulator):
-    """An emulator in which one kernel is wrong: all floats that it writes are too large by a hundredth, all flags are inverted."""
+    """An emulator in which one kernel is wrong: all floats that it writes are too large by a hundredth, all flags are inverted.
 
-    def __init__(self, wrong: str) -> None:
+    of: only in programs whose features contain this name.
+    """
+
+    def __init__(self, wrong: str, of: str = "") -> None:
         super().__init__()
-        self.wrong = wrong
+        self.wrong, self.of = wrong, of
 
     def launch(self, program, kernel, blocks, threads, *arguments):
-        tensors = [argument for argument in arguments if isinstance(argument, torch.Tensor)] if kernel == self.wrong else []
+        spoiled = kernel == self.wrong and self.of in str(program)
+        tensors = [argument for argument in arguments if isinstance(argument, torch.Tensor)] if spoiled else []
         before = [tensor.clone() for tensor in tensors]
         super().launch(program, kernel, blocks, threads, *arguments)
         for tensor, old in zip(tensors, before):
@@ -70,6 +74,13 @@ def test_a_kernel_that_is_wrong_is_noticed(kernel, named):
     with pretending_cuda(emulator=OneWrong(kernel)):
         found = disagreement(on_cpu, partial(selftest._step, "planes", "cuda"))
     assert re.search(rf"compute something else than the CPU's: ({named})", found or ""), found
+
+
+def test_the_step_on_nodes_notices_a_wrong_program_of_the_antialiased_mode():
+    """Models on nodes are trained in that mode, whose programs are compiled apart."""
+    with pretending_cuda(emulator=OneWrong("backproject_gaussians", "ANTIALIASED=1")):
+        found = disagreement(partial(selftest._step, "nodes", "cpu"), partial(selftest._step, "nodes", "cuda"))
+    assert re.search("compute something else than the CPU's: the gradient of gaussians", found or ""), found
 
 
 def test_what_only_one_of_them_computes_is_named():
