@@ -94,6 +94,7 @@ PARSED_ONLY = {
     "python benchmarks/moving.py SCENES": REAL,
     "python benchmarks/flow_terms.py SCENES": REAL,
     "python benchmarks/sfm_moving.py SCENES": REAL,
+    "python benchmarks/zoom.py SCENE CAPTURE": "needs a trained scene and its capture",
     "python benchmarks/viewer.py CAPTURE": "needs Chromium and a trained scene",
     "python benchmarks/exports.py WORKSPACE": "needs programs from npm and a trained scene",
     "python benchmarks/overhead.py": "runs for minutes; tests/pipeline/test_overhead.py measures the same at a small size",
