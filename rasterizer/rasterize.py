@@ -38,8 +38,8 @@ def rasterize(
     validate: if True, non-finite or out-of-range values of a primitive raise an error. If False, only the affected primitives are
         culled, with zero gradient. A non-finite camera or background always raises.
     antialiased: if True, a primitive smaller than a pixel fades instead of being drawn as large as a pixel, and one that comes close to
-        the camera fades or is clipped instead of vanishing. Gaussians: the opacity is multiplied by
-        sqrt(det cov / det(cov + 0.3 I)) of the 2D covariance. Convexes: no edge is sharper than a pixel, the opacity keeps the total
+        the camera fades or is clipped instead of vanishing. Gaussians: 0.1 px^2 instead of 0.3 are added to the 2D covariance, and the
+        opacity is multiplied by sqrt(det cov / det(cov + 0.1 I)). Convexes: no edge is sharper than a pixel, the opacity keeps the total
         that a sharp convex would have, and points nearer than `near` are moved to that plane. Both: the opacity falls smoothly from
         z = 2 near to 0 at z = near. The formulas are in docs/maths.md. Models are trained for one mode.
 

@@ -15,7 +15,7 @@ void project_lanes(const ProjectGaussians& job, const Camera<Pack>& camera, cons
     if (none(good)) return;
 
     GaussianView<Pack> view;
-    good = good & project_gaussian(camera, mean, quat, scale, view);
+    good = good & project_gaussian<AA>(camera, mean, quat, scale, view);
     Pack f[3], exponent;
     alignas(64) double lane[12][kLanes];
     for (int l = 0; l < kLanes; ++l) lane[0][l] = double(logs[l]);

@@ -18,7 +18,7 @@ struct GaussianRows {
         Pack mean[3], quat[4], scale[3];
         load_rows(in.means, 3, index, mean), load_rows(in.quats, 4, index, quat), load_rows(in.scales, 3, index, scale);
         GaussianView<Pack> view;
-        project_gaussian(camera, mean, quat, scale, view);
+        project_gaussian<AA>(camera, mean, quat, scale, view);
         Pack f[3], moments[5], dmean2[2], dcov[3];
         alignas(64) double lane[10][kLanes];
         for (int l = 0; l < kLanes; ++l)

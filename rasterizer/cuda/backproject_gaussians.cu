@@ -20,7 +20,7 @@ extern "C" __global__ void __launch_bounds__(kBackThreads)
         const Camera<double> cam = camera_of(camera, width, height);
         const float *mean = means + 3 * int64(i), *quat = quats + 4 * int64(i), *scale = scales + 3 * int64(i), *sum = sums + kGaussianSums * int64(i);
         GaussianView<double> view;
-        project_gaussian(cam, mean, quat, scale, view);
+        project_gaussian<bool(ANTIALIASED)>(cam, mean, quat, scale, view);
         double moments[5], dmean2[2], dcov[3], dcolor[3];
         for (int j = 0; j < 5; ++j) moments[j] = kLn2 * double(sum[5 + j]);  // alpha = 2^e
         moments_backward(records[i].f, moments, dmean2, dcov);

@@ -19,7 +19,7 @@ __device__ inline bool project(const GaussianInputs& in, const Camera<double>& c
     for (int j = 0; j < 3; ++j) good = good && is_finite(mean[j]) && is_finite(scale[j]) && scale[j] > 0.0f;
     for (int j = 0; j < 4; ++j) good = good && is_finite(quat[j]);
     GaussianView<double> view;
-    if (!good || !project_gaussian(cam, mean, quat, scale, view)) return false;
+    if (!good || !project_gaussian<bool(ANTIALIASED)>(cam, mean, quat, scale, view)) return false;
 
     double f[3];
     exponent_factor(view, f);

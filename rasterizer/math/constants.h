@@ -14,6 +14,7 @@ constexpr float kMinAlpha = 1.0f / 255.0f;        // a layer with a smaller alph
 constexpr float kMaxAlpha = 0.99f;                // alpha is capped at this value; a capped alpha has no gradient
 constexpr float kMinTransmittance = 0.99e-4f;     // a layer that would take a pixel's transmittance below this stops it and is not blended
 constexpr double kDilation = 0.3;                 // px^2, added to a Gaussian's 2D covariance
+constexpr double kPixelVariance = 0.1;            // px^2, added instead in the antialiased mode: that of a pixel's box is 1/12
 constexpr double kDegenerateHull = 1e-5;          // a hull is culled if area / squared extent is not above this
 constexpr double kFlatTurn = 1e-12;               // relative to the squared extent: smaller turns may be rounding and make no corner
 constexpr int kMaxPoints = 8;                     // largest number of points of a convex

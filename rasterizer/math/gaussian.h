@@ -8,7 +8,7 @@ template <class T>
 struct GaussianView {
     T p[3];           // centre, camera frame
     T mean[2];        // px
-    T cov[3];         // xx, xy, yy of the 2D covariance, px^2, including the dilation
+    T cov[3];         // xx, xy, yy of the 2D covariance, px^2, including the dilation d
     T det;            // its determinant
     T q[4], q_scale;  // unit quaternion; q = q_scale * quat
     T rot[9];         // rotation matrix of the quaternion
@@ -16,7 +16,7 @@ struct GaussianView {
     T slope[2];       // x/z, y/z as used in the Jacobian (clamped)
     Truth<T> clamped[2];
     T tm[6];          // Jacobian * R, 2x3
-    T b[6];           // tm * m, 2x3; cov = b b^T + 0.3 I
+    T b[6];           // tm * m, 2x3; cov = b b^T + d I
 };
 
 template <class T>
@@ -27,8 +27,14 @@ E4DGS_HD void clamp_slope(T slope, int size, T focal, T principal, T& value, Tru
     value = choose(slope < low, low, choose(slope > high, high, slope));
 }
 
+// px^2, added to the 2D covariance in the mode AA.
+template <bool AA>
+E4DGS_HD constexpr double dilation_of() {
+    return AA ? kPixelVariance : kDilation;
+}
+
 // Returns false if the Gaussian is culled (centre nearer than near_z, or zero quaternion); then the view is meaningless.
-template <class T, class S>
+template <bool AA, class T, class S>
 E4DGS_HD Truth<T> project_gaussian(const Camera<T>& cam, const S* mean, const S* quat, const S* scale, GaussianView<T>& v) {
     to_camera(cam, mean, v.p);
     const T z = v.p[2];
@@ -68,11 +74,11 @@ E4DGS_HD Truth<T> project_gaussian(const Camera<T>& cam, const S* mean, const S*
     const T *b0 = v.b, *b1 = v.b + 3;
     const T xx = b0[0] * b0[0] + b0[1] * b0[1] + b0[2] * b0[2], yy = b1[0] * b1[0] + b1[1] * b1[1] + b1[2] * b1[2];
     const T k0 = b0[1] * b1[2] - b0[2] * b1[1], k1 = b0[2] * b1[0] - b0[0] * b1[2], k2 = b0[0] * b1[1] - b0[1] * b1[0];
-    const T dilation = T(kDilation);
+    const T dilation = T(dilation_of<AA>());
     v.cov[0] = xx + dilation;
     v.cov[1] = b0[0] * b1[0] + b0[1] * b1[1] + b0[2] * b1[2];
     v.cov[2] = yy + dilation;
-    // |b0 x b1|^2 + 0.3 trace + 0.09 is a sum of squares, so needle-shaped Gaussians suffer no cancellation.
+    // |b0 x b1|^2 + d trace + d^2 is a sum of squares, so needle-shaped Gaussians suffer no cancellation.
     v.det = k0 * k0 + k1 * k1 + k2 * k2 + dilation * (xx + yy) + dilation * dilation;
     return good;
 }
@@ -88,7 +94,7 @@ E4DGS_HD void exponent_factor(const GaussianView<T>& v, T* f) {
     f[2] = half / sy;
 }
 
-// The opacity's factor for the dilation, squared: det cov / det (cov + 0.3 I). The first one is |b0 x b1|^2, again without cancellation.
+// The antialiased mode's factor on the opacity, squared: det cov / det (cov + d I). The first is |b0 x b1|^2, again without cancellation.
 template <class T>
 E4DGS_HD T dilation_share2(const GaussianView<T>& v, T* k) {
     const T *b0 = v.b, *b1 = v.b + 3;
@@ -100,11 +106,11 @@ E4DGS_HD T dilation_share2(const GaussianView<T>& v, T* k) {
 template <class T>
 E4DGS_HD void dilation_share_backward(const GaussianView<T>& v, T g, T* db) {
     T k[3];
-    const T share2 = dilation_share2(v, k), down = T(kDilation) * g / v.det;
+    const T dilation = T(kPixelVariance), share2 = dilation_share2(v, k), down = dilation * g / v.det;
     const T *b0 = v.b, *b1 = v.b + 3;
     const T xx = b0[0] * b0[0] + b0[1] * b0[1] + b0[2] * b0[2], yy = b1[0] * b1[0] + b1[1] * b1[1] + b1[2] * b1[2];
-    // d/dk: k (1 / |k|^2 - 1 / det), and det - |k|^2 = 0.3 (xx + yy) + 0.09
-    const T up = down * (xx + yy + T(kDilation)) / (share2 * v.det);
+    // d/dk: k (1 / |k|^2 - 1 / det), and det - |k|^2 = d (xx + yy) + d^2
+    const T up = down * (xx + yy + dilation) / (share2 * v.det);
     for (int i = 0; i < 3; ++i) {
         const int j = (i + 1) % 3, m = (i + 2) % 3;
         db[i] += up * (b1[j] * k[m] - b1[m] * k[j]) - down * b0[i];

@@ -13,6 +13,7 @@ from .antialias import fade
 from .sh import colors_of
 
 DILATION = 0.3  # px^2, added to the diagonal of the 2D covariance
+PIXEL_VARIANCE = 0.1  # px^2, added instead in the antialiased mode: that of a pixel's box is 1/12 (Mip-Splatting, Yu et al. 2024)
 
 
 @dataclass(eq=False)
@@ -22,7 +23,8 @@ class Splats:
     index: Tensor  # [n] int64, indices in the input
     depths: Tensor  # [n] z of the centre in camera coordinates
     centres: Tensor  # [n, 2] px
-    factors: Tensor  # [n, 2, 3] M, px; the 2D covariance is M M^T + 0.3 I
+    factors: Tensor  # [n, 2, 3] M, px; the 2D covariance is M M^T + d I
+    dilation: float  # d, px^2
     opacities: Tensor  # [n]
     colors: Tensor  # [n, 3]
     extras: Tensor  # [n, E]
@@ -72,6 +74,7 @@ def project_gaussians(camera: Camera, gaussians: Gaussians, antialiased: bool = 
         depths=z,
         centres=torch.stack([fx * x / z + cx, fy * y / z + cy], -1),
         factors=factors,
+        dilation=PIXEL_VARIANCE if antialiased else DILATION,
         opacities=opacities,
         colors=colors_of(gaussians, index, means, camera),
         extras=gaussians.extras[index],
@@ -87,25 +90,26 @@ def clamp_without_gradient(slope: Tensor, size: int, focal: Tensor, principal: T
     return torch.where(clamped == slope, slope, clamped)
 
 
-def determinant(m1: Tensor, m2: Tensor) -> Tensor:
-    """[n] det(M M^T + 0.3 I) from the rows of M."""
-    return torch.linalg.cross(m1, m2).square().sum(-1) + DILATION * (m1.square() + m2.square()).sum(-1) + DILATION**2
+def determinant(m1: Tensor, m2: Tensor, dilation: float) -> Tensor:
+    """[n] det(M M^T + d I) from the rows of M and d."""
+    return torch.linalg.cross(m1, m2).square().sum(-1) + dilation * (m1.square() + m2.square()).sum(-1) + dilation**2
 
 
 def dilation_share(factors: Tensor) -> Tensor:
-    """[n] sqrt(det(M M^T) / det(M M^T + 0.3 I)) = |m1 x m2| / sqrt(det), the part of the area that the dilation leaves to the Gaussian."""
+    """[n] sqrt(det(M M^T) / det(M M^T + d I)) = |m1 x m2| / sqrt(det) with the d of the antialiased mode: the part of the area that the
+    dilation leaves to the Gaussian."""
     m1, m2 = factors.unbind(1)
-    return torch.linalg.vector_norm(torch.linalg.cross(m1, m2), dim=-1) / determinant(m1, m2).sqrt()
+    return torch.linalg.vector_norm(torch.linalg.cross(m1, m2), dim=-1) / determinant(m1, m2, PIXEL_VARIANCE).sqrt()
 
 
 def gaussian_alphas(splats: Splats, pixels: Tensor) -> Tensor:
-    """[P, n] o exp(-1/2 d^T C^-1 d) at pixels [P, 2], before the cap and the cutoff; d = pixel - centre, C = M M^T + 0.3 I.
+    """[P, n] o exp(-1/2 d^T C^-1 d) at pixels [P, 2], before the cap and the cutoff; d = pixel - centre, C = M M^T + d I.
 
-    With m1, m2 the rows of M, det C = |m1 x m2|^2 + 0.3 (|m1|^2 + |m2|^2) + 0.09 and
-    d^T adj(C) d = |m2 dx - m1 dy|^2 + 0.3 (dx^2 + dy^2). Both are sums of squares, so needle-shaped Gaussians suffer no cancellation.
+    With m1, m2 the rows of M, det C = |m1 x m2|^2 + d (|m1|^2 + |m2|^2) + d^2 and
+    d^T adj(C) d = |m2 dx - m1 dy|^2 + d (dx^2 + dy^2). Both are sums of squares, so needle-shaped Gaussians suffer no cancellation.
     """
     m1, m2 = splats.factors.unbind(1)
-    det = determinant(m1, m2)
+    det = determinant(m1, m2, splats.dilation)
     dx, dy = (pixels[:, None, :] - splats.centres).unbind(-1)
     across = (m2 * dx[..., None] - m1 * dy[..., None]).square().sum(-1)
-    return splats.opacities * torch.exp(-0.5 * (across + DILATION * (dx * dx + dy * dy)) / det)
+    return splats.opacities * torch.exp(-0.5 * (across + splats.dilation * (dx * dx + dy * dy)) / det)
