@@ -22,10 +22,9 @@ class CoarseSettings(TrainingSettings):
         "side); free, each primitive moves and lives for a time of its own (auto: if masks show what moves)",
     )
     strategy: Strategy = Field("two-stage", description="training strategy, one of the four of Table 3; `fine` uses the same")
-    antialiased: bool | None = Field(
-        None,
-        description="train and draw in the antialiased mode, which is also right at other image sizes and distances than the capture's; "
-        "with control nodes if it is not given",
+    antialiased: bool = Field(
+        True,
+        description="train and draw in the antialiased mode, which is right at other image sizes and distances, too",
     )
     full_from: float = Field(0.75, ge=0, le=1, description="fraction of the steps that use images of half the size, before the full size")
     seeds: int = Field(0, ge=0, le=2_000_000, description="initial number of Gaussians; 0: half the budget for rigs, else 8000")

@@ -82,7 +82,7 @@ def _model(motion: str) -> Model:
         for amount, parameters in ((0.03, [*field.parameters()]), (0.3, shapes)):
             for p in parameters:
                 p.add_(amount * torch.randn(p.shape, generator=g))
-    return Model(gaussians, convexes, field, degree, antialiased=motion == "nodes")  # the mode in which each is trained by default
+    return Model(gaussians, convexes, field, degree, antialiased=motion == "nodes")  # one motion for each mode
 
 
 def _views(device: str) -> Views:

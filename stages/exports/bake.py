@@ -8,29 +8,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .capture_cameras import camera_of, distinct_views
+from .plain import PlainLook
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
-    from ...rasterizer import Convexes, Frame, Gaussians
+    from ...rasterizer import Frame, Gaussians
     from ...scene.convex_gaussians import GaussianFit
     from ...scene.model import Model
     from ..artifacts.frameset import FrameSet
 
 SPREADS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # standard deviations of a Gaussian over those of its convex's points; the fit begins at the best
 LOOKS = 4  # views by which candidates are judged
-VIEWS = 24  # training views over which the factors on opacities are averaged
 STEPS = 200  # steps of the fit, each with another camera and time; a fit to the same 12 views over and over overfits to them
 RATE = 0.04  # learning rate of Adam, decays to a twentieth; in ln of standard deviations, offsets in standard deviations, and logits
 
 
 @dataclass
 class Baked:
-    """``model``, with its convexes replaced by Gaussians according to ``fit``. share: [N] factors on the opacities of its Gaussians."""
+    """``model``, with its convexes replaced by Gaussians according to ``fit``. plain: what changes in its other Gaussians."""
 
     model: Model
     fit: GaussianFit
-    share: Tensor
+    plain: PlainLook
 
     def at(self, t: float) -> Gaussians:
         """The Gaussians, with SH, at time ``t`` in [0, 1]. Their number and order are the same at all times."""
@@ -39,8 +37,8 @@ class Baked:
         from ...scene.formats.ply import joined
 
         with torch.no_grad():
-            gaussians, convexes = _shared(self.model, t, self.share)
-            return joined(gaussians, self.fit.gaussians(convexes))
+            gaussians, convexes = self.model.at(t)
+            return joined(self.plain(gaussians), self.fit.gaussians(convexes))
 
 
 @dataclass
@@ -61,42 +59,17 @@ def bake(model: Model, frames: FrameSet) -> Baked:
     closest to those of the full ``model``. The rest of the model does not change."""
     from ...scene.convex_gaussians import GaussianFit
 
-    reference, share = model.convexes.points.detach(), plain_share(model, frames)
+    reference, plain = model.convexes.points.detach(), PlainLook.of(model, frames)
     if not len(model.convexes):
-        return Baked(model, GaussianFit.uniform(reference, 1.0), share)
+        return Baked(model, GaussianFit.uniform(reference, 1.0), plain)
     few = frames.train[np.linspace(0, len(frames.train) - 1, min(LOOKS, len(frames.train))).round().astype(int)]
     starts = [GaussianFit.uniform(reference, spread) for spread in SPREADS]
-    best = starts[int(np.argmin([_error(Baked(model, start, share), frames, few) for start in starts]))]
-    fits = best, _fitted(model, frames, best, share)
-    return min((Baked(model, fit, share) for fit in fits), key=lambda baked: _error(baked, frames, few))
+    best = starts[int(np.argmin([_error(Baked(model, start, plain), frames, few) for start in starts]))]
+    fits = best, _fitted(model, frames, best, plain)
+    return min((Baked(model, fit, plain) for fit in fits), key=lambda baked: _error(baked, frames, few))
 
 
-def plain_share(model: Model, frames: FrameSet) -> Tensor:
-    """[N] factors on the opacities of the Gaussians with which programs that have no antialiased mode draw them like that mode does, at the
-    size and distance of the training views (as the mean over some of these). All 1 if the model is not for that mode."""
-    import torch
-
-    from ...scene.model import inside_image
-    from ...scene.training.control.hidden import footprint
-
-    total = torch.zeros(len(model.gaussians), 2)
-    if not model.antialiased:
-        return torch.ones(len(total))
-    with torch.no_grad():
-        for i in distinct_views(frames, frames.train, VIEWS):
-            camera, (gaussians, _) = camera_of(model, frames, int(i)), model.at(float(frames.time[i]))
-            share = footprint(camera, gaussians, dilation=0.0) / footprint(camera, gaussians).clamp(min=1e-12)
-            seen = inside_image(camera, gaussians.means)
-            total += torch.stack([torch.where(seen, share, 0.0), seen.float()], 1)
-    return torch.where(total[:, 1] > 0, total[:, 0] / total[:, 1].clamp(min=1), 1.0)
-
-
-def _shared(model: Model, t: float, share: Tensor) -> tuple[Gaussians, Convexes]:
-    gaussians, convexes = model.at(t)
-    return replace(gaussians, opacities=gaussians.opacities * share), convexes
-
-
-def _fitted(model: Model, frames: FrameSet, start: GaussianFit, share: Tensor) -> GaussianFit:
+def _fitted(model: Model, frames: FrameSet, start: GaussianFit, plain: PlainLook) -> GaussianFit:
     """``start`` after gradient descent on the squared difference of colour and alpha. The full model provides the ground truth from any
     camera at any time."""
     import torch
@@ -110,8 +83,8 @@ def _fitted(model: Model, frames: FrameSet, start: GaussianFit, share: Tensor) -
         i, t = int(rng.choice(frames.train)), float(rng.uniform())
         wanted = _render(model, None, frames, i, t)
         with torch.no_grad():
-            gaussians, convexes = _shared(model, t, share)
-        seen = _render(model, joined(gaussians, replace(start, **learned).gaussians(convexes)), frames, i, t)
+            gaussians, convexes = model.at(t)
+        seen = _render(model, joined(plain(gaussians), replace(start, **learned).gaussians(convexes)), frames, i, t)
         loss = (seen.color - wanted.color).square().mean() + (seen.alpha - wanted.alpha).square().mean()
         optimiser.param_groups[0]["lr"] = RATE * (1 - 0.95 * step / STEPS)
         optimiser.zero_grad()

@@ -118,8 +118,8 @@ def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings
         field = make_nodes(points, settings)
     elif kind == "planes":
         field = make_field(points[dynamic] if dynamic.sum() >= LEAST_DYNAMIC else points, views, settings)
-    antialiased = kind == "nodes" if settings.antialiased is None else settings.antialiased
-    return Model(gaussians, ConvexSet.empty(6, sh_degree), field, sh_degree, views.near, views.background, antialiased=antialiased)
+    empty = ConvexSet.empty(6, sh_degree)
+    return Model(gaussians, empty, field, sh_degree, views.near, views.background, antialiased=settings.antialiased)
 
 
 def phases(kind: Kind, steps: int, views: Views, settings: CoarseSettings) -> list[Phase]:

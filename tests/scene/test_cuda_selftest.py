@@ -77,7 +77,7 @@ def test_a_kernel_that_is_wrong_is_noticed(kernel, named):
 
 
 def test_the_step_on_nodes_notices_a_wrong_program_of_the_antialiased_mode():
-    """Models on nodes are trained in that mode, whose programs are compiled apart."""
+    """Models are trained in that mode by default, and its programs are compiled apart."""
     with pretending_cuda(emulator=OneWrong("backproject_gaussians", "ANTIALIASED=1")):
         found = disagreement(partial(selftest._step, "nodes", "cpu"), partial(selftest._step, "nodes", "cuda"))
     assert re.search("compute something else than the CPU's: the gradient of gaussians", found or ""), found

@@ -56,20 +56,10 @@ def test_a_scene_is_static_where_the_user_says_so_or_flow_has_found_it(said, fou
     assert is_static(SimpleNamespace(facts={"static": said}, inputs={"flow": old})) is said
 
 
-@pytest.mark.parametrize(
-    ("kind", "setting", "antialiased"),
-    [
-        ("nodes", None, True),
-        ("nodes", False, False),
-        ("planes", None, False),
-        ("planes", True, True),
-        ("free", None, False),
-        ("static", None, False),
-        ("static", True, True),
-    ],
-)
-def test_models_on_nodes_are_antialiased_and_others_if_they_are_asked_to_be(kind, setting, antialiased):
+@pytest.mark.parametrize("kind", ["nodes", "planes", "free", "static"])
+def test_models_are_antialiased_unless_they_are_asked_not_to_be(kind):
     points = np.random.default_rng(0).uniform(-1, 1, (60, 3))
     start = Start(points, np.full((60, 3), 0.5), np.ones(60, bool), None, 0.1)
     views = SimpleNamespace(time=np.linspace(0, 1, 9), near=0.1, background=(0.0, 0.0, 0.0))
-    assert first_model(kind, start, views, 1, CoarseSettings(antialiased=setting)).antialiased is antialiased
+    assert first_model(kind, start, views, 1, CoarseSettings()).antialiased
+    assert not first_model(kind, start, views, 1, CoarseSettings(antialiased=False)).antialiased

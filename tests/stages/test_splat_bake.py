@@ -1,5 +1,7 @@
 """Gaussians fitted to convexes render nearer to them, before cameras that the fit has not seen, than the best uniform ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.exports.bake import SPREADS, Baked, bake, loss_of
+from e4dgs.stages.exports.plain import PlainLook
 from run_stage import run_frames
 
 
@@ -36,7 +39,7 @@ def test_the_fit_is_nearer_than_uniform_gaussians_from_cameras_it_has_not_seen(f
     model = made_of_convexes()
     loss = loss_of(model, fitted, frames, 0.0)
     uniform = [
-        loss_of(model, Baked(model, GaussianFit.uniform(model.convexes.points.detach(), s), torch.ones(10)).at(0.0), frames, 0.0)
+        loss_of(model, Baked(model, GaussianFit.uniform(model.convexes.points.detach(), s), PlainLook.unchanged(10)).at(0.0), frames, 0.0)
         for s in SPREADS
     ]
     assert (loss.cameras, loss.convexes) == (4, 40)
@@ -44,16 +47,17 @@ def test_the_fit_is_nearer_than_uniform_gaussians_from_cameras_it_has_not_seen(f
     assert "40 convexes became Gaussians" in str(loss)
 
 
-def test_an_antialiased_model_loses_less_when_its_opacities_are_adjusted_for_other_programs(frames):
-    """Gaussians of about a pixel, which programs without the antialiased mode draw too large."""
+@pytest.mark.parametrize(("size", "by_opacity", "by_scale"), [(0.01, 15, -1), (0.04, 3, 8)])
+def test_an_antialiased_model_loses_less_when_it_is_adjusted_for_other_programs(frames, size, by_opacity, by_scale):
+    """Programs without the antialiased mode draw Gaussians too large. For small ones opacities make up for it, for large ones scales."""
     rng = np.random.default_rng(6)
-    gaussians = GaussianSet.from_points(rng.uniform(-0.8, 0.8, (3000, 3)), rng.uniform(0, 1, (3000, 3)), 1, opacity=0.6, max_scale=0.01)
+    gaussians = GaussianSet.from_points(rng.uniform(-0.8, 0.8, (3000, 3)), rng.uniform(0, 1, (3000, 3)), 1, opacity=0.6, max_scale=size)
     model = Model(gaussians, ConvexSet.empty(6, 1), None, 1, background=(1.0, 1.0, 1.0), antialiased=True)
-    baked = bake(model, frames)
-    assert 0.05 < float(baked.share.median()) < 0.95
-    as_it_is = Baked(model, baked.fit, torch.ones(3000))
-    adjusted, plain = (loss_of(model, one.at(0.0), frames, 0.0).psnr for one in (baked, as_it_is))
-    assert adjusted > plain + 6 and adjusted > 30
+    adjusted = bake(model, frames)
+    as_it_is = replace(adjusted, plain=PlainLook.unchanged(3000))
+    opacities_alone = replace(adjusted, plain=replace(adjusted.plain, excess=torch.zeros(3000)))
+    full, some, none = (loss_of(model, one.at(0.0), frames, 0.0).psnr for one in (adjusted, opacities_alone, as_it_is))
+    assert full > 30 and some > none + by_opacity and full > some + by_scale, (full, some, none)
 
 
 def test_the_same_model_gives_the_same_gaussians(frames, fitted):
