@@ -1,5 +1,5 @@
 // What the antialiased mode adds to projection, forward and backward; docs/maths.md, "Antialiased mode", has the formulas. Nothing of it is
-// computed per pixel: the mode only changes a primitive's opacity, sharpness and points.
+// computed per pixel: the mode only changes a primitive's blur, opacity, sharpness and points.
 #pragma once
 #include "camera.h"
 

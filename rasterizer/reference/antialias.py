@@ -1,4 +1,4 @@
-"""What the antialiased mode changes: opacities, sharpness and points, before anything is drawn (docs/maths.md, "Antialiased mode")."""
+"""What the antialiased mode does to opacities, sharpness and points before anything is drawn (docs/maths.md, "Antialiased mode")."""
 
 from __future__ import annotations
 
