@@ -12,7 +12,7 @@ import torch
 from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.interface import Rest
+from e4dgs.scene.motion.lives import live
 from e4dgs.scene.primitives import Life
 
 matplotlib.use("Agg")
@@ -87,14 +87,14 @@ def lives() -> plt.Figure:
         torch.tensor([[0.02, 0, 0], [-0.01, 0, 0], [0.03, 0, 0]]),
         torch.zeros(3, 3),
     )
-    rest = Rest(torch.zeros(3, 3), torch.tensor([[1.0, 0, 0, 0]]).repeat(3, 1), torch.zeros(3, 2), None, life, None)
+    points, whole, dynamic = torch.zeros(3, 1, 3), torch.ones(3), torch.ones(3, dtype=torch.bool)
     moments = np.linspace(0, 1, 200)
-    moved = [motion.carry(rest, float(t)) for t in moments]
+    alive = [live(points, None, whole, life, dynamic, motion.frame(float(t))) for t in moments]
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(7, 3.6), sharex=True)
     frames = moments * (times - 1)
     for i in range(3):
-        presence = np.array([float(m.presence[i]) for m in moved])
-        there = np.where(presence > 0.02, [float(m.points[i, 0]) for m in moved], np.nan)
+        presence = np.array([float(shown[i]) for _, _, shown in alive])
+        there = np.where(presence > 0.02, [float(moved[i, 0, 0]) for moved, _, _ in alive], np.nan)
         upper.plot(frames, presence)
         lower.plot(frames, there)
     upper.set_ylabel("share of opacity"), lower.set_ylabel("x, world units"), lower.set_xlabel("frame")

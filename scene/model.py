@@ -16,7 +16,7 @@ from .motion.field import DeformationField
 from .motion.free import FreeMotion
 from .motion.interface import Rest
 from .motion.nodes import ControlNodes
-from .primitives import ConvexSet, GaussianSet, Life, PrimitiveSet
+from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 
 KINDS: Mapping[str, Any] = {"planes": DeformationField, "nodes": ControlNodes, "free": FreeMotion}
 
@@ -67,21 +67,28 @@ class Model:
     def at(self, t: float, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None) -> tuple[Gaussians, Convexes]:
         """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
 
-        Only dynamic primitives go through the motion. If a ``camera`` is given and culling pays off for this motion, those that the camera
-        cannot see are skipped. move=False renders the rest state.
+        Only dynamic primitives move. If a ``camera`` is given, and culling pays off for this motion, those whose rest position it cannot
+        see are skipped. move=False renders the rest state.
         """
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         g, c = self.gaussians, self.convexes
-        means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
-        shown, convex_shown = g.opacities, c.opacities
+        means, quats, log_scales, shown = g.means, g.quats, g.log_scales, g.opacities
+        points, convex_shown = c.points, c.opacities
         light = None
-        if self.field is not None and move:
-            light = self.field.light(t)
+        field = self.field if move else None
+        if isinstance(field, FreeMotion):
+            means, turned, shown = field.alive(g, t)
+            assert turned is not None
+            quats = turned
+            if len(c):
+                points, _, convex_shown = field.alive(c, t)
+        elif field is not None:
+            light = field.light(t)
             index = self._moving(g, camera, margin=0.25)
             convex_index = self._moving(c, camera, margin=0.25)
             n = len(index)
             if n + len(convex_index):
-                moved = self.field.carry(self._rest(index, convex_index), t)
+                moved = field.carry(self._rest(index, convex_index), t)
                 if n == len(means):  # the usual case in small scenes; avoids indexed copies
                     means, quats = moved.points[:n], moved.quats
                     log_scales = log_scales if moved.log_scales is None else log_scales + moved.log_scales
@@ -89,12 +96,6 @@ class Model:
                     means = means.index_copy(0, index, moved.points[:n])
                     quats = quats.index_copy(0, index, moved.quats)
                     log_scales = log_scales if moved.log_scales is None else log_scales.index_add(0, index, moved.log_scales)
-                if moved.presence is not None:
-                    shown = shown.index_copy(0, index, shown[index] * moved.presence[:n])
-                    if len(convex_index):
-                        convex_shown = convex_shown.index_copy(
-                            0, convex_index, convex_shown[convex_index] * moved.presence[n :: points.shape[1]]
-                        )
                 if len(convex_index):
                     points = points.index_copy(0, convex_index, moved.points[n:].reshape(-1, *points.shape[1:]))
         gaussians = Gaussians(means, quats, torch.exp(log_scales), shown, sh=g.sh(degree, light))
@@ -104,6 +105,10 @@ class Model:
     def centres_at(self, index: Tensor, t: float) -> Tensor:
         """[m, 3] centres of the Gaussians ``index`` at time ``t``, moved whether they are dynamic or not."""
         assert self.field is not None
+        if isinstance(self.field, FreeMotion):
+            chosen = self.gaussians.select(index)
+            chosen.dynamic.fill_(True)
+            return self.field.alive(chosen, t)[0]
         return self.field.carry(self._rest(index, index[:0]), t).points
 
     def relink(self) -> None:
@@ -129,24 +134,16 @@ class Model:
         g, c = self.gaussians, self.convexes
         whole = len(index) == len(g)
         points, quats, hyper = (p if whole else p[index] for p in (g.means, g.quats, g.hyper))
-        life = None
-        if isinstance(self.field, FreeMotion):
-            life = g.life if whole else Life(*(p[index] for p in g.life))
-        centres = None
         link = self.links(g)
         link = link if whole or link is None else link[index]
         if len(convex_index):
             corners = c.points.shape[1]
             points = torch.cat([points, c.points[convex_index].reshape(-1, 3)])
             hyper = torch.cat([hyper, c.hyper[convex_index].repeat_interleave(corners, 0)])
-            if life is not None:
-                theirs = (p[convex_index].repeat_interleave(corners, 0) for p in c.life)
-                life = Life(*(torch.cat(pair) for pair in zip(life, theirs)))
-                centres = torch.cat([g.means[index], c.points[convex_index].mean(1).repeat_interleave(corners, 0)])
             other = self.links(c)
             if link is not None and other is not None:
                 link = torch.cat([link, other.reshape(len(c), corners, -1)[convex_index].flatten(0, 1)])
-        return Rest(points, quats, hyper, link, life, centres)
+        return Rest(points, quats, hyper, link)
 
     def _moving(self, primitives: PrimitiveSet, camera: Camera | None, margin: float) -> Tensor:
         """Indices [m] of the dynamic primitives whose rest position lies in the camera's view, widened by ``margin`` of its size."""

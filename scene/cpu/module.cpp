@@ -1,5 +1,3 @@
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
@@ -10,7 +8,6 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <initializer_list>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -18,34 +15,18 @@
 #include <vector>
 
 #include "adam.h"
+#include "arrays.h"
 #include "displacement.h"
 #include "field.h"
 #include "field_run.h"
+#include "lives_module.h"
 #include "photometric.h"
 #include "skinning.h"
 #include "smoothness.h"
 
-namespace nb = nanobind;
-using In = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
-using Out = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
-
 namespace {
 
-using Ins = std::vector<In>;
-using Outs = std::vector<Out>;
 using Box = std::pair<std::array<float, 3>, std::array<float, 3>>;  // low and high corner
-
-template <class A>
-void check(const A& array, std::initializer_list<size_t> shape, const char* name) {
-    bool good = array.ndim() == shape.size();
-    std::string wanted;
-    size_t axis = 0;
-    for (size_t n : shape) {
-        good = good && array.shape(axis++) == n;
-        wanted.append(wanted.empty() ? "" : ",").append(std::to_string(n));
-    }
-    if (!good) throw std::invalid_argument(std::string(name) + " must be [" + wanted + "]");
-}
 
 // space [3,R,R,C] and time [3,T,R,C] of each level; weights w1 b1 w2 b2 w3 b3 in torch's layout, or none.
 e4dgs::FieldInput field_of(const Ins& space, const Ins& time, const Ins& weights, const In& points, const Box& box, float t) {
@@ -258,6 +239,8 @@ NB_MODULE(_kernels, m) {
         nb::gil_scoped_release release;
         e4dgs::nearest_nodes(in, link.data(), threads);
     });
+
+    bind_lives(m);
 
     m.def("photometric", [](In x, In y, float w_l1, float w_ssim, Out grad, int threads) {
         if (x.ndim() != 3 || x.shape(2) != 3 || y.size() != x.size() || grad.size() != x.size()) throw std::invalid_argument("x, y, grad must be [H,W,3]");

@@ -10,18 +10,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..rotation import compose, rotate
-from .interface import Moved, Rest
+from ..primitives import GaussianSet, PrimitiveSet
+from .lives import live
 
 
 class FreeMotion(nn.Module):
-    """Implements `Motion` with the `Life` of each primitive; it has no parameters of its own.
+    """A `Motion` by the `Life` of each primitive (`Model.at` calls `alive` in place of `carry`); it has no parameters of its own.
 
     Args:
         times: number of distinct times in the capture; lives are measured in these frames.
     """
 
-    worth_culling = True
+    worth_culling = False
     steady = True
 
     def __init__(self, times: int) -> None:
@@ -37,18 +37,13 @@ class FreeMotion(nn.Module):
     def light(self, t: float) -> None:
         """Colours do not change: primitives can appear and vanish instead."""
 
-    def carry(self, rest: Rest, t: float) -> Moved:
-        life = rest.life
-        assert life is not None
-        age = self.frame(t) - life.times
-        turns = turned_by(life.spins * age[:, None])
-        points = rest.points + life.velocities * age[:, None]
-        m = len(rest.quats)
-        if rest.centres is not None and len(points) > m:  # corners turn about the middle of their convex
-            arms = rest.points[m:] - rest.centres[m:]
-            points = torch.cat([points[:m], points[m:] + rotate(turns[m:], arms) - arms])
-        presence = torch.exp(-0.5 * (age * torch.exp(-life.log_spans)).square())
-        return Moved(points, compose(turns[:m], rest.quats), None, presence)
+    def alive(self, primitives: PrimitiveSet, t: float) -> tuple[Tensor, Tensor | None, Tensor]:
+        """At time ``t`` in [0, 1], of all N primitives: their points, as means [N, 3] or corners [N, K, 3]; the quaternions [N, 4] of
+        Gaussians, None for convexes; their opacities [N]. Those that are not dynamic are at rest."""
+        quats = primitives.quats if isinstance(primitives, GaussianSet) else None
+        points = primitives.rest_points().reshape(len(primitives), -1, 3)
+        moved, turned, shown = live(points, quats, primitives.opacities, primitives.life, primitives.dynamic, self.frame(t))
+        return moved[:, 0] if quats is not None else moved, turned, shown
 
     def frame(self, t: float) -> float:
         """Fractional frame number at time ``t`` in [0, 1]."""
@@ -68,10 +63,3 @@ class FreeMotion(nn.Module):
     def regulariser(self) -> Tensor:
         """There are no planes to smooth."""
         return torch.zeros(())
-
-
-def turned_by(vectors: Tensor) -> Tensor:
-    """Unit quaternions [N, 4] (w x y z) of rotation vectors [N, 3], radians; smooth at zero."""
-    half = 0.5 * vectors
-    angle = half.square().sum(1, keepdim=True).clamp(min=1e-16).sqrt()
-    return torch.cat([torch.cos(angle), half * (torch.sin(angle) / angle)], 1)

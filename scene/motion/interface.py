@@ -7,8 +7,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from torch import Tensor
 
-from ..primitives import Life
-
 
 class Displacement(NamedTuple):
     """The change of N rest positions at one time.
@@ -26,37 +24,28 @@ class Rest(NamedTuple):
     """What a motion carries: the centres of M Gaussians, followed by corners of convexes.
 
     points: [N, 3] world units. quats: [M, 4] of the Gaussians, w x y z, any norm. hyper: [N, 2] coordinates in addition to x, y, z, in
-    which parts that touch can be apart. link: [N, k] int32, see `Motion.links`. life: of the N points, each that of its primitive.
-    centres: [N, 3] world units, the point that each turns about; None if all points are centres.
+    which parts that touch can be apart. link: [N, k] int32, see `Motion.links`.
     """
 
     points: Tensor
     quats: Tensor
     hyper: Tensor
     link: Tensor | None
-    life: Life | None = None
-    centres: Tensor | None = None
 
 
 class Moved(NamedTuple):
-    """`Rest` at one time: points [N, 3]; quats [M, 4]; log_scales [M, 3], added to the logarithms of the Gaussians' scales, or None;
-    presence [N] in [0, 1], the share of its opacity that each point has at that time, or None for all of it."""
+    """`Rest` at one time: points [N, 3]; quats [M, 4]; log_scales [M, 3], added to the logarithms of the Gaussians' scales, or None."""
 
     points: Tensor
     quats: Tensor
     log_scales: Tensor | None
-    presence: Tensor | None = None
 
 
 class Motion(Protocol):
-    """A motion model: the six-plane field, control nodes, or free primitives."""
+    """A motion model: the six-plane field, control nodes, or free primitives. The first two are a `Carrier`, too."""
 
     worth_culling: bool  # whether leaving out positions outside the image saves time
     steady: bool  # motion is steady by construction, so that the priors do not apply
-
-    def carry(self, rest: Rest, t: float) -> Moved:
-        """``rest`` at time ``t`` in [0, 1]. Positions get gradients through the transform that moves them, not through the look-up."""
-        ...
 
     def links(self, points: Tensor, hyper: Tensor) -> Tensor | None:
         """[N, k] int32: which parts of the motion carry each of ``points`` [N, 3] with ``hyper`` [N, 2]; None if it has no parts. This
@@ -79,4 +68,12 @@ class Motion(Protocol):
 
     def regulariser(self) -> Tensor:
         """The term of lambda_3 in Eq. 9, a scalar."""
+        ...
+
+
+class Carrier(Motion, Protocol):
+    """A motion that is defined at places, so that it carries whatever is there."""
+
+    def carry(self, rest: Rest, t: float) -> Moved:
+        """``rest`` at time ``t`` in [0, 1]. Positions get gradients through the transform that moves them, not through the look-up."""
         ...
