@@ -31,8 +31,3 @@ def neighbour_radius(centres: np.ndarray, neighbours: int = 3) -> np.ndarray:
     distance = cKDTree(centres).query(centres, k=k + 1)[0][:, 1:].mean(axis=1)
     positive = distance[distance > 0]
     return np.maximum(distance, positive.min() if len(positive) else 1.0)
-
-
-def fibonacci_convexes(centres: np.ndarray, radii: np.ndarray, corners: int) -> np.ndarray:
-    """``corners`` points on a sphere around each centre: [M, corners, 3] float64."""
-    return centres[:, None, :] + radii[:, None, None] * fibonacci_sphere(corners)[None]

@@ -10,10 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .rotation import quats_to_matrices
+
 SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
 HYPER = 2  # extra coordinates of control nodes, in addition to x, y, z
 SHADES = 3  # courses of light that the colours of primitives can follow
 ALWAYS = 1e4  # frames; a primitive with so long a life is present throughout
+TAU_RADIUS = 20.0  # initial tau of a convex times its radius: the smooth maximum exceeds the true one by at most ln K / 20 of the radius
+KAPPA_RADIUS = 12.0  # initial kappa times radius: alpha falls from 95 % to 5 % of the opacity over half of the radius
 LIFE = ("times", "log_spans", "velocities", "spins")
 
 
@@ -201,10 +205,8 @@ class ConvexSet(PrimitiveSet):
         return cls(
             {
                 "points": torch.tensor(points),
-                # tau r = 20: the smooth maximum exceeds the true one by at most ln K / 20 of the radius.
-                "log_tau": torch.tensor(np.log(20.0 / radius)),
-                # kappa r = 12: alpha falls from 95 % to 5 % of the opacity over half of the radius.
-                "log_kappa": torch.tensor(np.log(12.0 / radius)),
+                "log_tau": torch.tensor(np.log(TAU_RADIUS / radius)),
+                "log_kappa": torch.tensor(np.log(KAPPA_RADIUS / radius)),
                 "opacity_logits": torch.full((m,), float(np.log(opacity / (1 - opacity)))),
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(m, (sh_degree + 1) ** 2 - 1, 3),
@@ -213,3 +215,20 @@ class ConvexSet(PrimitiveSet):
                 **whole_life(m),
             }
         )
+
+    @classmethod
+    def replacing(cls, gaussians: GaussianSet, corners: int, reach: float = 1.4) -> ConvexSet:
+        """A convex in place of each of the M ``gaussians``, with its colours, opacity, motion and life. Its ``corners`` points lie on a
+        Fibonacci sphere that is stretched to ``reach`` standard deviations of the Gaussian."""
+        from .fibonacci import fibonacci_sphere
+
+        g = gaussians.parameters
+        with torch.no_grad():
+            sphere = torch.tensor(fibonacci_sphere(corners), dtype=torch.float32, device=gaussians.device)
+            scales = reach * g["log_scales"].exp()
+            points = g["means"][:, None] + (quats_to_matrices(g["quats"])[:, None] @ (scales[:, None] * sphere)[..., None])[..., 0]
+            # A Gaussian of a surface is flat: what the image shows of it are its two larger axes.
+            log_radius = scales.sort(1).values[:, 1:].log().mean(1)
+            shape = {"points": points, "log_tau": math.log(TAU_RADIUS) - log_radius, "log_kappa": math.log(KAPPA_RADIUS) - log_radius}
+            parameters = {name: (shape[name] if name in shape else g[name]).detach().clone() for name in cls.FIELDS}
+        return cls(parameters, gaussians.dynamic)

@@ -33,7 +33,7 @@ class RefinementSettings(Settings):
     rigid: float = Field(0.01, ge=0, description="weight of how differently neighbours move, so that parts move rigidly")
     inertia: float | None = Field(None, ge=0, description="weight of how abruptly motion changes between times; 0.03 for nodes, else 0.01")
     opacity: float | None = Field(
-        None, ge=0, description="px of error that an opaque primitive must remove, or it fades; 0.15 for planes, 0.01 for nodes"
+        None, ge=0, description="px of error that an opaque primitive must remove, or it fades; 0.15 for planes, else 0.01"
     )
     spread: float | None = Field(None, ge=0, description="weight of the spread in depth of what one pixel shows; 0.3 for nodes, else 0")
     smooth: float = Field(2.0, ge=0, description="rigs: weight of how much surfaces bend where pictures are smooth")

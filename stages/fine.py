@@ -1,4 +1,4 @@
-"""`fine`: adds convexes to the Gaussians where edges are dense, and refines both."""
+"""`fine`: puts convexes in place of Gaussians where edges are badly shown, and refines both."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from .facts import Facts
 class FineSettings(RefinementSettings):
     iterations: int = Field(1500, ge=0, le=1_000_000, description="optimiser steps of this stage")
     lr_scale: float = Field(0.3, gt=0, le=1, description="factor on the initial learning rates of what `coarse` has trained")
-    convex_opacity: float = Field(0.3, gt=0, lt=1, description="initial opacity of convexes")
 
 
 class Fine(Stage):

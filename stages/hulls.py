@@ -1,4 +1,4 @@
-"""`hulls`: initial convexes. Fibonacci spheres around seeds where edges are dense, sized by the distance to their neighbours."""
+"""`hulls`: chooses the Gaussians that become convexes: those under which edges are dense and badly shown."""
 
 from __future__ import annotations
 
@@ -8,19 +8,23 @@ from typing import Any
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage
+from .coarse import CoarseSettings
 from .facts import Facts
+from .training.choices import most_convexes, use_nodes
 
 
 class HullSettings(Settings):
     k: int = Field(6, ge=3, le=8, description="number of points of a convex")
-    budget: int = Field(2500, ge=0, le=200_000, description="most convexes; 0: none")
-    min_edge_density: float = Field(0.25, ge=0, le=1, description="least mean edge weight under a seed, over the views that show it")
-    radius: float = Field(1.0, gt=0, le=10, description="radius of a convex: factor on the mean distance to its three nearest neighbours")
+    budget: int | None = Field(
+        None, ge=0, le=200_000, description="most convexes; 0: none. By default 8000, but none with control nodes, where they gain nothing"
+    )
+    share: float = Field(0.2, ge=0, le=1, description="largest share of the Gaussians that become convexes")
+    min_edge_density: float = Field(0.25, ge=0, le=1, description="least mean edge weight under a Gaussian that becomes a convex")
     views: int = Field(24, ge=1, description="number of training views in which edges are measured")
 
 
 class Hulls(Stage):
-    """Attributes edge density to the Gaussians of `coarse` that are blended at edge pixels. Those with the most become seeds."""
+    """Attributes edges, and the error there, to the Gaussians of `coarse`. Those with the most error become convexes in `fine`."""
 
     name = "hulls"
     inputs = ("frames", "poses", "flow", "coarse")
@@ -31,7 +35,10 @@ class Hulls(Stage):
     def applies(self, facts: Mapping[str, Any], settings: HullSettings) -> Applies:
         if settings.budget == 0:
             return Applies.no("hulls.budget is 0")
-        return Applies.yes(f"up to {settings.budget} convexes where edges are dense")
+        most = most_convexes(settings.budget, nodes=use_nodes(Facts.of(facts), CoarseSettings.model_validate({})))
+        if most == 0:
+            return Applies.yes("with control nodes convexes gain nothing, so there are none; hulls.budget sets a number")
+        return Applies.yes(f"up to {most} convexes where edges are dense and badly shown")
 
     def estimate(self, facts: Mapping[str, Any], settings: HullSettings) -> float | None:
         known = Facts.of(facts)

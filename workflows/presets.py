@@ -8,7 +8,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     # A first look within minutes on two cores.
     "fast": {
         "coarse.effort": 0.15,
-        "hulls.budget": 1000,
+        "hulls.share": 0.04,
         "fine.iterations": 300,
     },
     # As good as it gets, for as long as it takes.

@@ -53,5 +53,5 @@ NODES = Recipe(
     prune_at=0.85,
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )
-FREE = Recipe(rest=0.0, freeze_at=2.0, opens=False)
+FREE = Recipe(opacity=0.01, rest=0.0, freeze_at=2.0, opens=False)
 RECIPES = {"planes": PLANES, "nodes": NODES, "free": FREE}  # keyed by the "kind" in a motion's config

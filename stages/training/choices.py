@@ -17,6 +17,7 @@ ITERATIONS_A_TIME = 200  # steps per time of a rig, since each time needs its ow
 MOST_ITERATIONS = 30_000
 LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
 ITERATIONS_NODES = 40_000
+CONVEXES = 8000
 NODE_TIMES = 9  # least number of times; fewer say too little about motion
 
 
@@ -27,14 +28,12 @@ def is_static(ctx: Context) -> bool:
 
 
 def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:
-    """Most Gaussians: one per eight pixels of a view, between 12,000 and 120,000. One per five pixels with control nodes, whose few
-    parameters support more. One per four pixels for a rig, which sees a whole room, between 40,000 and 240,000."""
+    """Most Gaussians at one time: one per four pixels of a view, one per five with control nodes, one per eight if nothing moves, between
+    12,000 and 120,000. For a rig, which sees a whole room, one per four, between 40,000 and 240,000."""
     pixels = views.width * views.height
     if facts.rig:
         return int(min(max(pixels // 4, 40_000), 240_000))
-    if nodes:
-        return int(min(max(pixels // 5, 12_000), 120_000))
-    return int(min(max(pixels // 8, 12_000), 120_000))
+    return int(min(max(pixels // (8 if facts.static else 5 if nodes else 4), 12_000), 120_000))
 
 
 def auto_seeds(facts: Facts, budget: int) -> int:
@@ -64,3 +63,10 @@ def auto_iterations(facts: Facts, settings: CoarseSettings) -> int:
         moving_rig = facts.rig and not facts.static
         steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.times if moving_rig else 0), MOST_ITERATIONS)
     return max(round(steps * settings.effort), min(steps, LEAST_ITERATIONS))
+
+
+def most_convexes(budget: int | None, nodes: bool) -> int:
+    """The largest number of convexes: ``budget``, or `CONVEXES` if it is None, but none with control nodes, where they gain nothing."""
+    if budget is not None:
+        return budget
+    return 0 if nodes else CONVEXES

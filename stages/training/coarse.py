@@ -61,6 +61,7 @@ def train_coarse(ctx: Context) -> None:
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device)
     static = is_static(ctx)
+    facts = replace(facts, static=static)
     nodes = not static and use_nodes(facts, settings)
     budget = settings.budget or auto_budget(facts, views, nodes)
     points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, settings.seeds or auto_seeds(facts, budget))
@@ -80,7 +81,7 @@ def train_coarse(ctx: Context) -> None:
     start = Start(points, colors, dynamic, moving, MOST_SCALE * unit)
     model = first_model(kind, start, views, sh_degree, settings).to(ctx.device)
 
-    steps = settings.iterations or auto_iterations(replace(facts, static=static), settings)
+    steps = settings.iterations or auto_iterations(facts, settings)
     log = train(
         ctx,
         "coarse",

@@ -1,4 +1,4 @@
-"""The work of `fine`: adds convexes to the Gaussians and refines both."""
+"""The work of `fine`: convexes take the place of the Gaussians that `hulls` chose, and both are refined."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 
 from ...pipeline import Context
 from ...scene.model import Model
-from ...scene.primitives import LIFE, ConvexSet
+from ...scene.primitives import ConvexSet
 from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettings
 from ...scene.training.schedule import fine_phases
 from ..artifacts.coarse import StoredCoarse, required
@@ -35,9 +35,9 @@ def train_fine(ctx: Context) -> None:
     views = load_views(frames, ctx.inputs["flow"], ctx.device, model)
     hulls = None if ctx.inputs["hulls"] is None else StoredHulls.read(ctx.inputs["hulls"])
     if hulls is not None and len(hulls):
-        add_convexes(model, hulls, settings.convex_opacity)
+        replace_by_convexes(model, hulls)
     else:
-        ctx.log("no convexes: no seed lies on enough edges; Gaussians alone are refined")
+        ctx.log("no convexes: Gaussians alone are refined")
     model.to(ctx.device)
 
     joint = coarse.strategy == "joint"
@@ -65,10 +65,10 @@ def training_settings(settings: FineSettings, growth: GrowthSettings) -> Trainin
     return TrainingSettings(**settings.model_dump(include=set(RefinementSettings.model_fields)), **growth.model_dump())
 
 
-def add_convexes(model: Model, shapes: StoredHulls, opacity: float) -> None:
-    """Adds convexes in the shape of ``shapes``. Each takes its motion and lifetime from the Gaussian that it came from."""
-    model.convexes = ConvexSet.from_points(shapes.points, shapes.colors, model.sh_degree, opacity)
-    seeds = torch.from_numpy(shapes.seed).long()
-    for name in ("hyper", "shades", *LIFE):
-        model.convexes.parameters[name].data.copy_(model.gaussians.parameters[name][seeds])
-    model.convexes.dynamic = model.gaussians.dynamic[seeds]
+def replace_by_convexes(model: Model, hulls: StoredHulls) -> None:
+    """Each convex takes the place of the Gaussian that it came from, with its colours, opacity, motion and life."""
+    seeds = torch.from_numpy(hulls.seed).long()
+    rest = torch.ones(len(model.gaussians), dtype=torch.bool)
+    rest[seeds] = False
+    model.convexes = ConvexSet.replacing(model.gaussians.select(seeds), hulls.k)
+    model.gaussians = model.gaussians.select(rest.nonzero()[:, 0])

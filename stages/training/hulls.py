@@ -1,42 +1,58 @@
-"""The work of `hulls`: places convexes at the Gaussians under which edges are dense."""
+"""The work of `hulls`: chooses the Gaussians that become convexes."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+import torch
 
 from ...pipeline import Context
-from ...scene.edge_seeds import edge_density
-from ...scene.fibonacci import fibonacci_convexes, neighbour_radius
-from ...scene.primitives import SH_C0
+from ...scene.edge_seeds import EdgeSeeds, edge_seeds
+from ...scene.primitives import SH_C0, ConvexSet
 from ..artifacts.coarse import required
 from ..artifacts.dataset import load_frameset, load_views
 from ..artifacts.hulls import StoredHulls
 from ..artifacts.model import read_model
+from .choices import most_convexes
+
+if TYPE_CHECKING:
+    from ..hulls import HullSettings
+
+LEAST_WEIGHT = 1.0  # px over all views: what is hardly seen says nothing
 
 
 def place_convexes(ctx: Context) -> None:
-    """Attributes edge density to the Gaussians of `coarse` that are blended at edge pixels. Those with the most become seeds."""
+    """Attributes edges, and the error there, to the Gaussians of `coarse`. Those with the most error become convexes."""
     settings = ctx.settings
     model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)
-    views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
-    chosen = views.train[np.linspace(0, len(views.train) - 1, min(settings.views, len(views.train))).round().astype(int)]
-    density, weight = edge_density(model, views, [int(i) for i in chosen])
+    most = most_convexes(settings.budget, nodes=model.field is not None and model.field.config["kind"] == "nodes")
+    found = None
+    chosen = np.zeros(0, np.int64)
+    if most:
+        views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
+        frames = views.train[np.linspace(0, len(views.train) - 1, min(settings.views, len(views.train))).round().astype(int)]
+        found = edge_seeds(model, views, [int(i) for i in frames])
+        chosen = choose(found, settings, most)
+    convexes = ConvexSet.replacing(model.gaussians.select(torch.from_numpy(chosen).to(ctx.device)), settings.k)
 
-    eligible = np.flatnonzero((density >= settings.min_edge_density) & (weight > 1.0))
-    order = eligible[np.argsort(-(density * np.sqrt(weight))[eligible], kind="stable")][: settings.budget]
-    order = np.sort(order)
-    centres = model.gaussians.means.detach().cpu().numpy()[order].astype(np.float64)
-    limit = 0.05 * views.viewing_distance(centres) if len(centres) else 1.0
-    radii = np.minimum(neighbour_radius(centres) * settings.radius, limit)
-    colors = model.gaussians.sh_dc.detach().cpu().numpy()[order, 0] * SH_C0 + 0.5
-
-    reason = f"{len(order)} of {len(density)} Gaussians lie on edges (mean edge weight >= {settings.min_edge_density})"
+    reason = f"{len(chosen)} of {len(model.gaussians)} Gaussians lie on badly shown edges and become convexes"
+    if not most:
+        reason = "control nodes move the scene, with which convexes gain nothing; hulls.budget sets a number"
     ctx.log(reason)
+    colors = convexes.sh_dc.detach().cpu().numpy()[:, 0] * SH_C0 + 0.5
     StoredHulls(
-        points=fibonacci_convexes(centres, radii, settings.k).astype(np.float32),
+        points=convexes.points.detach().cpu().numpy(),
         colors=colors.clip(0, 1).astype(np.float32),
-        seed=order.astype(np.int32),
-        edge_density=density[order].astype(np.float32),
+        seed=chosen.astype(np.int32),
+        edge_density=(found.density[chosen] if found else chosen).astype(np.float32),
         k=settings.k,
         reason=reason,
     ).write(ctx.out)
+
+
+def choose(found: EdgeSeeds, settings: HullSettings, most: int) -> np.ndarray:
+    """Sorted rows of the Gaussians that become convexes, at most ``most``."""
+    most = min(most, int(settings.share * len(found.error)))
+    eligible = np.flatnonzero((found.density >= settings.min_edge_density) & (found.weight > LEAST_WEIGHT) & (found.error > 0))
+    return np.sort(eligible[np.argsort(-found.error[eligible], kind="stable")][:most])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import rasterize
-from e4dgs.scene.edge_seeds import edge_density
+from e4dgs.scene.edge_seeds import edge_seeds
 from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
@@ -35,7 +35,7 @@ def test_every_render_uses_the_mode_of_the_model(views, antialiased):
     assert float((drawn.alpha.sum() - other.alpha.sum()).abs()) > 0.5 * float(drawn.alpha.sum())
     weight = measure_responsibility(model, views, [0], move=False).weight_gaussians
     assert float(weight.sum()) == pytest.approx(float(drawn.alpha.sum()), rel=1e-3)
-    assert edge_density(model, views, [0])[1].sum() == pytest.approx(float(drawn.alpha.sum()), rel=1e-3)
+    assert edge_seeds(model, views, [0]).weight.sum() == pytest.approx(float(drawn.alpha.sum()), rel=1e-3)
     assert torch.equal(rendered_flow(model, camera, 0.0, camera, 0.0)[1], drawn.alpha)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.fibonacci import fibonacci_convexes, fibonacci_sphere, neighbour_radius
+from e4dgs.scene.fibonacci import fibonacci_sphere, neighbour_radius
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.training.control.density import choose_to_split, keep_small, split_along_longest_axis, survivors
@@ -31,10 +31,25 @@ def test_neighbour_radius_is_the_mean_of_three():
     assert (neighbour_radius(np.zeros((4, 3))) > 0).all()
 
 
-def test_convexes_have_their_radius():
-    convexes = fibonacci_convexes(np.array([[1.0, 2, 3], [0, 0, 0]]), np.array([0.5, 2.0]), 6)
-    assert convexes.shape == (2, 6, 3)
-    assert np.allclose(np.linalg.norm(convexes[0] - [1, 2, 3], axis=1), 0.5)
+def test_a_convex_takes_the_place_of_its_gaussian():
+    rng = np.random.default_rng(3)
+    g = GaussianSet.from_points(rng.normal(size=(4, 3)), rng.uniform(size=(4, 3)), 1, opacity=0.7)
+    with torch.no_grad():
+        g.log_scales.copy_(torch.tensor([0.3, 0.1, 0.004]).log().expand(4, 3))
+        g.quats.copy_(torch.from_numpy(rng.normal(size=(4, 4))))
+        g.sh_rest.normal_()
+    g.live(torch.arange(4.0), 2.0, torch.ones(4, 3))
+    g.dynamic[1] = False
+    c = ConvexSet.replacing(g, 6)
+    assert c.points.shape == (4, 6, 3) and c.points.is_leaf
+    for name in set(ConvexSet.FIELDS) & set(GaussianSet.FIELDS):
+        assert torch.equal(c.parameters[name], g.parameters[name]) and c.parameters[name].data_ptr() != g.parameters[name].data_ptr()
+    assert torch.equal(c.dynamic, g.dynamic)
+    arms = (c.points - g.means[:, None]).detach() @ quats_to_matrices(g.quats).detach()  # along the Gaussian's own axes
+    in_deviations = (arms / g.log_scales.exp()[:, None]).norm(dim=2).detach()
+    assert torch.allclose(in_deviations, torch.full_like(in_deviations, 1.4), rtol=1e-4)
+    radius = 1.4 * (0.3 * 0.1) ** 0.5  # of what the image shows
+    assert torch.allclose(c.log_tau.exp() * radius, torch.tensor(20.0)) and torch.allclose(c.log_kappa.exp() * radius, torch.tensor(12.0))
 
 
 def test_colours_survive_the_round_trip_through_spherical_harmonics():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.stages.coarse import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.training.choices import ITERATIONS_NODES, LEAST_ITERATIONS, auto_iterations, is_static, use_nodes
+from e4dgs.stages.training.choices import ITERATIONS_NODES, LEAST_ITERATIONS, auto_budget, auto_iterations, is_static, use_nodes
 from e4dgs.stages.training.coarse import Start, first_model
 
 
@@ -63,3 +63,20 @@ def test_models_are_antialiased_unless_they_are_asked_not_to_be(kind):
     views = SimpleNamespace(time=np.linspace(0, 1, 9), near=0.1, background=(0.0, 0.0, 0.0))
     assert first_model(kind, start, views, 1, CoarseSettings()).antialiased
     assert not first_model(kind, start, views, 1, CoarseSettings(antialiased=False)).antialiased
+
+
+@pytest.mark.parametrize(
+    ("frames", "times", "static", "nodes", "size", "expected"),
+    [
+        (90, 90, False, False, (480, 270), 480 * 270 // 4),
+        (90, 90, True, False, (480, 270), 480 * 270 // 8),
+        (90, 90, False, True, (400, 400), 32_000),
+        (90, 90, False, False, (200, 200), 12_000),
+        (90, 90, False, False, (1280, 720), 120_000),
+        (8 * 45, 45, False, False, (480, 270), 40_000),
+        (8 * 45, 45, True, False, (640, 360), 57_600),
+    ],
+)
+def test_the_budget_follows_from_the_pixels(frames, times, static, nodes, size, expected):
+    views = SimpleNamespace(width=size[0], height=size[1])
+    assert auto_budget(Facts(frames=frames, times=times, static=static), views, nodes) == expected
