@@ -48,11 +48,15 @@ def auto_sh_degree(facts: Facts) -> int:
 
 
 def use_nodes(facts: Facts, settings: CoarseSettings) -> bool:
-    """Whether control nodes move the scene. By default they do if something moves and each frame has its own camera, since one view per
-    time says too little for planes."""
+    """Whether control nodes move the scene."""
     if facts.static or settings.motion != "auto":
         return settings.motion == "nodes" and not facts.static
-    return facts.cameras == facts.frames and facts.pairs == 0 and facts.times >= NODE_TIMES
+    return nodes_by_default(facts)
+
+
+def nodes_by_default(facts: Facts) -> bool:
+    """Whether something moves and each frame has its own camera: one view per time says too little for planes."""
+    return not facts.static and facts.cameras == facts.frames and facts.pairs == 0 and facts.times >= NODE_TIMES
 
 
 def auto_iterations(facts: Facts, settings: CoarseSettings) -> int:
