@@ -12,6 +12,7 @@ import typer
 
 from ..pipeline import SettingsError
 from ..pipeline.files import write_atomically
+from ..stages.training.choices import CONVEXES
 from .bench import output
 from .bench.machine import machine
 from .bench.pipeline import content, measure, summaries, table
@@ -22,7 +23,7 @@ NO_DATA, NO_INTERVAL = (tuple(f"{stage}.{term}=0" for stage in ("coarse", "fine"
 NO_CONVEXES = ("hulls.budget=0",)
 ROWS: Mapping[str, tuple[str, ...]] = {
     "a, base": (*NO_DATA, *NO_INTERVAL, *NO_CONVEXES),
-    "b, convexes": (*NO_DATA, *NO_INTERVAL),
+    "b, convexes": (*NO_DATA, *NO_INTERVAL, f"hulls.budget={CONVEXES}"),  # by default, captures with control nodes get none
     "c, edges at time steps": (*NO_INTERVAL, *NO_CONVEXES),
     "d, edges and interval": NO_CONVEXES,
     "full": (),

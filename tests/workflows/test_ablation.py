@@ -38,3 +38,9 @@ def test_a_table_is_written_and_rows_that_agree_share_results(cli, capture, tmp_
     page = (tmp_path / "table" / "ablation.html").read_text()
     assert "<td>25.00</td>" in page and "<td>my scene</td>" in page
     assert result.out.count("fine: done in") == 2, "rows that agree run once"
+
+
+def test_the_row_of_convexes_asks_for_them():
+    """By default, captures with control nodes have none: the row would equal the base."""
+    asked = [setting for setting in ROWS["b, convexes"] if setting.startswith("hulls.budget=")]
+    assert len(asked) == 1 and int(asked[0].removeprefix("hulls.budget=")) > 0
