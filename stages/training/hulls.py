@@ -27,25 +27,27 @@ def place_convexes(ctx: Context) -> None:
     settings = ctx.settings
     model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)
     most = most_convexes(settings.budget, nodes=model.field is not None and model.field.config["kind"] == "nodes")
-    found = None
-    chosen = np.zeros(0, np.int64)
+    none = np.zeros(0)
+    found, reason = (
+        EdgeSeeds(none, none, none),
+        "control nodes move the scene, with which convexes gain nothing; hulls.budget sets a number",
+    )
     if most:
         views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
         frames = views.train[np.linspace(0, len(views.train) - 1, min(settings.views, len(views.train))).round().astype(int)]
         found = edge_seeds(model, views, [int(i) for i in frames])
-        chosen = choose(found, settings, most)
-    convexes = ConvexSet.replacing(model.gaussians.select(torch.from_numpy(chosen).to(ctx.device)), settings.k)
-
-    reason = f"{len(chosen)} of {len(model.gaussians)} Gaussians lie on badly shown edges and become convexes"
-    if not most:
-        reason = "control nodes move the scene, with which convexes gain nothing; hulls.budget sets a number"
+    chosen = choose(found, settings, most)
+    if most:
+        reason = f"{len(chosen)} of {len(found.error)} Gaussians lie on badly shown edges and become convexes"
     ctx.log(reason)
+
+    convexes = ConvexSet.replacing(model.gaussians.select(torch.from_numpy(chosen).to(ctx.device)), settings.k)
     colors = convexes.sh_dc.detach().cpu().numpy()[:, 0] * SH_C0 + 0.5
     StoredHulls(
         points=convexes.points.detach().cpu().numpy(),
         colors=colors.clip(0, 1).astype(np.float32),
         seed=chosen.astype(np.int32),
-        edge_density=(found.density[chosen] if found else chosen).astype(np.float32),
+        edge_density=found.density[chosen].astype(np.float32),
         k=settings.k,
         reason=reason,
     ).write(ctx.out)
