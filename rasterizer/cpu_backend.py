@@ -11,10 +11,18 @@ from torch.autograd.function import once_differentiable
 from . import _cpu  # type: ignore[attr-defined]
 from .types import CONVEX_FIELDS, GAUSSIAN_FIELDS, IMAGES, Camera, Convexes, Frame, Gaussians
 
+View = tuple[int, int, float, bool, Tensor | None]  # width, height, near, antialiased, tiles
 LEADING = 3  # K, cam_from_world and background come before the primitives' fields
 
 
-def rasterize_cpu(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor, antialiased: bool = False) -> Frame:
+def rasterize_cpu(
+    camera: Camera,
+    gaussians: Gaussians,
+    convexes: Convexes,
+    background: Tensor,
+    antialiased: bool = False,
+    tiles: Tensor | None = None,
+) -> Frame:
     """Render with the C++ kernels. Called by `rasterize`, which has checked the arguments and made them uniform.
 
     The primitives' tensors and the background are contiguous float32 on the CPU; the extras of both kinds have the same width E. K and
@@ -23,12 +31,13 @@ def rasterize_cpu(camera: Camera, gaussians: Gaussians, convexes: Convexes, back
     tensors = [camera.K.double(), camera.cam_from_world[:3].double(), background]
     tensors += [getattr(gaussians, name) for name in GAUSSIAN_FIELDS]
     tensors += [getattr(convexes, name) for name in CONVEX_FIELDS]
-    return Frame(*_Rasterize.apply(camera.width, camera.height, camera.near, antialiased, *tensors))
+    return Frame(*_Rasterize.apply((camera.width, camera.height, camera.near, antialiased, tiles), *tensors))
 
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, width: int, height: int, near: float, antialiased: bool, *tensors: Tensor | None) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, view: View, *tensors: Tensor | None) -> tuple[Tensor, ...]:
+        width, height, near, antialiased, tiles = view
         plain: list[Any] = [None if t is None else t.detach().contiguous() for t in tensors]
         K, cam_from_world, background = plain[:LEADING]
         gaussians = dict(zip(GAUSSIAN_FIELDS, plain[LEADING:]))
@@ -51,6 +60,7 @@ class _Rasterize(torch.autograd.Function):
             "near": near,
             "extras": channels,
             "antialiased": antialiased,
+            "tiles": None if tiles is None else tiles.to(torch.uint8).contiguous(),
         }
         keep = any(ctx.needs_input_grad)
         ctx.kept = _cpu.forward(camera, gaussians, convexes, frame, keep, torch.get_num_threads())
@@ -68,7 +78,7 @@ class _Rasterize(torch.autograd.Function):
         alpha, depth, *tensors = ctx.saved_tensors
         grad: dict[str, Any] = {name: None if g is None else g.float().contiguous() for name, g in zip(IMAGES, grads)}
         grad |= {"alpha_image": alpha.detach(), "depth_image": depth.detach()}
-        wanted = ctx.needs_input_grad[4:]
+        wanted = ctx.needs_input_grad[1:]
         # The kernels write every row of the primitives' gradients. In K's gradient, some entries are never written.
         make = [torch.zeros_like] * LEADING + [torch.empty_like] * (len(tensors) - LEADING)
         out = [new(t) if need and t is not None else None for new, need, t in zip(make, wanted, tensors)]
@@ -88,4 +98,4 @@ class _Rasterize(torch.autograd.Function):
                 out[1] = intrinsics[4:].reshape(3, 4)
         if out[2] is not None:
             out[2] = camera["background"].to(torch.float32)
-        return None, None, None, None, *out
+        return None, *out

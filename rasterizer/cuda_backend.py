@@ -15,11 +15,18 @@ from .cuda.runtime import Launcher, launcher_for
 from .cuda.state import Inputs, camera_numbers
 from .types import CONVEX_FIELDS, GAUSSIAN_FIELDS, IMAGES, Camera, Convexes, Frame, Gaussians
 
-View = tuple[int, int, float, bool]  # width, height, near, antialiased
+View = tuple[int, int, float, bool, Tensor | None]  # width, height, near, antialiased, tiles
 LEADING = 3  # K, cam_from_world and background come before the primitives' fields
 
 
-def rasterize_cuda(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor, antialiased: bool = False) -> Frame:
+def rasterize_cuda(
+    camera: Camera,
+    gaussians: Gaussians,
+    convexes: Convexes,
+    background: Tensor,
+    antialiased: bool = False,
+    tiles: Tensor | None = None,
+) -> Frame:
     """Render with the CUDA kernels. Called by `rasterize`, which has checked the arguments and made them uniform.
 
     The primitives' tensors are contiguous float32 on one device; the extras of both kinds have the same width E. The camera and the
@@ -32,7 +39,7 @@ def rasterize_cuda(camera: Camera, gaussians: Gaussians, convexes: Convexes, bac
     tensors = [camera.K, camera.cam_from_world, background]
     tensors += [getattr(gaussians, name) for name in GAUSSIAN_FIELDS]
     tensors += [getattr(convexes, name) for name in CONVEX_FIELDS]
-    outputs = _Rasterize.apply(launcher, (camera.width, camera.height, camera.near, antialiased), *tensors)
+    outputs = _Rasterize.apply(launcher, (camera.width, camera.height, camera.near, antialiased, tiles), *tensors)
     return Frame(*outputs)
 
 
@@ -100,12 +107,13 @@ def _inputs(view: View, tensors: Any) -> Inputs:
     K, cam_from_world, background = plain[:LEADING]
     gaussians = Gaussians(**dict(zip(GAUSSIAN_FIELDS, plain[LEADING:])))
     convexes = Convexes(**dict(zip(CONVEX_FIELDS, plain[LEADING + len(GAUSSIAN_FIELDS) :])))
-    width, height, near, antialiased = view
+    width, height, near, antialiased, tiles = view
     device = gaussians.means.device
     numbers = camera_numbers(Camera(K, cam_from_world, width, height, near), device)
     channels = gaussians.extras.shape[1] if gaussians.extras is not None else 0
     background = background.to(device, torch.float32, non_blocking=True)
-    return Inputs(numbers, width, height, background, gaussians, convexes, channels, antialiased)
+    drawn = None if tiles is None else tiles.to(device, torch.uint8, non_blocking=True).contiguous()
+    return Inputs(numbers, width, height, background, gaussians, convexes, channels, antialiased, drawn)
 
 
 def _what_to_lower(inputs: Inputs, keep: bool, cause: BaseException) -> str:

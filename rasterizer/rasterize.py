@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar
 import torch
 from torch import Tensor
 
-from .types import Camera, Convexes, Frame, Gaussians
+from .types import TILE, Camera, Convexes, Frame, Gaussians
 from .validate import check_camera, check_values
 
 Backend = Literal["auto", "cpu", "cuda", "reference"]
@@ -28,6 +28,7 @@ def rasterize(
     backend: Backend = "auto",
     validate: bool = False,
     antialiased: bool = False,
+    tiles: Tensor | None = None,
 ) -> Frame:
     """Render Gaussians and convexes, depth-sorted together and blended front to back in one pass (Edge4DGS, Eq. 1-7).
 
@@ -43,9 +44,12 @@ def rasterize(
         that a sharp convex would have, and points nearer than `near` are moved to that plane. Both: the opacity falls smoothly from
         z = 2 near to 0 at z = near. The formulas are in docs/maths.md. Models are trained for one mode.
 
+    tiles: [ceil(H / TILE), ceil(W / TILE)] bool, the squares of `TILE` px that are drawn, from the top left; None: all. Elsewhere the frame
+        shows the background, with alpha 0 and no gradient to the primitives, and costs nearly nothing.
+
     Inputs are float32 or float64 tensors on one device. Gradients flow to all of them, including K and cam_from_world. If the primitives
-    are on a CUDA device, the camera and the background may stay on the CPU, which avoids waiting for the device. Their values are not
-    checked while a CUDA graph is being captured.
+    are on a CUDA device, the camera, the background and the tiles may stay on the CPU, which avoids waiting for the device. While a CUDA
+    graph is being captured they must be on the device, and values are not checked.
 
     Raises TypeError for anything that is not a float tensor, ValueError for bad shapes and values (both name the field), RuntimeError
     if the backend cannot be loaded.
@@ -64,11 +68,15 @@ def rasterize(
         raise ValueError(f"background must be finite, got {background.tolist()}")
     for owner in (gaussians, convexes):
         _check_device(owner, device)
+    if tiles is not None:
+        _check_tiles(tiles, camera)
     if validate:
         check_values(gaussians)
         check_values(convexes)
     gaussians, convexes = _pad_extras(gaussians, convexes)
 
+    if capturing:
+        _check_capture(camera, background, tiles)
     if backend == "auto":
         backend = "cuda" if device.type == "cuda" else "cpu"
     if backend == "reference":
@@ -76,7 +84,7 @@ def rasterize(
 
         double = torch.float64
         return rasterize_reference(
-            _cast(camera, double), _cast(gaussians, double), _cast(convexes, double), background.to(double).contiguous(), antialiased
+            _cast(camera, double), _cast(gaussians, double), _cast(convexes, double), background.to(double).contiguous(), antialiased, tiles
         )
     if backend == "cpu":
         if device.type != "cpu":
@@ -92,14 +100,16 @@ def rasterize(
         camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
         # The camera stays in float64: it is small, and every primitive's position goes through it.
         camera = _cast(camera, torch.float64)
-        return rasterize_cpu(camera, _cast(gaussians, single), _cast(convexes, single), background.to(single).contiguous(), antialiased)
+        return rasterize_cpu(
+            camera, _cast(gaussians, single), _cast(convexes, single), background.to(single).contiguous(), antialiased, tiles
+        )
     if backend == "cuda":
         from .cuda_backend import rasterize_cuda
 
         single = torch.float32
         if not capturing:
             camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
-        return rasterize_cuda(camera, _cast(gaussians, single), _cast(convexes, single), background, antialiased)
+        return rasterize_cuda(camera, _cast(gaussians, single), _cast(convexes, single), background, antialiased, tiles)
     raise ValueError(f"backend must be 'auto', 'cpu', 'cuda' or 'reference', got {backend!r}")
 
 
@@ -114,6 +124,24 @@ def _check(name: str, value: object, shape: tuple[int | None, ...], device: torc
         raise ValueError(f"{name} must have shape [{wanted}], got {list(value.shape)}")
     if device is not None and value.device != device:
         raise ValueError(f"{name} is on {value.device}, but camera.K is on {device}; all tensors must be on one device")
+
+
+def _check_tiles(tiles: Tensor, camera: Camera) -> None:
+    if not isinstance(tiles, Tensor) or tiles.dtype != torch.bool:
+        raise TypeError(f"tiles must be a bool torch.Tensor, got {tiles.dtype if isinstance(tiles, Tensor) else type(tiles).__name__}")
+    wanted = (-(-camera.height // TILE), -(-camera.width // TILE))
+    if tuple(tiles.shape) != wanted:
+        raise ValueError(f"tiles must have shape {list(wanted)} for {camera.width} x {camera.height} px, got {list(tiles.shape)}")
+
+
+def _check_capture(camera: Camera, background: Tensor, tiles: Tensor | None) -> None:
+    """Raise RuntimeError if a CUDA graph would copy a tensor from the CPU: each replay would read that memory again, whatever it holds."""
+    given = {"camera.K": camera.K, "camera.cam_from_world": camera.cam_from_world, "background": background, "tiles": tiles}
+    for name, value in given.items():
+        if value is not None and value.device.type != "cuda":
+            raise RuntimeError(
+                f"{name} is on the CPU while a CUDA graph is being captured; move it to the GPU with .cuda() before the capture"
+            )
 
 
 def _device_of(camera: Camera, gaussians: Gaussians | None, convexes: Convexes | None) -> torch.device:

@@ -11,6 +11,8 @@ GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh", "colors", "ext
 CONVEX_FIELDS = ("points", "tau", "kappa", "opacities", "sh", "colors", "extras")
 IMAGES = ("color", "alpha", "depth", "extras")
 
+TILE = 16  # px, side of the squares that `rasterize` can leave out
+
 
 @dataclass(eq=False)
 class Camera:

@@ -65,10 +65,11 @@ void read_scene(const nb::dict& camera, const nb::dict& gaussians, const nb::dic
     set_centre(cam);
     cam.width = nb::cast<int>(camera["width"]), cam.height = nb::cast<int>(camera["height"]);
     cam.near_z = nb::cast<double>(camera["near"]);
-    if (cam.width < 1 || cam.height < 1 || (cam.width + kTile - 1) / kTile > 65535 || (cam.height + kTile - 1) / kTile > 65535)
+    if (cam.width < 1 || cam.height < 1 || tiles_across(cam.width) > 65535 || tiles_across(cam.height) > 65535)
         throw std::invalid_argument("image of " + std::to_string(cam.width) + " x " + std::to_string(cam.height) + " pixels is out of range");
     to.extras = nb::cast<int>(camera["extras"]);
     to.antialiased = nb::cast<bool>(camera["antialiased"]);
+    to.tiles = array<uint8_t>(camera, "tiles", int64_t(tiles_across(cam.width)) * tiles_across(cam.height), held);
 
     to.gaussians.n = length(gaussians, "means", 0);
     to.gaussians.means = array<float>(gaussians, "means", to.gaussians.n * 3, held);
@@ -99,7 +100,7 @@ std::unique_ptr<Frame> forward(const nb::dict& camera, const nb::dict& gaussians
     out.extras = array<float>(frame, "extras", pixels * scene.extras);
     out.visible_gaussians = array<uint8_t>(frame, "visible_gaussians", scene.gaussians.n);
     out.visible_convexes = array<uint8_t>(frame, "visible_convexes", scene.convexes.n);
-    state.tiles_x = (scene.camera.width + kTile - 1) / kTile, state.tiles_y = (scene.camera.height + kTile - 1) / kTile;
+    state.tiles_x = tiles_across(scene.camera.width), state.tiles_y = tiles_across(scene.camera.height);
     {
         nb::gil_scoped_release released;
         preprocess(state, threads);

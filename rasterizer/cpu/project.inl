@@ -72,6 +72,16 @@ inline bool tile_box(double low_x, double high_x, double low_y, double high_y, T
     return true;
 }
 
+// Whether something is drawn in any tile of the box.
+inline bool drawn(const SceneInput& scene, const TileBox& box) {
+    if (!scene.tiles) return true;
+    const int across = (scene.camera.width + kTile - 1) / kTile;
+    for (int y = box.y0; y < box.y1; ++y)
+        for (int x = box.x0; x < box.x1; ++x)
+            if (scene.tiles[y * across + x]) return true;
+    return false;
+}
+
 #include "project_colour.inl"
 #include "project_slots.inl"
 #include "project_gaussians.inl"

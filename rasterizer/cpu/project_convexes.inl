@@ -100,12 +100,16 @@ void project_convex_lanes(const ProjectConvexes& job, const Camera<Pack>& camera
     store_lanes(rho, rhos);
     for (int i = 0; i < 8; ++i) store_lanes(out[i], lane[i]);
     bool wanted[kLanes];
-    for (int l = 0; l < kLanes; ++l) wanted[l] = l < count && good.w[l] != 0 && usable(in, index[l], scene.extras);
+    for (int l = 0; l < kLanes; ++l) {
+        TileBox& box = job.boxes[index[l]];
+        wanted[l] = l < count && good.w[l] != 0 && tile_box(lane[4][l], lane[5][l], lane[6][l], lane[7][l], box) && drawn(scene, box) &&
+                    usable(in, index[l], scene.extras);
+    }
     float color[kLanes][3];
     colours(in, camera, centre, index, wanted, color);
     for (int l = 0; l < kLanes; ++l) {
         const int64_t i = index[l];
-        if (!wanted[l] || !tile_box(lane[4][l], lane[5][l], lane[6][l], lane[7][l], job.boxes[i])) continue;
+        if (!wanted[l]) continue;
         ConvexRecord& record = job.records[i];
         record.x0 = lane[0][l], record.y0 = lane[1][l];
         record.n = 0, record.points = uint16_t(K);

@@ -41,13 +41,16 @@ void project_lanes(const ProjectGaussians& job, const Camera<Pack>& camera, cons
     const Pack out[12] = {x, y, f[0], f[1], f[2], radius, z, low_x, high_x, low_y, high_y, exponent};
     bool wanted[kLanes];
     for (int i = 0; i < 12; ++i) store_lanes(out[i], lane[i]);
-    for (int l = 0; l < kLanes; ++l) wanted[l] = l < count && good.w[l] != 0 && usable(in, index[l], scene.extras);
+    for (int l = 0; l < kLanes; ++l) {
+        TileBox& box = job.boxes[index[l]];
+        wanted[l] = l < count && good.w[l] != 0 && tile_box(lane[7][l], lane[8][l], lane[9][l], lane[10][l], box) && drawn(scene, box) &&
+                    usable(in, index[l], scene.extras);
+    }
     float color[kLanes][3];
     colours(in, camera, mean, index, wanted, color);
     for (int l = 0; l < kLanes; ++l) {
         if (!wanted[l]) continue;
         const int64_t i = index[l];
-        if (!tile_box(lane[7][l], lane[8][l], lane[9][l], lane[10][l], job.boxes[i])) continue;
         GaussianRecord& record = job.records[i];
         record.x = lane[0][l], record.y = lane[1][l];
         for (int j = 0; j < 3; ++j) record.f[j] = lane[2 + j][l], record.color[j] = color[l][j];

@@ -33,6 +33,7 @@ struct SceneInput {
     int extras = 0;  // number of channels E
     float background[3] = {0, 0, 0};
     bool antialiased = false;
+    const uint8_t* tiles = nullptr;  // [tiles] 0 where nothing is drawn; null: everything is
 };
 
 struct FrameOutput {

@@ -50,12 +50,12 @@ void block_spans(State& state, int64_t first, int64_t last, std::vector<Span>& s
 
 uint32_t tiles_of(const State& state, int64_t id, const std::vector<Span>& spans) {
     const TileBox& box = state.boxes[id];
-    const uint32_t rows = uint32_t(box.y1 - box.y0);
-    if (!box.wide()) return uint32_t(box.x1 - box.x0) * rows;
+    const Span whole{box.x0, box.x1};
     uint32_t tiles = 0;
-    for (uint32_t row = 0; row < rows; ++row) {
-        const Span& span = spans[state.span_begin[id] + row];
-        tiles += uint32_t(span.last - span.first);
+    for (int ty = box.y0; ty < box.y1; ++ty) {
+        const Span& span = box.wide() ? spans[state.span_begin[id] + uint32_t(ty - box.y0)] : whole;
+        if (!state.scene.tiles) tiles += uint32_t(span.last - span.first);
+        for (int tx = span.first; state.scene.tiles && tx < span.last; ++tx) tiles += state.drawn(ty, tx);
     }
     return tiles;
 }

@@ -12,6 +12,8 @@ namespace e4dgs {
 // Number of units (of 4 floats) for the gradients of a (tile, primitive) pair: color 3, z 1, shape, extras E, rounded up.
 inline int slot_units(int shape, int extras) { return (4 + shape + extras + 3) / 4; }
 
+inline int tiles_across(int pixels) { return (pixels + kTile - 1) / kTile; }
+
 struct State {
     SceneInput scene;
     int tiles_x = 0, tiles_y = 0;
@@ -30,6 +32,7 @@ struct State {
     Buffer<int32_t> last;         // [H, W] the last entry of its tile that may have been blended, -1 if none
 
     int tiles() const { return tiles_x * tiles_y; }
+    bool drawn(int ty, int tx) const { return !scene.tiles || scene.tiles[ty * tiles_x + tx]; }
     int gaussian_units() const { return slot_units(kGaussianShape, scene.extras); }
     int convex_units() const { return slot_units(convex_shape(scene.convexes.points_each), scene.extras); }
 };

@@ -10,16 +10,16 @@ namespace {
 
 constexpr int kAhead = 16;  // prefetch distance: boxes are visited in depth order, which is random in memory
 
-// f(row, first, last) for each row of tiles of primitive `id`.
+// f(tile) for each tile of primitive `id`, row by row.
 template <class F>
-inline void for_rows(const State& state, uint32_t id, F&& f) {
+inline void for_tiles(const State& state, uint32_t id, F&& f) {
     const TileBox box = state.boxes[id];
-    if (!box.wide()) {
-        for (int ty = box.y0; ty < box.y1; ++ty) f(ty, box.x0, box.x1);
-        return;
+    const Span whole{box.x0, box.x1}, *span = box.wide() ? state.spans.data() + state.span_begin[id] : nullptr;
+    for (int ty = box.y0; ty < box.y1; ++ty) {
+        const Span row = span ? *span++ : whole;
+        for (int tx = row.first; tx < row.last; ++tx)
+            if (state.drawn(ty, tx)) f(ty * state.tiles_x + tx);
     }
-    const Span* span = state.spans.data() + state.span_begin[id];
-    for (int ty = box.y0; ty < box.y1; ++ty, ++span) f(ty, span->first, span->last);
 }
 
 }  // namespace
@@ -38,9 +38,7 @@ void distribute(State& state, int threads) {
         uint64_t* count = at.data() + r * tiles;
         for (int64_t k = limit(r); k < limit(r + 1); ++k) {
             if (k + kAhead < n) __builtin_prefetch(&state.boxes[state.order[k + kAhead]]);
-            for_rows(state, state.order[k], [&](int ty, int first, int last) {
-                for (int tx = first; tx < last; ++tx) ++count[ty * state.tiles_x + tx];
-            });
+            for_tiles(state, state.order[k], [&](int tile) { ++count[tile]; });
         }
     });
 
@@ -65,9 +63,7 @@ void distribute(State& state, int threads) {
             if (k + kAhead < n) __builtin_prefetch(&state.boxes[state.order[k + kAhead]]), __builtin_prefetch(&state.slot_begin[state.order[k + kAhead]]);
             const uint32_t id = state.order[k], units = id < n_gaussians ? gaussian_units : convex_units;
             uint32_t slot = state.slot_begin[id];
-            for_rows(state, id, [&](int ty, int first, int last) {
-                for (int tx = first; tx < last; ++tx, slot += units) state.entries[next[ty * state.tiles_x + tx]++] = {id, slot};
-            });
+            for_tiles(state, id, [&](int tile) { state.entries[next[tile]++] = {id, slot}, slot += units; });
         }
     });
 }

@@ -42,7 +42,7 @@ def _lists(launcher: Launcher, inputs: Inputs, deterministic: bool, room: int | 
     order = torch.sort(depth, stable=True).indices
     del depth
     tiles = programs.tiles(inputs.points, 16 if inputs.tiles < programs.SHORT_KEYS else 32)
-    common = (c_int32(total), c_int32(n), records, convex_records, boxes, *size)
+    common = (c_int32(total), c_int32(n), records, convex_records, boxes, *size, inputs.drawn)
     counts = torch.empty(total, dtype=torch.int32, device=device)
     blocks = -(-total // THREADS)
     launcher.launch(tiles, "count_tiles", blocks, THREADS, *common, counts)

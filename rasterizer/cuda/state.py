@@ -15,7 +15,7 @@ TILE = 16  # px, as in device.cuh
 @dataclass(eq=False)
 class Inputs:
     """camera: [17] float64: fx fy cx cy, R, t, near. The primitives' tensors are contiguous float32 on one device; the extras of both
-    kinds have `channels` columns."""
+    kinds have `channels` columns. drawn: [tiles] uint8, 0 where nothing is drawn; None: everything is."""
 
     camera: Tensor
     width: int
@@ -25,6 +25,7 @@ class Inputs:
     convexes: Convexes
     channels: int
     antialiased: bool = False
+    drawn: Tensor | None = None
 
     @property
     def device(self) -> torch.device:

@@ -86,15 +86,18 @@ __device__ inline void for_rows(const Bounds& bounds, const TileBox& box, int wi
     }
 }
 
-// Returns the number of tiles of the primitive. If `tiles` [room] is given, writes them there as row * tiles_x + column. The same function
+// Returns the number of tiles of the primitive that are drawn (drawn [tiles]: 0 where nothing is; null: everything is). If `tiles` [room] is given, writes them there as row * tiles_x + column. The same function
 // counts and writes and is never inlined: compiled twice, it could round differently and write other tiles than it counted.
 __device__ __noinline__ int tiles_of(const GaussianRecord* gaussians, const ConvexRecord* convexes, int n_gaussians, int id, TileBox box, int width,
-                                     int height, Key* tiles, int room) {
+                                     int height, const unsigned char* drawn, Key* tiles, int room) {
     const int tiles_x = (width + kTile - 1) / kTile;
     int count = 0;
     const auto take = [&](int row, Span span) {
-        for (int x = span.first; x < span.last; ++x, ++count)
+        for (int x = span.first; x < span.last; ++x) {
+            if (drawn && !drawn[row * tiles_x + x]) continue;
             if (tiles && count < room) tiles[count] = Key(row * tiles_x + x);
+            ++count;
+        }
     };
     if (box.x1 - box.x0 <= 1 || box.y1 - box.y0 <= 1) {  // a closer look gains nothing
         for (int row = box.y0; row < box.y1; ++row) take(row, Span{box.x0, box.x1});
@@ -114,21 +117,22 @@ using namespace e4dgs;
 
 // counts [n]: tiles that primitive i may touch.
 extern "C" __global__ void __launch_bounds__(128)
-    count_tiles(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height, int* counts) {
+    count_tiles(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
+                const unsigned char* drawn, int* counts) {
     const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
-    if (i < n) counts[i] = tiles_of(gaussians, convexes, n_gaussians, i, boxes[i], width, height, nullptr, 0);
+    if (i < n) counts[i] = tiles_of(gaussians, convexes, n_gaussians, i, boxes[i], width, height, drawn, nullptr, 0);
 }
 
 // order [n]: primitives from front to back; ends [n]: inclusive running sums of their counts. Pairs beyond `room` are left out.
 extern "C" __global__ void __launch_bounds__(128, 7)
     write_pairs(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
-                const int64* order, const int64* ends, int64 room, Key* tiles, int* primitives) {
+                const unsigned char* drawn, const int64* order, const int64* ends, int64 room, Key* tiles, int* primitives) {
     const int rank = int(blockIdx.x * blockDim.x + threadIdx.x);
     if (rank >= n) return;
     const int64 begin = rank ? ends[rank - 1] : 0, end = ends[rank] < room ? ends[rank] : room;
     if (begin >= end) return;
     const int id = int(order[rank]), count = int(end - begin);
-    tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, tiles + begin, count);
+    tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, drawn, tiles + begin, count);
     for (int k = 0; k < count; ++k) primitives[begin + k] = id;
 }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..types import Camera, Convexes, Frame, Gaussians
+from ..types import TILE, Camera, Convexes, Frame, Gaussians
 from .blend import Layers, blend
 from .convexes import convex_alphas, project_convexes
 from .gaussians import gaussian_alphas, project_gaussians
@@ -13,7 +13,14 @@ from .gaussians import gaussian_alphas, project_gaussians
 BLOCK = 1 << 22  # (pixel, primitive) pairs evaluated at a time; bounds the memory if no gradients are kept
 
 
-def rasterize_reference(camera: Camera, gaussians: Gaussians, convexes: Convexes, background: Tensor, antialiased: bool = False) -> Frame:
+def rasterize_reference(
+    camera: Camera,
+    gaussians: Gaussians,
+    convexes: Convexes,
+    background: Tensor,
+    antialiased: bool = False,
+    tiles: Tensor | None = None,
+) -> Frame:
     """Render in float64; see `rasterize`. All tensors are float64 on one device; the extras of both kinds have the same width E."""
     splats = project_gaussians(camera, gaussians, antialiased)
     shapes = project_convexes(camera, convexes, antialiased)
@@ -29,9 +36,11 @@ def rasterize_reference(camera: Camera, gaussians: Gaussians, convexes: Convexes
 
     pixels = pixel_centres(camera)
     rows = max(1, BLOCK // max(1, len(order)))
+    drawn = torch.ones(len(pixels), 1, dtype=torch.bool) if tiles is None else pixels_of(tiles, camera).reshape(-1, 1)
     parts = []
-    for some in pixels.split(rows):
+    for some, here in zip(pixels.split(rows), drawn.to(pixels.device).split(rows)):
         alphas = torch.cat([gaussian_alphas(splats, some), convex_alphas(shapes, camera, some)], dim=1)
+        alphas = torch.where(here, alphas, 0.0)
         parts.append(blend(alphas[:, order], layers, background))
     blended = torch.stack([part.blended for part in parts]).any(0)
 
@@ -51,6 +60,11 @@ def rasterize_reference(camera: Camera, gaussians: Gaussians, convexes: Convexes
         visible_gaussians=visible_gaussians,
         visible_convexes=visible_convexes,
     )
+
+
+def pixels_of(tiles: Tensor, camera: Camera) -> Tensor:
+    """[H, W] bool, the pixels in the tiles that are drawn."""
+    return tiles.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[: camera.height, : camera.width]
 
 
 def pixel_centres(camera: Camera) -> Tensor:

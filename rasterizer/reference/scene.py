@@ -19,6 +19,7 @@ class Scene:
     convexes: Convexes | None
     background: Tensor
     antialiased: bool = False
+    tiles: Tensor | None = None
 
     def tensors(self) -> dict[str, Tensor]:
         """Every float input by name: K, cam_from_world, background, gaussians.means, ..., convexes.extras."""
@@ -41,7 +42,7 @@ class Scene:
             elif name != "background":
                 kind, field = name.split(".")
                 parts[kind] = replace(parts[kind], **{field: value})
-        return Scene(background=background, antialiased=self.antialiased, **parts)
+        return Scene(background=background, antialiased=self.antialiased, tiles=self.tiles, **parts)
 
     def to(self, dtype: torch.dtype) -> Scene:
         return self.having({name: value.to(dtype) for name, value in self.tensors().items()})
@@ -55,5 +56,5 @@ class Scene:
         return {name: leaf for name, leaf in self.leaves().items() if "." in name}
 
     def render(self, backend: str = "reference", **options: Any) -> Frame:
-        options = {"antialiased": self.antialiased} | options
+        options = {"antialiased": self.antialiased, "tiles": self.tiles} | options
         return rasterize(self.camera, self.gaussians, self.convexes, self.background, backend=backend, **options)  # type: ignore[arg-type]

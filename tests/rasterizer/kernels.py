@@ -64,8 +64,8 @@ def on_the_gpu() -> Iterator[None]:
 
     original = cuda_backend.rasterize_cuda
 
-    def there_and_back(camera: Any, gaussians: Any, convexes: Any, background: torch.Tensor, antialiased: bool) -> Frame:
-        frame = original(moved(camera, "cuda"), moved(gaussians, "cuda"), moved(convexes, "cuda"), background.cuda(), antialiased)
+    def there_and_back(camera: Any, gaussians: Any, convexes: Any, background: torch.Tensor, *options: Any) -> Frame:
+        frame = original(moved(camera, "cuda"), moved(gaussians, "cuda"), moved(convexes, "cuda"), background.cuda(), *options)
         return moved(frame, "cpu")
 
     cuda_backend.rasterize_cuda = there_and_back

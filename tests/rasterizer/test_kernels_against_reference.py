@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from e4dgs.rasterizer import TILE
 
 from .compare import assert_gradients_close, assert_images_close, cotangents, decided_by_threshold, gradients
 from .kernels import ALL_KERNELS, EMULATED, needs_cpu
@@ -154,3 +155,39 @@ def test_two_runs_and_any_number_of_threads_are_bit_equal() -> None:
             assert torch.equal(getattr(frame, output), getattr(runs[0][0], output))
         for name in found:
             assert torch.equal(found[name], runs[0][1][name]), name
+
+
+def some_tiles(scene: Scene, seed: int = 0) -> Scene:
+    """The scene, of which only about half of the tiles are drawn."""
+    rows, columns = -(-scene.camera.height // TILE), -(-scene.camera.width // TILE)
+    return replace(scene, tiles=torch.rand(rows, columns, generator=torch.Generator().manual_seed(seed)) < 0.5)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_only_the_tiles_that_are_asked_for(kernels: str, antialiased: bool) -> None:
+    options = {"gaussians": 60, "convexes": 30, "degree": 1, "extras": 2, "size": 0.4, "width": 90, "height": 70}
+    check(some_tiles(random_scene(7, **options, antialiased=antialiased)), kernels)
+
+
+def test_tiles_are_the_same_as_without_the_others_and_these_show_the_background(kernels: str) -> None:
+    whole = random_scene(8, gaussians=80, convexes=30, degree=0, extras=1, width=90, height=70).to(torch.float32)
+    part = some_tiles(whole)
+    want, got = whole.render(kernels), part.render(kernels)
+    assert part.tiles is not None and 0 < int(part.tiles.sum()) < part.tiles.numel()
+    drawn = part.tiles.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[:70, :90]
+    for name in ("color", "alpha", "depth", "extras"):
+        assert torch.equal(getattr(got, name)[drawn], getattr(want, name)[drawn]), name
+    assert torch.equal(got.color[~drawn], part.background.expand(int((~drawn).sum()), 3))
+    for name in ("alpha", "depth", "extras"):
+        assert not getattr(got, name)[~drawn].any(), name
+    weights = {name: value * drawn.reshape(70, 90, *[1] * (value.dim() - 2)) for name, value in cotangents(want).items()}
+    assert_gradients_close(gradients(part, kernels, weights), gradients(whole, kernels, weights), relative=1e-6)
+
+
+def test_no_tile_at_all_is_the_background_without_gradient(kernels: str) -> None:
+    scene = random_scene(9, gaussians=20, convexes=10, degree=1).to(torch.float32)
+    scene = replace(scene, tiles=torch.zeros_like(some_tiles(scene).tiles))
+    frame = scene.render(kernels)
+    assert not frame.alpha.any() and not frame.visible_gaussians.any() and not frame.visible_convexes.any()
+    found = gradients(scene, kernels, cotangents(frame))
+    assert all(not value.any() for name, value in found.items() if "." in name)

@@ -132,6 +132,12 @@ BAD_ARGUMENTS = {
     "extras": (broken(gaussians_extras=torch.zeros(5, 2), convexes_extras=torch.zeros(4, 3)), ValueError, "must have one width"),
     "background": (lambda s: replace(s, background=torch.zeros(4)), ValueError, r"background must have shape \[3\]"),
     "background nan": (lambda s: replace(s, background=torch.tensor([0, float("nan"), 0])), ValueError, "background must be finite"),
+    "tiles": (
+        lambda s: replace(s, tiles=torch.ones(1, 3, dtype=torch.bool)),
+        ValueError,
+        r"tiles must have shape \[2, 3\] for 37 x 23 px, got",
+    ),
+    "tiles dtype": (lambda s: replace(s, tiles=torch.ones(2, 3)), TypeError, "tiles must be a bool torch.Tensor, got torch.float32"),
     "kind": (lambda s: replace(s, gaussians=s.convexes), TypeError, "gaussians must be Gaussians or None, got Convexes"),
 }
 
@@ -177,6 +183,13 @@ BAD_CAMERAS = {
 def test_bad_cameras_always_raise(camera: Camera, error: type[Exception], message: str, validate: bool) -> None:
     with pytest.raises(error, match=message):
         rasterize(camera, backend="reference", validate=validate)
+
+
+def test_a_camera_on_the_cpu_is_refused_while_a_cuda_graph_is_captured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
+    with pytest.raises(RuntimeError, match=r"camera.K is on the CPU while a CUDA graph is being captured; move it"):
+        scene().render("cuda")
 
 
 BAD_VALUES = [
