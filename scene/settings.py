@@ -36,7 +36,7 @@ class RefinementSettings(Settings):
         None, ge=0, description="px of error that an opaque primitive must remove, or it fades; 0.15 for planes, else 0.01"
     )
     spread: float | None = Field(None, ge=0, description="weight of the spread in depth of what one pixel shows; 0.3 for nodes, else 0")
-    smooth: float = Field(2.0, ge=0, description="rigs: weight of how much surfaces bend where pictures are smooth")
+    smooth: float = Field(2.0, ge=0, description="rigs: weight of how much surfaces bend where pictures are smooth; falls to a twentieth")
     depth: float = Field(0.3, ge=0, description="rigs: weight of the difference from the depth measured between cameras, where known")
     interval: float = Field(1e-3, ge=0, description="weight of L_interval (Eq. 8), with flow in px; 0 turns it off")
     data_flow: float = Field(1e-3, ge=0, description="weight of the difference of rendered and measured flow at edges, px; 0 turns it off")

@@ -45,6 +45,7 @@ class Views:
     or -1; train [n] int, the training frames. ``load(i)`` returns uint8 [H,W,3], composited on the background. ``load_alpha(i)`` returns
     uint8 [H,W]; it is None if the capture has no alpha. ``load_kept(i)`` returns uint8 [H,W], 255 for pixels that count and 0 for those
     that do not; it is None if all count.
+    ``load_moving(i)`` returns uint8 [H,W], 255 where something moves; it is None if that is unknown or if cameras move.
     recorder [F] int: frames with the same number record colours alike; the camera number if None.
     background [3] in [0,1]. near: world units. device: where images are needed; cameras are always on the CPU.
     """
@@ -63,6 +64,7 @@ class Views:
     load_alpha: Callable[[int], np.ndarray] | None = None
     load_kept: Callable[[int], np.ndarray] | None = None
     stored_edges: Callable[[int], np.ndarray] | None = None
+    load_moving: Callable[[int], np.ndarray] | None = None
     recorder: np.ndarray | None = None
     device: str | torch.device = "cpu"
     _images: OrderedDict[tuple[int, float, Kind], np.ndarray] = field(default_factory=OrderedDict, repr=False)

@@ -19,8 +19,8 @@
 #include "displacement.h"
 #include "field.h"
 #include "field_run.h"
+#include "images_module.h"
 #include "lives_module.h"
-#include "photometric.h"
 #include "skinning.h"
 #include "smoothness.h"
 
@@ -241,14 +241,5 @@ NB_MODULE(_kernels, m) {
     });
 
     bind_lives(m);
-
-    m.def("photometric", [](In x, In y, float w_l1, float w_ssim, Out grad, int threads) {
-        if (x.ndim() != 3 || x.shape(2) != 3 || y.size() != x.size() || grad.size() != x.size()) throw std::invalid_argument("x, y, grad must be [H,W,3]");
-        e4dgs::Photometric result;
-        {
-            nb::gil_scoped_release release;
-            result = e4dgs::photometric(x.data(), y.data(), static_cast<int>(x.shape(0)), static_cast<int>(x.shape(1)), w_l1, w_ssim, grad.data(), threads);
-        }
-        return std::make_pair(result.l1, result.ssim);
-    });
+    bind_images(m);
 }

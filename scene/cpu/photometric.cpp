@@ -51,7 +51,7 @@ private:
 thread_local std::pair<std::unique_ptr<float, Buffer::Free>, size_t> Buffer::kept_{nullptr, 0};
 
 struct Images {
-    const float *x, *y;
+    const float *x, *y, *weight;
     float* grad;
     int height, n;
     float scale_l1, scale_ssim;
@@ -129,19 +129,25 @@ private:
             grad[o] = begin + o < last ? in.grad + int64_t(begin + o) * in.n : nullptr;
         }
         gradient_rows(x, y, maps, in.n, in.scale_l1, in.scale_ssim, grad);
+        for (int o = 0; o < kTogether && grad[o] && in.weight; ++o) weigh_row(in.weight + int64_t(begin + o) * (in.n / kChannels), in.n / kChannels, grad[o]);
     }
 };
 
 }  // namespace
 
-Photometric photometric(const float* x, const float* y, int height, int width, float w_l1, float w_ssim, float* grad, int threads) {
+Photometric photometric(const float* x, const float* y, const float* weight, int height, int width, float w_l1, float w_ssim, float* grad, int threads) {
     const int n = width * kChannels;
     const double count = static_cast<double>(height) * n;
     std::vector<double> row_sum(height, 0.0), row_l1(height, 0.0);
-    const Images images{x, y, grad, height, n, static_cast<float>(w_l1 / count), static_cast<float>(w_ssim / count), row_sum.data(), row_l1.data()};
     const int strips = std::clamp(height / kLeastStrip, 1, std::max(threads, 1));
     const size_t each = Strip::kRows * Strip::stride(n);
-    Buffer buffer(strips * each);
+    Buffer buffer(strips * each + (weight ? size_t(height) * n : 0));
+    float* counted = buffer.data() + strips * each;
+    for (int r = 0; weight && r < height; ++r) {
+        const int64_t at = int64_t(r) * n;
+        counted_row(x + at, y + at, weight + int64_t(r) * width, width, counted + at);
+    }
+    const Images images{weight ? counted : x, y, weight, grad, height, n, static_cast<float>(w_l1 / count), static_cast<float>(w_ssim / count), row_sum.data(), row_l1.data()};
 #pragma omp parallel for num_threads(strips) schedule(static)
     for (int k = 0; k < strips; ++k)
         Strip(images, buffer.data() + k * each).run(int(int64_t(height) * k / strips), int(int64_t(height) * (k + 1) / strips));

@@ -8,7 +8,8 @@ struct Photometric {
     double ssim;  // mean SSIM over pixels and channels
 };
 
-// x, y [H,W,3]; grad [H,W,3] receives d(w_l1 * l1 + w_ssim * (1 - ssim)) / dx. Bit-equal for any number of threads.
-Photometric photometric(const float* x, const float* y, int height, int width, float w_l1, float w_ssim, float* grad, int threads);
+// x, y [H,W,3]; grad [H,W,3] receives d(w_l1 * l1 + w_ssim * (1 - ssim)) / dx. weight [H,W], or null: factor on the gradient of each pixel;
+// where it is 0, x is taken to equal y. Bit-equal for any number of threads.
+Photometric photometric(const float* x, const float* y, const float* weight, int height, int width, float w_l1, float w_ssim, float* grad, int threads);
 
 }  // namespace e4dgs

@@ -135,4 +135,14 @@ E4DGS_CLONES void gradient_rows(const float* const x[kTogether], const float* co
     }
 }
 
+E4DGS_CLONES void counted_row(const float* __restrict x, const float* __restrict y, const float* __restrict weight, int pixels, float* __restrict out) {
+    for (int p = 0; p < pixels; ++p)
+        for (int c = 0; c < kChannels; ++c) out[kChannels * p + c] = weight[p] != 0 ? x[kChannels * p + c] : y[kChannels * p + c];
+}
+
+E4DGS_CLONES void weigh_row(const float* __restrict weight, int pixels, float* __restrict grad) {
+    for (int p = 0; p < pixels; ++p)
+        for (int c = 0; c < kChannels; ++c) grad[kChannels * p + c] *= weight[p];
+}
+
 }  // namespace e4dgs

@@ -32,4 +32,9 @@ void sum_rows(const SsimRow rows[kTogether], const float* const x[kTogether], co
 void gradient_rows(const float* const x[kTogether], const float* const y[kTogether], const float* const maps[kDerivatives][kSpan], int n, float scale_l1,
                    float scale_ssim, float* const grad[kTogether]);
 
+// x where the weight is not 0, else y.
+void counted_row(const float* x, const float* y, const float* weight, int pixels, float* out);
+
+void weigh_row(const float* weight, int pixels, float* grad);
+
 }  // namespace e4dgs

@@ -47,7 +47,7 @@ def _step(motion: str, device: str) -> dict[str, Tensor]:
     """What a step of training computes, by names for people."""
     settings = TrainingSettings.model_validate({"sh_degree": DEGREES[motion], **WEIGHTS})
     model = _model(motion).to(device)
-    objective = Objective(_views(device), settings, RECIPES[motion], DISTANCE, motion == "planes", TOTAL, _measured_flow, None)
+    objective = Objective(_views(device), settings, RECIPES[motion], DISTANCE, motion == "planes", TOTAL, 0, _measured_flow, None)
     judged = objective(model, 1, STEP, Phase("all", TOTAL), DEGREES[motion])
     judged.loss.backward()  # type: ignore[no-untyped-call]
     optimiser = LearnedModel(model, settings, DISTANCE, 1.0).optimiser

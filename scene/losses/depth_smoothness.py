@@ -22,6 +22,8 @@ def depth_smoothness(depth: Tensor, alpha: Tensor, image: Tensor, unit: float) -
     total = depth.new_zeros(())
     for axis in (0, 1):
         size = depth.shape[axis]
+        if size < 3:
+            continue
         before, here, after = (inverse.narrow(axis, k, size - 2) for k in range(3))
         counts = solid.narrow(axis, 0, size - 2) & solid.narrow(axis, 1, size - 2) & solid.narrow(axis, 2, size - 2)
         colour = torch.maximum(*((image.narrow(axis, k, size - 2) - image.narrow(axis, 1, size - 2)).abs().amax(-1) for k in (0, 2)))

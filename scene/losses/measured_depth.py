@@ -38,18 +38,20 @@ class MeasuredDepth:
             self._sized[key] = interpolate(found[None, None], (height, width), mode="nearest")[0, 0]
         return self._sized[key]
 
-    def loss(self, depth: Tensor, alpha: Tensor, frame: int) -> Tensor:
-        """Mean over the image of the absolute difference in ``unit`` / depth, at most `LARGEST` a pixel and 0 where depth is unknown.
+    def moving(self, frame: int) -> Tensor | None:
+        """[h, w] bool, the pixels of ``frame`` that show something moving, where `of` does not count; None if there are none."""
+        return self._moving(frame)
 
-        depth [H, W]: alpha-weighted mean z, world units. alpha [H, W]. frame: number of the frame that was rendered.
-        """
-        measured = self.of(frame, *depth.shape)
-        if measured is None:
-            return depth.new_zeros(())
-        known = (measured > 0) & (alpha.detach() > COVERED) & (depth.detach() > 1e-3 * self.unit)
-        moving = self._moving(frame)
-        if moving is not None:
-            known &= interpolate(moving[None, None].float(), depth.shape, mode="nearest")[0, 0] == 0
-        inverse = alpha.clamp(min=COVERED) / depth.clamp(min=1e-3 * self.unit)
-        off = (self.unit * (inverse - measured)).abs().clamp(max=LARGEST)
-        return torch.where(known, off, 0.0).mean()
+
+def depth_difference(depth: Tensor, alpha: Tensor, measured: Tensor, moving: Tensor | None, unit: float) -> Tensor:
+    """Mean over the image of the absolute difference in ``unit`` / depth, at most `LARGEST` a pixel and 0 where it is unknown.
+
+    depth [H, W]: alpha-weighted mean z, world units. alpha [H, W]. measured [H, W]: see `MeasuredDepth.of`; moving [h, w]: see
+    `MeasuredDepth.moving`. Plain torch: the kernel's oracle.
+    """
+    known = (measured > 0) & (alpha.detach() > COVERED) & (depth.detach() > 1e-3 * unit)
+    if moving is not None:
+        known &= interpolate(moving[None, None].float(), depth.shape, mode="nearest")[0, 0] == 0
+    inverse = alpha.clamp(min=COVERED) / depth.clamp(min=1e-3 * unit)
+    off = (unit * (inverse - measured)).abs().clamp(max=LARGEST)
+    return torch.where(known, off, 0.0).mean()

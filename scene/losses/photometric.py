@@ -9,18 +9,24 @@ from torch import Tensor
 from .. import _kernels
 
 
-def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float = 0.2) -> Tensor:
+def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float = 0.2, weight: Tensor | None = None) -> Tensor:
     """``l1 * mean|image - target| + ssim * (1 - SSIM(image, target))``, a scalar.
 
     Args:
         image: [H, W, 3] float32, receives gradients. If it is on a CUDA device, so is the loss, and the call does not synchronise.
         target: [H, W, 3] float32, receives none.
         l1, ssim: the weights lambda_1 and lambda_2 of Eq. 9.
+        weight: [H, W] float32, factor on each pixel's gradient, but not on its loss; where it is 0, the pixel counts as equal to the
+            target. None: 1 everywhere.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"image and target must both be [H, W, 3]; got {tuple(image.shape)} and {tuple(target.shape)}")
+    if weight is not None and weight.shape != image.shape[:2]:
+        raise ValueError(f"weight must be {list(image.shape[:2])}, got {list(weight.shape)}")
     if image.device.type == "cpu" and image.dtype == torch.float32:
-        return _Photometric.apply(image, target, l1, ssim)
+        return _Photometric.apply(image, target, l1, ssim, weight)
+    if weight is not None:
+        image = scale_gradient(torch.where(weight[..., None] != 0, image, target), weight[..., None])
     if image.device.type == "cuda" and image.dtype == torch.float32:
         from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda import photometric
@@ -43,11 +49,28 @@ def ssim_reference(x: Tensor, y: Tensor) -> Tensor:
     return (numerator / ((mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2))).mean()
 
 
+def scale_gradient(x: Tensor, weight: Tensor) -> Tensor:
+    """``x``, whose gradient is multiplied by ``weight``, of a shape that broadcasts to that of ``x``."""
+    return _Scaled.apply(x, weight)
+
+
+class _Scaled(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, x: Tensor, weight: Tensor) -> Tensor:  # type: ignore[override]
+        ctx.save_for_backward(weight)
+        return x.view_as(x)
+
+    @staticmethod
+    def backward(ctx, grad: Tensor):  # type: ignore[override]
+        return grad * ctx.saved_tensors[0], None
+
+
 class _Photometric(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, image: Tensor, target: Tensor, l1: float, ssim: float) -> Tensor:  # type: ignore[override]
-        grad = torch.empty_like(image)
-        mean_l1, mean_ssim = _kernels.photometric(image.detach().contiguous(), target.contiguous(), l1, ssim, grad, torch.get_num_threads())
+    def forward(ctx, image: Tensor, target: Tensor, l1: float, ssim: float, weight: Tensor | None) -> Tensor:  # type: ignore[override]
+        grad = torch.empty_like(image, memory_format=torch.contiguous_format)
+        x, y, w = image.detach().contiguous(), target.contiguous(), None if weight is None else weight.contiguous()
+        mean_l1, mean_ssim = _kernels.photometric(x, y, w, l1, ssim, grad, torch.get_num_threads())
         ctx.save_for_backward(grad)
         return image.new_tensor(l1 * mean_l1 + ssim * (1.0 - mean_ssim))
 
@@ -55,4 +78,4 @@ class _Photometric(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx, grad_output: Tensor):  # type: ignore[override]
         (grad,) = ctx.saved_tensors
-        return grad if float(grad_output) == 1.0 else grad * grad_output, None, None, None
+        return grad if float(grad_output) == 1.0 else grad * grad_output, None, None, None, None

@@ -9,43 +9,45 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...rasterizer import rasterize
-from ..losses.depth_smoothness import depth_smoothness
+from ...rasterizer import Frame, rasterize
 from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow, MotionTerms
 from ..losses.photometric import photometric_loss
+from ..losses.surface import surface_loss
 from ..model import Model
 from ..settings import TrainingSettings
 from ..views import Views
+from .drawn_tiles import DrawnTiles
 from .recipe import Recipe
 from .schedule import Phase
 
 WHOLE_EVERY = 8  # one step in so many uses the whole image where the others are cropped to the object
+SMOOTH_END = 0.05  # of its weight that the smoothness of surfaces has at the end: it helps to find them, then blurs their detail
 RELINK_EVERY = 100  # steps between two searches for the parts of the motion that carry each primitive
 
 
 @dataclass(eq=False)
 class Judged:
-    """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3]. kept [h, w]: the pixels
-    that count; None if all do."""
+    """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3]. weight [h, w]: of the
+    pixels' gradients, 0 for those that do not count; None if it is 1 everywhere."""
 
     loss: Tensor
     image_loss: Tensor
     color: Tensor
     target: Tensor
-    kept: Tensor | None
+    weight: Tensor | None
 
     def psnr(self) -> float:
         """PSNR in dB over the pixels that count."""
-        share = 1.0 if self.kept is None else max(float(self.kept.float().mean()), 1e-6)
-        mse = float((self.color.detach() - self.target).square().mean()) / share
+        error = (self.color.detach() - self.target).square().mean(-1)
+        mse = float(error.mean() if self.weight is None else error[self.weight != 0].mean())
         return -10 * float(np.log10(max(mse, 1e-10)))
 
 
 class Objective:
-    """unit: the viewing distance, world units. several: whether one time alone shows the scene from several sides. total: number of steps
-    of the whole training. measured_flow, measured_depth: see `Trainer`."""
+    """unit: the viewing distance, world units. several: whether one time alone shows the scene from several sides. total: number
+    of steps; earlier: those that earlier stages took. measured_flow, measured_depth: see `Trainer`."""
 
     def __init__(
         self,
@@ -55,13 +57,16 @@ class Objective:
         unit: float,
         several: bool,
         total: int,
+        earlier: int,
         measured_flow: MeasuredFlow | None,
         measured_depth: MeasuredDepth | None,
     ) -> None:
-        self.views, self.settings, self.unit, self.several, self.total = views, settings, unit, several, total
+        self.views, self.settings, self.unit = views, settings, unit
+        self.several, self.total, self.earlier = several, total, earlier
         self.measured_depth = measured_depth if settings.depth else None
         self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
         self.spread = recipe.spread if settings.spread is None else settings.spread
+        self.drawn = DrawnTiles(views, settings.seed, earlier + total)
         self.motion_terms = MotionTerms(
             views,
             settings,
@@ -81,17 +86,20 @@ class Objective:
         if step % RELINK_EVERY == 0:
             model.relink()
         gaussians, convexes = model.at(float(views.time[i]), camera, phase.move, sh_degree)
+        drawn = self.drawn.of(i, phase.scale, step) if window is None else None
         spread = self.spread if step % EVERY == 0 and step > BEGIN * self.total else 0.0
         seen = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
-        frame = rasterize(camera, *seen, background, antialiased=model.antialiased)
+        tiles = None if drawn is None else drawn.tiles
+        frame = rasterize(camera, *seen, background, antialiased=model.antialiased, tiles=tiles)
         color = frame.color
         if model.affine is not None:
             color = model.affine(color, views.recorded_by(i))
         target = views.target(i, phase.scale, window)
         kept = views.kept(i, phase.scale, window)
-        if kept is not None:  # where pixels do not count, the target is the render itself: no loss and no gradient
-            target = torch.where(kept[..., None], target, color.detach())
-        loss = photometric_loss(color, target, s.l1, s.ssim)
+        weight = None if drawn is None else drawn.weight
+        if kept is not None:
+            weight = kept.float() if weight is None else kept * weight
+        loss = photometric_loss(color, target, s.l1, s.ssim, weight)
         if s.alpha and views.load_alpha is not None:
             wrong = (frame.alpha - views.alpha(i, phase.scale, window)).abs()
             loss = loss + s.alpha * (wrong if kept is None else wrong * kept).mean()
@@ -101,11 +109,23 @@ class Objective:
         image_loss = loss.detach()
         if spread:
             loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)
-        if s.smooth and self.several:
-            loss = loss + s.smooth * depth_smoothness(frame.depth, frame.alpha, target, self.unit)
-        if self.measured_depth is not None:
-            loss = loss + s.depth * self.measured_depth.loss(frame.depth, frame.alpha, i)
+        loss = loss + self._surface(frame, target, i, step, weight)
         loss = loss + self.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
-        return Judged(loss, image_loss, color, target, kept)
+        return Judged(loss, image_loss, color, target, weight)
+
+    def smooth(self, step: int) -> float:
+        """Weight of the smoothness of surfaces at ``step``; 0 unless one time alone shows the scene from several sides."""
+        progress = (self.earlier + step) / max(self.earlier + self.total, 1)
+        return self.settings.smooth * SMOOTH_END**progress if self.several else 0.0
+
+    def _surface(self, frame: Frame, target: Tensor, i: int, step: int, weight: Tensor | None) -> Tensor:
+        """The terms on the depth of ``frame``, a render of training frame ``i`` whose pixels' gradients have ``weight``."""
+        smooth, known = self.smooth(step), self.measured_depth
+        measured = None if known is None else known.of(i, *frame.depth.shape)
+        if not smooth and measured is None:
+            return frame.depth.new_zeros(())
+        moving = None if known is None else known.moving(i)
+        depths = frame.depth, frame.alpha, target
+        return surface_loss(*depths, self.unit, smooth, self.settings.depth, measured, moving, weight)

@@ -32,9 +32,10 @@ class Trainer:
     """Trains ``model`` in place on ``views``.
 
     phases: run in this order. settings: see `TrainingSettings`. budget: maximum number of Gaussians. lr_scale: factor on the rates of
-    parameters that an earlier stage has already trained. measured_flow: returns for frame i the flow to the camera's next frame [H, W, 2]
-    px and a weight [H, W], or None if there is none. measured_depth: of the static scene. checkpoints: folder of this run; training
-    continues from a state found there. advance: called with (steps, note). log: called with a line for people to read.
+    parameters that an earlier stage has already trained. earlier: number of steps of that stage. measured_flow: returns for frame i the
+    flow to the camera's next frame [H, W, 2] px and a weight [H, W], or None if there is none. measured_depth: of the static scene.
+    checkpoints: folder of this run; training continues from a state found there. advance: called with (steps, note). log: called with a
+    line for people to read.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class Trainer:
         budget: int,
         checkpoints: Path | None = None,
         lr_scale: float = 1.0,
+        earlier: int = 0,
         grow: bool = True,
         measured_flow: MeasuredFlow | None = None,
         measured_depth: MeasuredDepth | None = None,
@@ -66,8 +68,8 @@ class Trainer:
         if settings.affine and model.affine is None and (recorders := colour_recorders(views)) is not None:
             model.affine = CameraAffine(recorders).to(model.device)
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
-        several = self.curriculum.several
-        self.objective = Objective(views, settings, recipe, self.unit, several, self.total, measured_flow, measured_depth)
+        steps = self.curriculum.several, self.total, earlier
+        self.objective = Objective(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth)
         self.learned = LearnedModel(model, settings, self.unit, lr_scale)
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)

@@ -47,6 +47,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
         background=BACKGROUNDS[frames.background] if model is None else model.background,
         load_alpha=(lambda i: np.ascontiguousarray(frames.image(i)[..., 3])) if frames.alpha else None,
         load_kept=None if frames.keep_files is None else kept_pixels(frames),
+        load_moving=stored.moving if stored is not None and stored.has_moving and stored.has_ever_moving else None,
         stored_edges=stored.edges if stored is not None and stored.has_edges else None,
         recorder=np.arange(len(frames.time)) if are_photos(frames) else None,
         device=device,

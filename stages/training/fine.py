@@ -51,6 +51,7 @@ def train_fine(ctx: Context) -> None:
         fine_phases(coarse.strategy, coarse.iterations, settings.iterations, is_static(ctx)),
         training_settings(settings, coarse.growth),
         budget=coarse.growth.budget or auto_budget(Facts.of(ctx.facts), views, nodes),
+        earlier=coarse.iterations,
         lr_scale=1.0 if joint else settings.lr_scale,
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),

@@ -25,6 +25,27 @@ def test_value_and_gradient_match_the_oracle(height, width, l1, ssim):
     assert (ours - theirs).norm() <= 2e-5 * theirs.norm() + 1e-9
 
 
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 17), (40, 33), (71, 101)])
+def test_weights_scale_gradients_and_pixels_of_weight_zero_do_not_count(height, width):
+    x, y = images(height, width)
+    weight = torch.rand(height, width, generator=torch.Generator().manual_seed(1)) * 4
+    weight[weight < 1] = 0
+    x.requires_grad_()
+    loss = photometric_loss(x, y, 0.7, 0.3, weight)
+    (ours,) = torch.autograd.grad(loss, x)
+    exact = torch.where(weight[..., None] > 0, x.detach(), y).double().requires_grad_()
+    expected = 0.7 * (exact - y).abs().mean() + 0.3 * (1 - ssim_reference(exact, y.double()))
+    (theirs,) = torch.autograd.grad(expected, exact)
+    theirs = theirs * weight[..., None]
+    assert abs(float(loss) - float(expected)) < 2e-6
+    assert (ours - theirs).norm() <= 2e-5 * theirs.norm() + 1e-9
+    assert not ours[weight == 0].any()
+    double = x.detach().double().requires_grad_()  # the path without a kernel means the same
+    composed = photometric_loss(double, y.double(), 0.7, 0.3, weight.double())
+    assert float(composed) == pytest.approx(float(expected), abs=1e-12)
+    torch.testing.assert_close(torch.autograd.grad(composed, double)[0], theirs)
+
+
 def test_oracle_gradient_matches_central_differences():
     x, y = images(4, 5)
     assert torch.autograd.gradcheck(lambda a: ssim_reference(a, y.double()), x.double().requires_grad_(), eps=1e-6, atol=1e-7)
@@ -56,3 +77,5 @@ def test_bit_equal_for_any_number_of_threads():
 def test_shapes_are_named():
     with pytest.raises(ValueError, match=r"\(4, 4, 3\) and \(4, 5, 3\)"):
         photometric_loss(torch.zeros(4, 4, 3), torch.zeros(4, 5, 3))
+    with pytest.raises(ValueError, match=r"weight must be \[4, 4\], got \[4, 5\]"):
+        photometric_loss(torch.zeros(4, 4, 3), torch.zeros(4, 4, 3), weight=torch.zeros(4, 5))

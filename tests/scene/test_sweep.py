@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.losses.measured_depth import LARGEST, MeasuredDepth
+from e4dgs.scene.losses.measured_depth import LARGEST, MeasuredDepth, depth_difference
 from e4dgs.scene.seeds.sweep import beside, plane_sweep, points_of
 from e4dgs.scene.views import Views
 from factory import Options, make, render
@@ -79,19 +79,22 @@ def test_the_loss_is_the_clamped_difference_where_depth_is_known():
     measured = torch.tensor([[0.25, 0.0, 0.25], [0.5, 0.25, 0.25]])
     depth = 0.8 * torch.tensor([[4.0, 4.0, 5.0], [4.0, 3.9, 4.0]])
     alpha[1, 2] = 0.3  # no surface
-    loss = MeasuredDepth({7: measured}, unit).loss(depth, alpha, 7)
+    loss = depth_difference(depth, alpha, measured, None, unit)
     expected = (0 + 0 + abs(4 / 5 - 1) + LARGEST + (4 / 3.9 - 1) + 0) / 6
     assert float(loss) == pytest.approx(expected, rel=1e-5)
-    assert float(MeasuredDepth({7: measured}, unit).loss(depth, alpha, 8)) == 0.0
-    passing = torch.tensor([[False, False, True]])
-    without = MeasuredDepth({7: measured, 3: measured}, unit, lambda i: passing if i == 3 else None)
-    assert float(without.loss(depth, alpha, 7)) == float(loss)
-    assert float(without.loss(depth, alpha, 3)) == pytest.approx((LARGEST + (4 / 3.9 - 1)) / 6, rel=1e-5)
+    without = depth_difference(depth, alpha, measured, torch.tensor([[False, False, True]]), unit)
+    assert float(without) == pytest.approx((LARGEST + (4 / 3.9 - 1)) / 6, rel=1e-5)
+
+
+def test_maps_are_resized_and_frames_without_one_are_unknown():
+    maps = MeasuredDepth({7: torch.tensor([[0.25, 0.5]])}, 1.0)
+    assert maps.of(8, 2, 4) is None and maps.moving(7) is None
+    assert torch.equal(maps.of(7, 2, 4), torch.tensor([[0.25, 0.25, 0.5, 0.5]] * 2))
 
 
 def test_gradients_of_the_loss_agree_with_central_differences():
     draw = torch.Generator().manual_seed(0)
     depth = (3 + torch.rand(4, 5, generator=draw, dtype=torch.float64)).requires_grad_()
     alpha = (0.6 + 0.3 * torch.rand(4, 5, generator=draw, dtype=torch.float64)).requires_grad_()
-    measured = MeasuredDepth({0: 0.2 + 0.05 * torch.rand(4, 5, generator=draw, dtype=torch.float64)}, 1.0)
-    assert torch.autograd.gradcheck(lambda d, a: measured.loss(d, a, 0), (depth, alpha), eps=1e-6, atol=1e-8)
+    measured = 0.2 + 0.05 * torch.rand(4, 5, generator=draw, dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda d, a: depth_difference(d, a, measured, None, 1.0), (depth, alpha), eps=1e-6, atol=1e-8)

@@ -8,7 +8,10 @@ import torch
 from e4dgs.scene.primitives import ConvexSet
 from e4dgs.scene.training import convergence
 from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
+from e4dgs.scene.training.curriculum import MIN_CAMERAS
+from e4dgs.scene.training.drawn_tiles import LEAST_TIMES
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
+from e4dgs.scene.training.objective import SMOOTH_END
 from e4dgs.scene.training.recipe import NODES, PLANES
 from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
@@ -185,3 +188,26 @@ def test_what_is_hardly_seen_goes_once_and_steps_follow(views, prune_at, step):
     assert float(model.gaussians.means.detach()[:, 2].min()) > -10
     removals = [event for event in log.events if "hardly any training view shows them" in event]
     assert len(removals) == 1 and removals[0].startswith(f"step {step}: ")
+
+
+def test_a_long_training_that_draws_only_some_of_the_static_tiles_learns_the_whole_scene():
+    views = make_views(cameras=1, times=LEAST_TIMES, size=64)
+    still = np.median([views.load(int(i)) for i in views.train], axis=0)
+    views.load_moving = lambda i: (np.abs(views.load(i) - still).max(-1) > 30).astype(np.uint8) * 255
+    model = fresh(views)
+    before = psnr(model, views)
+    _, log, trainer = train(views, model=model, earlier=100_000)
+    drawn = [trainer.objective.drawn.of(int(i), 1.0, step) for step, i in enumerate(views.train)]
+    assert min(float(one.tiles.float().mean()) for one in drawn) < 1
+    assert psnr(model, views) > before + 3
+    assert log.nonfinite_steps == 0 and log.psnr[-1][1] > log.psnr[0][1] + 1
+
+
+@pytest.mark.parametrize(("cameras", "weight"), [(MIN_CAMERAS - 1, 0.0), (MIN_CAMERAS, 1.0)])
+def test_surfaces_that_several_cameras_see_are_smoothed_less_and_less(cameras, weight):
+    views = make_views(cameras=cameras, times=2, size=8)
+    for earlier in (0, 300):
+        _, _, trainer = train(views, settings=SETTINGS.model_copy(update={"iterations": 100}), earlier=earlier)
+        begin, end = (trainer.objective.smooth(step) for step in (0, 100))
+        assert begin == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END ** (earlier / (earlier + 100)))
+        assert end == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END)

@@ -28,6 +28,7 @@ COUNT = 30_000
 SH_DEGREE = 2
 SIZE = 400  # px; the sample's pictures are enlarged to this
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "cube_and_ball"
+EARLIER = 9000  # steps that an earlier stage took: static parts no longer need all steps
 STEPS, BEGUN = 1000, 400  # steps of the run, and steps already taken, when every term of the loss is active
 PERIOD = 8  # steps in which every term of the loss occurs as often as on average
 
@@ -86,7 +87,7 @@ def make_trainer(model: Model, views: Views) -> tuple[Trainer, Callable[[], None
     assert model.field is not None
     recipe = RECIPES.get(str(model.field.config["kind"]), PLANES)
     phase, settings = Phase("deformation", STEPS), TrainingSettings.model_validate({})
-    trainer = Trainer(model, views, [phase], settings, budget=len(model.gaussians), grow=False, recipe=recipe)
+    trainer = Trainer(model, views, [phase], settings, budget=len(model.gaussians), grow=False, recipe=recipe, earlier=EARLIER)
     trainer.iteration = BEGUN
 
     def period() -> None:

@@ -1,0 +1,61 @@
+#include "images_module.h"
+
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+
+#include <cstdint>
+#include <optional>
+#include <stdexcept>
+#include <utility>
+
+#include "arrays.h"
+#include "photometric.h"
+#include "surface.h"
+
+namespace {
+
+using Flags = nb::ndarray<const bool, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Maybe = std::optional<In>;
+
+// The data of an optional image [h, w], or null.
+const float* image_of(const Maybe& image, size_t h, size_t w, const char* name) {
+    if (image) check(*image, {h, w}, name);
+    return image ? image->data() : nullptr;
+}
+
+}  // namespace
+
+void bind_images(nb::module_& m) {
+    m.def(
+        "photometric",
+        [](const In& x, const In& y, const Maybe& weight, float w_l1, float w_ssim, const Out& grad, int threads) {
+            if (x.ndim() != 3 || x.shape(2) != 3) throw std::invalid_argument("x must be [H,W,3]");
+            const size_t h = x.shape(0), w = x.shape(1);
+            check(y, {h, w, 3}, "y"), check(grad, {h, w, 3}, "grad");
+            const float* weights = image_of(weight, h, w, "weight");
+            e4dgs::Photometric result;
+            {
+                nb::gil_scoped_release release;
+                result = e4dgs::photometric(x.data(), y.data(), weights, int(h), int(w), w_l1, w_ssim, grad.data(), threads);
+            }
+            return std::make_pair(result.l1, result.ssim);
+        },
+        nb::arg("x"), nb::arg("y"), nb::arg("weight").none(), nb::arg("w_l1"), nb::arg("w_ssim"), nb::arg("grad"), nb::arg("threads"));
+
+    m.def(
+        "surface",
+        [](const In& depth, const In& alpha, const In& image, const Maybe& measured, const std::optional<Flags>& moving, const Maybe& weight,
+           float unit, float smooth, float measure, const Out& d_depth, const Out& d_alpha, int threads) {
+            if (depth.ndim() != 2) throw std::invalid_argument("depth must be [H,W]");
+            const size_t h = depth.shape(0), w = depth.shape(1);
+            check(alpha, {h, w}, "alpha"), check(image, {h, w, 3}, "image"), check(d_depth, {h, w}, "d_depth"), check(d_alpha, {h, w}, "d_alpha");
+            if (moving && (moving->shape(0) < 1 || moving->shape(1) < 1)) throw std::invalid_argument("moving must not be empty");
+            const e4dgs::SurfaceInput in{depth.data(), alpha.data(), image.data(), image_of(measured, h, w, "measured"),
+                                         moving ? reinterpret_cast<const uint8_t*>(moving->data()) : nullptr, image_of(weight, h, w, "weight"),
+                                         int(h), int(w), moving ? int(moving->shape(0)) : 0, moving ? int(moving->shape(1)) : 0, unit, smooth, measure};
+            nb::gil_scoped_release release;
+            return e4dgs::surface(in, d_depth.data(), d_alpha.data(), threads);
+        },
+        nb::arg("depth"), nb::arg("alpha"), nb::arg("image"), nb::arg("measured").none(), nb::arg("moving").none(), nb::arg("weight").none(),
+        nb::arg("unit"), nb::arg("smooth"), nb::arg("measure"), nb::arg("d_depth"), nb::arg("d_alpha"), nb::arg("threads"));
+}

@@ -1,0 +1,67 @@
+"""Both terms on the rendered depth, `depth_smoothness` and `depth_difference`, with their gradient from one fused kernel."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .. import _kernels
+from .depth_smoothness import depth_smoothness
+from .measured_depth import depth_difference
+from .photometric import scale_gradient
+
+
+def surface_loss(
+    depth: Tensor,
+    alpha: Tensor,
+    image: Tensor,
+    unit: float,
+    smooth: float,
+    measure: float = 0.0,
+    measured: Tensor | None = None,
+    moving: Tensor | None = None,
+    weight: Tensor | None = None,
+) -> Tensor:
+    """``smooth`` times `depth_smoothness`, plus ``measure`` times `depth_difference` if ``measured`` is given: a scalar.
+
+    weight: [H, W] float32, factor on each pixel's gradient, but not on its loss; None: 1 everywhere. For the rest, see the two terms.
+    Off the CPU and in double the terms are computed with torch.
+    """
+    if depth.device.type == "cpu" and depth.dtype == torch.float32:
+        return _Surface.apply(depth, alpha, image, measured, moving, weight, unit, smooth, measure)
+    return surface_reference(depth, alpha, image, unit, smooth, measure, measured, moving, weight)
+
+
+def surface_reference(
+    depth: Tensor,
+    alpha: Tensor,
+    image: Tensor,
+    unit: float,
+    smooth: float,
+    measure: float = 0.0,
+    measured: Tensor | None = None,
+    moving: Tensor | None = None,
+    weight: Tensor | None = None,
+) -> Tensor:
+    """`surface_loss` in plain torch: the kernel's oracle."""
+    if weight is not None:
+        depth, alpha = scale_gradient(depth, weight), scale_gradient(alpha, weight)
+    loss = smooth * depth_smoothness(depth, alpha, image, unit) if smooth else depth.new_zeros(())
+    return loss if measured is None else loss + measure * depth_difference(depth, alpha, measured, moving, unit)
+
+
+class _Surface(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, depth, alpha, image, measured, moving, weight, unit, smooth, measure):  # type: ignore[override]
+        plain = [None if t is None else t.detach().contiguous() for t in (depth, alpha, image, measured, moving, weight)]
+        grads = torch.empty(2, *depth.shape)
+        loss = _kernels.surface(*plain, unit, smooth, measure, grads[0], grads[1], torch.get_num_threads())
+        ctx.save_for_backward(grads)
+        return depth.new_tensor(loss)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, grad_output: Tensor):  # type: ignore[override]
+        (grads,) = ctx.saved_tensors
+        d_depth, d_alpha = grads if float(grad_output) == 1.0 else grads * grad_output
+        return d_depth, d_alpha, *([None] * 7)
