@@ -39,10 +39,11 @@ class Judged:
     weight: Tensor | None
 
     def psnr(self) -> float:
-        """PSNR in dB over the pixels that count."""
+        """PSNR in dB over the pixels that count, or over all if none does."""
         error = (self.color.detach() - self.target).square().mean(-1)
-        mse = float(error.mean() if self.weight is None else error[self.weight != 0].mean())
-        return -10 * float(np.log10(max(mse, 1e-10)))
+        if self.weight is not None and bool(self.weight.any()):
+            error = error[self.weight != 0]
+        return -10 * float(np.log10(max(float(error.mean()), 1e-10)))
 
 
 class Objective:

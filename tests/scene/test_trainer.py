@@ -1,6 +1,7 @@
 """The training loop on a scene of its own: a few coloured Gaussians that slide past fixed cameras."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from e4dgs.scene.primitives import ConvexSet
 from e4dgs.scene.training import convergence
 from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.curriculum import MIN_CAMERAS
-from e4dgs.scene.training.drawn_tiles import LEAST_TIMES
+from e4dgs.scene.training.drawn_tiles import LEAST_TIMES, Drawn
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.objective import SMOOTH_END
 from e4dgs.scene.training.recipe import NODES, PLANES
@@ -211,3 +212,16 @@ def test_surfaces_that_several_cameras_see_are_smoothed_less_and_less(cameras, w
         begin, end = (trainer.objective.smooth(step) for step in (0, 100))
         assert begin == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END ** (earlier / (earlier + 100)))
         assert end == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END)
+
+
+def test_a_step_that_draws_nothing_changes_no_shape_and_has_a_finite_psnr(monkeypatch):
+    views = make_views(cameras=1, times=LEAST_TIMES, size=64)
+    views.load_moving = lambda i: np.zeros((64, 64), np.uint8)
+    model, _, trainer = train(views, settings=SETTINGS.model_copy(update={"iterations": 1}))
+    nothing = Drawn(torch.zeros(4, 4, dtype=torch.bool), torch.zeros(64, 64))
+    monkeypatch.setattr(trainer.objective, "drawn", SimpleNamespace(of=lambda *given: nothing))
+    judged = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
+    judged.loss.backward()
+    assert np.isfinite(judged.psnr()) and float(judged.image_loss) == pytest.approx(0, abs=1e-6)
+    shapes = model.gaussians.parameters
+    assert all(shapes[name].grad is None or not shapes[name].grad.any() for name in ("log_scales", "quats", "sh_dc"))
