@@ -11,7 +11,7 @@ GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh", "colors", "ext
 CONVEX_FIELDS = ("points", "tau", "kappa", "opacities", "sh", "colors", "extras")
 IMAGES = ("color", "alpha", "depth", "extras")
 
-TILE = 16  # px, side of the squares that `rasterize` can leave out
+TILE = 16  # px, side of the squares that `rasterize` can leave out; kTile in records.h and device.cuh
 
 
 @dataclass(eq=False)

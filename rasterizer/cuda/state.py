@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..types import Camera, Convexes, Gaussians
-
-TILE = 16  # px, as in device.cuh
+from ..types import TILE, Camera, Convexes, Gaussians
 
 
 @dataclass(eq=False)
