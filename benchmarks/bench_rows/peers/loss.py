@@ -13,7 +13,7 @@ C1, C2 = 0.01**2, 0.03**2
 def torch_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float = 0.2, weight: Tensor | None = None) -> Tensor:
     """``l1 * mean|image - target| + ssim * (1 - SSIM)`` of [H, W, 3] images, in their precision. All pixels count alike: no ``weight``."""
     if weight is not None:
-        raise NotImplementedError("the composed loss takes no weights of pixels")
+        raise ValueError("the torch loss takes no weights of pixels")
     return l1 * (image - target).abs().mean() + ssim * (1 - torch_ssim(image, target))
 
 

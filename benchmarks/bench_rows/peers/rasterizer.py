@@ -56,7 +56,7 @@ def rasterize_torch(
     """Render in float32. Arguments and result as in `rasterize`; only Gaussians can be drawn, in the default mode and in all tiles.
     Visibility is that of the image's box."""
     if tiles is not None:
-        raise NotImplementedError("the composed rasterizer draws all tiles")
+        raise ValueError("the torch rasterizer draws all tiles")
     if antialiased:
         raise ValueError("the torch rasterizer has no antialiased mode")
     if gaussians is None or (convexes is not None and len(convexes.points)):
