@@ -59,9 +59,14 @@ def node_phases(iterations: int, scale: float) -> list[Phase]:
     return [phase for phase in phases if phase.iterations > 0]
 
 
+def left_to_fine(strategy: Strategy, coarse_iterations: int, static: bool) -> int:
+    """How many steps of the coarse stage ``joint`` leaves to the fine one: all after the warm-up."""
+    return coarse_iterations - round(coarse_iterations * WARM_UP) if strategy == "joint" and not static else 0
+
+
 def fine_phases(strategy: Strategy, coarse_iterations: int, iterations: int, static: bool) -> list[Phase]:
     """Gaussians and convexes together. ``joint`` adds the steps that its coarse stage left out; ``alternating`` trains them in turns."""
-    left_over = coarse_iterations - round(coarse_iterations * WARM_UP) if strategy == "joint" and not static else 0
+    left_over = left_to_fine(strategy, coarse_iterations, static)
     alternation = ALTERNATION if strategy == "alternating" else 0
     return [Phase("refinement", left_over + iterations, move=not static, alternation=alternation)]
 

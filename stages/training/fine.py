@@ -10,7 +10,7 @@ from ...pipeline import Context
 from ...scene.model import Model
 from ...scene.primitives import ConvexSet
 from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettings
-from ...scene.training.schedule import fine_phases
+from ...scene.training.schedule import fine_phases, left_to_fine
 from ..artifacts.coarse import StoredCoarse, required
 from ..artifacts.dataset import load_frameset, load_views, measured_flow
 from ..artifacts.hulls import StoredHulls
@@ -51,7 +51,7 @@ def train_fine(ctx: Context) -> None:
         fine_phases(coarse.strategy, coarse.iterations, settings.iterations, is_static(ctx)),
         training_settings(settings, coarse.growth),
         budget=coarse.growth.budget or auto_budget(Facts.of(ctx.facts), views, nodes),
-        earlier=coarse.iterations,
+        earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, is_static(ctx)),
         lr_scale=1.0 if joint else settings.lr_scale,
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),

@@ -4,7 +4,7 @@ import pytest
 import torch
 from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
-from e4dgs.scene.training.schedule import Phase, alike_since, coarse_phases, fine_phases, node_phases
+from e4dgs.scene.training.schedule import Phase, alike_since, coarse_phases, fine_phases, left_to_fine, node_phases
 
 
 def parameter(gradient):
@@ -114,3 +114,11 @@ def test_nodes_see_small_images_first_and_full_size_for_most_of_the_steps(scale)
 def test_losses_of_another_image_size_do_not_compare():
     phases = [Phase("a", 100, False, 0.5), Phase("b", 200, True, 0.5), Phase("c", 300, True, 1.0), Phase("d", 50, True, 1.0)]
     assert [alike_since(phases, step) for step in (50, 100, 101, 300, 301, 600, 650)] == [0, 0, 100, 100, 300, 300, 300]
+
+
+@pytest.mark.parametrize("static", [False, True])
+@pytest.mark.parametrize("strategy", ["two-stage", "joint", "alternating", "progressive"])
+def test_what_coarse_leaves_to_fine_is_what_it_did_not_do(strategy, static):
+    done = sum(p.iterations for p in coarse_phases(strategy, 1000, static))
+    left = left_to_fine(strategy, 1000, static)
+    assert done + left == 1000 and sum(p.iterations for p in fine_phases(strategy, 1000, 300, static)) == left + 300
