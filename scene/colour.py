@@ -27,11 +27,15 @@ class CameraAffine(nn.Module):
 
     def forward(self, image: Tensor, camera: int) -> Tensor:
         """``image`` [H, W, 3] as camera number ``camera`` would record it. A camera without a row is treated as the mean camera."""
+        recording = self.recording(camera)
+        return image if recording is None else image * recording[0] + recording[1]
+
+    def recording(self, camera: int) -> tuple[Tensor, Tensor] | None:
+        """The gain and the offset [3] of camera number ``camera``; None if it has no row."""
         row = self._row.get(int(camera))
         if row is None:
-            return image
-        gain = torch.exp(self.log_gain[row] - self.log_gain.mean(0))
-        return image * gain + (self.offset[row] - self.offset.mean(0))
+            return None
+        return torch.exp(self.log_gain[row] - self.log_gain.mean(0)), self.offset[row] - self.offset.mean(0)
 
 
 def colour_recorders(views: Views) -> np.ndarray | None:

@@ -3,6 +3,7 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
 #include <stdexcept>
@@ -28,19 +29,29 @@ const float* image_of(const Maybe& image, size_t h, size_t w, const char* name) 
 void bind_images(nb::module_& m) {
     m.def(
         "photometric",
-        [](const In& x, const In& y, const Maybe& weight, float w_l1, float w_ssim, const Out& grad, int threads) {
+        [](const In& x, const In& y, const Maybe& weight, const Maybe& gain, const Maybe& offset, float w_l1, float w_ssim, const Out& grad,
+           const Out& d_gain, const Out& d_offset, int threads) {
             if (x.ndim() != 3 || x.shape(2) != 3) throw std::invalid_argument("x must be [H,W,3]");
             const size_t h = x.shape(0), w = x.shape(1);
             check(y, {h, w, 3}, "y"), check(grad, {h, w, 3}, "grad");
+            check(d_gain, {3}, "d_gain"), check(d_offset, {3}, "d_offset");
+            if (bool(gain) != bool(offset)) throw std::invalid_argument("gain and offset must be given together");
             const float* weights = image_of(weight, h, w, "weight");
+            e4dgs::Recording recording;
+            if (gain) {
+                check(*gain, {3}, "gain"), check(*offset, {3}, "offset");
+                std::copy_n(gain->data(), 3, recording.gain), std::copy_n(offset->data(), 3, recording.offset);
+            }
             e4dgs::Photometric result;
             {
                 nb::gil_scoped_release release;
-                result = e4dgs::photometric(x.data(), y.data(), weights, int(h), int(w), w_l1, w_ssim, grad.data(), threads);
+                result = e4dgs::photometric(x.data(), y.data(), weights, gain ? &recording : nullptr, int(h), int(w), w_l1, w_ssim, grad.data(), threads);
             }
+            std::copy_n(result.d_gain, 3, d_gain.data()), std::copy_n(result.d_offset, 3, d_offset.data());
             return std::make_pair(result.l1, result.ssim);
         },
-        nb::arg("x"), nb::arg("y"), nb::arg("weight").none(), nb::arg("w_l1"), nb::arg("w_ssim"), nb::arg("grad"), nb::arg("threads"));
+        nb::arg("x"), nb::arg("y"), nb::arg("weight").none(), nb::arg("gain").none(), nb::arg("offset").none(), nb::arg("w_l1"), nb::arg("w_ssim"),
+        nb::arg("grad"), nb::arg("d_gain"), nb::arg("d_offset"), nb::arg("threads"));
 
     m.def(
         "surface",

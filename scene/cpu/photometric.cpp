@@ -51,11 +51,14 @@ private:
 thread_local std::pair<std::unique_ptr<float, Buffer::Free>, size_t> Buffer::kept_{nullptr, 0};
 
 struct Images {
-    const float *x, *y, *weight;
+    const float *x, *y, *weight;  // x: as recorded
+    const float* raw;             // null if nothing weighs or changes the gradient
+    const Recording recording;
     float* grad;
     int height, n;
     float scale_l1, scale_ssim;
-    double *ssim, *l1;  // sums of each row
+    double *ssim, *l1;           // sums of each row
+    double *d_gain, *d_offset;   // [H,3], of each row
 };
 
 // Rows of a strip's memory, each `stride` floats apart: an odd number of cache lines, so that the rows of a ring do not compete for one place.
@@ -129,32 +132,43 @@ private:
             grad[o] = begin + o < last ? in.grad + int64_t(begin + o) * in.n : nullptr;
         }
         gradient_rows(x, y, maps, in.n, in.scale_l1, in.scale_ssim, grad);
-        for (int o = 0; o < kTogether && grad[o] && in.weight; ++o) weigh_row(in.weight + int64_t(begin + o) * (in.n / kChannels), in.n / kChannels, grad[o]);
+        const int pixels = in.n / kChannels;
+        for (int o = 0; o < kTogether && grad[o] && in.raw; ++o) {
+            const int64_t at = begin + o;
+            const float* const weight = in.weight ? in.weight + at * pixels : nullptr;
+            weigh_row(in.raw + at * in.n, weight, in.recording.gain, pixels, grad[o], in.d_gain + kChannels * at, in.d_offset + kChannels * at);
+        }
     }
 };
 
 }  // namespace
 
-Photometric photometric(const float* x, const float* y, const float* weight, int height, int width, float w_l1, float w_ssim, float* grad, int threads) {
+Photometric photometric(const float* x, const float* y, const float* weight, const Recording* recording, int height, int width, float w_l1, float w_ssim,
+                        float* grad, int threads) {
     const int n = width * kChannels;
     const double count = static_cast<double>(height) * n;
-    std::vector<double> row_sum(height, 0.0), row_l1(height, 0.0);
+    const bool changed = weight || recording;
+    std::vector<double> row_sum(height, 0.0), row_l1(height, 0.0), row_gain(size_t(height) * kChannels, 0.0), row_offset(size_t(height) * kChannels, 0.0);
     const int strips = std::clamp(height / kLeastStrip, 1, std::max(threads, 1));
     const size_t each = Strip::kRows * Strip::stride(n);
-    Buffer buffer(strips * each + (weight ? size_t(height) * n : 0));
-    float* counted = buffer.data() + strips * each;
-    for (int r = 0; weight && r < height; ++r) {
+    Buffer buffer(strips * each + (changed ? size_t(height) * n : 0));
+    float* recorded = buffer.data() + strips * each;
+    const Recording how = recording ? *recording : Recording{};
+#pragma omp parallel for num_threads(strips) schedule(static)
+    for (int r = 0; r < (changed ? height : 0); ++r) {
         const int64_t at = int64_t(r) * n;
-        counted_row(x + at, y + at, weight + int64_t(r) * width, width, counted + at);
+        recorded_row(x + at, y + at, weight ? weight + int64_t(r) * width : nullptr, how.gain, how.offset, width, recorded + at);
     }
-    const Images images{weight ? counted : x, y, weight, grad, height, n, static_cast<float>(w_l1 / count), static_cast<float>(w_ssim / count), row_sum.data(), row_l1.data()};
+    const Images images{changed ? recorded : x, y, weight, changed ? x : nullptr, how, grad, height, n, static_cast<float>(w_l1 / count), static_cast<float>(w_ssim / count),
+                        row_sum.data(), row_l1.data(), row_gain.data(), row_offset.data()};
 #pragma omp parallel for num_threads(strips) schedule(static)
     for (int k = 0; k < strips; ++k)
         Strip(images, buffer.data() + k * each).run(int(int64_t(height) * k / strips), int(int64_t(height) * (k + 1) / strips));
-    Photometric result{0.0, 0.0};
+    Photometric result{};
     for (int r = 0; r < height; ++r) {
         result.ssim += row_sum[r];
         result.l1 += row_l1[r];
+        for (int c = 0; c < kChannels; ++c) result.d_gain[c] += row_gain[r * kChannels + c], result.d_offset[c] += row_offset[r * kChannels + c];
     }
     result.ssim /= count;
     result.l1 /= count;

@@ -135,14 +135,34 @@ E4DGS_CLONES void gradient_rows(const float* const x[kTogether], const float* co
     }
 }
 
-E4DGS_CLONES void counted_row(const float* __restrict x, const float* __restrict y, const float* __restrict weight, int pixels, float* __restrict out) {
+E4DGS_CLONES void recorded_row(const float* __restrict x, const float* __restrict y, const float* __restrict weight, const float gain[kChannels],
+                               const float offset[kChannels], int pixels, float* __restrict out) {
     for (int p = 0; p < pixels; ++p)
-        for (int c = 0; c < kChannels; ++c) out[kChannels * p + c] = weight[p] != 0 ? x[kChannels * p + c] : y[kChannels * p + c];
+        for (int c = 0; c < kChannels; ++c) {
+            const int i = kChannels * p + c;
+            out[i] = !weight || weight[p] != 0 ? gain[c] * x[i] + offset[c] : y[i];
+        }
 }
 
-E4DGS_CLONES void weigh_row(const float* __restrict weight, int pixels, float* __restrict grad) {
-    for (int p = 0; p < pixels; ++p)
-        for (int c = 0; c < kChannels; ++c) grad[kChannels * p + c] *= weight[p];
+E4DGS_CLONES void weigh_row(const float* __restrict x, const float* __restrict weight, const float gain[kChannels], int pixels, float* __restrict grad,
+                            double d_gain[kChannels], double d_offset[kChannels]) {
+    constexpr int kLanes = 16;  // pixels that are summed side by side
+    float of_gain[kLanes * kChannels] = {}, of_offset[kLanes * kChannels] = {};
+    float factor[kLanes * kChannels];
+    for (int i = 0; i < kLanes * kChannels; ++i) factor[i] = gain[i % kChannels];
+    for (int first = 0; first < pixels; first += kLanes) {
+        const int count = std::min(kLanes, pixels - first) * kChannels;
+        float* const g = grad + kChannels * first;
+        const float* const from = x + kChannels * first;
+        if (weight)
+            for (int i = 0; i < count; ++i) g[i] *= weight[first + i / kChannels];
+        for (int i = 0; i < count; ++i) {
+            of_gain[i] += g[i] * from[i];
+            of_offset[i] += g[i];
+            g[i] *= factor[i];
+        }
+    }
+    for (int i = 0; i < kLanes * kChannels; ++i) d_gain[i % kChannels] += of_gain[i], d_offset[i % kChannels] += of_offset[i];
 }
 
 }  // namespace e4dgs

@@ -32,9 +32,12 @@ void sum_rows(const SsimRow rows[kTogether], const float* const x[kTogether], co
 void gradient_rows(const float* const x[kTogether], const float* const y[kTogether], const float* const maps[kDerivatives][kSpan], int n, float scale_l1,
                    float scale_ssim, float* const grad[kTogether]);
 
-// x where the weight is not 0, else y.
-void counted_row(const float* x, const float* y, const float* weight, int pixels, float* out);
+// gain * x + offset, of each channel; where the weight is 0, y. weight may be null: 1 everywhere.
+void recorded_row(const float* x, const float* y, const float* weight, const float gain[kChannels], const float offset[kChannels], int pixels, float* out);
 
-void weigh_row(const float* weight, int pixels, float* grad);
+// Multiplies the gradient by the weight, unless that is null, and then by the gain. Adds to d_gain the sum of grad * x before the gain, to
+// d_offset that of grad.
+void weigh_row(const float* x, const float* weight, const float gain[kChannels], int pixels, float* grad, double d_gain[kChannels],
+               double d_offset[kChannels]);
 
 }  // namespace e4dgs

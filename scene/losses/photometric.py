@@ -9,8 +9,13 @@ from torch import Tensor
 from .. import _kernels
 
 
-def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float = 0.2, weight: Tensor | None = None) -> Tensor:
-    """``l1 * mean|image - target| + ssim * (1 - SSIM(image, target))``, a scalar.
+Recording = tuple[Tensor, Tensor]  # gain, offset [3]
+
+
+def photometric_loss(
+    image: Tensor, target: Tensor, l1: float = 0.8, ssim: float = 0.2, weight: Tensor | None = None, recording: Recording | None = None
+) -> Tensor:
+    """``l1 * mean|recorded - target| + ssim * (1 - SSIM(recorded, target))``, a scalar, where recorded is ``gain * image + offset``.
 
     Args:
         image: [H, W, 3] float32, receives gradients. If it is on a CUDA device, so is the loss, and the call does not synchronise.
@@ -18,13 +23,16 @@ def photometric_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float
         l1, ssim: the weights lambda_1 and lambda_2 of Eq. 9.
         weight: [H, W] float32, factor on each pixel's gradient, but not on its loss; where it is 0, the pixel counts as equal to the
             target. None: 1 everywhere.
+        recording: gain and offset, [3] float32 each: how the camera records colours. Both receive gradients. None: 1 and 0.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"image and target must both be [H, W, 3]; got {tuple(image.shape)} and {tuple(target.shape)}")
     if weight is not None and weight.shape != image.shape[:2]:
         raise ValueError(f"weight must be {list(image.shape[:2])}, got {list(weight.shape)}")
     if image.device.type == "cpu" and image.dtype == torch.float32:
-        return _Photometric.apply(image, target, l1, ssim, weight)
+        return _Photometric.apply(image, target, l1, ssim, weight, *(recording or (None, None)))
+    if recording is not None:
+        image = recording[0] * image + recording[1]
     if weight is not None:
         image = scale_gradient(torch.where(weight[..., None] != 0, image, target), weight[..., None])
     if image.device.type == "cuda" and image.dtype == torch.float32:
@@ -67,15 +75,17 @@ class _Scaled(torch.autograd.Function):
 
 class _Photometric(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, image: Tensor, target: Tensor, l1: float, ssim: float, weight: Tensor | None) -> Tensor:  # type: ignore[override]
+    def forward(ctx, image, target, l1, ssim, weight, gain, offset) -> Tensor:  # type: ignore[override]
         grad = torch.empty_like(image, memory_format=torch.contiguous_format)
-        x, y, w = image.detach().contiguous(), target.contiguous(), None if weight is None else weight.contiguous()
-        mean_l1, mean_ssim = _kernels.photometric(x, y, w, l1, ssim, grad, torch.get_num_threads())
-        ctx.save_for_backward(grad)
+        d_gain, d_offset = image.new_empty(3), image.new_empty(3)
+        x, y, *others = (None if given is None else given.detach().contiguous() for given in (image, target, weight, gain, offset))
+        mean_l1, mean_ssim = _kernels.photometric(x, y, *others, l1, ssim, grad, d_gain, d_offset, torch.get_num_threads())
+        ctx.save_for_backward(grad, d_gain, d_offset)
         return image.new_tensor(l1 * mean_l1 + ssim * (1.0 - mean_ssim))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, grad_output: Tensor):  # type: ignore[override]
-        (grad,) = ctx.saved_tensors
-        return grad if float(grad_output) == 1.0 else grad * grad_output, None, None, None, None
+        scale = float(grad_output)
+        image, gain, offset = (grad if scale == 1.0 else grad * scale for grad in ctx.saved_tensors)
+        return image, None, None, None, None, *((gain, offset) if ctx.needs_input_grad[5] else (None, None))

@@ -13,7 +13,7 @@ from ...rasterizer import Frame, rasterize
 from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow, MotionTerms
-from ..losses.photometric import photometric_loss
+from ..losses.photometric import Recording, photometric_loss
 from ..losses.surface import surface_loss
 from ..model import Model
 from ..settings import TrainingSettings
@@ -29,18 +29,23 @@ RELINK_EVERY = 100  # steps between two searches for the parts of the motion tha
 
 @dataclass(eq=False)
 class Judged:
-    """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3]. weight [h, w]: of the
-    pixels' gradients, 0 for those that do not count; None if it is 1 everywhere."""
+    """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3], of which color is as
+    rendered, before the camera records it. weight [h, w]: of the pixels' gradients, 0 for those that do not count; None if it is 1
+    everywhere."""
 
     loss: Tensor
     image_loss: Tensor
     color: Tensor
     target: Tensor
     weight: Tensor | None
+    recording: Recording | None
 
     def psnr(self) -> float:
         """PSNR in dB over the pixels that count, or over all if none does."""
-        error = (self.color.detach() - self.target).square().mean(-1)
+        color = self.color.detach()
+        if self.recording is not None:
+            color = self.recording[0].detach() * color + self.recording[1].detach()
+        error = (color - self.target).square().mean(-1)
         if self.weight is not None and bool(self.weight.any()):
             error = error[self.weight != 0]
         return -10 * float(np.log10(max(float(error.mean()), 1e-10)))
@@ -92,16 +97,13 @@ class Objective:
         seen = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
         tiles = None if drawn is None else drawn.tiles
         frame = rasterize(camera, *seen, background, antialiased=model.antialiased, tiles=tiles)
-        color = frame.color
-        if model.affine is not None:
-            color = model.affine(color, views.recorded_by(i))
+        recording = None if model.affine is None else model.affine.recording(views.recorded_by(i))
         target = views.target(i, phase.scale, window)
         kept = views.kept(i, phase.scale, window)
         weight = None if drawn is None else drawn.weight
-        if kept is not None:  # what the image shows where it does not count must not reach the windows of SSIM beside
-            target = torch.where(kept[..., None], target, color.detach())
+        if kept is not None:
             weight = kept.float() if weight is None else kept * weight
-        loss = photometric_loss(color, target, s.l1, s.ssim, weight)
+        loss = photometric_loss(frame.color, target, s.l1, s.ssim, weight, recording)
         if s.alpha and views.load_alpha is not None:
             wrong = (frame.alpha - views.alpha(i, phase.scale, window)).abs()
             loss = loss + s.alpha * (wrong if kept is None else wrong * kept).mean()
@@ -115,7 +117,7 @@ class Objective:
         loss = loss + self.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
-        return Judged(loss, image_loss, color, target, weight)
+        return Judged(loss, image_loss, frame.color, target, weight, recording)
 
     def smooth(self, step: int) -> float:
         """Weight of the smoothness of surfaces at ``step``; 0 unless one time alone shows the scene from several sides."""

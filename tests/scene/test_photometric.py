@@ -46,6 +46,26 @@ def test_weights_scale_gradients_and_pixels_of_weight_zero_do_not_count(height, 
     torch.testing.assert_close(torch.autograd.grad(composed, double)[0], theirs)
 
 
+@pytest.mark.parametrize("weighed", [False, True])
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (3, 17), (40, 33), (71, 101)])
+def test_the_camera_s_recording_is_part_of_the_loss_and_of_its_gradients(height, width, weighed):
+    x, y = images(height, width)
+    weight = torch.rand(height, width, generator=torch.Generator().manual_seed(1)) * 4 if weighed else None
+    if weight is not None:
+        weight[weight < 1] = 0
+    inputs = [x, torch.tensor([1.2, 0.9, 1.05]), torch.tensor([0.03, -0.02, 0.0])]
+    ours = [one.clone().requires_grad_() for one in inputs]
+    theirs = [one.double().requires_grad_() for one in inputs]
+    loss = photometric_loss(ours[0], y, 0.7, 0.3, weight, (ours[1], ours[2]))
+    exact = None if weight is None else weight.double()
+    expected = photometric_loss(theirs[1] * theirs[0] + theirs[2], y.double(), 0.7, 0.3, exact)
+    assert float(loss) == pytest.approx(float(expected), abs=2e-6)
+    for found, wanted in zip(torch.autograd.grad(3 * loss, ours), torch.autograd.grad(3 * expected, theirs), strict=True):
+        assert (found - wanted).norm() <= 3e-5 * wanted.norm() + 1e-9
+    composed = photometric_loss(theirs[0], y.double(), 0.7, 0.3, exact, (theirs[1], theirs[2]))
+    assert float(composed) == pytest.approx(float(expected), abs=1e-12)
+
+
 def test_oracle_gradient_matches_central_differences():
     x, y = images(4, 5)
     assert torch.autograd.gradcheck(lambda a: ssim_reference(a, y.double()), x.double().requires_grad_(), eps=1e-6, atol=1e-7)
@@ -65,10 +85,10 @@ def test_bit_equal_for_any_number_of_threads():
     try:
         for threads in (1, 2, 4):
             torch.set_num_threads(threads)
-            a = x.clone().requires_grad_()
-            loss = photometric_loss(a, y)
+            a, gain, offset = (one.clone().requires_grad_() for one in (x, torch.tensor([1.2, 0.9, 1.05]), torch.tensor([0.03, -0.02, 0.0])))
+            loss = photometric_loss(a, y, recording=(gain, offset))
             loss.backward()
-            results.append((float(loss), a.grad))
+            results.append((float(loss), torch.cat([one.grad.flatten() for one in (a, gain, offset)])))
     finally:
         torch.set_num_threads(before)
     assert all(r[0] == results[0][0] and torch.equal(r[1], results[0][1]) for r in results)
