@@ -18,7 +18,7 @@ from .batch.command import batch, status
 from .bench.cli import app as bench
 from .exports.command import app as export
 from .exports.render import render
-from .machine.interrupts import end_cleanly_when_terminated
+from .machine.interrupts import end_cleanly_when_terminated, ended
 from .machine.orphan import end_with_starter
 from .machine.spinning import spin_briefly
 from .machine.writable import writing_to
@@ -202,6 +202,8 @@ def main(arguments: list[str] | None = None) -> Any:
         message = str(error) if isinstance(error, PipelineError) else f"{type(error).__name__}: {error} (--debug shows where)"
         errors.print(f"error: {message}", markup=False, highlight=False, soft_wrap=True)
         return error.exit_code if isinstance(error, PipelineError) else 1
+    finally:
+        ended()
     if code == INTERRUPTED:
         errors.print("interrupted; finished results are kept, and a long stage continues from its last checkpoint", highlight=False)
     return code

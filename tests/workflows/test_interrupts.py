@@ -53,3 +53,32 @@ def test_what_else_is_dropped_is_still_told():
     """
     done = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and done.stdout == "on\n" and "no room" in done.stderr
+
+
+LOSES = """
+    import os, signal, sys, time
+    from e4dgs.workflows.machine import interrupts
+
+    interrupts.PATIENCE = 0.2
+    interrupts.end_cleanly_when_terminated()
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1)
+    except KeyboardInterrupt:
+        print("lost", flush=True)
+    if sys.argv[1] == "ended":
+        interrupts.ended()
+    try:
+        time.sleep(1)
+        print("on")
+    except KeyboardInterrupt:
+        interrupts.ended()
+        print("heard")
+    time.sleep(0.5)
+"""
+
+
+@pytest.mark.parametrize(("command", "then"), [("goes on", "heard"), ("ended", "on")])
+def test_a_sigterm_that_a_library_loses_comes_again_until_the_command_ends(command, then):
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(LOSES), command], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"lost\n{then}\n", "")

@@ -116,7 +116,7 @@ def test_a_run_that_trains_is_seen_by_its_checkpoints(finished_run):
         assert wait_for(source.newest).title != first.title, "it goes on with the training"
     finally:
         run.terminate()
-        run.wait(timeout=30)
+        run.wait(timeout=90)  # a SIGTERM that is lost comes again after ten seconds
     folder = next((workspace / "store" / "checkpoints").glob("coarse-*"))
     model, step = model_of(folder)
     assert step > 0 and f"{step:,}" not in first.title

@@ -8,7 +8,10 @@ import sys
 import threading
 from types import FrameType
 
-AGAIN = 0.05  # s after which a lost interrupt is raised again
+AGAIN = 0.05  # s after which an interrupt that Python dropped is raised again
+PATIENCE = 10.0  # s after which a SIGTERM is raised again if the command has not ended: libraries can lose it, too
+
+_waiting: list[threading.Timer] = []
 
 
 def end_cleanly_when_terminated() -> None:
@@ -16,7 +19,7 @@ def end_cleanly_when_terminated() -> None:
 
     Python drops exceptions raised in a callback of a weak reference or in ``__del__``, including interrupts, so a run that was asked to end
     would go on. Such an interrupt is raised again after the callback. Outside the main thread nothing changes, since the caller handles
-    signals there.
+    signals there. `ended` says that the command has ended.
     """
     try:
         signal.signal(signal.SIGTERM, _interrupt)
@@ -26,8 +29,22 @@ def end_cleanly_when_terminated() -> None:
         sys.unraisablehook = _Hook()
 
 
+def ended() -> None:
+    """No SIGTERM that came before is raised again."""
+    while _waiting:
+        _waiting.pop().cancel()
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    _waiting.append(_terminate_after(PATIENCE))
     raise KeyboardInterrupt
+
+
+def _terminate_after(seconds: float) -> threading.Timer:
+    timer = threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGTERM))
+    timer.daemon = True
+    timer.start()
+    return timer
 
 
 class _Hook:
@@ -36,8 +53,6 @@ class _Hook:
 
     def __call__(self, dropped: sys.UnraisableHookArgs) -> None:
         if issubclass(dropped.exc_type, KeyboardInterrupt):
-            again = threading.Timer(AGAIN, os.kill, (os.getpid(), signal.SIGTERM))
-            again.daemon = True
-            again.start()
+            _terminate_after(AGAIN)
         else:
             self.before(dropped)
