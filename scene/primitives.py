@@ -17,6 +17,8 @@ HYPER = 2  # extra coordinates of control nodes, in addition to x, y, z
 SHADES = 3  # courses of light that the colours of primitives can follow
 ALWAYS = 1e4  # frames; a primitive with so long a life is present throughout
 TAU_RADIUS = 20.0  # initial tau of a convex times its radius: the smooth maximum exceeds the true one by at most ln K / 20 of the radius
+REACH = 1.9  # standard deviations from a Gaussian's mean to the points of the convex that takes its place
+KAPPA_REACH = 20.0  # kappa of that convex times its radius; with both numbers the image changes least
 KAPPA_RADIUS = 12.0  # initial kappa times radius: alpha falls from 95 % to 5 % of the opacity over half of the radius
 LIFE = ("times", "log_spans", "velocities", "spins")
 
@@ -217,18 +219,18 @@ class ConvexSet(PrimitiveSet):
         )
 
     @classmethod
-    def replacing(cls, gaussians: GaussianSet, corners: int, reach: float = 1.4) -> ConvexSet:
+    def replacing(cls, gaussians: GaussianSet, corners: int) -> ConvexSet:
         """A convex in place of each of the M ``gaussians``, with its colours, opacity, motion and life. Its ``corners`` points lie on a
-        Fibonacci sphere that is stretched to ``reach`` standard deviations of the Gaussian."""
+        Fibonacci sphere that is stretched to `REACH` standard deviations of the Gaussian."""
         from .fibonacci import fibonacci_sphere
 
         g = gaussians.parameters
         with torch.no_grad():
             sphere = torch.tensor(fibonacci_sphere(corners), dtype=torch.float32, device=gaussians.device)
-            scales = reach * g["log_scales"].exp()
+            scales = REACH * g["log_scales"].exp()
             points = g["means"][:, None] + (quats_to_matrices(g["quats"])[:, None] @ (scales[:, None] * sphere)[..., None])[..., 0]
             # A Gaussian of a surface is flat: what the image shows of it are its two larger axes.
             log_radius = scales.sort(1).values[:, 1:].log().mean(1)
-            shape = {"points": points, "log_tau": math.log(TAU_RADIUS) - log_radius, "log_kappa": math.log(KAPPA_RADIUS) - log_radius}
+            shape = {"points": points, "log_tau": math.log(TAU_RADIUS) - log_radius, "log_kappa": math.log(KAPPA_REACH) - log_radius}
             parameters = {name: (shape[name] if name in shape else g[name]).detach().clone() for name in cls.FIELDS}
         return cls(parameters, gaussians.dynamic)

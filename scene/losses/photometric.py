@@ -8,7 +8,6 @@ from torch import Tensor
 
 from .. import _kernels
 
-
 Recording = tuple[Tensor, Tensor]  # gain, offset [3]
 
 

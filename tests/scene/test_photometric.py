@@ -85,7 +85,9 @@ def test_bit_equal_for_any_number_of_threads():
     try:
         for threads in (1, 2, 4):
             torch.set_num_threads(threads)
-            a, gain, offset = (one.clone().requires_grad_() for one in (x, torch.tensor([1.2, 0.9, 1.05]), torch.tensor([0.03, -0.02, 0.0])))
+            a, gain, offset = (
+                one.clone().requires_grad_() for one in (x, torch.tensor([1.2, 0.9, 1.05]), torch.tensor([0.03, -0.02, 0.0]))
+            )
             loss = photometric_loss(a, y, recording=(gain, offset))
             loss.backward()
             results.append((float(loss), torch.cat([one.grad.flatten() for one in (a, gain, offset)])))

@@ -47,9 +47,9 @@ def test_a_convex_takes_the_place_of_its_gaussian():
     assert torch.equal(c.dynamic, g.dynamic)
     arms = (c.points - g.means[:, None]).detach() @ quats_to_matrices(g.quats).detach()  # along the Gaussian's own axes
     in_deviations = (arms / g.log_scales.exp()[:, None]).norm(dim=2).detach()
-    assert torch.allclose(in_deviations, torch.full_like(in_deviations, 1.4), rtol=1e-4)
-    radius = 1.4 * (0.3 * 0.1) ** 0.5  # of what the image shows
-    assert torch.allclose(c.log_tau.exp() * radius, torch.tensor(20.0)) and torch.allclose(c.log_kappa.exp() * radius, torch.tensor(12.0))
+    assert torch.allclose(in_deviations, torch.full_like(in_deviations, 1.9), rtol=1e-4)
+    radius = 1.9 * (0.3 * 0.1) ** 0.5  # of what the image shows
+    assert torch.allclose(c.log_tau.exp() * radius, torch.tensor(20.0)) and torch.allclose(c.log_kappa.exp() * radius, torch.tensor(20.0))
 
 
 def test_colours_survive_the_round_trip_through_spherical_harmonics():
