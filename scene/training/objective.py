@@ -101,7 +101,8 @@ class Objective:
         target = views.target(i, phase.scale, window)
         kept = views.kept(i, phase.scale, window)
         weight = None if drawn is None else drawn.weight
-        if kept is not None:
+        if kept is not None:  # what the image shows where it does not count must not reach the pixels beside
+            target = torch.where(kept[..., None], target, frame.color.detach())
             weight = kept.float() if weight is None else kept * weight
         loss = photometric_loss(frame.color, target, s.l1, s.ssim, weight, recording)
         if s.alpha and views.load_alpha is not None:

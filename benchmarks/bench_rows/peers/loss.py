@@ -10,10 +10,20 @@ TAPS, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 
-def torch_loss(image: Tensor, target: Tensor, l1: float = 0.8, ssim: float = 0.2, weight: Tensor | None = None) -> Tensor:
-    """``l1 * mean|image - target| + ssim * (1 - SSIM)`` of [H, W, 3] images, in their precision. All pixels count alike: no ``weight``."""
+def torch_loss(
+    image: Tensor,
+    target: Tensor,
+    l1: float = 0.8,
+    ssim: float = 0.2,
+    weight: Tensor | None = None,
+    recording: tuple[Tensor, Tensor] | None = None,
+) -> Tensor:
+    """``l1 * mean|image - target| + ssim * (1 - SSIM)`` of [H, W, 3] images, in their precision. All pixels count alike: no ``weight``.
+    recording: gain and offset [3] of the image."""
     if weight is not None:
         raise ValueError("the torch loss takes no weights of pixels")
+    if recording is not None:
+        image = recording[0] * image + recording[1]
     return l1 * (image - target).abs().mean() + ssim * (1 - torch_ssim(image, target))
 
 
