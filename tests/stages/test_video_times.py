@@ -44,3 +44,25 @@ def test_the_artifact_has_them_when_frames_are_thinned(tmp_path):
     frames = run_frames(uneven(tmp_path / "clip.mp4"), tmp_path / "out", every=3).artifact
     np.testing.assert_allclose(frames.read("seconds"), np.array(STAMPS[::3]) / 1000, atol=1e-6)
     np.testing.assert_allclose(frames.read("images").mean((1, 2, 3)), 20 * np.arange(0, 10, 3), atol=3)
+
+
+def trimmed(file, first=0, last=len(STAMPS) - 1):
+    """As a phone trims: every frame stays in the file, and its edit list says which to show."""
+    data = bytearray(file.read_bytes())
+    start = data.index(b"elst") + 12  # then: duration in ms, first time stamp
+    began = int.from_bytes(data[start + 4 : start + 8], "big")
+    with av.open(str(file)) as container:
+        ticks = round(1 / container.streams.video[0].time_base)
+    data[start : start + 4] = (STAMPS[last] - STAMPS[first] + 1).to_bytes(4, "big")
+    data[start + 4 : start + 8] = (began + STAMPS[first] * ticks // 1000).to_bytes(4, "big")
+    file.write_bytes(data)
+    return file
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 9), (0, 6), (2, 9), (3, 7)])
+def test_what_an_edit_list_trims_is_not_there_and_the_file_is_whole(tmp_path, first, last):
+    file = trimmed(uneven(tmp_path / "clip.mp4"), first, last)
+    capture = recognise(file)
+    assert capture.facts["frames"] == last - first + 1
+    levels = [picture.mean() for picture in decode(tmp_path, capture.videos[0], 48, 32)]
+    np.testing.assert_allclose(levels, 20 * np.arange(first, last + 1), atol=3)

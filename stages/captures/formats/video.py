@@ -80,9 +80,10 @@ def probe(root: Path, name: str) -> Header:
             promised = stream.frames
             base = float(stream.time_base or 0)
             stamps: list[int | None] = []
-            size, used = (root / name).stat().st_size, 0
+            size, used, there = (root / name).stat().st_size, 0, 0
             for packet in container.demux(stream):
-                if packet.size and not packet.is_discard:
+                there += packet.size > 0
+                if packet.size and not packet.is_discard:  # an edit list discards what was trimmed without encoding again
                     if packet.is_corrupt:
                         raise CaptureError(f"{name}: frame {len(stamps)}: the file is damaged or cut short here; copy it again")
                     stamps.append(packet.pts)
@@ -97,7 +98,7 @@ def probe(root: Path, name: str) -> Header:
             width, height = (frame.height, frame.width) if frame.rotation % 180 else (frame.width, frame.height)
     except (av.FFmpegError, OSError, ValueError) as error:
         raise CaptureError(f"{name}: not a readable video, perhaps cut short ({error}); copy it again or convert it to MP4") from error
-    if promised and len(stamps) < promised:
+    if there < promised:
         raise CaptureError(f"{name}: frame {len(stamps)}: the file promises {promised} frames and ends here, cut short; copy it again")
     if size > _LARGE and used < _LEAST_USED * size:  # every command reads the whole file to see whether it changed
         raise CaptureError(
