@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ..coarse import CoarseSettings
 
 ITERATIONS = 6000
-ITERATIONS_A_TIME = 200  # steps per time of a rig, since each time needs its own
+ITERATIONS_A_TIME = 280  # steps per time of a rig, since each time needs its own
 MOST_ITERATIONS = 30_000
 LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
 ITERATIONS_NODES = 40_000
@@ -60,7 +60,7 @@ def nodes_by_default(facts: Facts) -> bool:
 
 
 def auto_iterations(facts: Facts, settings: CoarseSettings) -> int:
-    """6000 steps; for a rig (several cameras at each time) at least 200 per time, up to 30,000; `ITERATIONS_NODES` for control nodes. The
+    """6000 steps; for a rig (several cameras at each time) at least 280 per time, up to 30,000; `ITERATIONS_NODES` for control nodes. The
     number is multiplied by the effort, but never below 2000."""
     steps = ITERATIONS_NODES
     if not use_nodes(facts, settings):

@@ -16,7 +16,7 @@ from e4dgs.stages.training.coarse import Start, first_model
         (81, 67, 81, False, ITERATIONS_NODES),  # a new camera at every time
         (90, 90, 1, False, 6000),  # one camera over time
         (372, 12, 31, False, 6000),  # a rig over few times
-        (4 * 45, 45, 4, False, 9000),
+        (4 * 45, 45, 4, False, 12_600),
         (4 * 45 - 1, 45, 4, False, 6000),
         (8 * 45, 45, 8, True, 6000),
         (20 * 300, 300, 20, False, 30_000),
