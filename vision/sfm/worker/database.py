@@ -14,8 +14,6 @@ from ....pipeline import thread_count
 
 Report = Callable[[str, int, int], None]  # phase, done, total
 
-PROBED = 8  # images, spread over all, whose features are counted first
-ENOUGH = 2000  # features of an image; beyond, more of them cost time and do not make the cameras better
 EXTRACT_CHUNK = 8  # images per call; a killed run loses at most this many
 MATCH_CHUNK = 64  # pairs per call
 
@@ -29,24 +27,15 @@ def write_cameras(path: Path, cameras: Sequence[pycolmap.Camera]) -> list[int]:
 
 
 def extract(
-    path: Path,
-    root: Path,
-    names: Sequence[str],
-    camera_ids: Sequence[int],
-    max_features: int,
-    report: Report,
-    masks: str | None = None,
-    enlarged: bool = True,
+    path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int], max_features: int, report: Report, masks: str | None = None
 ) -> None:
     """Extracts SIFT features of every image; `camera_ids[i]` is the camera of `names[i]`. Images that have features are skipped. masks: a
-    folder; if it has NAME.png, the image NAME gets no features where that is black. enlarged: whether features are looked for in images of
-    twice the size too, which takes four times as long and finds four times as many."""
+    folder; if it has NAME.png, the image NAME gets no features where that is black."""
     _register(path, root, names, camera_ids)
     with pycolmap.Database.open(path) as database:
         have = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
     options = pycolmap.FeatureExtractionOptions()
     options.sift.max_num_features, options.num_threads = max_features, thread_count()
-    options.sift.first_octave = -1 if enlarged else 0
     done = len(have)
     report("features", done, len(names))
     for camera in sorted(set(camera_ids)):
@@ -60,31 +49,6 @@ def extract(
             pycolmap.extract_features(path, root, chunk, pycolmap.CameraMode.SINGLE, reader, options)
             done += len(chunk)
             report("features", done, len(names))
-
-
-def rich(folder: Path, root: Path, names: Sequence[str], max_features: int) -> bool:
-    """Whether the images show enough features without being enlarged: half of a few that are spread over all have at least `ENOUGH`.
-    folder: for a database of its own."""
-    path = folder / "probe.db"
-    path.unlink(missing_ok=True)
-    few = [names[i] for i in sorted({round(k * (len(names) - 1) / (PROBED - 1)) for k in range(PROBED)})]
-    extract(
-        path,
-        root,
-        few,
-        write_cameras(path, [pycolmap.infer_camera_from_image(root / few[0])]) * len(few),
-        max_features,
-        _nothing,
-        enlarged=False,
-    )
-    with pycolmap.Database.open(path) as database:
-        counts = sorted(len(database.read_keypoints(image.image_id)) for image in database.read_all_images())
-    path.unlink()
-    return counts[len(counts) // 2] >= ENOUGH
-
-
-def _nothing(phase: str, done: int, total: int) -> None:
-    """Reports nothing."""
 
 
 def _register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int]) -> None:
