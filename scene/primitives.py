@@ -18,7 +18,7 @@ SHADES = 3  # courses of light that the colours of primitives can follow
 ALWAYS = 1e4  # frames; a primitive with so long a life is present throughout
 TAU_RADIUS = 20.0  # initial tau of a convex times its radius: the smooth maximum exceeds the true one by at most ln K / 20 of the radius
 REACH = 1.9  # standard deviations from a Gaussian's mean to the points of the convex that takes its place
-KAPPA_REACH = 20.0  # kappa of that convex times its radius; with both numbers the image changes least
+KAPPA_REACH = 20.0  # kappa of that convex times its radius; of what was tried on two captures, this pair changes images little
 KAPPA_RADIUS = 12.0  # initial kappa times radius: alpha falls from 95 % to 5 % of the opacity over half of the radius
 LIFE = ("times", "log_spans", "velocities", "spins")
 
