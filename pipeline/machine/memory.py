@@ -10,6 +10,7 @@ from types import TracebackType
 import psutil
 
 _SAMPLE_SECONDS = 0.05
+_SLACK = 16_000_000  # bytes; the kernel counts pages for each core and adds them up late
 _CHILDREN_EVERY = 20  # samples; listing children walks the process table, so it is done only once a second
 
 
@@ -31,8 +32,9 @@ class PeakMemory:
         return round(self._peak / 1e6, 1)
 
     def __enter__(self) -> PeakMemory:
-        self._has_mark = _reset_mark()
         self._sample()
+        # Some kernels accept the reset and ignore it: their mark still tells of what ran before.
+        self._has_mark = _reset_mark() and _read_mark() <= self._process.memory_info().rss + _SLACK
         self._thread.start()
         return self
 

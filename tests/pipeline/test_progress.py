@@ -4,7 +4,9 @@ import io
 import time
 
 import numpy as np
+import pytest
 from e4dgs.pipeline import Progress, duration
+from e4dgs.pipeline.machine import memory
 from e4dgs.pipeline.machine.memory import PeakMemory
 from e4dgs.pipeline.running import progress as module
 from rich.console import Console
@@ -35,7 +37,10 @@ def test_durations_read_well():
     assert [duration(s) for s in (0.4213, 9.7, 12.3, 185, 7800)] == ["0.42 s", "9.7 s", "12 s", "3 min 05 s", "2 h 10 min"]
 
 
-def test_peak_memory_is_that_of_the_block_alone():
+@pytest.mark.parametrize("ignored", [False, True], ids=["reset", "reset-ignored"])
+def test_peak_memory_is_that_of_the_block_alone(monkeypatch, ignored):
+    if ignored:  # a kernel whose mark is that of the whole life of the process, whatever is written
+        monkeypatch.setattr(memory, "_reset_mark", lambda: True)
     with PeakMemory() as first:
         block = np.ones(40_000_000)  # 320 MB, touched
         time.sleep(0.5)  # ten samples: not every kernel keeps a high-water mark
