@@ -26,7 +26,8 @@ CELLS = 50  # along the scene's longest side; the error is summed in each
 SURFACE = 0.68  # radius of the sphere that stands in for the surface, as a share of the part's radius
 BLUR = 0.3  # of the sphere's radius
 PATCH = 64  # px across; a patch spans four and a half radii of the part
-DIRECTIONS = 300
+DIRECTIONS, FEW_DIRECTIONS = 300, 75  # on the sphere; a few rank the first candidates as well, in a fifth of the time
+HOPELESS = 0.9  # if no first candidate brings the variance of colours below this share, none of them is near a turn
 FASTEST = 22.0  # degrees a frame
 WINDOW = 6  # frames to either side over which the first search expects one colour
 ACCEPT = 0.8  # the variance of colours must fall below this share of that without turning, in windows and over the capture
@@ -97,7 +98,7 @@ class SpinSearch:
         self.cam_from_world = torch.tensor(views.cam_from_world[frames], dtype=torch.float32)
         self.K = torch.tensor(views.K[frames], dtype=torch.float32)
         self.centres = torch.tensor(views.centres()[frames], dtype=torch.float32)
-        self.directions = torch.tensor(fibonacci_sphere(DIRECTIONS), dtype=torch.float32)
+        self.directions = {n: torch.tensor(fibonacci_sphere(n), dtype=torch.float32) for n in (FEW_DIRECTIONS, DIRECTIONS)}
         self.pixels, self.half = self._project(self.path)
         self.patches = torch.stack([self._patch(views, f) for f in range(self.count)])
 
@@ -121,12 +122,12 @@ class SpinSearch:
         sigma = BLUR * SURFACE * PATCH / 4.5
         return torch.from_numpy(cv2.GaussianBlur(patch, (0, 0), sigma)).permute(2, 0, 1)
 
-    def variance(self, omega: Tensor, offset: Tensor, first: int, last: int) -> Tensor:
+    def variance(self, omega: Tensor, offset: Tensor, first: int, last: int, directions: int = DIRECTIONS) -> Tensor:
         """[C] mean over the sphere of the variance of the colours that frames ``first`` to ``last`` see, for C turns ``omega`` [C, 3] in
-        rad a frame about the path moved by ``offset`` [3]."""
+        rad a frame about the path moved by ``offset`` [3]. directions: number of places on the sphere, one of the two constants."""
         f = torch.arange(first, last + 1)
         turns = rotation_vectors((f - 0.5 * (first + last))[None, :, None] * omega[:, None])
-        normal = torch.einsum("cfij,nj->cfni", turns, self.directions)
+        normal = torch.einsum("cfij,nj->cfni", turns, self.directions[directions])
         centre = self.path[f] + offset
         towards = F.normalize(self.centres[f] - centre, dim=1)
         facing = ((normal * towards[None, :, None]).sum(-1) - 0.25).clamp(min=0) ** 2
@@ -141,12 +142,12 @@ class SpinSearch:
         square_mean = (facing[..., None] * seen).sum(1).square().sum(-1) / weight.clamp(min=1e-4)
         return (mean_square - square_mean).sum(1) / total
 
-    def over_windows(self, omega: Tensor, offset: Tensor, half: int) -> Tensor:
+    def over_windows(self, omega: Tensor, offset: Tensor, half: int, directions: int = DIRECTIONS) -> Tensor:
         """[C] mean of `variance` over windows of ``half`` frames to either side that tile the sequence."""
         last = self.count - 1
         windows = [(start, min(start + 2 * half, last)) for start in range(0, max(last - half, 1), 2 * half + 1)]
         size = max(1, 4000 // (2 * half + 1))
-        return torch.cat([sum(self.variance(o, offset, *w) for w in windows) / len(windows) for o in omega.split(size)])  # type: ignore[misc]
+        return torch.cat([sum(self.variance(o, offset, *w, directions) for w in windows) / len(windows) for o in omega.split(size)])  # type: ignore[misc]
 
     def find(self) -> Spin | None:
         """The turn that explains the colours best, or None if none is much better than no turn."""
@@ -157,8 +158,11 @@ class SpinSearch:
         candidates = candidates[candidates.norm(dim=1) <= FASTEST * degree]
         offsets = torch.cat([torch.zeros(1, 3), torch.eye(3), -torch.eye(3)]) * self.radius / 3
         with torch.no_grad():
-            trials = [(self.over_windows(candidates, offset, WINDOW), offset) for offset in offsets]
+            trials = [(self.over_windows(candidates, offset, WINDOW, FEW_DIRECTIONS), offset) for offset in offsets]
+            resting = float(self.over_windows(torch.zeros(1, 3), offsets[0], WINDOW, FEW_DIRECTIONS))
         variance, offset = min(trials, key=lambda trial: float(trial[0].min()))
+        if float(variance.min()) >= HOPELESS * resting:
+            return None
         omega, offset = self._descend(candidates[variance.topk(6, largest=False).indices], offset)
         half = WINDOW
         while 2 * half < self.count - 1:
@@ -169,9 +173,9 @@ class SpinSearch:
                 near = omega + lattice(4 * step, 4)
                 omega = near[int(self.over_windows(near, offset, half).argmin())][None]
         omega, offset = self._descend(omega, offset, half)
-        resting, turning = torch.zeros(1, 3), omega[:1]
+        still, turning = torch.zeros(1, 3), omega[:1]
         with torch.no_grad():
-            gains = [float(self.over_windows(turning, offset, h) / self.over_windows(resting, offset, h)) for h in (WINDOW, half)]
+            gains = [float(self.over_windows(turning, offset, h) / self.over_windows(still, offset, h)) for h in (WINDOW, half)]
         if not max(gains) < ACCEPT:
             return None
         return Spin(turning[0].numpy(), offset.numpy(), gains[-1])

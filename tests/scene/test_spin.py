@@ -9,7 +9,7 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.motion.nodes import ControlNodes
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.training import turning
-from e4dgs.scene.training.spin import MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
+from e4dgs.scene.training.spin import DIRECTIONS, FEW_DIRECTIONS, MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
 from e4dgs.scene.training.turning import FRESH, WIDER, make_turning_parts_rigid
 from e4dgs.scene.views import Views
 from scipy.spatial.transform import Rotation
@@ -75,6 +75,15 @@ def test_a_steady_turn_is_found_and_so_is_its_centre():
 @pytest.mark.parametrize("views", [turning_ball(30, 0 * OMEGA), turning_ball(30, OMEGA, plain=True)], ids=["still", "plain"])
 def test_what_does_not_turn_and_what_shows_no_turn_is_left_alone(views):
     assert search(views).find() is None
+
+
+def test_without_a_promising_candidate_the_search_ends_early(monkeypatch):
+    still = search(turning_ball(30, 0 * OMEGA))
+    monkeypatch.setattr(still, "_descend", lambda *args: pytest.fail("nothing to refine"))
+    assert still.find() is None
+    candidate = torch.tensor(OMEGA).float()[None]
+    few, many = (search(turning_ball(40, OMEGA)).over_windows(candidate, torch.zeros(3), 6, n) for n in (FEW_DIRECTIONS, DIRECTIONS))
+    assert float(few) == pytest.approx(float(many), rel=0.05)
 
 
 def test_a_capture_of_few_frames_is_left_alone():
