@@ -10,7 +10,7 @@ from pydantic import Field
 from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import Strategy, TrainingSettings
 from .facts import Facts
-from .training.choices import auto_iterations, use_nodes
+from .training.choices import BY_NODE_PHASES, auto_iterations, use_nodes
 
 
 class CoarseSettings(TrainingSettings):
@@ -50,12 +50,14 @@ class Coarse(Stage):
         return Applies.yes("Gaussians, moved by the six-plane field")
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
+        from ..scene.training.schedule import first_motion_steps
         from .estimates import node_training_seconds, training_seconds
 
         known = Facts.of(facts)
         steps = settings.iterations or auto_iterations(known, settings)
         if use_nodes(known, settings):
-            return node_training_seconds(known, steps)
+            first = first_motion_steps(steps) if settings.strategy in BY_NODE_PHASES else 0
+            return node_training_seconds(known, steps, first)
         return training_seconds(known, steps, known.static, area=1 - 0.75 * settings.full_from)
 
     def resources(self, facts: Mapping[str, Any], settings: CoarseSettings, device: str) -> Resources:

@@ -10,6 +10,7 @@ SECONDS_PER_MEGAPIXEL_STEP = 0.35
 SECONDS_PER_STEP = 0.03
 SECONDS_PER_STATIC_STEP = 0.01
 SECONDS_PER_NODE_STEP = 0.014
+SECONDS_PER_FIRST_STEP = 0.01  # of control nodes, on very small images
 SECONDS_PER_MEGAPIXEL_NODE_STEP = 0.1  # of the full image, although most steps render only a window around the object
 
 # In GB of 1e9 bytes, fitted to the peak memory of the captures in benchmarks/results. None exceeds the estimate by more than a fifth.
@@ -37,6 +38,7 @@ def training_seconds(facts: Facts, iterations: int, static: bool, area: float = 
     return iterations * ((SECONDS_PER_STATIC_STEP if static else SECONDS_PER_STEP) + SECONDS_PER_MEGAPIXEL_STEP * megapixels * area)
 
 
-def node_training_seconds(facts: Facts, iterations: int) -> float:
-    """Seconds that ``iterations`` steps with control nodes take on two cores."""
-    return iterations * (SECONDS_PER_NODE_STEP + SECONDS_PER_MEGAPIXEL_NODE_STEP * facts.width * facts.height / 1e6)
+def node_training_seconds(facts: Facts, iterations: int, first: int) -> float:
+    """Seconds that ``iterations`` steps with control nodes take on two cores, and ``first`` steps on very small images before them."""
+    of_full = SECONDS_PER_NODE_STEP + SECONDS_PER_MEGAPIXEL_NODE_STEP * facts.width * facts.height / 1e6
+    return iterations * of_full + first * SECONDS_PER_FIRST_STEP

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -53,5 +53,7 @@ NODES = Recipe(
     prune_at=0.85,
     hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 )
+# Nodes that only look for the motion: what is found here is moved and refined later, so nothing turns rigid or is hidden yet.
+FIRST_MOTION = replace(NODES, rigid_parts_at=(), spread_at=(0.5,), hidden_at=(), prune_at=0.9)
 FREE = Recipe(opacity=0.01, rest=0.0, freeze_at=2.0, opens=False)
 RECIPES = {"planes": PLANES, "nodes": NODES, "free": FREE}  # keyed by the "kind" in a motion's config

@@ -17,6 +17,7 @@ ITERATIONS_A_TIME = 280  # steps per time of a rig, since each time needs its ow
 MOST_ITERATIONS = 30_000
 LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
 ITERATIONS_NODES = 40_000
+BY_NODE_PHASES = ("two-stage", "alternating")  # strategies in which control nodes have a schedule of their own
 CONVEXES = 8000
 NODE_TIMES = 9  # least number of times; fewer say too little about motion
 

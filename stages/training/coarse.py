@@ -28,7 +28,8 @@ from ..seeding.fill import measured_depth
 from ..seeding.moving import MovingSeeds
 from ..seeding.picture import seeds_picture
 from ..seeding.seeds import initial_dynamic, living, load_seeds, moving_seeds
-from .choices import auto_budget, auto_iterations, auto_seeds, auto_sh_degree, is_static, use_nodes
+from .choices import BY_NODE_PHASES, auto_budget, auto_iterations, auto_seeds, auto_sh_degree, is_static, use_nodes
+from .first_motion import find_first_motion
 from .motions import make_field, make_nodes
 from .train import train
 
@@ -82,6 +83,8 @@ def train_coarse(ctx: Context) -> None:
     model = first_model(kind, start, views, sh_degree, settings).to(ctx.device)
 
     steps = settings.iterations or auto_iterations(facts, settings)
+    if kind == "nodes" and settings.strategy in BY_NODE_PHASES:
+        find_first_motion(ctx, model, views, settings, steps, is_small(views))
     log = train(
         ctx,
         "coarse",
@@ -125,10 +128,15 @@ def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings
 
 def phases(kind: Kind, steps: int, views: Views, settings: CoarseSettings) -> list[Phase]:
     """The training schedule. Half-size images come first if they show enough."""
-    small = views.width * views.height < SMALL_IMAGE
-    if kind == "nodes" and settings.strategy in ("two-stage", "alternating"):
-        return node_phases(steps, 1.0 if small else HALF_RESOLUTION)
-    return coarse_phases(settings.strategy, steps, kind == "static", 0.0 if small else settings.full_from, kind != "free")
+    if kind == "nodes" and settings.strategy in BY_NODE_PHASES:
+        return node_phases(steps, 1.0 if is_small(views) else HALF_RESOLUTION)
+    full_from = 0.0 if is_small(views) else settings.full_from
+    return coarse_phases(settings.strategy, steps, kind == "static", full_from, kind != "free")
+
+
+def is_small(views: Views) -> bool:
+    """Whether images of half the size show too little."""
+    return views.width * views.height < SMALL_IMAGE
 
 
 def mean_colour(views: Views) -> tuple[float, float, float]:

@@ -17,16 +17,16 @@ from ...scene.views import Views
 def train(
     ctx: Context, name: str, model: Model, views: Views, phases: list[Phase], settings: TrainingSettings, **options: Any
 ) -> TrainingLog:
-    """Trains ``model`` in place through ``phases``, with the recipe for its kind of motion. options: further arguments of `Trainer`."""
-    recipe = RECIPES["planes" if model.field is None else str(model.field.config["kind"])]
+    """Trains ``model`` in place through ``phases``, with the recipe for its kind of motion unless ``options``, which are further arguments
+    of `Trainer`, contain one. Its checkpoints are those of the stage unless ``options`` say otherwise."""
+    options.setdefault("checkpoints", ctx.checkpoints)
+    options.setdefault("recipe", RECIPES["planes" if model.field is None else str(model.field.config["kind"])])
     with ctx.progress(sum(phase.iterations for phase in phases), name) as bar:
         trainer = Trainer(
             model,
             views,
             phases,
             settings,
-            checkpoints=ctx.checkpoints,
-            recipe=recipe,
             advance=lambda n, note: bar.advance(n, note),
             log=ctx.log,
             **options,

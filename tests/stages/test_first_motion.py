@@ -1,0 +1,51 @@
+"""Control nodes look for the motion on very small images before `coarse` proper, and not again where that has been interrupted."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+from e4dgs.pipeline import Progress
+from e4dgs.scene.training.schedule import first_motion_steps, node_phases
+from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.training import first_motion
+from e4dgs.stages.training.motions import make_nodes
+from e4dgs.stages.training.train import train
+from sliding_gaussians import fresh, wandering_views
+
+STEPS = 60
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Views, a model of nodes at rest, and what a stage is given."""
+    views, settings = wandering_views(12), CoarseSettings(affine=False)
+    model = fresh(views, static=True)
+    model.gaussians.dynamic[:] = True
+    model.field = make_nodes(model.gaussians.means.detach().numpy(), settings)
+    return views, model, settings, SimpleNamespace(checkpoints=tmp_path, progress=Progress, log=lambda line: None)
+
+
+def test_nodes_move_and_leave_no_checkpoint(start, monkeypatch):
+    views, model, settings, ctx = start
+    given = {}
+
+    def recorded(ctx, name, model, views, phases, settings, **options):
+        given.update(settings=settings, steps=sum(phase.iterations for phase in phases), scales={phase.scale for phase in phases})
+        return train(ctx, name, model, views, phases, settings, **options)
+
+    monkeypatch.setattr(first_motion, "train", recorded)
+    before = model.field.at(0.1).shifts.detach().clone()
+    first_motion.find_first_motion(ctx, model, views, settings, STEPS, small=True)
+    assert given["steps"] == first_motion_steps(STEPS) and given["scales"] == {0.5}
+    assert given["settings"].rigid == 0 and settings.rigid > 0
+    assert float((model.field.at(0.1).shifts.detach() - before).abs().max()) > 1e-4
+    assert not any(ctx.checkpoints.iterdir())
+
+
+def test_a_training_that_goes_on_from_its_checkpoint_does_not_begin_again(start):
+    views, model, settings, ctx = start
+    train(ctx, "coarse", model, views, node_phases(STEPS, 1.0), settings.model_copy(update={"checkpoint_seconds": 1e-9}), budget=90)
+    assert any(ctx.checkpoints.iterdir())
+    before = model.gaussians.means.detach().clone()
+    first_motion.find_first_motion(ctx, model, views, settings, STEPS, small=True)
+    assert torch.equal(model.gaussians.means.detach(), before)
