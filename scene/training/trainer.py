@@ -34,7 +34,8 @@ class Trainer:
     phases: run in this order. settings: see `TrainingSettings`. budget: maximum number of Gaussians. lr_scale: factor on the rates of
     parameters that an earlier stage has already trained. earlier: number of steps of that stage. measured_flow: returns for frame i the
     flow to the camera's next frame [H, W, 2] px and a weight [H, W], or None if there is none. measured_depth: of the static scene.
-    checkpoints: folder of this run; training continues from a state found there. advance: called with (steps, note). log: called with a
+    checkpoints: folder of this run; training continues from a state found there that has the same ``part``: the name of this training
+    where a stage has several, one after another. advance: called with (steps, note). log: called with a
     line for people to read.
     """
 
@@ -46,6 +47,7 @@ class Trainer:
         settings: TrainingSettings,
         budget: int,
         checkpoints: Path | None = None,
+        part: str = "",
         lr_scale: float = 1.0,
         earlier: int = 0,
         grow: bool = True,
@@ -56,7 +58,7 @@ class Trainer:
         log: Callable[[str], None] = lambda message: None,
     ) -> None:
         self.model, self.views, self.phases, self.settings, self.recipe = model, views, phases, settings, recipe
-        self.checkpoints, self.grow, self.advance, self._say = checkpoints, grow, advance, log
+        self.checkpoints, self.part, self.grow, self.advance, self._say = checkpoints, part, grow, advance, log
         self.total = sum(phase.iterations for phase in phases)
         self.iteration = 0
         self._left_out = 0  # steps of phases that ended early
@@ -181,13 +183,14 @@ class Trainer:
             "left_out": self._left_out,
             "model": self.model.config,
             "nonfinite": self.guard.count,
+            "part": self.part,
             "log": vars(self.log),
         }
         save_checkpoint(self.checkpoints, self.learned.tensors(), state)
 
     def _resume(self) -> None:
         found = load_checkpoint(self.checkpoints) if self.checkpoints is not None else None
-        if found is None:
+        if found is None or found[1].get("part", "") != self.part:
             return
         tensors, state = found
         self.learned.load(tensors, state)

@@ -15,6 +15,7 @@ from .train import train
 if TYPE_CHECKING:
     from ..coarse import CoarseSettings
 
+PART = "first motion"
 MOST_GAUSSIANS = 5000  # half of the pixels of a 400x400 image at a quarter of its size
 
 
@@ -24,17 +25,18 @@ def find_first_motion(ctx: Context, model: Model, views: Views, settings: Coarse
     Nodes that start on detailed images settle where a limb is folded or swapped with another. No gradient leads out of there, and the
     prior towards rigid parts holds them in it, so it is off here.
     """
-    if load_checkpoint(ctx.checkpoints) is not None:
+    found = load_checkpoint(ctx.checkpoints)
+    if found is not None and found[1].get("part", "") != PART:
         return  # the checkpoint is from after this training
     phases = first_motion_phases(first_motion_steps(steps), small)
     train(
         ctx,
-        "first motion",
+        PART,
         model,
         views,
         phases,
         settings.model_copy(update={"rigid": 0.0}),
         budget=min(MOST_GAUSSIANS, settings.budget or MOST_GAUSSIANS),
         recipe=FIRST_MOTION,
-        checkpoints=None,
+        part=PART,
     )

@@ -18,8 +18,7 @@ def train(
     ctx: Context, name: str, model: Model, views: Views, phases: list[Phase], settings: TrainingSettings, **options: Any
 ) -> TrainingLog:
     """Trains ``model`` in place through ``phases``, with the recipe for its kind of motion unless ``options``, which are further arguments
-    of `Trainer`, contain one. Its checkpoints are those of the stage unless ``options`` say otherwise."""
-    options.setdefault("checkpoints", ctx.checkpoints)
+    of `Trainer`, contain one."""
     options.setdefault("recipe", RECIPES["planes" if model.field is None else str(model.field.config["kind"])])
     with ctx.progress(sum(phase.iterations for phase in phases), name) as bar:
         trainer = Trainer(
@@ -27,6 +26,7 @@ def train(
             views,
             phases,
             settings,
+            checkpoints=ctx.checkpoints,
             advance=lambda n, note: bar.advance(n, note),
             log=ctx.log,
             **options,

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from e4dgs.pipeline import Progress
+from e4dgs.scene.training.checkpoint import model_of
 from e4dgs.scene.training.schedule import first_motion_steps, node_phases
 from e4dgs.stages.coarse import CoarseSettings
 from e4dgs.stages.training import first_motion
@@ -25,7 +26,7 @@ def start(tmp_path):
     return views, model, settings, SimpleNamespace(checkpoints=tmp_path, progress=Progress, log=lambda line: None)
 
 
-def test_nodes_move_and_leave_no_checkpoint(start, monkeypatch):
+def test_nodes_move_and_nothing_holds_them_rigid(start, monkeypatch):
     views, model, settings, ctx = start
     given = {}
 
@@ -39,7 +40,18 @@ def test_nodes_move_and_leave_no_checkpoint(start, monkeypatch):
     assert given["steps"] == first_motion_steps(STEPS) and given["scales"] == {0.5}
     assert given["settings"].rigid == 0 and settings.rigid > 0
     assert float((model.field.at(0.1).shifts.detach() - before).abs().max()) > 1e-4
-    assert not any(ctx.checkpoints.iterdir())
+
+
+def test_its_checkpoint_is_its_own(start):
+    views, model, settings, ctx = start
+    lines: list[str] = []
+    ctx.log, often = lines.append, settings.model_copy(update={"checkpoint_seconds": 1e-9})
+    first_motion.find_first_motion(ctx, model, views, often, STEPS, small=True)
+    assert model_of(ctx.checkpoints) is not None  # the viewer has something to show
+    first_motion.find_first_motion(ctx, model, views, settings, STEPS, small=True)
+    assert sum("continued from the checkpoint" in line for line in lines) == 1
+    log = train(ctx, "coarse", model, views, node_phases(STEPS, 1.0), settings, budget=90)
+    assert log.iterations == STEPS and sum("continued from the checkpoint" in line for line in lines) == 1
 
 
 def test_a_training_that_goes_on_from_its_checkpoint_does_not_begin_again(start):
