@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .colour import CameraAffine
+from .in_view import in_view
 from .motion.field import DeformationField
 from .motion.free import FreeMotion
 from .motion.interface import Rest
@@ -101,6 +102,18 @@ class Model:
         gaussians = Gaussians(means, quats, torch.exp(log_scales), shown, sh=g.sh(degree, light))
         convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), convex_shown, sh=c.sh(degree, light))
         return gaussians, convexes
+
+    def with_gaussians(self, gaussians: GaussianSet) -> Model:
+        """This model with other ``gaussians``; everything else is shared."""
+        same = self.convexes, self.field, self.sh_degree, self.near, self.background, self.affine, self.antialiased
+        return Model(gaussians, *same)
+
+    def in_view(self, t: float, camera: Camera, tiles: Tensor | None = None, move: bool = True) -> Tensor | None:
+        """[m] int64: the Gaussians that ``camera`` may show at time ``t``, if that can be told without moving them all; else None.
+        ``tiles``: what is drawn, as `rasterize` takes it."""
+        if self.device.type != "cpu" or not isinstance(self.field, FreeMotion | None):
+            return None  # a GPU would have to wait for the number found
+        return in_view(self.gaussians, camera, self.field.frame(t) if self.field is not None and move else None, tiles)
 
     def centres_at(self, index: Tensor, t: float) -> Tensor:
         """[m, 3] centres of the Gaussians ``index`` at time ``t``, moved whether they are dynamic or not."""

@@ -113,7 +113,7 @@ class PrimitiveSet:
 
     def select(self, index: Tensor) -> Self:
         """The rows ``index`` (long) as a new set."""
-        return type(self)({name: p.detach()[index] for name, p in self.parameters.items()}, self.dynamic[index])
+        return type(self)({name: p.detach().index_select(0, index) for name, p in self.parameters.items()}, self.dynamic[index])
 
     @classmethod
     def joined(cls, sets: Sequence[Self]) -> Self:

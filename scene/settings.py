@@ -16,7 +16,7 @@ class RefinementSettings(Settings):
 
     renamed: ClassVar = {"still": "rest"}
 
-    iterations: int = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
+    iterations: int | None = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
     seed: int = Field(0, ge=0, description="seed of the order of views, the initial planes and the sampling of new primitives")
     sh_degree: int | None = Field(None, ge=0, le=3, description="highest degree of the colours' spherical harmonics; 1 for rigs, else 2")
     lr_means: float = Field(8e-4, gt=0, description="initial learning rate of positions; decays to a fiftieth")
@@ -30,7 +30,9 @@ class RefinementSettings(Settings):
     rest: float | None = Field(
         None, ge=0, description="weight of the mean distance from rest, in viewing distances; 0.005 for planes, else 0"
     )
-    rigid: float = Field(0.01, ge=0, description="weight of how differently neighbours move, so that parts move rigidly")
+    rigid: float = Field(
+        0.01, ge=0, description="weight of how differently neighbours move, so that parts move rigidly; 0 in the first motion of nodes"
+    )
     inertia: float | None = Field(None, ge=0, description="weight of how abruptly motion changes between times; 0.03 for nodes, else 0.01")
     opacity: float | None = Field(
         None, ge=0, description="px of error that an opaque primitive must remove, or it fades; 0.15 for planes, else 0.01"

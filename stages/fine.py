@@ -10,11 +10,20 @@ from pydantic import Field
 from ..pipeline import Applies, Context, Resources, Stage
 from ..scene.settings import RefinementSettings
 from .facts import Facts
+from .training.choices import fine_iterations, nodes_by_default
 
 
 class FineSettings(RefinementSettings):
-    iterations: int = Field(1500, ge=0, le=1_000_000, description="optimiser steps of this stage")
+    iterations: int | None = Field(
+        None, ge=0, le=1_000_000, description="optimiser steps; by default 1500, but none for control nodes without convexes"
+    )
+    effort: float = Field(1.0, gt=0, le=100, description="factor on the number of steps that is chosen by default")
     lr_scale: float = Field(0.3, gt=0, le=1, description="factor on the initial learning rates of what `coarse` has trained")
+
+
+def rests(facts: Facts, settings: FineSettings) -> bool:
+    """Whether there is nothing to do unless `hulls` was told to place convexes."""
+    return settings.iterations is None and nodes_by_default(facts)
 
 
 class Fine(Stage):
@@ -29,13 +38,15 @@ class Fine(Stage):
     def applies(self, facts: Mapping[str, Any], settings: FineSettings) -> Applies:
         if settings.iterations == 0:
             return Applies.no("fine.iterations is 0")
+        if rests(Facts.of(facts), settings):
+            return Applies.yes("Gaussians and convexes together; without convexes, control nodes are refined already")
         return Applies.yes("Gaussians and convexes together")
 
     def estimate(self, facts: Mapping[str, Any], settings: FineSettings) -> float | None:
         from .estimates import training_seconds
 
         known = Facts.of(facts)
-        return training_seconds(known, settings.iterations, known.static)
+        return 2.0 if rests(known, settings) else training_seconds(known, fine_iterations(settings), known.static)
 
     def resources(self, facts: Mapping[str, Any], settings: FineSettings, device: str) -> Resources:
         from .estimates import training_resources

@@ -9,7 +9,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "fast": {
         "coarse.effort": 0.15,
         "hulls.share": 0.04,
-        "fine.iterations": 300,
+        "fine.effort": 0.2,
     },
     # As good as it gets, for as long as it takes.
     "best": {"coarse.effort": 3.0},

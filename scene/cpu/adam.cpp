@@ -77,6 +77,43 @@ E4DGS_CLONES void adam_block(float* p, const float* g, float* m, float* v, int64
     }
 }
 
+// Rows of W floats: kRows of them are copied together, updated and copied back.
+template <int W>
+E4DGS_INLINE void adam_scattered(float* __restrict p, const float* __restrict g, float* __restrict m, float* __restrict v, const int64_t* __restrict index,
+                                 int64_t begin, int64_t end, const AdamStep& step, float rate, float inverse_root) {
+    constexpr int kRows = 64;
+    float value[kRows * W], first[kRows * W], second[kRows * W];
+    for (int64_t row = begin; row < end; row += kRows) {
+        const int64_t n = std::min<int64_t>(kRows, end - row);
+        for (int64_t r = 0; r < n; ++r)
+            for (int c = 0; c < W; ++c) {
+                const int64_t at = index[row + r] * W + c;
+                value[r * W + c] = p[at], first[r * W + c] = m[at], second[r * W + c] = v[at];
+            }
+        adam_narrow<W>(value, g + row * W, first, second, 0, n, step, rate, inverse_root);
+        for (int64_t r = 0; r < n; ++r)
+            for (int c = 0; c < W; ++c) {
+                const int64_t at = index[row + r] * W + c;
+                p[at] = value[r * W + c], m[at] = first[r * W + c], v[at] = second[r * W + c];
+            }
+    }
+}
+
+E4DGS_CLONES void adam_chosen_block(float* p, const float* g, float* m, float* v, const int64_t* index, int64_t begin, int64_t end, int64_t width,
+                                    const AdamStep step) {
+    const float rate = step.rate / step.correction1, inverse_root = 1.0f / std::sqrt(step.correction2);
+    switch (width) {
+        case 1: return adam_scattered<1>(p, g, m, v, index, begin, end, step, rate, inverse_root);
+        case 2: return adam_scattered<2>(p, g, m, v, index, begin, end, step, rate, inverse_root);
+        case 3: return adam_scattered<3>(p, g, m, v, index, begin, end, step, rate, inverse_root);
+        case 4: return adam_scattered<4>(p, g, m, v, index, begin, end, step, rate, inverse_root);
+    }
+    for (int64_t r = begin; r < end; ++r) {
+        const int64_t at = index[r] * width;
+        if (any(g + r * width, width)) adam_range(p + at, g + r * width, m + at, v + at, width, step, rate, inverse_root);
+    }
+}
+
 }  // namespace
 
 void adam_rows(float* parameter, const float* gradient, float* first, float* second, int64_t rows, int64_t width, const AdamStep& step, int threads) {
@@ -86,6 +123,17 @@ void adam_rows(float* parameter, const float* gradient, float* first, float* sec
         [[maybe_unused]] const FlushDenormals flush;
 #pragma omp for schedule(static)
         for (int64_t b = 0; b < blocks; ++b) adam_block(parameter, gradient, first, second, b * each, std::min(rows, (b + 1) * each), width, step);
+    }
+}
+
+void adam_chosen(float* parameter, const float* gradient, float* first, float* second, const int64_t* index, int64_t count, int64_t width,
+                 const AdamStep& step, int threads) {
+    const int64_t each = std::max<int64_t>(1, kGrain / std::max<int64_t>(1, width)), blocks = (count + each - 1) / each;
+#pragma omp parallel num_threads(threads)
+    {
+        [[maybe_unused]] const FlushDenormals flush;
+#pragma omp for schedule(static)
+        for (int64_t b = 0; b < blocks; ++b) adam_chosen_block(parameter, gradient, first, second, index, b * each, std::min(count, (b + 1) * each), width, step);
     }
 }
 

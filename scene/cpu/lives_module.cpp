@@ -3,10 +3,12 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
 
 #include "arrays.h"
+#include "in_view.h"
 #include "lives.h"
 
 namespace {
@@ -30,6 +32,10 @@ e4dgs::Lives lives_of(const In& points, const Maybe& quats, const In& opacities,
     return {int64_t(n), int64_t(points.shape(1)), points.data(), quats_of(quats, n, "quats"), opacities.data(),
             life[0].data(), life[1].data(), life[2].data(), life[3].data(), dynamic.data(), frame};
 }
+
+using Tiles = nb::ndarray<const bool, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Doubles = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Index = nb::ndarray<int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 }  // namespace
 
@@ -74,4 +80,34 @@ void bind_lives(nb::module_& m) {
         nb::arg("points"), nb::arg("quats").none(), nb::arg("opacities"), nb::arg("life"), nb::arg("dynamic"), nb::arg("frame"), nb::arg("g_moved"),
         nb::arg("g_turned").none(), nb::arg("g_shown"), nb::arg("g_points"), nb::arg("g_quats").none(), nb::arg("g_opacities"), nb::arg("g_life"),
         nb::arg("threads"));
+
+    // life: times, log_spans, velocities; empty if nothing moves. camera: fx fy cx cy near, then the 3x4 of cam_from_world.
+    m.def(
+        "in_view",
+        [](const In& means, const In& log_scales, const In& opacity_logits, const Ins& life, const Flags& dynamic, float frame, const Doubles& camera,
+           int width, int height, const std::optional<Tiles>& tiles, int tile, const Index& index, int threads) {
+            const size_t n = means.ndim() ? means.shape(0) : 0;
+            check(means, {n, 3}, "means"), check(log_scales, {n, 3}, "log_scales"), check(opacity_logits, {n}, "opacity_logits");
+            if (!life.empty()) {
+                if (life.size() != 3) throw std::invalid_argument("life must be times, log_spans, velocities, or empty");
+                check(life[0], {n}, "times"), check(life[1], {n}, "log_spans"), check(life[2], {n, 3}, "velocities");
+            }
+            if (dynamic.shape(0) != n || index.shape(0) != n) throw std::invalid_argument("dynamic and index must be [N]");
+            if (camera.shape(0) != 17 || width < 1 || height < 1 || tile < 1) throw std::invalid_argument("camera must be [17], for an image with pixels");
+            e4dgs::ViewedGaussians gaussians{int64_t(n), means.data(), log_scales.data(), opacity_logits.data(), nullptr, nullptr, nullptr, dynamic.data(), frame};
+            if (!life.empty()) gaussians.times = life[0].data(), gaussians.log_spans = life[1].data(), gaussians.velocities = life[2].data();
+            e4dgs::Seeing view{};
+            const double* from = camera.data();
+            view.fx = from[0], view.fy = from[1], view.cx = from[2], view.cy = from[3], view.near = from[4];
+            std::copy_n(from + 5, 12, view.pose);
+            view.width = width, view.height = height, view.tile = tile;
+            view.rows = (height + tile - 1) / tile, view.columns = (width + tile - 1) / tile;
+            if (tiles && (tiles->shape(0) != size_t(view.rows) || tiles->shape(1) != size_t(view.columns)))
+                throw std::invalid_argument("tiles must cover the image");
+            view.tiles = tiles ? tiles->data() : nullptr;
+            nb::gil_scoped_release release;
+            return e4dgs::in_view(gaussians, view, index.data(), threads);
+        },
+        nb::arg("means"), nb::arg("log_scales"), nb::arg("opacity_logits"), nb::arg("life"), nb::arg("dynamic"), nb::arg("frame"), nb::arg("camera"),
+        nb::arg("width"), nb::arg("height"), nb::arg("tiles").none(), nb::arg("tile"), nb::arg("index"), nb::arg("threads"));
 }

@@ -1,29 +1,16 @@
 #include "skinning_weights.h"
 
 #include <algorithm>
-#include <bit>
 #include <cstring>
 #include <limits>
 
 #include "clones.h"
+#include "exp.h"
 
 namespace e4dgs {
 namespace {
 
 typedef float Place __attribute__((vector_size(4 * kPlace)));
-
-
-constexpr float kLeastExponent = -80.0f;
-
-inline float exp_of(float x) {  // kLeastExponent <= x <= 0; relative error below 2e-7
-    x *= 1.44269504f;
-    const float y = x + 0.5f;
-    const int32_t cut = int32_t(y), whole = cut - (float(cut) > y);  // std::floor would not be vectorised
-    const float f = (x - float(whole)) * 0.69314718f;
-    float p = 1.0f / 720.0f;
-    p = p * f + 1.0f / 120.0f, p = p * f + 1.0f / 24.0f, p = p * f + 1.0f / 6.0f, p = p * f + 0.5f, p = p * f + 1.0f, p = p * f + 1.0f;
-    return p * std::bit_cast<float>((whole + 127) << 23);
-}
 
 }  // namespace
 
@@ -73,10 +60,8 @@ E4DGS_CLONES void weigh(const Skinning& in, const Frames& frames, const Block& b
         }
         for (int j = 0; j < kBlock; ++j) best[j] = std::max(best[j], out.value[k][j]);
     }
-    for (int k = 0; k < links; ++k) {  // two loops: in one, the limit becomes a branch and nothing is vectorised
-        for (int j = 0; j < kBlock; ++j) out.value[k][j] = std::max(out.value[k][j] - best[j], kLeastExponent);
-        for (int j = 0; j < kBlock; ++j) total[j] += out.value[k][j] = exp_of(out.value[k][j]);
-    }
+    for (int k = 0; k < links; ++k)
+        for (int j = 0; j < kBlock; ++j) total[j] += out.value[k][j] = exp_of(out.value[k][j] - best[j]);
     for (int k = 0; k < links; ++k)
         for (int j = 0; j < kBlock; ++j) out.value[k][j] /= total[j];
 }

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <vector>
 
 #include "clones.h"
+#include "exp.h"
 
 namespace e4dgs {
 namespace {
@@ -13,16 +13,6 @@ namespace {
 constexpr float kCovered = 0.5f, kNearest = 1e-3f;  // as in depth_smoothness.py
 constexpr float kEdge = 0.02f, kUsualWidth = 320.0f;
 constexpr float kLargest = 0.2f;  // as in measured_depth.py
-
-// exp(x) for x <= 0, to 2e-7 of its value.
-E4DGS_INLINE float exp_of(float x) {
-    const float y = std::max(x, -80.0f) * 1.44269504f, whole = std::floor(y), f = (y - whole) * 0.69314718f;
-    const float p = 1 + f * (1 + f * (0.5f + f * (0.16666667f + f * (0.041666667f + f * (0.0083333333f + f * (0.0013888889f + f * 0.0001984127f))))));
-    const int32_t bits = (int32_t(whole) + 127) << 23;
-    float power;
-    std::memcpy(&power, &bits, 4);
-    return p * power;
-}
 
 // inverse [W] and solid [W] (1 or 0) of one row.
 E4DGS_CLONES void inverse_row(const float* __restrict depth, const float* __restrict alpha, int n, float unit, float* __restrict inverse, float* __restrict solid) {

@@ -25,6 +25,11 @@ PRIOR_SAMPLES = 1024
 NEIGHBOURHOOD = 0.025  # of the viewing distance: distance between two places that should move alike
 
 
+def flow_due(settings: TrainingSettings, iteration: int, total: int) -> bool:
+    """Whether step ``iteration`` of ``total`` evaluates the flow terms, which draw the whole image."""
+    return iteration % settings.flow_every == 0 and iteration >= 0.3 * total
+
+
 def displacement(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
     """Mean displacement, world units, of those of ``rest`` [N, 3] that are ``dynamic`` [N]."""
     return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
@@ -72,7 +77,7 @@ class MotionTerms:
                 loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()
             if s.rigid or self.inertia:
                 loss = loss + PRIOR_EVERY * self._priors(model, t, iteration)
-        if iteration % s.flow_every == 0 and iteration >= 0.3 * total and bool(dynamic.any() | model.convexes.dynamic.any()):
+        if flow_due(s, iteration, total) and bool(dynamic.any() | model.convexes.dynamic.any()):
             loss = loss + s.flow_every * self._flow(model, i, t, scale)
         return loss
 

@@ -40,10 +40,16 @@ class FreeMotion(nn.Module):
     def alive(self, primitives: PrimitiveSet, t: float) -> tuple[Tensor, Tensor | None, Tensor]:
         """At time ``t`` in [0, 1], of all N primitives: their points, as means [N, 3] or corners [N, K, 3]; the quaternions [N, 4] of
         Gaussians, None for convexes; their opacities [N]. Those that are not dynamic are at rest."""
-        quats = primitives.quats if isinstance(primitives, GaussianSet) else None
-        points = primitives.rest_points().reshape(len(primitives), -1, 3)
+        single = isinstance(primitives, GaussianSet)
+        points, quats = (primitives.means[:, None], primitives.quats) if single else (primitives.points, None)
         moved, turned, shown = live(points, quats, primitives.opacities, primitives.life, primitives.dynamic, self.frame(t))
-        return moved[:, 0] if quats is not None else moved, turned, shown
+        return moved[:, 0] if single else moved, turned, shown
+
+    def opacities(self, primitives: PrimitiveSet, t: float) -> Tensor:
+        """The opacities [N] of `alive` alone."""
+        life = primitives.life
+        age = (self.frame(t) - life.times) * torch.exp(-life.log_spans)
+        return primitives.opacities * torch.where(primitives.dynamic, torch.exp(-0.5 * age.square()), 1.0)
 
     def frame(self, t: float) -> float:
         """Fractional frame number at time ``t`` in [0, 1]."""

@@ -12,10 +12,12 @@ from torch import Tensor
 from ...rasterizer import Frame, rasterize
 from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
 from ..losses.measured_depth import MeasuredDepth
-from ..losses.motion_terms import MeasuredFlow, MotionTerms
+from ..losses.motion_terms import MeasuredFlow, MotionTerms, flow_due
 from ..losses.photometric import Recording, photometric_loss
 from ..losses.surface import surface_loss
 from ..model import Model
+from ..motion.free import FreeMotion
+from ..primitives import GaussianSet
 from ..settings import TrainingSettings
 from ..views import Views
 from .drawn_tiles import DrawnTiles
@@ -24,6 +26,8 @@ from .schedule import Phase
 
 WHOLE_EVERY = 8  # one step in so many uses the whole image where the others are cropped to the object
 SMOOTH_END = 0.05  # of its weight that the smoothness of surfaces has at the end: it helps to find them, then blurs their detail
+OTHER_BACKGROUND = 0.3  # share of the loss with the opposite background, if the capture has alpha
+MOST_SHOWN = 0.8  # of the Gaussians; if a view may show more, selecting them costs more than it saves
 RELINK_EVERY = 100  # steps between two searches for the parts of the motion that carry each primitive
 
 
@@ -31,7 +35,8 @@ RELINK_EVERY = 100  # steps between two searches for the parts of the motion tha
 class Judged:
     """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3], of which color is as
     rendered, before the camera records it. weight [h, w]: of the pixels' gradients, 0 for those that do not count; None if it is 1
-    everywhere."""
+    everywhere. shown, rows: the Gaussians that the view may show, which have the gradients, and their rows in the model's set [m]; None if
+    that is all of them."""
 
     loss: Tensor
     image_loss: Tensor
@@ -39,6 +44,8 @@ class Judged:
     target: Tensor
     weight: Tensor | None
     recording: Recording | None
+    shown: GaussianSet | None = None
+    rows: Tensor | None = None
 
     def psnr(self) -> float:
         """PSNR in dB over the pixels that count, or over all if none does."""
@@ -91,11 +98,19 @@ class Objective:
         background = torch.tensor(views.background)
         if step % RELINK_EVERY == 0:
             model.relink()
-        gaussians, convexes = model.at(float(views.time[i]), camera, phase.move, sh_degree)
         drawn = self.drawn.of(i, phase.scale, step) if window is None else None
+        tiles = None if drawn is None else drawn.tiles
+        whole = phase.move and flow_due(s, step, self.total)
+        rows = model.in_view(float(views.time[i]), camera, None if whole else tiles, phase.move)
+        if rows is not None and len(rows) > MOST_SHOWN * len(model.gaussians):
+            rows = None
+        # The penalty on opacity holds for all Gaussians, in view or not.
+        faded = None if rows is None else opacities_at(model, float(views.time[i]), phase.move)
+        if rows is not None:
+            model = model.with_gaussians(model.gaussians.select(rows))
+        gaussians, convexes = model.at(float(views.time[i]), camera, phase.move, sh_degree)
         spread = self.spread if step % EVERY == 0 and step > BEGIN * self.total else 0.0
         seen = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
-        tiles = None if drawn is None else drawn.tiles
         frame = rasterize(camera, *seen, background, antialiased=model.antialiased, tiles=tiles)
         recording = None if model.affine is None else model.affine.recording(views.recorded_by(i))
         target = views.target(i, phase.scale, window)
@@ -106,8 +121,10 @@ class Objective:
             weight = kept.float() if weight is None else kept * weight
         loss = photometric_loss(frame.color, target, s.l1, s.ssim, weight, recording)
         if s.alpha and views.load_alpha is not None:
-            wrong = (frame.alpha - views.alpha(i, phase.scale, window)).abs()
-            loss = loss + s.alpha * (wrong if kept is None else wrong * kept).mean()
+            alpha = views.alpha(i, phase.scale, window)
+            wrong = (frame.alpha - alpha).abs()
+            other = photometric_loss(*on_other_background(frame, target, alpha, background, kept), s.l1, s.ssim, weight, recording)
+            loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + s.alpha * (wrong if kept is None else wrong * kept).mean()
         # Scaled as a mean over the whole image: there is nothing outside the window.
         share = target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale)))
         loss = loss * share
@@ -115,10 +132,12 @@ class Objective:
         if spread:
             loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)
         loss = loss + self._surface(frame, target, i, step, weight)
-        loss = loss + self.opacity / (views.width * views.height) * (gaussians.opacities.sum() + convexes.opacities.sum())
+        opacities = gaussians.opacities if faded is None else faded
+        loss = loss + self.opacity / (views.width * views.height) * (opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
-        return Judged(loss, image_loss, frame.color, target, weight, recording)
+        shown = None if rows is None else model.gaussians
+        return Judged(loss, image_loss, frame.color, target, weight, recording, shown, rows)
 
     def smooth(self, step: int) -> float:
         """Weight of the smoothness of surfaces at ``step``; 0 unless one time alone shows the scene from several sides."""
@@ -134,3 +153,20 @@ class Objective:
         moving = None if known is None else known.moving(i)
         depths = frame.depth, frame.alpha, target
         return surface_loss(*depths, self.unit, smooth, self.settings.depth, measured, moving, weight)
+
+
+def on_other_background(frame: Frame, target: Tensor, alpha: Tensor, background: Tensor, kept: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Render and ``target`` [h, w, 3], of the given ``alpha`` [h, w], in front of the opposite of ``background`` [3]. Where ``kept`` [h, w]
+    bool is False, both are the same.
+
+    On one background alone, a hole in front of it looks like a surface of its colour.
+    """
+    change = 1 - 2 * background
+    color = frame.color + (1 - frame.alpha)[..., None] * change
+    target = target + (1 - alpha)[..., None] * change
+    return color, target if kept is None else torch.where(kept[..., None], target, color.detach())
+
+
+def opacities_at(model: Model, t: float, move: bool) -> Tensor:
+    """[N] opacities of all Gaussians of ``model`` at time ``t``, for a model with `Model.in_view`."""
+    return model.field.opacities(model.gaussians, t) if isinstance(model.field, FreeMotion) and move else model.gaussians.opacities

@@ -66,7 +66,7 @@ def first_motion_phases(steps: int, small: bool) -> list[Phase]:
 
 
 def node_phases(iterations: int, scale: float) -> list[Phase]:
-    """Phases for control nodes: a short static warm-up and the first motion on images of ``scale``, then full-size images."""
+    """Phases for control nodes: a short static warm-up and some motion on images of ``scale``, then full-size images."""
     warm_up, small = round(iterations * NODE_WARM_UP), round(iterations * NODE_SMALL)
     phases = [Phase("warm-up", warm_up, False, scale), Phase("deformation", small - warm_up, True, scale)]
     phases.append(Phase("deformation", iterations - small, True))

@@ -11,12 +11,14 @@ from ..facts import Facts
 if TYPE_CHECKING:
     from ...scene.views import Views
     from ..coarse import CoarseSettings
+    from ..fine import FineSettings
 
 ITERATIONS = 6000
 ITERATIONS_A_TIME = 280  # steps per time of a rig, since each time needs its own
 MOST_ITERATIONS = 30_000
 LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
 ITERATIONS_NODES = 40_000
+ITERATIONS_FINE = 1500
 BY_NODE_PHASES = ("two-stage", "alternating")  # strategies in which control nodes have a schedule of their own
 CONVEXES = 8000
 NODE_TIMES = 9  # least number of times; fewer say too little about motion
@@ -68,6 +70,11 @@ def auto_iterations(facts: Facts, settings: CoarseSettings) -> int:
         moving_rig = facts.rig and not facts.static
         steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.times if moving_rig else 0), MOST_ITERATIONS)
     return max(round(steps * settings.effort), min(steps, LEAST_ITERATIONS))
+
+
+def fine_iterations(settings: FineSettings) -> int:
+    """Steps of `fine` where it has something to refine."""
+    return round(ITERATIONS_FINE * settings.effort) if settings.iterations is None else settings.iterations
 
 
 def most_convexes(budget: int | None, nodes: bool) -> int:

@@ -18,7 +18,7 @@ from ..artifacts.model import read_model, write_model
 from ..artifacts.training_log import write_training_log
 from ..facts import Facts
 from ..seeding.fill import measured_depth
-from .choices import auto_budget, is_static
+from .choices import auto_budget, fine_iterations, is_static
 from .train import train
 
 if TYPE_CHECKING:
@@ -34,21 +34,25 @@ def train_fine(ctx: Context) -> None:
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device, model)
     hulls = None if ctx.inputs["hulls"] is None else StoredHulls.read(ctx.inputs["hulls"])
+    joint = coarse.strategy == "joint"
+    nodes = model.field is not None and model.field.config["kind"] == "nodes"
     if hulls is not None and len(hulls):
         replace_by_convexes(model, hulls)
+    elif nodes and not joint and settings.iterations is None:
+        ctx.log("no convexes: the model of `coarse` is kept, which has been refined to its end")
+        write_model(ctx.out, model)
+        return
     else:
         ctx.log("no convexes: Gaussians alone are refined")
     model.to(ctx.device)
 
-    joint = coarse.strategy == "joint"
-    nodes = model.field is not None and model.field.config["kind"] == "nodes"
     unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
     log = train(
         ctx,
         "fine",
         model,
         views,
-        fine_phases(coarse.strategy, coarse.iterations, settings.iterations, is_static(ctx)),
+        fine_phases(coarse.strategy, coarse.iterations, fine_iterations(settings), is_static(ctx)),
         training_settings(settings, coarse.growth),
         budget=coarse.growth.budget or auto_budget(Facts.of(ctx.facts), views, nodes),
         earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, is_static(ctx)),

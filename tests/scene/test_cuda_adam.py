@@ -54,7 +54,7 @@ def step(case, number=3, seed=0, flags=(), launcher=None):
 
 def step_on_cpu(case, number=3):
     p, g, m, v = (t.clone() for t in case)
-    _kernels.adam_rows(p, g, m, v, number, RATE, BETA1, BETA2, EPSILON, 1)
+    _kernels.adam_rows(p, g, m, v, None, number, RATE, BETA1, BETA2, EPSILON, 1)
     return p, m, v
 
 

@@ -254,3 +254,13 @@ def test_a_short_life_is_judged_by_the_views_in_it():
     assert torch.isinf(without.weight_gaussians[0]) and torch.isfinite(without.weight_gaussians[1])
     assert float(without.error_gaussians[0]) == 0.0
     assert survivors(made.gaussians, 0.01, without.weight_gaussians, 0.25).tolist() == [0, 1]
+
+
+def test_opacities_alone_are_those_of_the_whole():
+    draw = torch.Generator().manual_seed(4)
+    gaussians = GaussianSet.from_points(np.zeros((50, 3)), np.full((50, 3), 0.5), 0)
+    gaussians.live((TIMES - 1) * torch.rand(50, generator=draw), 1.7)
+    gaussians.dynamic[::3] = False
+    motion = FreeMotion(TIMES)
+    for t in (0.0, 0.33, 1.0):
+        assert torch.allclose(motion.opacities(gaussians, t), motion.alive(gaussians, t)[2], rtol=1e-5, atol=1e-9)

@@ -4,7 +4,7 @@ import platform
 
 import pytest
 import torch
-from e4dgs.scene.training.optimiser import EPSILON, RowAdam
+from e4dgs.scene.training.optimiser import ALL_ROWS, EPSILON, RowAdam, Rows
 
 
 def parameters(dtype=torch.float32):
@@ -57,6 +57,58 @@ def test_rows_without_a_gradient_keep_value_and_moments(width):
         assert torch.equal(adam.state()[f"a.wide/{key}"][~changed], moments[f"a.wide/{key}"][~changed])
 
 
+@pytest.mark.parametrize("chosen", [[], [6], list(range(0, 690, 3)), list(range(700))], ids=["none", "one", "a third", "all"])
+@pytest.mark.parametrize("width", [1, 3, 4, 45])
+def test_copied_rows_step_as_the_rows_themselves_would(width, chosen):
+    generator = torch.Generator().manual_seed(width)
+    start, index = torch.randn(700, width, generator=generator), torch.tensor(chosen, dtype=torch.int64)
+    ends = []
+    for copied in (False, True):
+        p = start.clone().requires_grad_()
+        adam = RowAdam({"a.p": p}, {"a.p": lambda progress: 0.1})
+        draw = torch.Generator().manual_seed(7)
+        for _ in range(5):
+            grad = torch.randn(len(chosen), width, generator=draw)
+            grad[::5] = 0  # in the copy, too, a row without a gradient keeps what it has
+            if copied:
+                rows = p.detach().index_select(0, index).requires_grad_()
+                rows.grad = grad
+                adam.step(0.0, rows=Rows(index, {"a.p": rows}))
+            else:
+                p.grad = torch.zeros_like(p)
+                p.grad[index] = grad
+                adam.step(0.0)
+        ends.append((p.detach(), adam.state()))
+    assert torch.equal(ends[0][0], ends[1][0])
+    if chosen:
+        assert all(torch.equal(ends[0][1][key], ends[1][1][key]) for key in ends[0][1])
+        assert len(chosen) == 1 or not torch.equal(ends[0][0], start)
+
+
+def test_gradients_of_rows_and_of_the_whole_are_added():
+    index = torch.tensor([1, 3])
+    ends = []
+    for split in (False, True):
+        p = torch.ones(5, 3, requires_grad=True)
+        adam = RowAdam({"a.p": p}, {"a.p": lambda progress: 0.1})
+        p.grad, rows = torch.full((5, 3), 0.5), torch.ones(2, 3, requires_grad=True)
+        rows.grad = torch.full((2, 3), -2.0)
+        if not split:
+            p.grad[index] += rows.grad
+        adam.step(0.0, rows=Rows(index, {"a.p": rows}) if split else ALL_ROWS)
+        ends.append(p.detach())
+    assert torch.equal(ends[0], ends[1]) and float(ends[0][1, 0]) > 1 > float(ends[0][0, 0])
+
+
+def test_rows_of_a_kind_that_is_frozen_stay():
+    p = torch.ones(4, 2, requires_grad=True)
+    adam = RowAdam({"a.p": p}, {"a.p": lambda progress: 0.1})
+    rows = torch.ones(2, 2, requires_grad=True)
+    rows.grad = torch.ones(2, 2)
+    adam.step(0.0, frozenset({"a"}), Rows(torch.tensor([1, 3]), {"a.p": rows}))
+    assert torch.equal(p.detach(), torch.ones(4, 2)) and not adam.state()
+
+
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="other processors are not slowed by such numbers")
 def test_moments_below_the_normal_numbers_are_zero():
     ours = {"a.wide": torch.ones(1, 2, requires_grad=True)}
@@ -104,5 +156,7 @@ def test_state_survives_saving():
 def test_wrong_shapes_are_refused():
     from e4dgs.scene import _kernels
 
-    with pytest.raises(ValueError, match="parameter's shape"):
-        _kernels.adam_rows(torch.ones(3), torch.ones(2), torch.ones(3), torch.ones(3), 1, 0.1, 0.9, 0.99, 1e-8, 1)
+    with pytest.raises(ValueError, match="index names a row"):
+        _kernels.adam_rows(torch.ones(3), torch.ones(1), torch.ones(3), torch.ones(3), torch.tensor([3]), 1, 0.1, 0.9, 0.99, 1e-8, 1)
+    with pytest.raises(ValueError, match="the rows it belongs to"):
+        _kernels.adam_rows(torch.ones(3), torch.ones(2), torch.ones(3), torch.ones(3), None, 1, 0.1, 0.9, 0.99, 1e-8, 1)

@@ -6,14 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.primitives import ConvexSet
-from e4dgs.scene.training import convergence
+from e4dgs.scene.training import convergence, objective
 from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.curriculum import MIN_CAMERAS
 from e4dgs.scene.training.drawn_tiles import LEAST_TIMES, Drawn
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.objective import SMOOTH_END
-from e4dgs.scene.training.recipe import NODES, PLANES
+from e4dgs.scene.training.recipe import FREE, NODES, PLANES
 from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.training.motions import make_nodes
@@ -169,6 +170,22 @@ def test_the_captures_alpha_forbids_to_hide_dark_surfaces_as_holes():
     assert found[0.5] > 0.8 > found[0.0]
 
 
+def test_what_is_compared_on_the_other_background_is_what_a_render_on_it_shows(views):
+    model, camera = fresh(views), views.rasterizer_camera(0)
+    black, white = torch.zeros(3), torch.ones(3)
+    on_black, on_white = (model.render(camera, 0.0, background) for background in (black, white))
+    alpha = torch.linspace(0, 1, SIZE)[:, None].expand(SIZE, SIZE)
+    red = torch.tensor([1.0, 0.0, 0.0])
+    color, target = objective.on_other_background(on_black, alpha[..., None] * red, alpha, black, None)
+    assert torch.allclose(color, on_white.color, atol=1e-6)
+    assert torch.allclose(target, alpha[..., None] * red + (1 - alpha)[..., None], atol=1e-6)
+    back, _ = objective.on_other_background(on_white, target, alpha, white, None)
+    assert torch.allclose(back, on_black.color, atol=1e-6)
+    kept = torch.arange(SIZE)[None].expand(SIZE, SIZE) < SIZE // 2
+    color, target = objective.on_other_background(on_black, alpha[..., None] * red, alpha, black, kept)
+    assert torch.equal(color[~kept], target[~kept]) and not torch.equal(color[kept], target[kept])
+
+
 def test_small_images_hold_few_gaussians(views):
     most = {}
     for scale in (0.25, 1.0):
@@ -202,6 +219,26 @@ def test_a_long_training_that_draws_only_some_of_the_static_tiles_learns_the_who
     assert min(float(one.tiles.float().mean()) for one in drawn) < 1
     assert psnr(model, views) > before + 3
     assert log.nonfinite_steps == 0 and log.psnr[-1][1] > log.psnr[0][1] + 1
+
+
+def test_a_training_that_leaves_out_what_is_not_in_view_learns_the_same(monkeypatch):
+    """What no ray sees is left alone anyway, but for the penalty on opacity."""
+    views = make_views(cameras=2, times=LEAST_TIMES, size=64)
+    settings = SETTINGS.model_copy(update={"iterations": 60, "opacity": 0.1})
+    ends, counts = [], []
+    for most in (0.0, 1.0):  # 0: all Gaussians in every step
+        monkeypatch.setattr(objective, "MOST_SHOWN", most)
+        model = fresh(views)
+        with torch.no_grad():
+            model.gaussians.means[::2] += 3.0  # out of view
+        model.field = FreeMotion(LEAST_TIMES)
+        model.gaussians.live(torch.arange(len(model.gaussians)) % LEAST_TIMES, 1.5)
+        _, _, trainer = train(views, model=model, settings=settings, recipe=FREE)
+        judged = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
+        counts.append(None if judged.rows is None else len(judged.rows))
+        ends.append(trainer.learned.tensors())
+    assert counts[0] is None and 0 < counts[1] < len(model.gaussians)
+    assert ends[0].keys() == ends[1].keys() and all(torch.allclose(ends[0][name], ends[1][name], rtol=1e-4, atol=1e-5) for name in ends[0])
 
 
 @pytest.mark.parametrize(("cameras", "weight"), [(MIN_CAMERAS - 1, 0.0), (MIN_CAMERAS, 1.0)])

@@ -1,14 +1,22 @@
-"""`fine` grows only with the joint strategy, and then as `coarse` was told: it offers no settings of its own for that."""
+"""`fine` grows only with the joint strategy, and then as `coarse` was told: it offers none of its own. And how long it refines."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter, SettingsError, build_settings
 from e4dgs.scene.settings import GrowthSettings, TrainingSettings
 from e4dgs.stages.artifacts.coarse import StoredCoarse
+from e4dgs.stages.artifacts.model import read_model, write_model
 from e4dgs.stages.coarse import CoarseSettings
-from e4dgs.stages.fine import FineSettings
+from e4dgs.stages.fine import Fine, FineSettings
+from e4dgs.stages.training.choices import fine_iterations
 from e4dgs.stages.training.fine import training_settings
+from e4dgs.stages.training.motions import make_nodes
+from run_stage import run_frames, run_stage
+from sliding_gaussians import fresh, wandering_views
 
+SAMPLE = Path(__file__).parents[2] / "samples" / "cube_and_ball"
 CLASSES = {"coarse": CoarseSettings, "fine": FineSettings}
 TOLD = GrowthSettings(budget=700, open_until=0.2, hidden=0.0)
 
@@ -36,3 +44,36 @@ def test_what_coarse_was_told_of_growth_travels_with_the_joint_strategy(strategy
 def test_the_trainer_of_fine_gets_both():
     got = training_settings(FineSettings(iterations=7, seed=5, spread=0.5, lr_scale=0.2), TOLD)
     assert got == TrainingSettings(iterations=7, seed=5, spread=0.5, budget=700, open_until=0.2, hidden=0.0)
+
+
+def test_steps_of_fine():
+    assert fine_iterations(FineSettings()) == 1500 and fine_iterations(FineSettings(effort=0.2)) == 300
+    assert fine_iterations(FineSettings(iterations=7, effort=0.2)) == 7
+
+
+def test_with_nodes_and_without_convexes_the_model_of_coarse_is_kept_unless_steps_are_asked_for(tmp_path):
+    frames = run_frames(SAMPLE, tmp_path)
+    inputs = {"frames": frames.artifact, "poses": None, "flow": None, "hulls": None}
+    capture = frames.context.capture
+    model = fresh(wandering_views(12), static=True)
+    model.field = make_nodes(model.gaussians.means.detach().numpy(), CoarseSettings())
+    tmp_path.joinpath("coarse").mkdir()
+    out = ArtifactWriter(tmp_path / "coarse")
+    StoredCoarse("two-stage", 90, {}, GrowthSettings()).write(out, b"png")
+    write_model(out, model)
+    out.finish({})
+    before, inputs = model.to_arrays(), inputs | {"coarse": Artifact(tmp_path / "coarse")}
+    for settings, kept in ((FineSettings(), True), (FineSettings(iterations=3), False)):
+        fine = run_stage(Fine(), capture, tmp_path / str(kept), settings, inputs)
+        after = read_model(fine.artifact).to_arrays()
+        assert all(np.array_equal(before[name], after[name]) for name in before) is kept
+        assert any("the model of `coarse` is kept" in line for line in fine.lines) is kept
+
+
+def test_the_plan_knows_when_nothing_is_left_to_refine():
+    nodes = {"width": 400, "height": 400, "frames": 100, "cameras": 100, "times": 100, "pairs": 0, "static": False}
+    rig = nodes | {"cameras": 10, "times": 10, "pairs": 90}
+    fine = Fine()
+    assert "refined already" in fine.applies(nodes, FineSettings()).reason and fine.estimate(nodes, FineSettings()) < 5
+    for facts, settings in ((rig, FineSettings()), (nodes, FineSettings(iterations=1500))):
+        assert fine.applies(facts, settings).reason == "Gaussians and convexes together" and fine.estimate(facts, settings) > 20

@@ -10,6 +10,7 @@ import torch
 from e4dgs.scene.losses import flow_loss
 from e4dgs.scene.model import Model
 from e4dgs.scene.training import objective
+from e4dgs.scene.training.optimiser import ALL_ROWS, Rows
 from e4dgs.scene.training.trainer import Trainer
 from torch import Tensor
 
@@ -29,7 +30,8 @@ class TorchAdam:
     def parameters(self) -> dict[str, Tensor]:
         return {group["name"]: group["params"][0] for group in self._adam.param_groups}
 
-    def step(self, progress: float, frozen: frozenset[str] = frozenset()) -> None:
+    def step(self, progress: float, frozen: frozenset[str] = frozenset(), rows: Rows = ALL_ROWS) -> None:
+        assert rows is ALL_ROWS  # this step computes with all Gaussians
         for group in self._adam.param_groups:
             group["lr"] = self.rates[group["name"]](progress)
         self._adam.step()
