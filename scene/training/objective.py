@@ -161,7 +161,7 @@ def on_other_background(frame: Frame, target: Tensor, alpha: Tensor, background:
 
     On one background alone, a hole in front of it looks like a surface of its colour.
     """
-    change = 1 - 2 * background
+    change = (1 - 2 * background).to(target.device)
     color = frame.color + (1 - frame.alpha)[..., None] * change
     target = target + (1 - alpha)[..., None] * change
     return color, target if kept is None else torch.where(kept[..., None], target, color.detach())

@@ -67,6 +67,9 @@ def test_a_checkpoint_goes_on_on_the_device(views, tmp_path):
 
 
 def test_nodes_train_as_on_the_cpu(views):
+    """With the capture's alpha, as captures for nodes have it."""
+    views = replace(views, load_alpha=lambda i: np.tile(np.linspace(0, 255, SIZE, dtype=np.uint8), (SIZE, 1)))
+
     def begun():
         model = fresh(views)
         model.field = make_nodes(model.gaussians.means.detach().numpy(), QUICK)
