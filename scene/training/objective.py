@@ -17,10 +17,10 @@ from ..losses.photometric import Recording, photometric_loss
 from ..losses.surface import surface_loss
 from ..model import Model
 from ..motion.free import FreeMotion
-from ..primitives import GaussianSet
 from ..settings import TrainingSettings
 from ..views import Views
 from .drawn_tiles import DrawnTiles
+from .optimiser import ALL_ROWS, Rows
 from .recipe import Recipe
 from .schedule import Phase
 
@@ -35,8 +35,7 @@ RELINK_EVERY = 100  # steps between two searches for the parts of the motion tha
 class Judged:
     """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3], of which color is as
     rendered, before the camera records it. weight [h, w]: of the pixels' gradients, 0 for those that do not count; None if it is 1
-    everywhere. shown, rows: the Gaussians that the view may show, which have the gradients, and their rows in the model's set [m]; None if
-    that is all of them."""
+    everywhere. rows: copies of the Gaussians that the view may show, which get the gradients."""
 
     loss: Tensor
     image_loss: Tensor
@@ -44,8 +43,7 @@ class Judged:
     target: Tensor
     weight: Tensor | None
     recording: Recording | None
-    shown: GaussianSet | None = None
-    rows: Tensor | None = None
+    rows: Rows = ALL_ROWS
 
     def psnr(self) -> float:
         """PSNR in dB over the pixels that count, or over all if none does."""
@@ -101,17 +99,16 @@ class Objective:
         drawn = self.drawn.of(i, phase.scale, step) if window is None else None
         tiles = None if drawn is None else drawn.tiles
         whole = phase.move and flow_due(s, step, self.total)
-        rows = model.in_view(float(views.time[i]), camera, None if whole else tiles, phase.move)
-        if rows is not None and len(rows) > MOST_SHOWN * len(model.gaussians):
-            rows = None
-        # The penalty on opacity holds for all Gaussians, in view or not.
-        faded = None if rows is None else opacities_at(model, float(views.time[i]), phase.move)
-        if rows is not None:
-            model = model.with_gaussians(model.gaussians.select(rows))
+        seen = model.in_view(float(views.time[i]), camera, None if whole else tiles, phase.move)
+        rows, faded = ALL_ROWS, None
+        if seen is not None and len(seen) <= MOST_SHOWN * len(model.gaussians):
+            faded = opacities_at(model, float(views.time[i]), phase.move)  # the penalty on opacity holds for all, in view or not
+            model = model.with_gaussians(model.gaussians.select(seen))
+            rows = Rows.of(model.gaussians, seen)
         gaussians, convexes = model.at(float(views.time[i]), camera, phase.move, sh_degree)
         spread = self.spread if step % EVERY == 0 and step > BEGIN * self.total else 0.0
-        seen = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
-        frame = rasterize(camera, *seen, background, antialiased=model.antialiased, tiles=tiles)
+        shapes = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
+        frame = rasterize(camera, *shapes, background, antialiased=model.antialiased, tiles=tiles)
         recording = None if model.affine is None else model.affine.recording(views.recorded_by(i))
         target = views.target(i, phase.scale, window)
         kept = views.kept(i, phase.scale, window)
@@ -136,8 +133,7 @@ class Objective:
         loss = loss + self.opacity / (views.width * views.height) * (opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
-        shown = None if rows is None else model.gaussians
-        return Judged(loss, image_loss, frame.color, target, weight, recording, shown, rows)
+        return Judged(loss, image_loss, frame.color, target, weight, recording, rows)
 
     def smooth(self, step: int) -> float:
         """Weight of the smoothness of surfaces at ``step``; 0 unless one time alone shows the scene from several sides."""

@@ -22,9 +22,9 @@ class Rows:
     parameters: dict[str, Tensor]
 
     @classmethod
-    def of(cls, copy: PrimitiveSet | None, index: Tensor | None) -> Rows:
-        """The rows ``index`` of one kind of primitives, copied to the set ``copy``; none if that is None."""
-        return ALL_ROWS if copy is None else cls(index, {f"{copy.KIND}.{name}": p for name, p in copy.parameters.items()})
+    def of(cls, copy: PrimitiveSet, index: Tensor) -> Rows:
+        """The rows ``index`` of one kind of primitives, copied to the set ``copy``."""
+        return cls(index, {f"{copy.KIND}.{name}": p for name, p in copy.parameters.items()})
 
     def gradient(self, name: str, parameter: Tensor) -> tuple[Tensor | None, Tensor | None]:
         """The gradient of the parameter ``name`` and the rows that it is of; None if that is all of them."""

@@ -23,7 +23,6 @@ from .curriculum import Curriculum
 from .guard import NonFiniteGuard
 from .log import TrainingLog
 from .objective import Objective
-from .optimiser import Rows
 from .recipe import PLANES, Recipe
 from .schedule import Phase, alike_since
 from .turning import leave_only_rigid_parts
@@ -114,12 +113,11 @@ class Trainer:
         if self.iteration % 50 == 0:
             self.log.psnr.append([self.iteration, judged.psnr()])
         judged.loss.backward()
-        rows = Rows.of(judged.shown, judged.rows)
-        parameters = optimiser.parameters() | {f"{name} in view": p for name, p in rows.parameters.items()}
+        parameters = optimiser.parameters() | {f"{name} in view": p for name, p in judged.rows.parameters.items()}
         if self.motion.rigid_parts_alone:
             leave_only_rigid_parts(model, parameters)
         if self.guard.accepts(judged.loss.detach(), parameters, self.iteration, i):
-            optimiser.step(self.iteration / max(self.total, 1), self._frozen(phase, step), rows)
+            optimiser.step(self.iteration / max(self.total, 1), self._frozen(phase, step), judged.rows)
             if len(model.convexes) and self.recipe.largest_convex < math.inf:
                 keep_small(model.convexes, self.recipe.largest_convex * self.unit)
             self.loss.add(judged.image_loss)
