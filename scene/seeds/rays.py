@@ -8,6 +8,7 @@ from ..views import Views
 
 NEIGHBOURS = 6
 SOFT = 4.0  # px of an image 640 px wide; added to distances, so that very near points do not dominate
+OVERSAMPLED = 4  # pixels that are tried for one seed: those that have a point near, or move, get none
 GAP = 0.01  # of the image width; pixels with a point this near already have a seed
 
 
@@ -32,7 +33,7 @@ def ray_seeds(
         K, pose = views.K[i], views.cam_from_world[i]
         cam = points[shown] @ pose[:3, :3].T + pose[:3, 3]
         pixels = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
-        at = _spread(views.width, views.height, count // len(frames), rng)
+        at = _spread(views.width, views.height, OVERSAMPLED * count // len(frames), rng)
         skipped = None if skip is None else skip[k]
         if skipped is not None:
             at = at[~skipped[at[:, 1].astype(int), at[:, 0].astype(int)]]
@@ -42,7 +43,8 @@ def ray_seeds(
         z = weight.sum(1) / (weight / depth[near]).sum(1)
         ray = np.concatenate([(at - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(at), 1))], axis=1)
         found.append((ray * z[:, None] - pose[:3, 3]) @ pose[:3, :3])
-    return np.concatenate(found) if found else np.zeros((0, 3))
+    seeds = np.concatenate(found) if found else np.zeros((0, 3))
+    return seeds[rng.permutation(len(seeds))[:count]]
 
 
 def _spread(width: int, height: int, count: int, rng: np.random.Generator) -> np.ndarray:

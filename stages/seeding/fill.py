@@ -24,7 +24,7 @@ from .clean_plates import clean_plates
 SHELL_SHARE = 0.1
 LOOKS = 32  # frames of a moving camera from which rays start
 SHRINK = 4  # factor by which masks of moving pixels are scaled down for the depth loss
-LEAST_SEEN = 2  # frames that must show a seed
+LEAST_SEEN = 2  # frames that must show a seed, but for rays of a rig
 
 
 def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +33,8 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
     For a rig the frames of the middle time are used, where training begins; for a moving camera, frames along its whole path.
     """
     chosen = middle_frames(views)
-    if len(chosen) < MIN_CAMERAS:
+    rig = len(chosen) >= MIN_CAMERAS
+    if not rig:
         chosen = views.train[np.linspace(0, len(views.train) - 1, min(LOOKS, len(views.train))).round().astype(int)]
     masks = [unsteady_mask(ctx, frames, int(i)) for i in chosen]
     seed = ctx.settings.seed
@@ -44,19 +45,22 @@ def fill_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray,
     rays = ray_seeds(views, points, chosen, count - len(shell), seed, skip=[~s for s in static])
     for name, seeds in (("along rays", rays), ("on the shell around them", shell)):
         color, seen = median_colours(views, seeds, chosen, static)
-        found[name] = seeds[seen >= min(LEAST_SEEN, len(chosen))]
-        colors.append(color[seen >= min(LEAST_SEEN, len(chosen))])
+        # What one camera of a rig alone sees would stay a hole: growth only splits what is there.
+        least = 1 if rig and name == "along rays" else min(LEAST_SEEN, len(chosen))
+        found[name] = seeds[seen >= least]
+        colors.append(color[seen >= least])
     ctx.log("seeds: " + ", ".join(f"{len(seeds)} {name}" for name, seeds in found.items()))
     return np.concatenate(list(found.values())), np.concatenate(colors)
 
 
 class Swept(NamedTuple):
     """points [n, 3] static (world units), colors [n, 3] in [0, 1]. inverse: inverse depth by frame, [h, w] float32, 1 / world units, 0
-    where the depth is unknown or something moves; all frames of a fixed camera share one map."""
+    where the depth is unknown or something moves; all frames of a fixed camera share one map. known: share of the pixels with a depth."""
 
     points: np.ndarray
     colors: np.ndarray
     inverse: dict[int, np.ndarray]
+    known: float
 
 
 def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> Swept | None:
@@ -82,7 +86,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     if fixed:
         of_camera = {int(views.camera[frame]): one for frame, one in inverse.items()}
         inverse = {int(i): of_camera[int(views.camera[i])] for i in views.train if int(views.camera[i]) in of_camera}
-    return Swept(found, colors, inverse)
+    return Swept(found, colors, inverse, known)
 
 
 def measured_depth(inverse: Mapping[int, np.ndarray], unit: float, ctx: Context, frames: FrameSet) -> MeasuredDepth | None:

@@ -28,7 +28,8 @@ FIXED_SHARE = 0.3  # masks of fixed cameras, each marking all pixels that ever c
 MOVING_SHARE = 0.5  # masks of single frames of a moving camera, if moving objects have seeds of their own
 COVERED_SHARE = 0.05  # the same, if they have none and seeds that they sometimes hide must represent them
 OVERLAP = 0.6  # standard deviation of a Gaussian's lifetime, relative to the frames between two times with seeds
-SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide
+SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide,
+SWEPT_DENSITY = 3.0  # and relative to the share of the pixels whose depth it found: the others need seeds, too
 LEAST_POINTS = 30  # least number of points for depths interpolated between them to be meaningful
 LOOKS = 60  # masks of a moving camera that are used
 
@@ -68,7 +69,8 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seed
     measured = points
     swept = sweep(ctx, frames, views, points) if fill and len(points) >= LEAST_POINTS else None
     if swept is not None:
-        chosen = np.random.default_rng(settings.seed).permutation(len(swept.points))[: int(SWEPT_SHARE * count)]
+        share = min(SWEPT_SHARE, SWEPT_DENSITY * swept.known)
+        chosen = np.random.default_rng(settings.seed).permutation(len(swept.points))[: int(share * count)]
         points, colors = np.concatenate([points, swept.points[chosen]]), np.concatenate([colors, swept.colors[chosen]])
     if fill and LEAST_POINTS <= len(points) < count:
         more, their_colors = fill_seeds(ctx, frames, views, points, count - len(points))

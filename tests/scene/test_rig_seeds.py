@@ -59,6 +59,18 @@ def test_rays_end_on_the_plane_that_points_lie_on():
     assert np.array_equal(seeds, ray_seeds(views, plane(), views.train, 600, seed=0))
 
 
+def test_all_rays_start_where_no_point_is_near_however_little_that_is():
+    """Most of the picture has a point every few pixels; the right fifth has none but gets all the seeds."""
+    views = ring(3, turn=0.6)
+    views.cam_from_world[:] = np.eye(4)
+    views.cam_from_world[:, 2, 3] = 4.0
+    y, x = np.mgrid[:HEIGHT, : round(0.8 * WIDTH)]
+    rays = np.stack([(x + 0.5 - WIDTH / 2) / FOCAL, (y + 0.5 - HEIGHT / 2) / FOCAL], -1).reshape(-1, 2)
+    points = np.concatenate([4.0 * rays, np.zeros((len(rays), 1))], 1)
+    seeds = ray_seeds(views, points, views.train[:1], 150, seed=0)
+    assert len(seeds) > 0.7 * 150 and (views.project(0, seeds).x >= 0.78 * WIDTH).mean() > 0.9
+
+
 def test_no_rays_from_what_is_skipped_and_none_where_little_is_known():
     views = ring(3, turn=0.6)
     left = np.zeros((HEIGHT, WIDTH), bool)

@@ -9,8 +9,8 @@ from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.stages.artifacts.dataset import load_frameset, load_views
 from e4dgs.stages.coarse import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.seeding.fill import middle_frames
-from e4dgs.stages.seeding.seeds import load_seeds
+from e4dgs.stages.seeding.fill import Swept, fill_seeds, middle_frames
+from e4dgs.stages.seeding.seeds import SWEPT_SHARE, load_seeds
 from e4dgs.stages.training.choices import auto_budget, auto_seeds
 from e4dgs.stages.training.coarse import mean_colour
 from factory import Options, make, render, write_panoptic
@@ -49,6 +49,46 @@ def test_every_part_of_each_picture_has_seeds_at_about_its_depth(rig):
         filled.append(blocks.mean())
     assert min(filled) > 0.9
     assert np.median(np.concatenate(off)) < 0.15
+
+
+def test_what_a_single_camera_sees_has_seeds_too(rig, tmp_path):
+    """Two cameras are turned away, each to a part of the room that no other camera shows."""
+    context, frames, views, _, _ = rig
+    turned = list(middle_frames(views)[[0, -1]])
+    points = load_seeds(context, frames, views, COUNT).trusted
+    poses = views.cam_from_world.copy()
+    for i, angle in zip(turned, (1.2, -1.2)):
+        about = np.eye(4)
+        about[0, 0] = about[2, 2] = np.cos(angle)
+        about[0, 2], about[2, 0] = np.sin(angle), -np.sin(angle)
+        poses[i] = about @ poses[i]
+    away = replace(views, cam_from_world=poses, near=views.near)
+    shown = {int(i): away.project(int(i), points)[0] for i in turned}
+    if min(len(s) for s in shown.values()) < 6:  # points on the part that they do show
+        points = np.concatenate([points, *(in_front_of(away, int(i)) for i in turned)])
+    seeds, colors = fill_seeds(context, frames, away, points, COUNT)
+    for i in turned:
+        alone = away.project(int(i), seeds)[0]
+        others = np.concatenate([away.project(int(j), seeds)[0] for j in middle_frames(views) if j != i])
+        assert len(np.setdiff1d(alone, others)) > 50
+    assert len(seeds) == len(colors) <= COUNT
+
+
+def in_front_of(views, i):
+    """Twenty points that frame ``i`` shows."""
+    at = np.stack(np.meshgrid(np.linspace(-0.4, 0.4, 5), np.linspace(-0.3, 0.3, 4)), -1).reshape(-1, 2)
+    pose = views.cam_from_world[i]
+    return (np.concatenate([3 * at, np.full((20, 1), 3.0)], 1) - pose[:3, 3]) @ pose[:3, :3]
+
+
+@pytest.mark.parametrize(("known", "expected"), [(0.1, 0.3), (0.2, 0.6), (0.5, SWEPT_SHARE)])
+def test_a_sweep_that_knows_few_depths_leaves_seeds_for_the_other_pixels(rig, monkeypatch, known, expected):
+    context, frames, views, _, _ = rig
+    far = np.tile([[1e3, 1e3, 1e3]], (5 * COUNT, 1)) + np.arange(5 * COUNT)[:, None]
+    swept = Swept(far, np.full(far.shape, 0.5), {}, known)
+    monkeypatch.setattr("e4dgs.stages.seeding.seeds.sweep", lambda *given: swept)
+    seeds = load_seeds(context, frames, views, COUNT)
+    assert (seeds.points[:, 0] >= 1e3).sum() == round(expected * COUNT)
 
 
 def test_near_plane_and_background_follow_from_the_capture(rig):
