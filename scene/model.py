@@ -12,9 +12,9 @@ from torch import Tensor
 
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .colour import CameraAffine
-from .in_view import in_view
 from .motion.field import DeformationField
 from .motion.free import FreeMotion
+from .motion.in_view import in_view
 from .motion.interface import Rest
 from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..rasterizer import TILE, Camera
-from . import _kernels
-from .primitives import GaussianSet
+from ...rasterizer import TILE, Camera
+from .. import _kernels
+from ..primitives import GaussianSet
 
 
 def in_view(gaussians: GaussianSet, camera: Camera, frame: float | None = None, tiles: Tensor | None = None) -> Tensor:
