@@ -115,6 +115,10 @@ class Model:
             return None  # a GPU would have to wait for the number found
         return in_view(self.gaussians, camera, self.field.frame(t) if self.field is not None and move else None, tiles)
 
+    def opacities_at(self, t: float, move: bool = True) -> Tensor:
+        """[N] opacities of all Gaussians at time ``t``, in view or not, attached to autograd."""
+        return self.field.opacities(self.gaussians, t) if isinstance(self.field, FreeMotion) and move else self.gaussians.opacities
+
     def centres_at(self, index: Tensor, t: float) -> Tensor:
         """[m, 3] centres of the Gaussians ``index`` at time ``t``, moved whether they are dynamic or not."""
         assert self.field is not None

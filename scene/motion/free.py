@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ..primitives import GaussianSet, PrimitiveSet
-from .lives import live
+from .lives import live, presence
 
 
 class FreeMotion(nn.Module):
@@ -47,9 +47,8 @@ class FreeMotion(nn.Module):
 
     def opacities(self, primitives: PrimitiveSet, t: float) -> Tensor:
         """The opacities [N] of `alive` alone."""
-        life = primitives.life
-        age = (self.frame(t) - life.times) * torch.exp(-life.log_spans)
-        return primitives.opacities * torch.where(primitives.dynamic, torch.exp(-0.5 * age.square()), 1.0)
+        present = presence(primitives.life, self.frame(t))
+        return primitives.opacities * torch.where(primitives.dynamic, present, 1.0)
 
     def frame(self, t: float) -> float:
         """Fractional frame number at time ``t`` in [0, 1]."""

@@ -32,7 +32,7 @@ def live_reference(points: Tensor, quats: Tensor | None, opacities: Tensor, life
     """`live` in plain torch: the kernel's oracle in float64, and the implementation on other devices."""
     # Selected, so that whatever the life of the others holds, they get no gradient from it.
     life = Life(*(p[dynamic] for p in life))
-    age = frame - life.times
+    age, present = frame - life.times, presence(life, frame)
     turns = turned_by(life.spins * age[:, None])
     rest = points[dynamic]
     moved = rest + (life.velocities * age[:, None])[:, None]
@@ -40,10 +40,14 @@ def live_reference(points: Tensor, quats: Tensor | None, opacities: Tensor, life
         arms = rest - rest.mean(1, keepdim=True)
         corners = turns.repeat_interleave(points.shape[1], 0)
         moved = moved + rotate(corners, arms.reshape(-1, 3)).reshape(arms.shape) - arms
-    presence = torch.exp(-0.5 * (age * torch.exp(-life.log_spans)).square())
     index = dynamic.nonzero()[:, 0]
     turned = None if quats is None else quats.index_copy(0, index, compose(turns, quats[dynamic]))
-    return points.index_copy(0, index, moved), turned, opacities.index_copy(0, index, opacities[dynamic] * presence)
+    return points.index_copy(0, index, moved), turned, opacities.index_copy(0, index, opacities[dynamic] * present)
+
+
+def presence(life: Life, frame: float) -> Tensor:
+    """[N] in [0, 1], the factor on opacities at ``frame``."""
+    return torch.exp(-0.5 * ((frame - life.times) * torch.exp(-life.log_spans)).square())
 
 
 def turned_by(vectors: Tensor) -> Tensor:

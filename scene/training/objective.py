@@ -16,7 +16,6 @@ from ..losses.motion_terms import MeasuredFlow, MotionTerms, flow_due
 from ..losses.photometric import Recording, photometric_loss
 from ..losses.surface import surface_loss
 from ..model import Model
-from ..motion.free import FreeMotion
 from ..settings import TrainingSettings
 from ..views import Views
 from .drawn_tiles import DrawnTiles
@@ -102,7 +101,7 @@ class Objective:
         seen = model.in_view(float(views.time[i]), camera, None if whole else tiles, phase.move)
         rows, faded = ALL_ROWS, None
         if seen is not None and len(seen) <= MOST_SHOWN * len(model.gaussians):
-            faded = opacities_at(model, float(views.time[i]), phase.move)  # the penalty on opacity holds for all, in view or not
+            faded = model.opacities_at(float(views.time[i]), phase.move)  # the penalty on opacity holds for all, in view or not
             model = model.with_gaussians(model.gaussians.select(seen))
             rows = Rows.of(model.gaussians, seen)
         gaussians, convexes = model.at(float(views.time[i]), camera, phase.move, sh_degree)
@@ -161,8 +160,3 @@ def on_other_background(frame: Frame, target: Tensor, alpha: Tensor, background:
     color = frame.color + (1 - frame.alpha)[..., None] * change
     target = target + (1 - alpha)[..., None] * change
     return color, target if kept is None else torch.where(kept[..., None], target, color.detach())
-
-
-def opacities_at(model: Model, t: float, move: bool) -> Tensor:
-    """[N] opacities of all Gaussians of ``model`` at time ``t``, for a model with `Model.in_view`."""
-    return model.field.opacities(model.gaussians, t) if isinstance(model.field, FreeMotion) and move else model.gaussians.opacities
