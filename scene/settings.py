@@ -26,7 +26,9 @@ class RefinementSettings(Settings):
     l1: float = Field(0.8, ge=0, description="lambda_1 of Eq. 9, weight of L1")
     ssim: float = Field(0.2, ge=0, description="lambda_2 of Eq. 9, weight of 1 - SSIM")
     tv: float = Field(1e-2, ge=0, description="lambda_3 of Eq. 9, weight of the smoothness of the planes")
-    alpha: float = Field(0.2, ge=0, description="weight of the difference from the capture's alpha, if it has any")
+    alpha: float = Field(
+        0.2, ge=0, description="weight of the difference from the capture's alpha, if it has any; 0 also compares on one background alone"
+    )
     rest: float | None = Field(
         None, ge=0, description="weight of the mean distance from rest, in viewing distances; 0.005 for planes, else 0"
     )
