@@ -9,13 +9,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from .cuda.backward import backward
-from .cuda.capacity import room_of, took
 from .cuda.forward import forward
 from .cuda.runtime import Launcher, launcher_for
-from .cuda.state import Inputs, camera_numbers
+from .cuda.state import Inputs, View, view_on
 from .types import CONVEX_FIELDS, GAUSSIAN_FIELDS, IMAGES, Camera, Convexes, Frame, Gaussians
 
-View = tuple[int, int, float, bool, Tensor | None]  # width, height, near, antialiased, tiles
 LEADING = 3  # K, cam_from_world and background come before the primitives' fields
 
 
@@ -35,12 +33,12 @@ def rasterize_cuda(
 
     Raises what `launcher_for` raises; MemoryError and torch.OutOfMemoryError if the frame does not fit.
     """
-    launcher = launcher_for(gaussians.means.device)
+    device = gaussians.means.device
+    view = view_on(device, camera, background, antialiased, tiles)
     tensors = [camera.K, camera.cam_from_world, background]
     tensors += [getattr(gaussians, name) for name in GAUSSIAN_FIELDS]
     tensors += [getattr(convexes, name) for name in CONVEX_FIELDS]
-    outputs = _Rasterize.apply(launcher, (camera.width, camera.height, camera.near, antialiased, tiles), *tensors)
-    return Frame(*outputs)
+    return Frame(*_Rasterize.apply(launcher_for(device), view, *tensors))
 
 
 class _Rasterize(torch.autograd.Function):
@@ -49,19 +47,16 @@ class _Rasterize(torch.autograd.Function):
         inputs = _inputs(view, tensors)
         keep = any(ctx.needs_input_grad)
         deterministic = torch.are_deterministic_algorithms_enabled()
-        room = room_of(inputs)
         try:
-            images, state = forward(launcher, inputs, keep, deterministic, room)
+            images, state = forward(launcher, inputs, keep, deterministic)
         except torch.OutOfMemoryError as cause:
             raise torch.OutOfMemoryError(_what_to_lower(inputs, keep, cause)) from cause
-        if room is None:
-            took(inputs, state.entries.shape[0])
         ctx.set_materialize_grads(False)
         if keep:
             ctx.launcher, ctx.view, ctx.state = launcher, view, state
             # Autograd checks versions: changing an input in place between forward and backward is an error, not a wrong gradient.
             ctx.save_for_backward(images["alpha"], images["depth"], *tensors)
-        visible = state.visible.bool()
+        visible = state.visible.view(torch.bool)
         seen = visible[: inputs.n], visible[inputs.n :]
         ctx.mark_non_differentiable(*seen)
         return images["color"], images["alpha"], images["depth"], images["extras"], *seen
@@ -73,7 +68,7 @@ class _Rasterize(torch.autograd.Function):
         inputs = _inputs(ctx.view, tensors)
         needs = dict(zip(_names(inputs), ctx.needs_input_grad[2:]))
         wanted = {name: bool(need) for name, need in needs.items() if name} | {"camera": needs["K"] or needs["cam_from_world"]}
-        images = {"alpha": alpha.detach(), "depth": depth.detach()}
+        images = {"alpha": alpha, "depth": depth}
         incoming = {name: None if g is None else g.float().contiguous() for name, g in zip(IMAGES, grads)}
         try:
             found = backward(ctx.launcher, inputs, ctx.state, images, incoming, wanted)
@@ -103,17 +98,10 @@ def _names(inputs: Inputs) -> list[str]:
 
 
 def _inputs(view: View, tensors: Any) -> Inputs:
-    plain: list[Any] = [None if t is None else t.detach().contiguous() for t in tensors]
-    K, cam_from_world, background = plain[:LEADING]
-    gaussians = Gaussians(**dict(zip(GAUSSIAN_FIELDS, plain[LEADING:])))
-    convexes = Convexes(**dict(zip(CONVEX_FIELDS, plain[LEADING + len(GAUSSIAN_FIELDS) :])))
-    width, height, near, antialiased, tiles = view
-    device = gaussians.means.device
-    numbers = camera_numbers(Camera(K, cam_from_world, width, height, near), device)
+    gaussians = Gaussians(*tensors[LEADING : LEADING + len(GAUSSIAN_FIELDS)])
+    convexes = Convexes(*tensors[LEADING + len(GAUSSIAN_FIELDS) :])
     channels = gaussians.extras.shape[1] if gaussians.extras is not None else 0
-    background = background.to(device, torch.float32, non_blocking=True)
-    drawn = None if tiles is None else tiles.to(device, torch.uint8, non_blocking=True).contiguous()
-    return Inputs(numbers, width, height, background, gaussians, convexes, channels, antialiased, drawn)
+    return Inputs(view, gaussians, convexes, channels)
 
 
 def _what_to_lower(inputs: Inputs, keep: bool, cause: BaseException) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, replace
 from typing import Any, Literal, TypeVar
 
@@ -9,7 +10,7 @@ import torch
 from torch import Tensor
 
 from .types import TILE, Camera, Convexes, Frame, Gaussians
-from .validate import check_camera, check_values
+from .validate import Matrix, check_camera, check_values
 
 Backend = Literal["auto", "cpu", "cuda", "reference"]
 Owner = TypeVar("Owner", Camera, Gaussians, Convexes)
@@ -55,16 +56,16 @@ def rasterize(
     if the backend cannot be loaded.
     """
     capturing = torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
-    check_camera(camera, values=not capturing)
+    rows = check_camera(camera, values=not capturing)
     device = _device_of(camera, gaussians, convexes)
-    gaussians = _empty_gaussians(camera, device) if gaussians is None else gaussians
-    convexes = _empty_convexes(camera, device) if convexes is None else convexes
+    gaussians = _no_gaussians(camera.K.dtype, device) if gaussians is None else gaussians
+    convexes = _no_convexes(camera.K.dtype, device) if convexes is None else convexes
     _check_gaussians(gaussians)
     _check_convexes(convexes)
     if background is None:
         background = torch.zeros(3, dtype=camera.K.dtype, device=camera.K.device)
     _check("background", background, (3,), None if device.type == "cuda" and background.device.type == "cpu" else device)
-    if not capturing and not bool(torch.isfinite(background).all()):
+    if not capturing and not all(map(math.isfinite, background.tolist())):
         raise ValueError(f"background must be finite, got {background.tolist()}")
     for owner in (gaussians, convexes):
         _check_device(owner, device)
@@ -97,7 +98,8 @@ def rasterize(
                 "present, or use backend='reference' (slow)"
             ) from cause
         single = torch.float32
-        camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
+        assert rows is not None
+        camera, gaussians, convexes = _recentre(camera, rows[1], gaussians, convexes)
         # The camera stays in float64: it is small, and every primitive's position goes through it.
         camera = _cast(camera, torch.float64)
         return rasterize_cpu(
@@ -107,8 +109,8 @@ def rasterize(
         from .cuda_backend import rasterize_cuda
 
         single = torch.float32
-        if not capturing:
-            camera, gaussians, convexes = _recentre(camera, gaussians, convexes)
+        if rows is not None:
+            camera, gaussians, convexes = _recentre(camera, rows[1], gaussians, convexes)
         return rasterize_cuda(camera, _cast(gaussians, single), _cast(convexes, single), background, antialiased, tiles)
     raise ValueError(f"backend must be 'auto', 'cpu', 'cuda' or 'reference', got {backend!r}")
 
@@ -202,6 +204,8 @@ def _pad_extras(gaussians: Gaussians, convexes: Convexes) -> tuple[Gaussians, Co
     ours, theirs = gaussians.extras, convexes.extras
     if ours is not None and theirs is not None and ours.shape[1] != theirs.shape[1]:
         raise ValueError(f"gaussians.extras and convexes.extras must have one width, got {list(ours.shape)} and {list(theirs.shape)}")
+    if ours is not None and theirs is not None:
+        return gaussians, convexes
     width = ours.shape[1] if ours is not None else theirs.shape[1] if theirs is not None else 0
     if ours is None:
         gaussians = replace(gaussians, extras=gaussians.means.new_zeros(gaussians.means.shape[0], width))
@@ -210,38 +214,36 @@ def _pad_extras(gaussians: Gaussians, convexes: Convexes) -> tuple[Gaussians, Co
     return gaussians, convexes
 
 
-def _empty_gaussians(camera: Camera, device: torch.device | None = None) -> Gaussians:
-    def zeros(*shape: int) -> Tensor:
-        return torch.zeros(shape, dtype=camera.K.dtype, device=device or camera.K.device)
-
-    return Gaussians(zeros(0, 3), zeros(0, 4), zeros(0, 3), zeros(0), colors=zeros(0, 3))
+def _no_gaussians(dtype: torch.dtype, device: torch.device) -> Gaussians:
+    none = torch.zeros(0, dtype=dtype, device=device)
+    return Gaussians(none.view(0, 3), none.view(0, 4), none.view(0, 3), none, colors=none.view(0, 3))
 
 
-def _empty_convexes(camera: Camera, device: torch.device | None = None) -> Convexes:
-    def zeros(*shape: int) -> Tensor:
-        return torch.zeros(shape, dtype=camera.K.dtype, device=device or camera.K.device)
-
-    return Convexes(zeros(0, POINTS[0], 3), zeros(0), zeros(0), zeros(0), colors=zeros(0, 3))
+def _no_convexes(dtype: torch.dtype, device: torch.device) -> Convexes:
+    none = torch.zeros(0, dtype=dtype, device=device)
+    return Convexes(none.view(0, POINTS[0], 3), none, none, none, colors=none.view(0, 3))
 
 
 def _cast(owner: Owner, dtype: torch.dtype) -> Owner:
     """Convert every tensor of a dataclass to a contiguous tensor of this dtype that stays attached to the autograd graph."""
-    values = {field.name: getattr(owner, field.name) for field in fields(owner)}
-    changes: dict[str, Any] = {name: value.to(dtype).contiguous() for name, value in values.items() if isinstance(value, Tensor)}
+    tensors = {name: value for name, value in vars(owner).items() if isinstance(value, Tensor)}
+    if all(value.dtype == dtype and value.is_contiguous() for value in tensors.values()):
+        return owner
+    changes: dict[str, Any] = {name: value.to(dtype).contiguous() for name, value in tensors.items()}
     return replace(owner, **changes)
 
 
-def _recentre(camera: Camera, gaussians: Gaussians, convexes: Convexes) -> tuple[Camera, Gaussians, Convexes]:
+def _recentre(camera: Camera, pose: Matrix, gaussians: Gaussians, convexes: Convexes) -> tuple[Camera, Gaussians, Convexes]:
     """Translate scene and camera together, so that a far camera is near the origin before coordinates are rounded to float32.
 
     The image stays the same (means - c and t + R c for any fixed c). So do the gradients, except for the component of
     cam_from_world's gradient that leaves the rigid transforms and comes from the view direction of SH. So this is done only if it pays off.
     """
-    world = camera.cam_from_world.double()
-    with torch.no_grad():
-        centre = (-world[:3, :3].T @ world[:3, 3]).to(torch.float32)  # exactly representable in both dtypes
-    if float(centre.norm()) <= FAR_CAMERA:
+    place = [-sum(pose[row][column] * pose[row][3] for row in range(3)) for column in range(3)]
+    if math.hypot(*place) <= FAR_CAMERA:
         return camera, gaussians, convexes
+    world = camera.cam_from_world.double()
+    centre = world.new_tensor(place).to(torch.float32)  # exactly representable in both dtypes
     moved = world[:, 3:] + world[:, :3] @ centre.double()[:, None]
     return (
         replace(camera, cam_from_world=torch.cat([world[:, :3], moved], 1)),

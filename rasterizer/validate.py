@@ -23,8 +23,14 @@ _RANGES: dict[str, tuple[str, Callable[[Tensor], Tensor]]] = {
 }
 
 
-def check_camera(camera: Camera, values: bool = True) -> None:
-    """Raise a TypeError or ValueError that names the field if this camera cannot be used. ``values=False`` reads no tensor values."""
+Matrix = list[list[float]]
+
+
+def check_camera(camera: Camera, values: bool = True) -> tuple[Matrix, Matrix] | None:
+    """The rows of K and of cam_from_world. ``values=False`` reads no tensor values and returns None.
+
+    Raises a TypeError or ValueError that names the field if this camera cannot be used.
+    """
     if not isinstance(camera, Camera):
         raise TypeError(f"camera must be a Camera, got {type(camera).__name__}")
     for name, shape in (("K", (3, 3)), ("cam_from_world", (4, 4))):
@@ -46,10 +52,8 @@ def check_camera(camera: Camera, values: bool = True) -> None:
     if not 0 < camera.near < float("inf"):
         raise ValueError(f"camera.near must be positive and finite, got {camera.near}")
     if not values:
-        return
-    # One transfer, because on another device every transfer waits for all work queued before it.
-    numbers = torch.cat([camera.K.detach().double().flatten(), camera.cam_from_world.detach().double().flatten()]).tolist()
-    K, pose = [numbers[at : at + 3] for at in (0, 3, 6)], [numbers[at : at + 4] for at in (9, 13, 17, 21)]
+        return None
+    K, pose = _rows(camera)
     for name, rows in (("K", K), ("cam_from_world", pose)):
         if not all(math.isfinite(value) for row in rows for value in row):
             raise ValueError(f"camera.{name} must be finite, got {rows}")
@@ -60,6 +64,15 @@ def check_camera(camera: Camera, values: bool = True) -> None:
     last = pose[3]
     if max(abs(a - b) for a, b in zip(last, (0.0, 0.0, 0.0, 1.0))) > LAST_ROW:
         raise ValueError(f"camera.cam_from_world must end with the row 0 0 0 1, got {last}; is it transposed?")
+    return K, pose
+
+
+def _rows(camera: Camera) -> tuple[Matrix, Matrix]:
+    if camera.K.device.type == "cpu":
+        return camera.K.tolist(), camera.cam_from_world.tolist()
+    # One transfer, because every transfer from another device waits for all work queued before it.
+    numbers = torch.cat([camera.K.detach().double().flatten(), camera.cam_from_world.detach().double().flatten()]).tolist()
+    return [numbers[at : at + 3] for at in (0, 3, 6)], [numbers[at : at + 4] for at in (9, 13, 17, 21)]
 
 
 def bad_values(owner: Gaussians | Convexes) -> dict[str, Tensor]:

@@ -106,8 +106,20 @@ def _answers() -> dict[str, Any]:
     def synchronize(device: Any = None) -> None:
         syncs.note("synchronize")
 
+    class Event:
+        """Of the only stream: all work before it is done when it is asked for."""
+
+        def record(self, stream: Any = None) -> None: ...
+
+        def query(self) -> bool:
+            return True
+
+        def synchronize(self) -> None:
+            syncs.note("synchronize")
+
     return {
         "_lazy_init": lambda: None,
+        "Event": Event,
         "is_available": lambda: True,
         "is_initialized": lambda: True,
         "device_count": lambda: 1,

@@ -7,15 +7,19 @@
 
 using namespace e4dgs;
 
-// sums: see kConvexSums. Gradients may be null; only rows of visible convexes are written, so they must be zero before. camera_rows
-// [blocks, 16].
+// sums: see kConvexSums. Gradients may be null; every row of the others is written. camera_rows [blocks, 16].
 extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
     backproject_convexes(const double* camera, int width, int height, int n, const float* points, const float* taus, const float* kappas,
                          const float* opacities, const float* looks, const ConvexRecord* records, const uint8* visible, const float* sums, float* dpoints,
                          float* dtaus, float* dkappas, float* dopacities, float* dlooks, double* camera_rows) {
     const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
+    const bool blended = i < n && visible[i];
+    if (i < n && !blended) {
+        write_zeros(dpoints, i, 3 * POINTS), write_zeros(dtaus, i, 1), write_zeros(dkappas, i, 1), write_zeros(dopacities, i, 1);
+        write_zeros(dlooks, i, kLooks);
+    }
     CameraPart part = no_camera_part();
-    if (i < n && visible[i]) {
+    if (blended) {
         const Camera<double> cam = camera_of(camera, width, height);
         const float *corners = points + 3 * POINTS * int64(i), *sum = sums + kConvexSums * int64(i);
         ConvexView<double> view;

@@ -8,15 +8,19 @@
 
 using namespace e4dgs;
 
-// sums: see kGaussianSums. Gradients may be null; only rows of visible Gaussians are written, so they must be zero before. camera_rows
-// [blocks, 16].
+// sums: see kGaussianSums. Gradients may be null; every row of the others is written. camera_rows [blocks, 16].
 extern "C" __global__ void __launch_bounds__(kBackThreads)
     backproject_gaussians(const double* camera, int width, int height, int n, const float* means, const float* quats, const float* scales,
                           const float* opacities, const float* looks, const GaussianRecord* records, const uint8* visible, const float* sums, float* dmeans,
                           float* dquats, float* dscales, float* dopacities, float* dlooks, double* camera_rows) {
     const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
+    const bool blended = i < n && visible[i];
+    if (i < n && !blended) {
+        write_zeros(dmeans, i, 3), write_zeros(dquats, i, 4), write_zeros(dscales, i, 3), write_zeros(dopacities, i, 1);
+        write_zeros(dlooks, i, kLooks);
+    }
     CameraPart part = no_camera_part();
-    if (i < n && visible[i]) {
+    if (blended) {
         const Camera<double> cam = camera_of(camera, width, height);
         const float *mean = means + 3 * int64(i), *quat = quats + 4 * int64(i), *scale = scales + 3 * int64(i), *sum = sums + kGaussianSums * int64(i);
         GaussianView<double> view;

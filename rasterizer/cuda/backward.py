@@ -24,7 +24,7 @@ def backward(
 
     images: alpha and depth from `forward`. grads: gradients of color, alpha, depth and extras, contiguous float32 or None.
     """
-    out = _zeros(inputs, wanted)
+    out = _gradients(inputs, wanted)
     if wanted.get("background"):
         assert state.transmittance is not None
         color = grads["color"]
@@ -41,15 +41,15 @@ def backward(
     return {name: value for name, value in out.items() if wanted.get(name)}
 
 
-def _zeros(inputs: Inputs, wanted: dict[str, bool]) -> dict[str, Tensor]:
-    """Gradients initialised to zero. Rows of primitives that no pixel blends stay zero."""
+def _gradients(inputs: Inputs, wanted: dict[str, bool]) -> dict[str, Tensor]:
+    """Space for the gradients. Those of extras, which are added to, start at zero; the kernels write every row of the others."""
     found = {}
     for name, kind in (("gaussians", inputs.gaussians), ("convexes", inputs.convexes)):
         fields = ("means", "quats", "scales", "opacities") if name == "gaussians" else ("points", "tau", "kappa", "opacities")
         values = {field: getattr(kind, field) for field in fields} | {"looks": looks_of(kind)[0], "extras": kind.extras}
         for field, value in values.items():
             if value is not None and (wanted.get(f"{name}.{field}") or field == "extras"):
-                found[f"{name}.{field}"] = torch.zeros_like(value)
+                found[f"{name}.{field}"] = torch.zeros_like(value) if field == "extras" else torch.empty_like(value)
     return found
 
 
@@ -72,7 +72,7 @@ def _sums(
         shape_sums = max(convex_sums if m else 0, GAUSSIAN_SUMS)
         slots = torch.zeros(pairs, shape_sums + some, dtype=torch.float32, device=device) if state.pair is not None else None
         to = (gaussians, convexes, out.get("gaussians.extras"), out.get("convexes.extras"))
-        scene = (*primitives_of(inputs, state), c_int32(first), state.begins, state.entries, state.touched, *size, inputs.background)
+        scene = (*primitives_of(inputs, state), c_int32(first), state.begins, state.entries, state.touched, *size, inputs.view.background)
         pixels = (state.transmittance, state.last, color, alpha, depth, grads["extras"], images["alpha"], images["depth"])
         launcher.launch(program, "blend_backward", inputs.tiles, 128, *scene, *pixels, *to, state.pair, slots)
         if slots is not None:
@@ -89,19 +89,19 @@ def _backproject(
     g, c, n, m = inputs.gaussians, inputs.convexes, inputs.n, inputs.m
     blocks, convex_blocks = -(-n // THREADS), -(-m // THREADS)
     rows = torch.zeros(blocks + convex_blocks if camera else 0, 16, dtype=torch.float64, device=inputs.device)
-    view = (inputs.camera, c_int32(inputs.width), c_int32(inputs.height))
+    view = (inputs.view.camera, c_int32(inputs.width), c_int32(inputs.height))
     if n:
         looks, degree = looks_of(g)
         names = ("means", "quats", "scales", "opacities", "looks")
         grads = [out.get(f"gaussians.{name}") for name in names]
-        program = programs.backproject_gaussians(degree, camera, inputs.antialiased)
+        program = programs.backproject_gaussians(degree, camera, inputs.view.antialiased)
         shape = (c_int32(n), g.means, g.quats, g.scales, g.opacities, looks, state.gaussians, state.visible, sums[0])
         launcher.launch(program, "backproject_gaussians", blocks, THREADS, *view, *shape, *grads, rows if camera else None)
     if m:
         looks, degree = looks_of(c)
         names = ("points", "tau", "kappa", "opacities", "looks")
         grads = [out.get(f"convexes.{name}") for name in names]
-        program = programs.backproject_convexes(inputs.points, degree, camera, inputs.antialiased)
+        program = programs.backproject_convexes(inputs.points, degree, camera, inputs.view.antialiased)
         shape = (c_int32(m), c.points, c.tau, c.kappa, c.opacities, looks, state.convexes, state.visible[n:], sums[1])
         launcher.launch(program, "backproject_convexes", convex_blocks, THREADS, *view, *shape, *grads, rows[blocks:] if camera else None)
     return rows

@@ -16,6 +16,7 @@ namespace e4dgs {
 
 constexpr int kShDegree = SH_DEGREE < 0 ? 0 : SH_DEGREE;
 constexpr int kShCoefficients = (kShDegree + 1) * (kShDegree + 1);
+constexpr int kLooks = 3 * (SH_DEGREE < 0 ? 1 : kShCoefficients);  // numbers of a primitive's looks
 
 // numbers: fx fy cx cy, R [9], t [3], near.
 __device__ inline Camera<double> camera_of(const double* numbers, int width, int height) {
@@ -31,11 +32,15 @@ __device__ inline Camera<double> camera_of(const double* numbers, int width, int
 
 // looks: sh [n, (D+1)^2, 3], or colors [n, 3] if SH_DEGREE is -1.
 __device__ inline bool usable_looks(const float* looks, const float* extras, int channels, int64 i) {
-    constexpr int width = 3 * (SH_DEGREE < 0 ? 1 : kShCoefficients);
     bool good = true;
-    for (int k = 0; k < width; ++k) good &= is_finite(looks[i * width + k]);
+    for (int k = 0; k < kLooks; ++k) good &= is_finite(looks[i * kLooks + k]);
     for (int e = 0; e < channels; ++e) good &= is_finite(extras[i * channels + e]);
     return good;
+}
+
+// Writes row i of a gradient [n, width], which may be null, of a primitive that no pixel blends.
+__device__ inline void write_zeros(float* gradient, int64 i, int width) {
+    for (int k = 0; gradient && k < width; ++k) gradient[i * width + k] = 0.0f;
 }
 
 // position [3]: the centre or centroid, world.
@@ -57,8 +62,7 @@ __device__ inline void color_backward(const Camera<double>& cam, const double* p
     if (dlooks)
         for (int c = 0; c < 3; ++c) dlooks[3 * i + c] = saturated(dcolor[c]);
 #else
-    constexpr int width = 3 * kShCoefficients;
-    sh_color_backward<kShDegree>(cam, position, looks + width * i, dcolor, dlooks ? dlooks + width * i : nullptr, dposition, grad);
+    sh_color_backward<kShDegree>(cam, position, looks + kLooks * i, dcolor, dlooks ? dlooks + kLooks * i : nullptr, dposition, grad);
 #endif
 }
 

@@ -2,32 +2,50 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..types import TILE, Camera, Convexes, Gaussians
 
+CAMERA_NUMBERS = 17  # fx fy cx cy, R, t, near
+
+
+class View(NamedTuple):
+    """What is rendered of a scene, on its device. camera: [17] float64: fx fy cx cy, R, t, near. background: [3] float32. drawn: [tiles]
+    uint8, 0 where nothing is drawn; None: everything is."""
+
+    camera: Tensor
+    background: Tensor
+    width: int
+    height: int
+    antialiased: bool
+    drawn: Tensor | None
+
 
 @dataclass(eq=False)
 class Inputs:
-    """camera: [17] float64: fx fy cx cy, R, t, near. The primitives' tensors are contiguous float32 on one device; the extras of both
-    kinds have `channels` columns. drawn: [tiles] uint8, 0 where nothing is drawn; None: everything is."""
+    """The primitives' tensors are contiguous float32 on the view's device; the extras of both kinds have `channels` columns."""
 
-    camera: Tensor
-    width: int
-    height: int
-    background: Tensor
+    view: View
     gaussians: Gaussians
     convexes: Convexes
     channels: int
-    antialiased: bool = False
-    drawn: Tensor | None = None
 
     @property
     def device(self) -> torch.device:
         return self.gaussians.means.device
+
+    @property
+    def width(self) -> int:
+        return self.view.width
+
+    @property
+    def height(self) -> int:
+        return self.view.height
 
     @property
     def n(self) -> int:
@@ -76,12 +94,28 @@ class State:
     last: Tensor | None = None
 
 
-def camera_numbers(camera: Camera, device: torch.device) -> Tensor:
-    """`Inputs.camera` for this camera on this device, computed without waiting for the device."""
-    K, pose = camera.K.detach().double(), camera.cam_from_world.detach().double()
+def view_on(device: torch.device, camera: Camera, background: Tensor, antialiased: bool, tiles: Tensor | None) -> View:
+    """The view through ``camera``, computed without waiting for ``device``. Camera and background on the CPU travel in one copy."""
+    with torch.no_grad():
+        if camera.K.device.type == "cpu" and background.device.type == "cpu":
+            K, pose = camera.K.tolist(), camera.cam_from_world.tolist()[:3]
+            numbers = [K[0][0], K[1][1], K[0][2], K[1][2], *(x for row in pose for x in row[:3]), *(row[3] for row in pose), camera.near]
+            packed = bytearray(struct.pack(f"{CAMERA_NUMBERS}d3f", *numbers, *background.to(torch.float32).tolist()))
+            there = torch.frombuffer(packed, dtype=torch.uint8).to(device, non_blocking=True)
+            own, behind = there[: 8 * CAMERA_NUMBERS].view(torch.float64), there[8 * CAMERA_NUMBERS :].view(torch.float32)
+        else:
+            own = _numbers(camera).to(device, non_blocking=True)
+            behind = background.to(device, torch.float32, non_blocking=True).contiguous()
+        drawn = None if tiles is None else tiles.to(device, torch.uint8, non_blocking=True).contiguous()
+    return View(own, behind, camera.width, camera.height, antialiased, drawn)
+
+
+def _numbers(camera: Camera) -> Tensor:
+    """`View.camera` on the camera's device."""
+    K, pose = camera.K.double(), camera.cam_from_world.double()
     near = torch.full((1,), camera.near, dtype=torch.float64, device=K.device)
     intrinsics = torch.stack([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
-    return torch.cat([intrinsics, pose[:3, :3].reshape(9), pose[:3, 3], near]).to(device, non_blocking=True)
+    return torch.cat([intrinsics, pose[:3, :3].reshape(9), pose[:3, 3], near])
 
 
 def looks_of(kind: Gaussians | Convexes) -> tuple[Tensor, int]:

@@ -115,20 +115,24 @@ __device__ __noinline__ int tiles_of(const GaussianRecord* gaussians, const Conv
 
 using namespace e4dgs;
 
-// counts [n]: tiles that primitive i may touch.
+// order [n]: primitives from front to back. counts [n]: tiles that each of them may touch, in this order.
 extern "C" __global__ void __launch_bounds__(128)
     count_tiles(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
-                const unsigned char* drawn, int* counts) {
-    const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
-    if (i < n) counts[i] = tiles_of(gaussians, convexes, n_gaussians, i, boxes[i], width, height, drawn, nullptr, 0);
+                const unsigned char* drawn, const int64* order, int64* counts) {
+    const int rank = int(blockIdx.x * blockDim.x + threadIdx.x);
+    if (rank >= n) return;
+    const int id = int(order[rank]);
+    counts[rank] = tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, drawn, nullptr, 0);
 }
 
-// order [n]: primitives from front to back; ends [n]: inclusive running sums of their counts. Pairs beyond `room` are left out.
+// ends [n]: inclusive running sums of the counts. Pairs beyond `room` are left out; if there are fewer, the rest belongs to no tile.
 extern "C" __global__ void __launch_bounds__(128, 7)
     write_pairs(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
                 const unsigned char* drawn, const int64* order, const int64* ends, int64 room, Key* tiles, int* primitives) {
     const int rank = int(blockIdx.x * blockDim.x + threadIdx.x);
     if (rank >= n) return;
+    const int nowhere = (width + kTile - 1) / kTile * ((height + kTile - 1) / kTile);  // sorts behind all tiles
+    for (int64 k = ends[n - 1] + rank; k < room; k += n) tiles[k] = Key(nowhere), primitives[k] = 0;
     const int64 begin = rank ? ends[rank - 1] : 0, end = ends[rank] < room ? ends[rank] : room;
     if (begin >= end) return;
     const int id = int(order[rank]), count = int(end - begin);

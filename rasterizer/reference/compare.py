@@ -12,7 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..rasterize import _cast, _empty_convexes, _empty_gaussians, _pad_extras
+from ..rasterize import _cast, _no_convexes, _no_gaussians, _pad_extras
 from ..types import Camera, Frame
 from .blend import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, effective_alphas
 from .convexes import Shapes, convex_alphas, project_convexes
@@ -30,8 +30,8 @@ OUTPUTS = ("color", "alpha", "depth", "extras")
 def projected(scene: Scene) -> tuple[Camera, Splats, Shapes]:
     """The scene's camera and its projected primitives from the reference, in float64 and without extras."""
     camera = _cast(scene.camera, torch.float64)
-    gaussians = _cast(scene.gaussians or _empty_gaussians(camera), torch.float64)
-    convexes = _cast(scene.convexes or _empty_convexes(camera), torch.float64)
+    gaussians = _cast(scene.gaussians or _no_gaussians(camera.K.dtype, camera.K.device), torch.float64)
+    convexes = _cast(scene.convexes or _no_convexes(camera.K.dtype, camera.K.device), torch.float64)
     gaussians, convexes = _pad_extras(replace(gaussians, extras=None), replace(convexes, extras=None))
     return camera, project_gaussians(camera, gaussians, scene.antialiased), project_convexes(camera, convexes, scene.antialiased)
 

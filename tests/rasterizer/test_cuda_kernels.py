@@ -116,15 +116,16 @@ def test_a_tile_s_list_of_several_batches() -> None:
 
 @needs_compiler
 def test_room_for_more_pairs_than_there_are_changes_nothing_and_for_fewer_drops_the_furthest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Inside a CUDA graph the number of pairs is fixed beforehand (`capacity.room_of`)."""
+    """Inside a CUDA graph the number of pairs is fixed beforehand (`capacity.room_in_graph`)."""
     scene, weights = some_scene(convexes=0, extras=None)
     taken: list[int] = []
-    monkeypatch.setattr(cuda_backend, "took", lambda inputs, pairs: taken.append(pairs))
+    monkeypatch.setattr(capacity, "took", lambda inputs, pairs: taken.append(pairs))
+    monkeypatch.setattr(capacity, "likely_room", lambda inputs: None)
     with launching("cpu", Emulator()):
         exact, exact_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
-        monkeypatch.setattr(cuda_backend, "room_of", lambda inputs: taken[0] + 777)
+        monkeypatch.setattr(capacity, "room_in_graph", lambda inputs: taken[0] + 777)
         roomy, roomy_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
-        monkeypatch.setattr(cuda_backend, "room_of", lambda inputs: taken[0] // 2)
+        monkeypatch.setattr(capacity, "room_in_graph", lambda inputs: taken[0] // 2)
         short = scene.render("cuda")
         with deterministic():
             gradients(scene, "cuda", weights)
@@ -134,18 +135,44 @@ def test_room_for_more_pairs_than_there_are_changes_nothing_and_for_fewer_drops_
     assert len(taken) >= 2 and len(set(taken)) == 1, "frames inside a capture are no measure for others"
 
 
+@needs_compiler
+@pytest.mark.parametrize("likely", [0, 1, 10_000], ids=["no room", "room for one", "more than enough"])
+def test_a_frame_that_takes_more_than_the_last_ones_is_made_again(monkeypatch: pytest.MonkeyPatch, likely: int) -> None:
+    scene, weights = some_scene()
+    taken: list[int] = []
+    with launching("cpu", Emulator()):
+        monkeypatch.setattr(capacity, "likely_room", lambda inputs: None)
+        exact, exact_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
+        monkeypatch.setattr(capacity, "likely_room", lambda inputs: likely)
+        monkeypatch.setattr(capacity, "took", lambda inputs, pairs: taken.append(pairs))
+        guessed, guessed_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
+    assert 1 < taken[0] < 10_000 and len(set(taken)) == 1
+    assert all(torch.equal(getattr(exact, name), getattr(guessed, name)) for name in OUTPUTS)
+    assert all(torch.equal(value, guessed_gradients[name]) for name, value in exact_gradients.items())
+
+
+def test_room_follows_the_last_frames_and_never_forgets_the_largest() -> None:
+    class Inputs:
+        device, width, height = torch.device("cpu"), 4321, 76
+
+    assert capacity.likely_room(Inputs()) is None  # type: ignore[arg-type]
+    for pairs, room in ((1000, 1250 + 1024), (10, 1225 + 1024), (2000, 2500 + 1024)):
+        capacity.took(Inputs(), pairs)  # type: ignore[arg-type]
+        assert capacity.likely_room(Inputs()) == room  # type: ignore[arg-type]
+
+
 def test_a_capture_without_a_frame_before_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     class Inputs:
         device, width, height = torch.device("cuda", 0), 12345, 67
 
     monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
     with pytest.raises(RuntimeError, match=r"no frame of 12345 x 67 was rendered on cuda:0 before: render one first"):
-        capacity.room_of(Inputs())  # type: ignore[arg-type]
+        capacity.room_in_graph(Inputs())  # type: ignore[arg-type]
     capacity.took(Inputs(), 1000)  # type: ignore[arg-type]
     capacity.took(Inputs(), 10)  # type: ignore[arg-type]
-    assert capacity.room_of(Inputs()) == 1500 + 1024  # type: ignore[arg-type]
+    assert capacity.room_in_graph(Inputs()) == 1500 + 1024  # type: ignore[arg-type]
     monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: False)
-    assert capacity.room_of(Inputs()) is None  # type: ignore[arg-type]
+    assert capacity.room_in_graph(Inputs()) is None  # type: ignore[arg-type]
 
 
 def test_out_of_memory_names_what_to_lower_and_the_next_frame_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:

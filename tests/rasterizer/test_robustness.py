@@ -1,7 +1,7 @@
 """What users of this field reported as NaN, corruption or crashes. Every case for the reference and for all kernels."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 import torch
@@ -64,6 +64,15 @@ POISONED = [(f"gaussians.{f}", False) for f in FIELDS] + [(f"convexes.{f}", Fals
 POISONED += [("gaussians.scales", True), ("convexes.points", True)]
 
 
+@pytest.fixture
+def sums_in_order() -> Iterator[None]:
+    """Bit-identical sums on a GPU, too."""
+    torch.use_deterministic_algorithms(True)
+    yield
+    torch.use_deterministic_algorithms(False)
+
+
+@pytest.mark.usefixtures("sums_in_order")
 @pytest.mark.parametrize(("name", "antialiased"), POISONED)
 def test_one_poisoned_primitive_leaves_all_others_bit_identical(backend: str, name: str, antialiased: bool) -> None:
     kind = name.split(".")[0]

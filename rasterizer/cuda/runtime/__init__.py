@@ -6,7 +6,8 @@ and launch them through the names exported here. The other modules in this folde
 
 from .arguments import Argument
 from .available import describe, why_not
+from .late import read_later
 from .launcher import Launcher, launcher_for, launching, warm_up
 from .program import Program
 
-__all__ = ["Argument", "Launcher", "Program", "describe", "launcher_for", "launching", "warm_up", "why_not"]
+__all__ = ["Argument", "Launcher", "Program", "describe", "launcher_for", "launching", "read_later", "warm_up", "why_not"]

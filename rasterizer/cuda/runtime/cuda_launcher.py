@@ -80,7 +80,7 @@ class CudaLauncher:
         config = self._configs.get((blocks, threads))
         if config is None:
             config = _remember(self._configs, (blocks, threads), self._LaunchConfig(grid=blocks, block=threads))
-        handle = torch.cuda.current_stream(self.index).cuda_stream
+        handle = _current_stream(self.index)
         stream = self._streams.get(handle)
         if stream is None:
             stream = _remember(self._streams, handle, self._Stream.from_handle(handle))
@@ -96,14 +96,14 @@ class CudaLauncher:
         """The arguments for cuda-core. An int is 8 bytes, of which the driver reads the parameter's width; others keep their own width."""
         values: list[Any] = []
         for argument in arguments:
-            if isinstance(argument, Tensor):
+            if argument is None:
+                values.append(0)
+            elif isinstance(argument, Tensor):
                 if argument.get_device() != self.index:
                     raise ValueError(f"{_place(values, kernel)} is on {argument.device}, and the kernel runs on {self.device}")
                 if not argument.is_contiguous():
                     raise ValueError(f"{_place(values, kernel)} is not contiguous; pass it through .contiguous()")
                 values.append(argument.data_ptr())
-            elif argument is None:
-                values.append(0)
             elif type(argument) in WHOLE:
                 values.append(argument.value)
             elif type(argument) in SCALARS:
@@ -138,6 +138,14 @@ class CudaLauncher:
                 ) from cause
         self._kernels[program, kernel] = ready
         return ready
+
+
+def _stream_object(index: int) -> int:
+    return int(torch.cuda.current_stream(index).cuda_stream)
+
+
+# torch's own code and Triton ask like this; an object for the stream takes 2 us.
+_current_stream = getattr(torch._C, "_cuda_getCurrentRawStream", _stream_object)
 
 
 def _place(before: list[Any], kernel: str) -> str:

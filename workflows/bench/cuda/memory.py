@@ -26,6 +26,7 @@ def measure(bench: Bench) -> Measured:
     except (torch.OutOfMemoryError, MemoryError) as refused:
         said = str(refused)
     del hog
+    torch.cuda.empty_cache()  # or the rows that follow would find the GPU full
     same = torch.equal(small.render("cuda").color, before)
     return Measured(
         f"a million Gaussians at {width}x{height} with {SPARE >> 20} MiB of the GPU's memory left; {gpu_name()}",
