@@ -88,7 +88,7 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
                    int channels, int first_channel, const int* begins, const int* entries, const uint8* touched, int width, int height, const float* background,
                    const float* transmittance, const int* last, const float* grad_color, const float* grad_alpha, const float* grad_depth,
                    const float* grad_extra, const float* alpha, const float* depth, float* gaussian_sums, float* convex_sums, float* gaussian_dextras,
-                   float* convex_dextras, const int64* pair, float* slots) {
+                   float* convex_dextras, const int* pair, float* slots) {
     __shared__ float4 items[kBatch][kItemWords];
     __shared__ float extras[kBatch][EXTRAS ? EXTRAS : 1];
     __shared__ float rows[kRegions][kBatch][kSums];
@@ -236,7 +236,7 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
 #endif
             const int id = ids[j], index = convex ? id - n_gaussians : id;
             if (slots)
-                slots[pair[begin + first + j] * kSums + c] = sum;
+                slots[int64(pair[begin + first + j]) * kSums + c] = sum;
             else if (c >= kShapeSums)
                 atomicAdd((convex ? convex_dextras : gaussian_dextras) + int64(index) * channels + first_channel + (c - kShapeSums), sum);
             else
@@ -248,14 +248,14 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
 // For deterministic sums: adds the slots of each primitive in the order of its pairs, in double. One thread per primitive and column;
 // order and ends as in write_pairs. Adds to the existing values, so that launches for more extras add to the same sums.
 extern "C" __global__ void __launch_bounds__(256)
-    sum_slots(int n, int n_gaussians, const int64* order, const int64* ends, int64 room, const float* slots, int channels, int first_channel, float* gaussian_sums,
+    sum_slots(int n, int n_gaussians, const int* order, const int64* ends, int64 room, const float* slots, int channels, int first_channel, float* gaussian_sums,
               float* convex_sums, float* gaussian_dextras, float* convex_dextras) {
     const int64 k = int64(blockIdx.x) * blockDim.x + threadIdx.x;
     const int64 rank = k / kSums;
     const int c = int(k % kSums);
     if (rank >= n) return;
     const int64 begin = rank ? ends[rank - 1] : 0, end = ends[rank] < room ? ends[rank] : room;
-    const int id = int(order[rank]);
+    const int id = order[rank];
     const bool convex = id >= n_gaussians;
     if (begin >= end || (c < kShapeSums && c >= (convex ? kConvexSums : kGaussianSums))) return;
     double sum = 0.0;

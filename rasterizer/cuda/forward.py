@@ -10,9 +10,11 @@ from torch import Tensor
 
 from . import capacity, programs
 from .runtime import Launcher, Program, read_later
+from .sort import sort
 from .state import Inputs, State, looks_of
 
 THREADS = 128  # threads per block in the kernels that use one thread per primitive
+COUNT_THREADS = 256  # kCountThreads in tiles.cu
 MOST_PAIRS = 2**31 - 1
 
 
@@ -65,11 +67,14 @@ def _sort(launcher: Launcher, inputs: Inputs) -> _Sorted:
     depth = torch.empty(n + m, dtype=torch.float64, device=device)
     boxes = torch.empty(n + m, 4, dtype=torch.int16, device=device)
     _project(launcher, inputs, records, convex_records, depth, boxes)
-    order = torch.sort(depth, stable=True).indices
-    counts = torch.empty(n + m, dtype=torch.int64, device=device)
-    common = (*_shapes(inputs, records, convex_records, boxes), order)
-    launcher.launch(_tiles(inputs), "count_tiles", -(-(n + m) // THREADS), THREADS, *common, counts)
-    return _Sorted(records, convex_records, boxes, order, counts.cumsum(0))
+    _, order = sort(launcher, depth.view(torch.int64), keep_keys=False)
+    del depth
+    ends = torch.empty(n + m, dtype=torch.int64, device=device)
+    blocks = -(-(n + m) // COUNT_THREADS)
+    workspace = torch.zeros(1 + blocks, dtype=torch.int64, device=device)
+    common = _shapes(inputs, records, convex_records, boxes)
+    launcher.launch(_tiles(inputs), "count_tiles", blocks, COUNT_THREADS, *common, order, ends, workspace)
+    return _Sorted(records, convex_records, boxes, order, ends)
 
 
 def _lists(launcher: Launcher, inputs: Inputs, sorted_: _Sorted, deterministic: bool, room: int) -> State:
@@ -81,12 +86,16 @@ def _lists(launcher: Launcher, inputs: Inputs, sorted_: _Sorted, deterministic: 
     common = (*_shapes(inputs, sorted_.gaussians, sorted_.convexes, sorted_.boxes), sorted_.order)
     out = (sorted_.ends, c_int64(room), keys, primitives)
     launcher.launch(_tiles(inputs), "write_pairs", -(-total // THREADS), THREADS, *common, *out)
-    keys, pair = torch.sort(keys, stable=True)
-    entries = primitives[pair]
+    pair = None
+    if deterministic:
+        sorted_keys, pair = sort(launcher, keys)
+        entries = primitives[pair]
+    else:
+        sorted_keys, entries = sort(launcher, keys, primitives)
     begins = torch.empty(inputs.tiles + 1, dtype=torch.int32, device=device)
-    launcher.launch(_tiles(inputs), "find_tiles", -(-(room + 1) // 256), 256, c_int64(room), keys, c_int32(inputs.tiles), begins)
+    launcher.launch(_tiles(inputs), "find_tiles", -(-(room + 1) // 256), 256, c_int64(room), sorted_keys, c_int32(inputs.tiles), begins)
     visible = torch.zeros(total, dtype=torch.uint8, device=device)
-    return State(*sorted_, begins, entries, pair if deterministic else None, visible)
+    return State(*sorted_, begins, entries, pair, visible)
 
 
 def _tiles(inputs: Inputs) -> Program:

@@ -37,6 +37,11 @@ def tiles(points: int, key_bits: int) -> Program:
     return program("tiles", points=points, key_bits=key_bits)
 
 
+def sort(key_bytes: int) -> Program:
+    """key_bytes: 2, 4 or 8."""
+    return program("sort", key_bytes=key_bytes)
+
+
 def blend_forward(points: int, extras: int) -> Program:
     return program("blend_forward", points=points, extras=extras)
 
@@ -63,7 +68,7 @@ def needed(
     antialiased: bool = False,
 ) -> list[Program]:
     """All programs needed to render such a scene. Use it to compile them in parallel before the first frame (`warm_up`)."""
-    found = [project_gaussians(degree, antialiased), tiles(points, 16), blend_forward(points, min(extras, CHANNELS))]
+    found = [project_gaussians(degree, antialiased), sort(8), sort(2), tiles(points, 16), blend_forward(points, min(extras, CHANNELS))]
     if points:
         found.append(project_convexes(points, degree, antialiased))
     if backward:
@@ -86,5 +91,6 @@ RECORDED: dict[str, Program] = {
         *needed(points=6, degree=-1, antialiased=True),
         *needed(points=8, degree=3, extras=CHANNELS, depth=True, camera=True, antialiased=True),
         tiles(6, 32),
+        sort(4),
     )
 }

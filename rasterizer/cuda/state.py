@@ -73,9 +73,9 @@ class State:
     """touched, transmittance and last are None if no backward pass follows.
 
     gaussians [n, 64], convexes [m, *] uint8: records. boxes [n + m, 4] int16.
-    order [n + m] int64: primitives from front to back; ends [n + m] int64: running sums of their numbers of pairs.
+    order [n + m] int32: primitives from front to back; ends [n + m] int64: running sums of their numbers of pairs.
     begins [tiles + 1] int32, entries [pairs] int32: the lists of the tiles.
-    pair [pairs] int64: the index of each entry's pair in order of depth; None unless sums must be deterministic.
+    pair [pairs] int32: the index of each entry's pair in order of depth; None unless sums must be deterministic.
     visible [n + m] uint8. touched [pairs] uint8: one bit for each region of the tile that blends the entry.
     transmittance [H, W] float32: behind each pixel's last layer; last [H, W] int32: each pixel's last entry.
     """

@@ -2,6 +2,7 @@
 // order and, after a stable sort by tile, finds where each tile's pairs begin. Features: POINTS, KEY_BITS (16: fewer than 2^15 tiles, half
 // the passes of the sort).
 #include "records.cuh"
+#include "scan.cuh"
 
 #if !defined(KEY_BITS)
 #define KEY_BITS 32
@@ -14,6 +15,8 @@ using Key = short;
 #else
 using Key = int;
 #endif
+
+constexpr int kCountThreads = 256;  // COUNT_THREADS in forward.py
 
 // The tiles of one row that a support covers; last is exclusive.
 struct Span {
@@ -115,27 +118,42 @@ __device__ __noinline__ int tiles_of(const GaussianRecord* gaussians, const Conv
 
 using namespace e4dgs;
 
-// order [n]: primitives from front to back. counts [n]: tiles that each of them may touch, in this order.
-extern "C" __global__ void __launch_bounds__(128)
+// order [n]: primitives from front to back. ends [n]: inclusive running sums of how many tiles each of them may touch. workspace [1 + blocks]
+// is zero at first.
+extern "C" __global__ void __launch_bounds__(kCountThreads, 4)
     count_tiles(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
-                const unsigned char* drawn, const int64* order, int64* counts) {
-    const int rank = int(blockIdx.x * blockDim.x + threadIdx.x);
-    if (rank >= n) return;
-    const int id = int(order[rank]);
-    counts[rank] = tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, drawn, nullptr, 0);
+                const unsigned char* drawn, const int* order, int64* ends, uint64* workspace) {
+    __shared__ int64 number, scratch[kCountThreads / 32], total, earlier;
+    const int64 block = take_number(workspace, &number), rank = block * kCountThreads + threadIdx.x;
+    int64 count = 0;
+    if (rank < n) {
+        const int id = order[rank];
+        count = tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, drawn, nullptr, 0);
+    }
+    const int64 before = sum_before<kCountThreads>(count, scratch);
+    if (threadIdx.x == kCountThreads - 1) total = before + count;
+    __syncthreads();
+    if (threadIdx.x < 32) {
+        uint64* const words = workspace + 1;
+        if (threadIdx.x == 0 && block) atomicExch(words + block, tagged(uint64(total), 1));
+        const int64 sum = sum_of_earlier(words, block);
+        if (threadIdx.x == 0) atomicExch(words + block, tagged(uint64(sum + total), 2)), earlier = sum;
+    }
+    __syncthreads();
+    if (rank < n) ends[rank] = earlier + before + count;
 }
 
-// ends [n]: inclusive running sums of the counts. Pairs beyond `room` are left out; if there are fewer, the rest belongs to no tile.
+// order and ends as in count_tiles. Pairs beyond `room` are left out; if there are fewer, the rest belongs to no tile.
 extern "C" __global__ void __launch_bounds__(128, 7)
     write_pairs(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
-                const unsigned char* drawn, const int64* order, const int64* ends, int64 room, Key* tiles, int* primitives) {
+                const unsigned char* drawn, const int* order, const int64* ends, int64 room, Key* tiles, int* primitives) {
     const int rank = int(blockIdx.x * blockDim.x + threadIdx.x);
     if (rank >= n) return;
     const int nowhere = (width + kTile - 1) / kTile * ((height + kTile - 1) / kTile);  // sorts behind all tiles
     for (int64 k = ends[n - 1] + rank; k < room; k += n) tiles[k] = Key(nowhere), primitives[k] = 0;
     const int64 begin = rank ? ends[rank - 1] : 0, end = ends[rank] < room ? ends[rank] : room;
     if (begin >= end) return;
-    const int id = int(order[rank]), count = int(end - begin);
+    const int id = order[rank], count = int(end - begin);
     tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, drawn, tiles + begin, count);
     for (int k = 0; k < count; ++k) primitives[begin + k] = id;
 }
