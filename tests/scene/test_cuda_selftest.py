@@ -83,6 +83,16 @@ def test_the_step_on_nodes_notices_a_wrong_program_of_the_antialiased_mode():
     assert re.search("compute something else than the CPU's: the gradient of gaussians", found or ""), found
 
 
+@pytest.mark.parametrize(
+    ("motion", "kernel", "named"),
+    [("free", "live", "the loss|the render"), ("free", "live_backward", "the gradient of (gaussians|convexes)")],
+)
+def test_the_steps_on_other_motions_notice_their_kernels(motion, kernel, named):
+    with pretending_cuda(emulator=OneWrong(kernel)):
+        found = disagreement(partial(selftest._step, motion, "cpu"), partial(selftest._step, motion, "cuda"))
+    assert re.search(rf"compute something else than the CPU's: ({named})", found or ""), found
+
+
 def test_what_only_one_of_them_computes_is_named():
     one, two = {"the loss": torch.ones(1)}, {"the loss": torch.ones(1), "the gradient of x": torch.ones(1)}
     assert "only one of them has the gradient of x" in (disagreement(lambda: one, lambda: two) or "")
