@@ -1,4 +1,5 @@
-// Primitives at one moment of their lives, forward and backward, one thread per primitive: see scene/motion/lives.py. All rows are contiguous.
+// Primitives at one moment of their lives, forward and backward, one thread per primitive: see scene/motion/lives.py. All rows are
+// contiguous.
 #include "rotation.cuh"
 
 namespace e4dgs {
@@ -14,7 +15,8 @@ struct Turn {
 
 __device__ __forceinline__ Turn turn_by(Vec half) {
     const float square = dot(half, half);
-    if (square < kSmallAngle) return {half, square, 1.0f - square * (0.5f - square / 24.0f), 1.0f - square * (1.0f / 6.0f - square / 120.0f)};
+    if (square < kSmallAngle)
+        return {half, square, 1.0f - square * (0.5f - square / 24.0f), 1.0f - square * (1.0f / 6.0f - square / 120.0f)};
     const float angle = sqrtf(square);
     float sine, cosine;
     sincosf(angle, &sine, &cosine);
@@ -39,8 +41,8 @@ __device__ __forceinline__ Vec mean_of(const float* points, int corners) {
 
 using namespace e4dgs;
 
-// points and moved [n, corners, 3]; quats and turned [n, 4], both null for convexes; opacities and shown [n]; times and log_spans [n] in frames;
-// velocities and spins [n, 3] per frame; dynamic [n].
+// points and moved [n, corners, 3]; quats and turned [n, 4], both null for convexes; opacities and shown [n]; times and log_spans [n] in
+// frames; velocities and spins [n, 3] per frame; dynamic [n].
 extern "C" __global__ void __launch_bounds__(128)
     live(int n, int corners, const float* points, const float* quats, const float* opacities, const float* times, const float* log_spans,
          const float* velocities, const float* spins, const bool* dynamic, float frame, float* moved, float* turned, float* shown) {
@@ -68,10 +70,10 @@ extern "C" __global__ void __launch_bounds__(128)
 
 // g_moved, g_turned, g_shown: incoming gradients, each null if there is none. out_*: those of the inputs; out_quats is null as quats is.
 extern "C" __global__ void __launch_bounds__(128)
-    live_backward(int n, int corners, const float* points, const float* quats, const float* opacities, const float* times, const float* log_spans,
-                  const float* velocities, const float* spins, const bool* dynamic, float frame, const float* g_moved, const float* g_turned,
-                  const float* g_shown, float* out_points, float* out_quats, float* out_opacities, float* out_times, float* out_log_spans,
-                  float* out_velocities, float* out_spins) {
+    live_backward(int n, int corners, const float* points, const float* quats, const float* opacities, const float* times,
+                  const float* log_spans, const float* velocities, const float* spins, const bool* dynamic, float frame,
+                  const float* g_moved, const float* g_turned, const float* g_shown, float* out_points, float* out_quats,
+                  float* out_opacities, float* out_times, float* out_log_spans, float* out_velocities, float* out_spins) {
     const int64 i = int64(blockIdx.x) * blockDim.x + threadIdx.x;
     if (i >= n) return;
     const int64 first = corners * i;
