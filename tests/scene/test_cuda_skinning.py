@@ -115,6 +115,20 @@ def test_points_without_a_gradient_take_no_part(share):
         assert_close(outcome(on(Emulator()), inputs, link, seen=seen), exactly(inputs, link, seen=seen))
 
 
+@pytest.mark.parametrize("column", range(7))
+def test_a_gradient_of_one_number_alone_is_not_overlooked(column):
+    inputs, link = scene(40)
+
+    def alone(run, given):
+        leaf = given["points" if column < 3 else "turns"].clone().requires_grad_()
+        given = given | {"points" if column < 3 else "turns": leaf}
+        outputs = torch.cat(run(*(given[name] for name in OWN), link, nodes_of(given)), 1)
+        return torch.autograd.grad(outputs, leaf, torch.eye(7)[column].to(outputs).expand(40, 7))[0]
+
+    exact = alone(skin_reference, {name: p.double() for name, p in inputs.items()})
+    assert exact.any() and float((alone(on(Emulator()), inputs) - exact).abs().max()) <= LIMIT * float(exact.abs().max())
+
+
 def test_gradients_that_are_not_numbers_are_seen():
     inputs, link = scene(100)
     seen = torch.zeros(100)
