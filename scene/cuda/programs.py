@@ -23,7 +23,10 @@ RECORDED: dict[str, Program] = {
         program("adam"),
         program("photometric"),
         program("displace"),
+        program("lives"),
         program("smoothness"),
+        program("sum_links"),
+        *(program(name, links=k, hyper=h) for name in ("nearest", "skinning") for k, h in ((4, 2), (8, 4))),
         *(program("field", channels=c, levels=l) for c, l in ((16, 2), (64, 4))),
         *(program("field_backward", channels=c, levels=l, lines=n) for c, l, n in ((16, 2, 576), (16, 2, 0), (4, 1, 2496), (64, 4, 0))),
     )

@@ -18,6 +18,7 @@ from torch import Tensor
 from ...rasterizer.cuda import selftest
 from ..model import Model
 from ..motion.field import DeformationField
+from ..motion.free import FreeMotion
 from ..motion.nodes import ControlNodes
 from ..primitives import ConvexSet, GaussianSet
 from ..settings import TrainingSettings
@@ -30,7 +31,7 @@ from ..views import Views
 WIDTH, HEIGHT = 40, 24
 CAMERAS, TIMES = 2, 3
 DISTANCE = 4.0  # world units from the cameras to the middle of the scene
-DEGREES = {"planes": 2, "nodes": 1}  # motions to try, each with another degree of spherical harmonics
+DEGREES = {"planes": 2, "nodes": 1, "free": 1}  # of spherical harmonics, by the motions to try; the last two share programs
 WEIGHTS = {"spread": 0.3, "tv": 0.3}  # of terms that are off or lost among the others by default
 STEP, TOTAL = 80, 100  # every term of the loss is evaluated at this step of this many
 
@@ -74,15 +75,21 @@ def _model(motion: str) -> Model:
     corners = rng.uniform(-0.9, 0.9, (6, 1, 3)) + rng.uniform(-0.3, 0.3, (6, 6, 3))
     convexes = ConvexSet.from_points(corners, rng.random((6, 3)), degree, opacity=0.5)
     ends = torch.full((3,), -1.2), torch.full((3,), 1.2)
-    field: DeformationField | ControlNodes = DeformationField(*ends, TIMES)
+    field: DeformationField | ControlNodes | FreeMotion = DeformationField(*ends, TIMES)
     if motion == "nodes":
         field = ControlNodes(torch.tensor(rng.uniform(-1, 1, (24, 3))), torch.zeros(3), 1.0, 1.0)
+    if motion == "free":
+        field = FreeMotion(TIMES)
+        for kind in (gaussians, convexes):
+            kind.live((TIMES - 1) * torch.rand(len(kind), generator=g), 1.0)
+            kind.dynamic[::4] = False
     with torch.no_grad():  # motions start at rest, where most gradients are zero; of a ball, every turn looks the same
         shapes = [gaussians.parameters["log_scales"], gaussians.parameters["sh_rest"]]
-        for amount, parameters in ((0.03, [*field.parameters()]), (0.3, shapes)):
+        drifts = [kind.parameters[name] for kind in (gaussians, convexes) for name in ("velocities", "spins") if motion == "free"]
+        for amount, parameters in ((0.03, [*field.parameters(), *drifts]), (0.3, shapes)):
             for p in parameters:
                 p.add_(amount * torch.randn(p.shape, generator=g))
-    return Model(gaussians, convexes, field, degree, antialiased=motion == "nodes")  # one motion for each mode
+    return Model(gaussians, convexes, field, degree, antialiased=motion != "planes")  # both modes are tried
 
 
 def _views(device: str) -> Views:

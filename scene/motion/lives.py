@@ -19,12 +19,17 @@ def live(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dy
 
     A primitive that is ``dynamic`` [N] bool drifts and turns steadily; the K points of a convex turn about their mean. Its opacity is
     multiplied by exp(-age^2 / (2 span^2)), where age and span are in frames. The others stay as they are. Gradients reach everything except
-    ``dynamic`` and ``frame``. float32 on the CPU uses a kernel, anything else plain torch.
+    ``dynamic`` and ``frame``. float32 on the CPU or on an NVIDIA GPU uses a kernel, anything else plain torch.
     """
     if points.device.type == "cpu" and points.dtype == torch.float32:
         turned_too = () if quats is None else (quats,)
         moved, shown, *turned = _Live.apply(frame, dynamic, points, opacities, *life, *turned_too)
         return moved, turned[0] if turned else None, shown
+    if points.is_cuda and points.dtype == torch.float32:
+        from ...rasterizer.cuda.runtime import launcher_for
+        from ..cuda.lives import live as on_gpu
+
+        return on_gpu(launcher_for(points.device), points, quats, opacities, life, dynamic, frame)
     return live_reference(points, quats, opacities, life, dynamic, frame)
 
 

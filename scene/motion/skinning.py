@@ -31,6 +31,11 @@ def nearest_nodes(points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Te
         link = torch.empty(len(points), count, dtype=torch.int32)
         _kernels.nearest_nodes(points, hyper, home, link, torch.get_num_threads())
         return link
+    if points.is_cuda and points.dtype == torch.float32:
+        from ...rasterizer.cuda.runtime import launcher_for
+        from ..cuda.skinning import nearest_nodes as nearest_on_gpu
+
+        return nearest_on_gpu(launcher_for(points.device), points, hyper, nodes, count)
     here, there = torch.cat([points, hyper], 1), torch.cat([home[0], home[1]], 1)
     return (torch.cdist(here, there).square() * home[2]).topk(count, largest=False).indices.int()
 
@@ -39,11 +44,16 @@ def skin(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, nodes: Node
     """``points`` [N, 3] and ``quats`` [N, 4] (w x y z, any norm) as the nodes ``link`` [N, k] carry them: moved [N, 3] and turned [N, 4].
 
     A weight is exp(-falloff d^2), where d is the distance in space and ``hyper`` [N, H] together, divided by the sum over the k nodes.
-    Gradients reach everything except ``link`` and ``nodes.home``; those of positions do not go through the weights. float32 on the CPU uses
-    a kernel, anything else plain torch.
+    Gradients reach everything except ``link`` and ``nodes.home``; those of positions do not go through the weights. float32 on the CPU or
+    on an NVIDIA GPU uses a kernel, anything else plain torch. Of these, only the CPU's looks whether the links are there.
     """
     if points.device.type == "cpu" and points.dtype == torch.float32:
         return _Skin.apply(points, quats, hyper, link, *nodes)
+    if points.is_cuda and points.dtype == torch.float32:
+        from ...rasterizer.cuda.runtime import launcher_for
+        from ..cuda.skinning import skin as skin_on_gpu
+
+        return skin_on_gpu(launcher_for(points.device), points, quats, hyper, link, nodes)
     return skin_reference(points, quats, hyper, link, nodes)
 
 

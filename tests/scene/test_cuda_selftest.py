@@ -14,7 +14,7 @@ from simt import Emulator, needs_compiler
 pytestmark = needs_compiler
 ROOT = Path(__file__).resolve().parents[2]
 DECLARED = re.compile(r'extern "C" __global__ void(?: __launch_bounds__\([^)]*\))?\s+(\w+)\(')
-NOT_BY_DEFAULT = {"sum_slots"}  # only with torch.use_deterministic_algorithms(True)
+NOT_BY_DEFAULT = {"sum_slots", "sum_links"}  # only with torch.use_deterministic_algorithms(True)
 
 
 class OneWrong(Emulator):
@@ -81,6 +81,21 @@ def test_the_step_on_nodes_notices_a_wrong_program_of_the_antialiased_mode():
     with pretending_cuda(emulator=OneWrong("backproject_gaussians", "ANTIALIASED=1")):
         found = disagreement(partial(selftest._step, "nodes", "cpu"), partial(selftest._step, "nodes", "cuda"))
     assert re.search("compute something else than the CPU's: the gradient of gaussians", found or ""), found
+
+
+@pytest.mark.parametrize(
+    ("motion", "kernel", "named"),
+    [
+        ("free", "live", "the loss|the render"),
+        ("free", "live_backward", "the gradient of (gaussians|convexes)"),
+        ("nodes", "skin", "the loss|the render"),
+        ("nodes", "skin_backward", "the gradient of (gaussians|convexes|field)"),
+    ],
+)
+def test_the_steps_on_other_motions_notice_their_kernels(motion, kernel, named):
+    with pretending_cuda(emulator=OneWrong(kernel)):
+        found = disagreement(partial(selftest._step, motion, "cpu"), partial(selftest._step, motion, "cuda"))
+    assert re.search(rf"compute something else than the CPU's: ({named})", found or ""), found
 
 
 def test_what_only_one_of_them_computes_is_named():
