@@ -21,8 +21,8 @@ ENTRY = Struct("=4Q2q3iI2f")
 
 
 class Update(NamedTuple):
-    """A tensor of a step, contiguous float32. ``parameter`` and its moments ``first`` and ``second`` have the shape of ``gradient``; if they
-    are left out, the gradient is only checked. ``step`` counts from 1."""
+    """A tensor of a step, contiguous float32. ``parameter`` and its moments ``first`` and ``second`` have the shape of ``gradient``; if
+    there are none, the gradient is only checked. ``step`` counts from 1."""
 
     gradient: Tensor
     parameter: Tensor | None = None

@@ -26,6 +26,10 @@ class Rows:
         """The rows ``index`` of one kind of primitives, copied to the set ``copy``."""
         return cls(index, {f"{copy.KIND}.{name}": p for name, p in copy.parameters.items()})
 
+    def named(self) -> dict[str, Tensor]:
+        """The copies, by names that tell them from the parameters themselves."""
+        return {f"{name} in view": p for name, p in self.parameters.items()}
+
     def gradient(self, name: str, parameter: Tensor) -> tuple[Tensor | None, Tensor | None]:
         """The gradient of the parameter ``name`` and the rows that it is of; None if that is all of them."""
         copied = self.parameters[name].grad if name in self.parameters else None
