@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from ctypes import c_float, c_int32
+from functools import lru_cache
 from struct import Struct
 from typing import NamedTuple
 
@@ -45,8 +46,7 @@ def step_if_finite(
     """
     table, blocks = bytearray(), 0
     for update in updates:
-        _check(update, device)
-        entry, taken = _entry(update, blocks, beta1, beta2)
+        entry, taken = _entry(update, device, blocks, beta1, beta2)
         table += entry
         blocks += taken
     # What is found to be bad is written behind the table, where the upload has put zeros.
@@ -60,37 +60,39 @@ def step_if_finite(
     return bad.view(torch.bool)
 
 
-def _check(update: Update, device: torch.device) -> None:
-    gradient, *others = tensors = [t for t in update[:4] if isinstance(t, Tensor)]
-    if any(t.shape != gradient.shape for t in others):
-        raise ValueError(f"parameter and moments must have the gradient's shape; got {', '.join(str(tuple(t.shape)) for t in tensors)}")
-    if any(t.dtype != torch.float32 or t.device != device or not t.is_contiguous() for t in tensors):
-        given = ", ".join(f"{t.dtype} on {t.device}{'' if t.is_contiguous() else ', not contiguous'}" for t in tensors)
-        raise ValueError(f"parameter, gradient and moments must be contiguous float32 on {device}; got {given}")
-    if len(tensors) not in (1, 4):
-        raise ValueError("a parameter needs both moments")
-    if update.step < 1:
-        raise ValueError(f"the first step is number 1, got {update.step}")
-
-
-def _entry(update: Update, first_block: int, beta1: float, beta2: float) -> tuple[bytes, int]:
+def _entry(update: Update, device: torch.device, first_block: int, beta1: float, beta2: float) -> tuple[bytes, int]:
     """The tensor's row of the table, and how many blocks it takes."""
-    addresses = [0 if t is None else t.data_ptr() for t in (update.parameter, update.gradient, update.first, update.second)]
-    size = update.gradient.numel()
-    rows = update.gradient.shape[0] if update.gradient.ndim else 1
-    width = size // rows if rows else 0
+    gradient, parameter, first, second, step, rate = update
+    shape = gradient.shape
+    addresses = []
+    for t in (parameter, gradient, first, second):
+        if t is None:
+            addresses.append(0)
+        elif t.shape == shape and t.dtype == torch.float32 and t.device == device and t.is_contiguous():
+            addresses.append(t.data_ptr())
+        else:
+            given = f"{t.dtype} {list(t.shape)} on {t.device}{'' if t.is_contiguous() else ', not contiguous'}"
+            raise ValueError(f"parameter and moments must be contiguous float32 {list(shape)} on {device}, as is the gradient; got {given}")
+    if parameter is not None and (first is None or second is None):
+        raise ValueError("a parameter needs both moments")
+    if step < 1:
+        raise ValueError(f"the first step is number 1, got {step}")
+    rows = shape[0] if shape else 1
+    width = gradient.numel() // rows if rows else 0
     each, parts = 1, -(-width // CHUNK)
     if 0 < width <= CHUNK:
         each = CHUNK // width
         if each >= 64:
             each -= each % 8  # blocks of short rows start at a 32-byte sector
     divide = -(-(2**31) // width) if width else 0
-    scalars = _scalars(update.step, update.rate, beta1, beta2)
+    correction1, inverse_root = _corrections(step, beta1, beta2)
+    scalars = c_float(rate).value / correction1, inverse_root
     return ENTRY.pack(*addresses, rows, width, first_block, parts, each, divide, *scalars), -(-rows // each) * parts
 
 
-def _scalars(step: int, rate: float, beta1: float, beta2: float) -> tuple[float, float]:
-    """rate and inverse_root, rounded to float32 in the same places as in the CPU kernel; the last rounding is that of packing."""
+@lru_cache(64)  # most tensors of a step have taken as many steps
+def _corrections(step: int, beta1: float, beta2: float) -> tuple[float, float]:
+    """The first moment's bias correction, and 1 / sqrt of the second's. With the last rounding to float32, which packing does, results are
+    rounded in the same places as in the CPU kernel."""
     correction1, correction2 = c_float(1 - c_float(beta1).value ** step), c_float(1 - c_float(beta2).value ** step)
-    root = c_float(math.sqrt(correction2.value))
-    return c_float(rate).value / correction1.value, 1 / root.value
+    return correction1.value, 1 / c_float(math.sqrt(correction2.value)).value

@@ -27,7 +27,6 @@ class NonFiniteGuard:
     def accepts(self, loss: Tensor, parameters: dict[str, Tensor], iteration: int, frame: int) -> bool:
         """Whether the step may be taken. Raises `TrainingDiverged`, naming step, frame and cause, after too many rejections in a row."""
         grads = {name: p.grad for name, p in parameters.items() if p.grad is not None}
-        # One test for all: reading a result back from a GPU waits for all work queued before it.
         sums = torch.stack([loss.detach(), *(g.sum() for g in grads.values())])
         doubtful = not bool(torch.isfinite(sums).all())
         bad = [name for name, g in grads.items() if not all_finite(g)] if doubtful else []

@@ -201,13 +201,13 @@ def test_many_tensors_in_any_order_of_threads(launcher):
 
 def test_wrong_arguments_are_refused_and_no_rows_are_nothing_to_do():
     p = torch.ones(3, 2)
-    with pytest.raises(ValueError, match="gradient's shape"):
+    with pytest.raises(ValueError, match=r"float32 \[3, 3\] on cpu, as is the gradient; got torch.float32 \[3, 2\] on cpu"):
         take(Emulator(), (p, torch.ones(3, 3), p, p))
-    with pytest.raises(ValueError, match="float32"):
+    with pytest.raises(ValueError, match=r"got torch.float64 \[3, 2\]"):
         take(Emulator(), (p, p, p.double(), p))
     with pytest.raises(ValueError, match="not contiguous"):
         take(Emulator(), (p, torch.ones(2, 3).T, p, p))
-    with pytest.raises(ValueError, match=r"float32 on cpu; got .* on meta"):
+    with pytest.raises(ValueError, match="on meta"):
         take(Emulator(), (p, p.to("meta"), p, p))
     with pytest.raises(ValueError, match="both moments"):
         step_if_finite(Emulator(), CPU, [Update(p, p)], BETA1, BETA2, EPSILON)
