@@ -142,6 +142,22 @@ def test_a_step_that_is_not_finite_is_as_if_it_had_not_been(views, monkeypatch):
         assert set(steps.values()) == {5}, steps
 
 
+@pytest.mark.cuda
+def test_on_a_gpu_a_step_that_is_not_finite_is_as_if_it_had_not_been(views, monkeypatch):
+    trainer, take = begun(views)
+    take(1, 2, 3)
+    before = learned(trainer)
+    with monkeypatch.context() as patch:
+        poison(trainer, patch)
+        take(4)
+    assert all(torch.equal(now, before[name]) for name, now in learned(trainer).items())
+    take(*range(5, 20))
+    trainer.steps.settle()
+    assert trainer.log.events == ["step 4: not finite, rolled back"] and trainer.guard.count == 1
+    steps = [int(t) for name, t in trainer.learned.optimiser.state().items() if name.endswith("/step")]
+    assert set(steps) == {18}
+
+
 def test_a_bad_step_of_a_whole_training_is_counted(views, monkeypatch, tmp_path):
     calls = []
 
