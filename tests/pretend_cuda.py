@@ -9,8 +9,8 @@
 
 Tensors there are of a subclass that autograd takes for ones of another device; their numbers are on the CPU. The kernels of e4dgs run in
 the emulator, which refuses tensors of the CPU here. Waiting is counted as on hardware, where a blocking copy to the device waits as well.
-What is not pretended: streams and time, graphs, CUDA's own numerics and the types it lacks, `torch.Generator` on the device, pinned memory,
-and `x.data = y` of another shape. Messages of autograd itself call the device "meta".
+What is not pretended: streams and time (an event has happened when it is asked for again), graphs, CUDA's own numerics and the types it
+lacks, `torch.Generator` on the device, pinned memory, and `x.data = y` of another shape. Messages of autograd call the device "meta".
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from unittest.mock import patch
 import torch
 from e4dgs.rasterizer.cuda.runtime import launching
 from pretended import methods, syncs
+from pretended.event import Event
 from pretended.rules import Mode
 from pretended.syncs import Sync
 from pretended.tensor import CUDA, Pretended
@@ -106,24 +107,13 @@ def _answers() -> dict[str, Any]:
     def synchronize(device: Any = None) -> None:
         syncs.note("synchronize")
 
-    class Event:
-        """Of the only stream: all work before it is done when it is asked for."""
-
-        def record(self, stream: Any = None) -> None: ...
-
-        def query(self) -> bool:
-            return True
-
-        def synchronize(self) -> None:
-            syncs.note("synchronize")
-
     return {
         "_lazy_init": lambda: None,
-        "Event": Event,
         "is_available": lambda: True,
         "is_initialized": lambda: True,
         "device_count": lambda: 1,
         "current_device": lambda: 0,
+        "Event": Event,
         "set_device": lambda device: None,
         "get_device_capability": lambda device=None: (9, 0),
         "get_device_name": lambda device=None: about.name,

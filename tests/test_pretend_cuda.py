@@ -187,6 +187,17 @@ def test_what_waits_is_noted(pretending, what, do):
     assert not pretending.syncs or Path(pretending.syncs[-1].where.split(":")[0]).name == Path(__file__).name
 
 
+def test_an_event_happens_behind_the_host(pretending):
+    first, second = torch.cuda.Event(), torch.cuda.Event(enable_timing=False)
+    for event in (first, second):
+        event.record(torch.cuda.current_stream())
+    assert waits(pretending, lambda: [first.query(), first.query(), first.synchronize()]) == []
+    assert first.query() and not second.query()
+    assert waits(pretending, second.synchronize) == ["synchronize"] and second.query()
+    first.record()
+    assert not first.query()
+
+
 def test_torch_is_as_before_afterwards():
     before = torch.cuda.is_available(), torch.tensor, torch.Tensor.to, torch.cuda.synchronize
     with pretending_cuda(), pytest.raises(ZeroDivisionError):

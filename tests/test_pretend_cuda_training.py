@@ -158,7 +158,7 @@ def test_what_is_rendered_there_is_what_the_emulator_renders(pretending):
             assert torch.equal(got.cpu(), want)
         assert Counter(pretending.kernels)["blend_forward"] == Counter(pretending.kernels)["blend_backward"] == 1
         # The number of pairs; of a camera on the device its values and the background's are looked at as well, one wait each.
-        assert waits[0] == ({"item": 1} if camera == "cpu" else {"item": 3, "tolist": 1})
+        assert waits[0] == ({"synchronize": 1} if camera == "cpu" else {"synchronize": 1, "tolist": 2})
         assert waits[1] == ({"download": 3} if camera == "cpu" else {})  # the gradients of K, cam_from_world and background
 
 

@@ -18,7 +18,7 @@ using Key = uint64;
 
 constexpr int kBits = 8, kBins = 1 << kBits, kPasses = int(sizeof(Key));
 constexpr int kSortThreads = kBins, kSortWarps = kSortThreads / 32;  // a thread for each bin
-constexpr int kItems = KEY_BYTES == 2 ? 12 : 8;                      // keys of a thread; SORT_ITEMS in sort.py
+constexpr int kItems = 8;  // keys of a thread; ITEMS in sort.py
 constexpr int kBlockKeys = kSortThreads * kItems;
 
 // The layout of the workspace, which is zero at first: each pass's counter of blocks and its counts of digits; then, for each block, a

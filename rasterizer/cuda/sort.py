@@ -11,7 +11,7 @@ from . import programs
 from .runtime import Launcher
 
 THREADS = 256
-SORT_ITEMS = {2: 12, 4: 8, 8: 8}  # keys of a thread; kItems in sort.cu
+ITEMS = 8  # keys of a thread; kItems in sort.cu
 COUNT_BLOCKS = 512  # at most, for counting digits
 HEAD = 8 + 8 * 256  # numbers in the workspace before those of the blocks; kPublished in sort.cu
 
@@ -24,7 +24,7 @@ def sort(launcher: Launcher, keys: Tensor, values: Tensor | None = None, keep_ke
     """
     n, width, device = keys.shape[0], keys.element_size(), keys.device
     program = programs.sort(width)
-    blocks = -(-n // (THREADS * SORT_ITEMS[width]))
+    blocks = -(-n // (THREADS * ITEMS))
     workspace = torch.zeros(HEAD + 256 * blocks, dtype=torch.int64, device=device)
     launcher.launch(program, "count_digits", min(blocks, COUNT_BLOCKS), THREADS, c_int64(n), keys, workspace)
     # Each step reads what the one before it wrote, and writes over what that one read.

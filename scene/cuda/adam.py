@@ -1,9 +1,13 @@
-"""The row-sparse Adam step on the GPU; see `scene/cpu/adam.h` for the CPU version."""
+"""The row-sparse Adam step of many tensors on the GPU, taken only if it is finite; see `scene/cpu/adam.h` for the CPU version."""
 
 from __future__ import annotations
 
 import math
-from ctypes import c_float, c_int32, c_int64, c_uint32
+from collections.abc import Sequence
+from ctypes import c_float, c_int32
+from functools import lru_cache
+from struct import Struct
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,60 +16,83 @@ from ...rasterizer.cuda.runtime import Launcher
 from .programs import program
 
 THREADS = 256
-CHUNK = 1024  # numbers per block; rows up to this length are narrow
+CHUNK = 1024  # most numbers per block; a row may be wider
+# `Entry` of adam.cu: parameter, gradient, first, second, rows, width, first_block, parts, rows_each, divide, rate, inverse_root.
+ENTRY = Struct("=4Q2q3iI2f")
 
 
-def adam_rows(
-    launcher: Launcher,
-    parameter: Tensor,
-    grad: Tensor,
-    first: Tensor,
-    second: Tensor,
-    step: int,
-    rate: float,
-    beta1: float,
-    beta2: float,
-    epsilon: float,
-) -> None:
-    """One step of Adam, in place, for the rows (first axis) of ``parameter`` whose gradient is not all zero; NaN counts as nonzero.
+class Update(NamedTuple):
+    """A tensor of a step, contiguous float32. ``parameter`` and its moments ``first`` and ``second`` have the shape of ``gradient``; if
+    there are none, the gradient is only checked. ``step`` counts from 1."""
 
-    All tensors are contiguous float32 of the same shape on the launcher's device; the moments ``first`` and ``second`` are updated, too.
-    ``step`` counts from 1. The call does not synchronise; a CUDA graph keeps the step and the rate that it was captured with.
+    gradient: Tensor
+    parameter: Tensor | None = None
+    first: Tensor | None = None
+    second: Tensor | None = None
+    step: int = 1
+    rate: float = 0.0
 
-    Raises ValueError for other shapes, types or steps, and whatever `Launcher.launch` raises.
+
+def step_if_finite(
+    launcher: Launcher, device: torch.device, updates: Sequence[Update], beta1: float, beta2: float, epsilon: float
+) -> Tensor:
+    """One step of Adam, in place, for the rows (first axis) of each parameter whose gradient is not all zero; none if any number of any
+    gradient is not finite. All tensors are on ``device``, which is the launcher's.
+
+    Two launches and one upload, however many tensors there are. The call does not synchronise. Returns a tensor [1 + n] bool on the device:
+    whether the step was not finite, and so not taken; then, for each of the updates, whether its gradient is not finite.
+
+    Raises ValueError for other shapes, types, devices or steps, and whatever `Launcher.launch` raises.
     """
-    tensors = (parameter, grad, first, second)
-    if any(t.shape != parameter.shape for t in tensors):
-        raise ValueError(f"gradient and moments must have the parameter's shape; got {', '.join(str(tuple(t.shape)) for t in tensors)}")
-    if any(t.dtype != torch.float32 for t in tensors):
-        raise ValueError(f"parameter, gradient and moments must be float32; got {', '.join(str(t.dtype) for t in tensors)}")
+    table, blocks = bytearray(), 0
+    for update in updates:
+        entry, taken = _entry(update, device, blocks, beta1, beta2)
+        table += entry
+        blocks += taken
+    # What is found to be bad is written behind the table, where the upload has put zeros.
+    end = len(table)
+    uploaded = torch.frombuffer(table + bytes(1 + len(updates)), dtype=torch.uint8).to(device, non_blocking=True)
+    tensors, bad = uploaded[:end], uploaded[end:]
+    found = torch.empty(blocks, dtype=torch.uint8, device=device)
+    adam, common = program("adam"), (tensors, c_int32(len(updates)), found, bad)
+    launcher.launch(adam, "check_gradients", blocks, THREADS, *common)
+    launcher.launch(adam, "adam_rows", blocks, THREADS, *common, c_float(beta1), c_float(beta2), c_float(epsilon))
+    return bad.view(torch.bool)
+
+
+def _entry(update: Update, device: torch.device, first_block: int, beta1: float, beta2: float) -> tuple[bytes, int]:
+    """The tensor's row of the table, and how many blocks it takes."""
+    gradient, parameter, first, second, step, rate = update
+    shape = gradient.shape
+    addresses = []
+    for t in (parameter, gradient, first, second):
+        if t is None:
+            addresses.append(0)
+        elif t.shape == shape and t.dtype == torch.float32 and t.device == device and t.is_contiguous():
+            addresses.append(t.data_ptr())
+        else:
+            given = f"{t.dtype} {list(t.shape)} on {t.device}{'' if t.is_contiguous() else ', not contiguous'}"
+            raise ValueError(f"parameter and moments must be contiguous float32 {list(shape)} on {device}, as is the gradient; got {given}")
+    if parameter is not None and (first is None or second is None):
+        raise ValueError("a parameter needs both moments")
     if step < 1:
         raise ValueError(f"the first step is number 1, got {step}")
-    size = parameter.numel()
-    if not size:
-        return
-    rows = parameter.shape[0] if parameter.ndim else 1
-    width = size // rows
-    adam = program("adam")
-    scalars = _scalars(step, rate, beta1, beta2, epsilon)
-    if width <= CHUNK:
+    rows = shape[0] if shape else 1
+    width = gradient.numel() // rows if rows else 0
+    each, parts = 1, -(-width // CHUNK)
+    if 0 < width <= CHUNK:
         each = CHUNK // width
         if each >= 64:
             each -= each % 8  # blocks of short rows start at a 32-byte sector
-        shape = (c_int64(rows), c_int32(width), c_int32(each), c_uint32(-(-(2**31) // width)))
-        launcher.launch(adam, "adam_narrow", -(-rows // each), THREADS, *shape, parameter, grad, first, second, *scalars)
-        return
-    parts = -(-width // CHUNK)
-    blocks = rows * parts
-    found = parameter.new_empty(blocks, dtype=torch.uint8)
-    one = (c_int64(width), c_int32(parts))
-    launcher.launch(adam, "find_gradients", blocks, THREADS, *one, grad, found)
-    launcher.launch(adam, "adam_wide", blocks, THREADS, *one, found, parameter, grad, first, second, *scalars)
+    divide = -(-(2**31) // width) if width else 0
+    correction1, inverse_root = _corrections(step, beta1, beta2)
+    scalars = c_float(rate).value / correction1, inverse_root
+    return ENTRY.pack(*addresses, rows, width, first_block, parts, each, divide, *scalars), -(-rows // each) * parts
 
 
-def _scalars(step: int, rate: float, beta1: float, beta2: float, epsilon: float) -> tuple[c_float, ...]:
-    """rate, beta1, beta2, epsilon, inverse_root, rounded to float32 in the same places as in the CPU kernel."""
-    one, two = c_float(beta1), c_float(beta2)
-    correction1, correction2 = c_float(1 - one.value**step), c_float(1 - two.value**step)
-    root = c_float(math.sqrt(correction2.value))
-    return c_float(c_float(rate).value / correction1.value), one, two, c_float(epsilon), c_float(1 / root.value)
+@lru_cache(64)  # most tensors of a step have taken as many steps
+def _corrections(step: int, beta1: float, beta2: float) -> tuple[float, float]:
+    """The first moment's bias correction, and 1 / sqrt of the second's. With the last rounding to float32, which packing does, results are
+    rounded in the same places as in the CPU kernel."""
+    correction1, correction2 = c_float(1 - c_float(beta1).value ** step), c_float(1 - c_float(beta2).value ** step)
+    return correction1.value, 1 / c_float(math.sqrt(correction2.value)).value

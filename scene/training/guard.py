@@ -27,13 +27,19 @@ class NonFiniteGuard:
     def accepts(self, loss: Tensor, parameters: dict[str, Tensor], iteration: int, frame: int) -> bool:
         """Whether the step may be taken. Raises `TrainingDiverged`, naming step, frame and cause, after too many rejections in a row."""
         grads = {name: p.grad for name, p in parameters.items() if p.grad is not None}
-        # One test for all: reading a result back from a GPU waits for all work queued before it.
         sums = torch.stack([loss.detach(), *(g.sum() for g in grads.values())])
         doubtful = not bool(torch.isfinite(sums).all())
         bad = [name for name, g in grads.items() if not all_finite(g)] if doubtful else []
-        if not doubtful or (bool(torch.isfinite(loss)) and not bad):  # a sum may overflow although every number is finite
+        # A sum may overflow although every number is finite.
+        finite = not doubtful or (bool(torch.isfinite(loss)) and not bad)
+        self.judged(finite, bad, loss, iteration, frame)
+        return finite
+
+    def judged(self, finite: bool, bad: list[str], loss: Tensor, iteration: int, frame: int) -> None:
+        """Count a step that was judged elsewhere. ``bad``: names whose gradients were not finite. Raises as `accepts` does."""
+        if finite:
             self._in_a_row = 0
-            return True
+            return
         self.count += 1
         self._in_a_row += 1
         if self._in_a_row >= MOST_IN_A_ROW:
@@ -42,4 +48,3 @@ class NonFiniteGuard:
                 f"step {iteration}, frame {frame}: {where} not finite, {MOST_IN_A_ROW} steps in a row. "
                 "Lower the learning rates (--set coarse.lr_means=..., coarse.lr_field=...) or check the capture's poses."
             )
-        return False

@@ -26,6 +26,10 @@ class Rows:
         """The rows ``index`` of one kind of primitives, copied to the set ``copy``."""
         return cls(index, {f"{copy.KIND}.{name}": p for name, p in copy.parameters.items()})
 
+    def named(self) -> dict[str, Tensor]:
+        """The copies, by names that tell them from the parameters themselves."""
+        return {f"{name} in view": p for name, p in self.parameters.items()}
+
     def gradient(self, name: str, parameter: Tensor) -> tuple[Tensor | None, Tensor | None]:
         """The gradient of the parameter ``name`` and the rows that it is of; None if that is all of them."""
         copied = self.parameters[name].grad if name in self.parameters else None
@@ -39,12 +43,33 @@ class Rows:
 ALL_ROWS = Rows(None, {})
 
 
+@dataclass
+class Moments:
+    """What Adam remembers of a parameter: the steps it took, and the moments of its gradient, in the parameter's shape."""
+
+    steps: int
+    first: Tensor
+    second: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """A step on a CUDA device, which was taken only if all was finite.
+
+    names: what was checked. bad [1 + n] bool, on the device: whether the step was not taken; then, of each name, whether it was not finite.
+    counted: the parameters that count the step."""
+
+    names: list[str]
+    bad: Tensor
+    counted: list[str]
+
+
 class RowAdam:
     """Adam over named tensors that updates only the rows (first axis) that got a gradient, and whose rows can be replaced.
 
     A row whose gradient is all zero was seen by no ray: it keeps its value and its moments. ``rates`` maps each name to a function of
-    progress in [0, 1] that returns the learning rate. Parameters are contiguous float32 on the CPU or on a CUDA device; a step does not
-    synchronise the device. Step number and rate are host values: a CUDA graph would repeat those it was captured with.
+    progress in [0, 1] that returns the learning rate. Parameters are contiguous float32, all on the CPU or all on one CUDA device, which a
+    step does not synchronise.
     """
 
     def __init__(
@@ -52,25 +77,54 @@ class RowAdam:
     ) -> None:
         self.rates, self.betas = rates, betas
         self._parameters = dict(parameters)
-        self._state: dict[str, dict[str, Tensor]] = {}
+        self._device = next((p.device for p in parameters.values()), torch.device("cpu"))
+        self._state: dict[str, Moments] = {}
 
     def parameters(self) -> dict[str, Tensor]:
         return dict(self._parameters)
 
     def step(self, progress: float, frozen: frozenset[str] = frozenset(), rows: Rows = ALL_ROWS) -> None:
         """One step at ``progress`` in [0, 1]. Parameters without a gradient or whose owner (first part of the name) is ``frozen`` stay.
-        ``rows``: copies of some rows of parameters, whose gradients are added to those of the parameters."""
+        ``rows``: copies of some rows of parameters, whose gradients are added to those of the parameters; on the CPU alone.
+
+        On a CUDA device, see `step_if_finite`."""
+        if self._device.type == "cuda":
+            assert rows.index is None, "a CUDA device computes with all rows"
+            self.step_if_finite({}, progress, frozen)
+            return
         for name, p in self._parameters.items():
             grad, index = rows.gradient(name, p)
             if grad is None or not grad.numel() or name.split(".")[0] in frozen:
                 continue
-            state = self._state.get(name)
-            if state is None:
-                state = self._state[name] = {"step": torch.zeros(()), "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
-            state["step"] += 1
-            tensors = p.detach(), grad.contiguous(), state["exp_avg"], state["exp_avg_sq"]
-            _step_rows(*tensors, index, int(state["step"]), self.rates[name](progress), self.betas)
+            state = self._counted(name, p)
+            tensors = p.detach(), grad.contiguous(), state.first, state.second
+            _kernels.adam_rows(*tensors, index, state.steps, self.rates[name](progress), *self.betas, EPSILON, torch.get_num_threads())
         self.zero_grad()
+
+    def step_if_finite(self, others: dict[str, Tensor], progress: float, frozen: frozenset[str] = frozenset()) -> Attempt:
+        """The same on a CUDA device, with a constant number of launches. Nothing changes there if any number of any gradient, be it of a
+        frozen parameter, or of ``others`` is not finite. The step is counted until `uncount` takes that back."""
+        from ...rasterizer.cuda.runtime import launcher_for
+        from ..cuda.adam import Update, step_if_finite
+
+        updates = {name: Update(other) for name, other in others.items()}
+        for name, p in self._parameters.items():
+            if p.grad is None or not p.grad.numel():
+                continue
+            grad = p.grad.contiguous()
+            if name.split(".")[0] in frozen:
+                updates[name] = Update(grad)
+                continue
+            state = self._counted(name, p)
+            updates[name] = Update(grad, p.detach(), state.first, state.second, state.steps, self.rates[name](progress))
+        bad = step_if_finite(launcher_for(self._device), self._device, list(updates.values()), *self.betas, EPSILON)
+        self.zero_grad()
+        return Attempt(list(updates), bad, [name for name, update in updates.items() if update.parameter is not None])
+
+    def uncount(self, attempt: Attempt) -> None:
+        """Correct the step counts for an attempt that turned out not to be finite."""
+        for name in attempt.counted:
+            self._state[name].steps -= 1
 
     def zero_grad(self) -> None:
         for p in self._parameters.values():
@@ -85,32 +139,35 @@ class RowAdam:
         if state is None:
             return
         kept = source >= 0
-        for moment in ("exp_avg", "exp_avg_sq"):
+        some = bool(kept.any())  # if no row is kept, the other dimensions may differ, too
+
+        def carried(moment: Tensor) -> Tensor:
             rows = torch.zeros_like(new, requires_grad=False)
-            if kept.any():  # if no row is kept, the other dimensions may differ, too
-                rows[kept] = state[moment][source[kept]]
-            state[moment] = rows
+            if some:
+                rows[kept] = moment[source[kept]]
+            return rows
+
+        state.first, state.second = carried(state.first), carried(state.second)
 
     def state(self) -> dict[str, Tensor]:
         """Moments and step counts by name, for a checkpoint."""
-        return {f"{name}/{key}": value for name, state in self._state.items() for key, value in state.items()}
+        return {
+            f"{name}/{key}": value
+            for name, state in self._state.items()
+            for key, value in (("step", torch.tensor(float(state.steps))), ("exp_avg", state.first), ("exp_avg_sq", state.second))
+        }
 
     def load_state(self, tensors: dict[str, Tensor]) -> None:
         """Inverse of `state`."""
         for name, p in self._parameters.items():
             if f"{name}/step" in tensors:
-                state = {"step": tensors[f"{name}/step"].to("cpu", copy=True)}
-                self._state[name] = state | {key: tensors[f"{name}/{key}"].to(p.device, copy=True) for key in ("exp_avg", "exp_avg_sq")}
+                moments = (tensors[f"{name}/{key}"].to(p.device, copy=True) for key in ("exp_avg", "exp_avg_sq"))
+                self._state[name] = Moments(int(tensors[f"{name}/step"]), *moments)
 
-
-def _step_rows(
-    parameter: Tensor, grad: Tensor, first: Tensor, second: Tensor, index: Tensor | None, step: int, rate: float, betas: tuple[float, float]
-) -> None:
-    """One step with the kernel for the parameter's device, of the rows ``index`` or of all."""
-    if parameter.device.type == "cuda":
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.adam import adam_rows
-
-        adam_rows(launcher_for(parameter.device), parameter, grad, first, second, step, rate, *betas, EPSILON)
-    else:
-        _kernels.adam_rows(parameter, grad, first, second, index, step, rate, *betas, EPSILON, torch.get_num_threads())
+    def _counted(self, name: str, parameter: Tensor) -> Moments:
+        """What is remembered of a parameter that takes a step, which is counted."""
+        state = self._state.get(name)
+        if state is None:
+            state = self._state[name] = Moments(0, torch.zeros_like(parameter), torch.zeros_like(parameter))
+        state.steps += 1
+        return state

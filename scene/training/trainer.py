@@ -25,6 +25,9 @@ from .log import TrainingLog
 from .objective import Objective
 from .recipe import PLANES, Recipe
 from .schedule import Phase, alike_since
+from .steps.at_once import StepsAtOnce
+from .steps.late import LateSteps
+from .steps.step import Step, Steps
 from .turning import leave_only_rigid_parts
 
 
@@ -73,6 +76,9 @@ class Trainer:
         steps = self.curriculum.several, self.total, earlier
         self.objective = Objective(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth)
         self.learned = LearnedModel(model, settings, self.unit, lr_scale)
+        takes = LateSteps if model.device.type == "cuda" else StepsAtOnce
+        self.steps: Steps = takes(self.learned, self.guard, self._taken)
+        self.learned.before_change = self.steps.settle
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)
         self.density = DensityControl(*common, budget, grow, self._event)
@@ -100,6 +106,7 @@ class Trainer:
                     self._save()
                     saved = time.monotonic()
             done += phase.iterations
+        self.steps.settle()
         self.density.finish(self.iteration)
         self.log.iterations = self.iteration
         self.log.nonfinite_steps = self.guard.count
@@ -107,25 +114,32 @@ class Trainer:
 
     def _step(self, phase: Phase, step: int) -> None:
         """Step ``step`` of ``phase``: render one view and update the parameters."""
-        model, optimiser = self.model, self.learned.optimiser
+        model = self.model
         i = self.curriculum.frame(self.iteration)
         judged = self.objective(model, i, self.iteration, phase, self._sh_degree())
         if self.iteration % 50 == 0:
             self.log.psnr.append([self.iteration, judged.psnr()])
         judged.loss.backward()
-        parameters = optimiser.parameters() | {f"{name} in view": p for name, p in judged.rows.parameters.items()}
         if self.motion.rigid_parts_alone:
-            leave_only_rigid_parts(model, parameters)
-        if self.guard.accepts(judged.loss.detach(), parameters, self.iteration, i):
-            optimiser.step(self.iteration / max(self.total, 1), self._frozen(phase, step), judged.rows)
-            if len(model.convexes) and self.recipe.largest_convex < math.inf:
-                keep_small(model.convexes, self.recipe.largest_convex * self.unit)
-            self.loss.add(judged.image_loss)
-        else:
-            optimiser.zero_grad()
-            self._event(f"step {self.iteration}: not finite, rolled back")
+            leave_only_rigid_parts(model, self.learned.optimiser.parameters() | judged.rows.named())
+        now = Step(self.iteration, i, judged.loss.detach(), judged.image_loss)
+        not_taken = self.steps.take(now, self.iteration / max(self.total, 1), self._frozen(phase, step), judged.rows)
+        if len(model.convexes) and self.recipe.largest_convex < math.inf:
+            keep_small(model.convexes, self.recipe.largest_convex * self.unit, not_taken)
         if self.iteration % EVERY == 0:
-            self.log.loss.append([self.iteration, self.loss.value()])
+            self.log.loss.append([self.iteration, self._smoothed()])
+
+    def _taken(self, step: Step, taken: bool) -> None:
+        """What `Steps` report."""
+        if taken:
+            self.loss.add(step.image_loss)
+        else:
+            self._event(f"step {step.number}: not finite, rolled back")
+
+    def _smoothed(self) -> float:
+        """The smoothed loss of all steps so far."""
+        self.steps.settle()
+        return self.loss.value()
 
     def _sh_degree(self) -> int:
         """Colours start independent of direction; one degree is added after every sixth of the steps."""
@@ -167,7 +181,7 @@ class Trainer:
             self._event(f"step {self.iteration}: {phase.name} has converged, its last {steps} steps are left out")
 
     def _note(self, phase: Phase) -> str:
-        return f"{phase.name}, loss {self.loss.value():.4f}, {len(self.model.gaussians)} Gaussians, {len(self.model.convexes)} convexes"
+        return f"{phase.name}, loss {self._smoothed():.4f}, {len(self.model.gaussians)} Gaussians, {len(self.model.convexes)} convexes"
 
     def _event(self, message: str) -> None:
         self.log.events.append(message)
@@ -175,6 +189,7 @@ class Trainer:
 
     def _save(self) -> None:
         assert self.checkpoints is not None
+        self.steps.settle()
         state = {
             "iteration": self.iteration,
             "ema": self.loss.value(),

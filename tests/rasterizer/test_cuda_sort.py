@@ -3,11 +3,11 @@
 import pytest
 import torch
 from e4dgs.rasterizer.cuda.runtime import launcher_for
-from e4dgs.rasterizer.cuda.sort import SORT_ITEMS, THREADS, sort
+from e4dgs.rasterizer.cuda.sort import ITEMS, THREADS, sort
 from simt import CHECKED, RACES, Emulator
 from simt.compiler import needs_compiler
 
-BLOCK = {width: THREADS * items for width, items in SORT_ITEMS.items()}
+BLOCK = THREADS * ITEMS
 TYPES = {2: torch.int16, 4: torch.int32, 8: torch.int64}
 
 
@@ -29,8 +29,7 @@ def hold(launcher, keys: torch.Tensor, device: str = "cpu") -> None:
 @needs_compiler
 @pytest.mark.parametrize("width", TYPES)
 def test_sizes_around_a_block(width: int) -> None:
-    block = BLOCK[width]
-    for count in (0, 1, 31, 33, block - 1, block, block + 1, 3 * block + 17):
+    for count in (0, 1, 31, 33, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK + 17):
         hold(Emulator(), some_keys(width, count))
 
 
@@ -38,35 +37,34 @@ def test_sizes_around_a_block(width: int) -> None:
 @pytest.mark.parametrize("width", TYPES)
 def test_equal_keys_keep_their_order_whatever_runs_first(width: int) -> None:
     for seed in range(3):
-        hold(Emulator(seed), some_keys(width, 2 * BLOCK[width] + 5, most=7))
-        hold(Emulator(seed), torch.zeros(BLOCK[width] + 9, dtype=TYPES[width]))
+        hold(Emulator(seed), some_keys(width, 2 * BLOCK + 5, most=7))
+        hold(Emulator(seed), torch.zeros(BLOCK + 9, dtype=TYPES[width]))
 
 
 @needs_compiler
 def test_the_largest_keys_are_not_taken_for_the_end() -> None:
     """Threads without a key rank with the largest digit."""
-    for width, kind in TYPES.items():
-        hold(Emulator(), torch.full((BLOCK[width] - 7,), torch.iinfo(kind).max, dtype=kind))
+    for kind in TYPES.values():
+        hold(Emulator(), torch.full((BLOCK - 7,), torch.iinfo(kind).max, dtype=kind))
 
 
 @needs_compiler
 def test_depths_sort_by_their_bits() -> None:
     g = torch.Generator().manual_seed(1)
-    depths = torch.cat(
-        [torch.rand(500, generator=g, dtype=torch.float64) * 10**k for k in range(-8, 9, 4)] + [torch.tensor([float("inf")] * 3)]
-    )
+    parts = [torch.rand(500, generator=g, dtype=torch.float64) * 10**k for k in range(-8, 9, 4)]
+    depths = torch.cat([*parts, torch.full((3,), torch.inf, dtype=torch.float64)])
     _, order = sort(Emulator(), depths.view(torch.int64).clone(), keep_keys=False)
     assert torch.equal(order.long(), torch.sort(depths, stable=True).indices)
 
 
 @needs_compiler
 def test_no_access_is_out_of_bounds_and_no_two_are_unordered() -> None:
-    hold(Emulator(5, flags=(*CHECKED, *RACES)), some_keys(2, BLOCK[2] + 100))
+    hold(Emulator(5, flags=(*CHECKED, *RACES)), some_keys(2, BLOCK + 100))
 
 
 @pytest.mark.cuda
 @pytest.mark.parametrize("width", TYPES)
 def test_large_sorts_on_a_gpu(width: int) -> None:
-    for count in (1, BLOCK[width] + 1, 3_000_001):
+    for count in (1, BLOCK + 1, 3_000_001):
         for most in (None, 300):
             hold(launcher_for(torch.device("cuda")), some_keys(width, count, most), "cuda")

@@ -1,11 +1,14 @@
-"""The GPU's row-sparse Adam, under the emulator, against the CPU's kernel and plain float64."""
+"""The GPU's row-sparse Adam of many tensors, under the emulator, against the CPU's kernel and plain float64."""
+
+from math import prod
 
 import pytest
 import torch
-from e4dgs.rasterizer.cuda.runtime import launcher_for, launching
+from e4dgs.rasterizer.cuda.runtime import launcher_for
 from e4dgs.scene import _kernels
-from e4dgs.scene.cuda.adam import CHUNK, adam_rows
+from e4dgs.scene.cuda.adam import CHUNK, THREADS, Update, step_if_finite
 from e4dgs.scene.training.optimiser import RowAdam
+from pretend_cuda import pretending_cuda
 from simt import CHECKED, RACES, Emulator, needs_compiler
 
 pytestmark = needs_compiler
@@ -14,12 +17,13 @@ BETA1, BETA2 = torch.tensor([0.9, 0.99]).tolist()  # as float32 has them, or 1 -
 # One number, widths 1, 3, 45 and 48 in several blocks, all but one number of a block, a block, one more, and rows of several blocks.
 SHAPES = [(), (1,), (2100,), (700, 3), (60, 15, 3), (50, 48), (300, 4), (3, CHUNK - 1), (3, CHUNK), (3, CHUNK + 1), (3, 10, 20, 25)]
 GUARD = 2 * CHUNK
+CPU = torch.device("cpu")
 WIDTHS = [1, 3, 48, CHUNK - 1, CHUNK, CHUNK + 1, 5000]
 
 
 def rows_of(tensor):
     """[rows, width]; what the rows of a tensor are."""
-    return tensor.reshape(tensor.shape[0] if tensor.ndim else 1, -1)
+    return tensor.reshape(tensor.shape[0] if tensor.ndim else 1, prod(tensor.shape[1:]))
 
 
 def guarded(values):
@@ -44,10 +48,16 @@ def start(shape, seed=0):
     return p, g, 0.1 * m, 0.02 + 0.01 * v.square()
 
 
-def step(case, number=3, seed=0, flags=(), launcher=None):
+def take(launcher, *cases, number=3, device=CPU):
+    """One step of all cases together, in place; what was found to be bad."""
+    updates = [Update(g, p, m, v, number, RATE) for p, g, m, v in cases]
+    return step_if_finite(launcher, device, updates, BETA1, BETA2, EPSILON).tolist()
+
+
+def step(case, number=3, launcher=None):
     """(parameter, first, second) after a step on the GPU."""
     p, g, m, v = map(guarded, case)
-    adam_rows(launcher or Emulator(seed, flags), p, g, m, v, number, RATE, BETA1, BETA2, EPSILON)
+    assert take(launcher or Emulator(), (p, g, m, v), number=number) == [False, False]
     assert all(map(is_intact, (p, g, m, v)))
     return p, m, v
 
@@ -116,21 +126,57 @@ def test_a_gradient_moves_its_row_alone_wherever_it_is():
             first, second = torch.ones(rows, width), torch.ones(rows, width)
             grad = torch.zeros(rows, width)
             grad.view(-1)[at] = 1.0
-            adam_rows(emulator, torch.zeros(rows, width), grad, first, second, 1, RATE, BETA1, BETA2, EPSILON)
+            take(emulator, (torch.zeros(rows, width), grad, first, second), number=1)
             moved = (second != 1).sum(1)
             assert moved[at // width] >= width - 1 and moved.sum() == moved[at // width], (rows, width, at)
 
 
-@pytest.mark.parametrize("width", [1, 3, 48, 5000])
-def test_what_is_not_a_number_is_a_gradient(width):
-    case = start((5, width))
-    case[1][:] = 0
-    case[1][1, width // 2], case[1][4, 0] = torch.nan, torch.inf
-    ours, theirs = step(case), step_on_cpu(case)
-    for got, want, before in zip(ours, theirs, (case[0], case[2], case[3])):
-        torch.testing.assert_close(got, want, rtol=1e-6, atol=1e-7, equal_nan=True)
-        assert same_bits(got[[0, 2, 3]], before[[0, 2, 3]])
-        assert not got[1, width // 2].isfinite()
+def test_many_tensors_step_at_once_as_each_alone():
+    """Tensors without numbers among them and at either end; each has a step number and a rate of its own."""
+    shapes = [(0, 3), *SHAPES, (3, 0), (5, 0, 2), *((1 + k % 3, 1 + k % 50) for k in range(260)), (0,)]
+    cases = [tuple(map(guarded, start(shape, seed))) for seed, shape in enumerate(shapes)]
+    number, rate = [1 + k % 5 for k in range(len(cases))], [RATE * (1 + k % 3) for k in range(len(cases))]
+    alone = [[t.clone() for t in case] for case in cases]
+    updates = [Update(g, p, m, v, n, r) for (p, g, m, v), n, r in zip(cases, number, rate)]
+    assert len(updates) > THREADS  # a block looks for its tensor in several rounds
+    assert not step_if_finite(Emulator(), CPU, updates, BETA1, BETA2, EPSILON).any()
+    for case, (p, g, m, v), n, r in zip(cases, alone, number, rate):
+        step_if_finite(Emulator(), CPU, [Update(g, p, m, v, n, r)], BETA1, BETA2, EPSILON)
+        assert all(map(is_intact, case))
+        assert all(same_bits(*pair) for pair in zip(case, (p, g, m, v)))
+
+
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("shape", [(), (2100,), (700, 3), (50, 48), (3, CHUNK), (3, 5000)], ids=str)
+def test_one_number_that_is_not_finite_stops_all(shape, value):
+    """First and last number, of a tensor that steps or is only checked."""
+    others = [start((40, 3)), start((2, CHUNK + 1))]
+    for place in (0, -1):
+        for moves in (True, False):
+            case = start(shape)
+            case[1].view(-1)[place] = value
+            cases = [others[0], case, others[1]]
+            before = [[t.clone() for t in each] for each in cases]
+            updates = [Update(g, p, m, v, 3, RATE) if moves or g is not case[1] else Update(g) for p, g, m, v in cases]
+            bad = step_if_finite(Emulator(), CPU, updates, BETA1, BETA2, EPSILON)
+            assert bad.tolist() == [True, False, True, False]
+            assert all(same_bits(*pair) for now, then in zip(cases, before) for pair in zip(now, then))
+
+
+def test_numbers_whose_sum_overflows_are_finite():
+    p, g, m, v = start((3, 5))
+    g[:] = 3e38
+    assert take(Emulator(), (p, g, m, torch.full_like(v, 1e38))) == [False, False]
+
+
+def test_tensors_that_are_only_checked_do_not_hold_up_the_others():
+    case, loss = start((300, 4)), torch.tensor(0.5)
+    want = step_on_cpu(case)
+    p, g, m, v = (t.clone() for t in case)
+    updates = [Update(loss), Update(torch.ones(3, 5000)), Update(g, p, m, v, 3, RATE), Update(g)]
+    assert not step_if_finite(Emulator(), CPU, updates, BETA1, BETA2, EPSILON).any()
+    for got, expected in zip((p, m, v), want):
+        torch.testing.assert_close(got, expected, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("shape", [(400, 3), (30, 45), (3, 5000)], ids=str)
@@ -142,75 +188,89 @@ def test_bit_equal_in_any_order_of_threads(shape):
             assert same_bits(now, before)
 
 
+@pytest.mark.parametrize("launcher", [Emulator(1), Emulator(3, CHECKED), Emulator(4, RACES)], ids=["order", "bounds", "races"])
+def test_many_tensors_in_any_order_of_threads(launcher):
+    """Also where many threads find what is not finite."""
+    shapes = [(700, 3), (), (3, 5000), (50, 48), (2, CHUNK)]
+    cases, plain = ([start(shape) for shape in shapes] for _ in range(2))
+    assert take(launcher, *cases) == take(Emulator(), *plain) == [False] * 6
+    assert all(same_bits(*pair) for now, then in zip(cases, plain) for pair in zip(now, then))
+    cases[0][1][:], cases[2][1][:] = torch.nan, torch.inf
+    assert take(launcher, *cases) == [True, True, False, True, False, False]
+
+
 def test_wrong_arguments_are_refused_and_no_rows_are_nothing_to_do():
     p = torch.ones(3, 2)
-
-    def call(*tensors, number=1):
-        adam_rows(Emulator(), *tensors, number, RATE, BETA1, BETA2, EPSILON)
-
-    with pytest.raises(ValueError, match="parameter's shape"):
-        call(p, torch.ones(3, 3), p, p)
-    with pytest.raises(ValueError, match="float32"):
-        call(p, p, p.double(), p)
+    with pytest.raises(ValueError, match=r"float32 \[3, 3\] on cpu, as is the gradient; got torch.float32 \[3, 2\] on cpu"):
+        take(Emulator(), (p, torch.ones(3, 3), p, p))
+    with pytest.raises(ValueError, match=r"got torch.float64 \[3, 2\]"):
+        take(Emulator(), (p, p, p.double(), p))
+    with pytest.raises(ValueError, match="not contiguous"):
+        take(Emulator(), (p, torch.ones(2, 3).T, p, p))
+    with pytest.raises(ValueError, match="on meta"):
+        take(Emulator(), (p, p.to("meta"), p, p))
+    with pytest.raises(ValueError, match="both moments"):
+        step_if_finite(Emulator(), CPU, [Update(p, p)], BETA1, BETA2, EPSILON)
     with pytest.raises(ValueError, match="number 1"):
-        call(p, p, p, p, number=0)
+        take(Emulator(), (p, p, p, p), number=0)
     for shape in ((0, 3), (3, 0)):
-        call(*(torch.ones(shape) for _ in range(4)))
+        assert take(Emulator(), [torch.ones(shape) for _ in range(4)]) == [False, False]
 
 
-class OnGpu(torch.Tensor):
-    """A tensor of the CPU that says it lies on a GPU."""
-
-    @property
-    def device(self):
-        return torch.device("cuda", 0)
-
-
-class Pretending(Emulator):
-    def launch(self, program, kernel, blocks, threads, *arguments):
-        plain = (a.as_subclass(torch.Tensor) if isinstance(a, torch.Tensor) else a for a in arguments)
-        super().launch(program, kernel, blocks, threads, *plain)
-
-
-def test_the_optimiser_steps_where_its_parameters_lie(monkeypatch):
-    shapes = {"a": (20, 3), "b": (3, 1500)}
+def test_the_optimiser_steps_where_its_parameters_lie():
+    """In two launches, without waiting, and as if a step that was not finite had not been."""
+    shapes = {"a.p": (20, 3), "b.wide": (3, 1500), "b.none": (0, 3), "c.frozen": (4,)}
     generator = torch.Generator().manual_seed(5)
     start = {name: torch.randn(shape, generator=generator) for name, shape in shapes.items()}
     grads = {name: torch.randn(shape, generator=generator) for name, shape in shapes.items()}
-    plain = {name: p.clone().requires_grad_() for name, p in start.items()}
-    there = {name: p.clone().as_subclass(OnGpu).requires_grad_() for name, p in start.items()}
-    with launching("cuda", Pretending()):
-        for named in (plain, there):
+    ends = []
+    with pretending_cuda() as pretending:
+        for device in ("cpu", "cuda"):
+            named = {name: p.clone().to(device).requires_grad_() for name, p in start.items()}
             adam = RowAdam(named, {name: lambda progress: 0.1 for name in named})
-            for _ in range(2):
+            for bad in (False, True, False):
                 for name, p in named.items():
-                    p.grad = grads[name].as_subclass(type(p))
-                if named is there:
-                    monkeypatch.setattr(_kernels, "adam_rows", None)
-                adam.step(0.0)
-    for name in shapes:
-        torch.testing.assert_close(there[name].as_subclass(torch.Tensor), plain[name], rtol=1e-6, atol=1e-6)
+                    p.grad = grads[name].to(device, copy=True)
+                if bad:
+                    named["c.frozen"].grad[1] = torch.inf
+                pretending.kernels.clear()
+                pretending.syncs.clear()
+                if device == "cuda":
+                    attempt = adam.step_if_finite({"the loss": torch.ones((), device=device)}, 0.0, frozenset({"c"}))
+                    assert pretending.kernels == ["check_gradients", "adam_rows"] and not pretending.syncs
+                    assert attempt.names == ["the loss", "a.p", "b.wide", "c.frozen"]
+                    assert attempt.bad.tolist() == [bad, False, False, False, bad]
+                    if bad:
+                        adam.uncount(attempt)
+                elif not bad:
+                    adam.step(0.0, frozenset({"c"}))
+                else:
+                    adam.zero_grad()
+                assert all(p.grad is None for p in named.values())
+            ends.append({name: p.detach().cpu() for name, p in named.items()} | {k: v.cpu() for k, v in adam.state().items()})
+    assert ends[0].keys() == ends[1].keys()
+    for name, want in ends[0].items():
+        torch.testing.assert_close(ends[1][name], want, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.cuda
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_on_a_gpu_a_step_is_that_of_the_cpu(shape):
-    case = start(shape)
-    p, g, m, v = (t.cuda() for t in case)
-    adam_rows(launcher_for(p.device), p, g, m, v, 3, RATE, BETA1, BETA2, EPSILON)
-    for got, want in zip((p, m, v), step_on_cpu(case)):
-        torch.testing.assert_close(got.cpu(), want, rtol=1e-6, atol=1e-6)
+def test_on_a_gpu_a_step_is_that_of_the_cpu():
+    cases = [start(shape, seed) for seed, shape in enumerate(SHAPES)]
+    there = [[t.cuda() for t in case] for case in cases]
+    device = there[0][0].device
+    assert not any(take(launcher_for(device), *there, device=device))
+    for (p, _, m, v), case in zip(there, cases):
+        for got, want in zip((p, m, v), step_on_cpu(case)):
+            torch.testing.assert_close(got.cpu(), want, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.cuda
-def test_on_a_gpu_a_graph_repeats_a_step():
-    case = start((300, 48))
-    p, g, m, v = (t.cuda() for t in case)
-    launcher = launcher_for(p.device)
-    adam_rows(launcher, p.clone(), g, m.clone(), v.clone(), 3, RATE, BETA1, BETA2, EPSILON)
-    graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):
-        adam_rows(launcher, p, g, m, v, 3, RATE, BETA1, BETA2, EPSILON)
-    graph.replay()
-    for got, want in zip((p, m, v), step_on_cpu(case)):
-        torch.testing.assert_close(got.cpu(), want, rtol=1e-6, atol=1e-6)
+@pytest.mark.parametrize("at", range(len(SHAPES)))
+def test_on_a_gpu_one_number_that_is_not_finite_stops_all(at):
+    there = [[t.cuda() for t in start(shape)] for shape in SHAPES]
+    there[at][1].view(-1)[-1] = torch.nan
+    before = [[t.clone() for t in case] for case in there]
+    device = there[0][0].device
+    bad = take(launcher_for(device), *there, device=device)
+    assert bad == [True, *(k == at for k in range(len(SHAPES)))]
+    assert all(same_bits(*pair) for now, then in zip(there, before) for pair in zip(now, then))

@@ -1,6 +1,7 @@
 """The proof that a GPU trains as the CPU does, on the emulator: it holds there, it launches every kernel, and it fails if one is wrong."""
 
 import re
+from ctypes import c_float
 from functools import cache, partial
 from pathlib import Path
 
@@ -18,7 +19,8 @@ NOT_BY_DEFAULT = {"sum_slots", "sum_links"}  # only with torch.use_deterministic
 
 
 class OneWrong(Emulator):
-    """An emulator in which one kernel is wrong: all floats that it writes are too large by a hundredth, all flags are inverted.
+    """An emulator in which one kernel is wrong: all floats that it is given as such or writes are too large by a hundredth, all flags are
+    inverted.
 
     of: only in programs whose features contain this name.
     """
@@ -31,6 +33,8 @@ class OneWrong(Emulator):
         spoiled = kernel == self.wrong and self.of in str(program)
         tensors = [argument for argument in arguments if isinstance(argument, torch.Tensor)] if spoiled else []
         before = [tensor.clone() for tensor in tensors]
+        if spoiled:  # a kernel may write to addresses in a table, which are not seen here
+            arguments = tuple(c_float(1.01 * a.value) if isinstance(a, c_float) else a for a in arguments)
         super().launch(program, kernel, blocks, threads, *arguments)
         for tensor, old in zip(tensors, before):
             if not torch.equal(tensor, old):  # it was written
@@ -60,8 +64,8 @@ def test_the_proof_holds_and_covers_every_kernel():
 @pytest.mark.parametrize(
     ("kernel", "named"),
     [
-        ("adam_narrow", "the step of gaussians"),
-        ("adam_wide", "the step of field.planes"),
+        ("adam_rows", "the step of gaussians"),
+        ("check_gradients", "the step of gaussians"),
         ("displace_backward", "the gradient of"),
         ("look_up", "the loss|the render|the gradient"),
         ("spread_lines", "the gradient of field.planes.time"),

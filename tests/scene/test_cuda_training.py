@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.model import Model
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
@@ -92,17 +91,3 @@ def test_primitives_of_their_own_life_train(views):
         log, trainer = trained(model.to("cuda"), there(views), phases=[Phase("moving", 30, move=True)])
     assert log.iterations == 30 and log.nonfinite_steps == 0
     assert float(trainer.model.gaussians.velocities.detach().abs().max()) > float(before.abs().max())
-
-
-def test_a_step_waits_for_the_device_a_few_times_only(views):
-    """Each wait lets the GPU run dry. Of a usual step: what moves and is in view, of each kind; the number of pairs; the guard's word."""
-    with pretending_cuda() as pretending:
-        model: Model = fresh(views).to("cuda")
-        quiet = QUICK.model_copy(update={"flow_every": 1000, "densify_every": 1000, "tv": 0.0, "rigid": 0.0, "inertia": 0.0})
-        trainer = Trainer(model, there(views), [Phase("moving", 100, move=True)], quiet, 90)
-        for step in range(1, 8):  # not the first one, which is logged
-            trainer.iteration = step
-            pretending.syncs.clear()
-            trainer._step(trainer.phases[0], step)
-        waits = [f"{sync.what} {sync.where}" for sync in pretending.syncs if sync.what not in ("upload",)]
-        assert len(waits) <= 5, waits

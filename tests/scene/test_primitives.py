@@ -156,6 +156,8 @@ def test_convexes_shrink_about_their_centroids_and_only_those_that_are_too_large
     corners = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
     shapes = np.stack([(0.2 * corners + 3).numpy(), (0.1 * corners).numpy(), (0.1001 * corners).numpy()]).astype(np.float32)
     convexes = ConvexSet.from_points(shapes, np.zeros((3, 3), np.float32), 0)
-    keep_small(convexes, 0.1)
+    keep_small(convexes, 0.1, unless=torch.tensor(True))
+    np.testing.assert_array_equal(convexes.points.detach(), shapes)
+    keep_small(convexes, 0.1, unless=torch.tensor(False))
     np.testing.assert_allclose(convexes.points.detach(), np.stack([0.1 * corners + 3, 0.1 * corners, 0.1 * corners]), atol=1e-6)
     assert convexes.points.requires_grad and convexes.points.is_leaf

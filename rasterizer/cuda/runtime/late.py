@@ -14,7 +14,7 @@ def read_later(value: Tensor) -> Callable[[], int]:
         return lambda: int(value)
     copy = value.to("cpu", non_blocking=True)
     arrived = torch.cuda.Event()
-    arrived.record()
+    arrived.record(torch.cuda.current_stream(value.device))
 
     def read() -> int:
         arrived.synchronize()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -17,6 +18,7 @@ from ..rates import learning_rates
 
 class LearnedModel:
     """``model``, whose parameters ``optimiser`` updates. ``changed``: the step at which primitives or the motion were last replaced.
+    ``before_change``: called before they are.
 
     unit: the viewing distance, world units. lr_scale: factor on the rates of parameters that an earlier stage has already trained.
     """
@@ -25,9 +27,11 @@ class LearnedModel:
         self.model, self._settings, self._unit, self._lr_scale = model, settings, unit, lr_scale
         self.optimiser = self._make_optimiser()
         self.changed = 0
+        self.before_change: Callable[[], None] = lambda: None
 
     def replace(self, new: PrimitiveSet, source: Tensor, step: int) -> None:
         """Continue with a new set of a kind. Row i keeps the optimiser's moments of old row ``source[i]``; at -1 it starts afresh."""
+        self.before_change()
         self.changed = step
         if isinstance(new, GaussianSet):
             self.model.gaussians = new
@@ -39,6 +43,7 @@ class LearnedModel:
 
     def renew(self, motion: Any, step: int) -> None:
         """Continue with another motion, which may share parameters with the previous one."""
+        self.before_change()
         self.changed = step
         self.model.field = motion
         self.model.relink()

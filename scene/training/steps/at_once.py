@@ -1,0 +1,33 @@
+"""Steps on the CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from ..control.learned_model import LearnedModel
+from ..guard import NonFiniteGuard
+from ..optimiser import Rows
+from .step import Step
+
+
+class StepsAtOnce:
+    """`Steps` that are judged before the optimiser is called."""
+
+    def __init__(self, learned: LearnedModel, guard: NonFiniteGuard, report: Callable[[Step, bool], None]) -> None:
+        self._learned, self._guard, self._report = learned, guard, report
+
+    def take(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
+        optimiser = self._learned.optimiser
+        taken = self._guard.accepts(step.loss, optimiser.parameters() | rows.named(), step.number, step.frame)
+        if taken:
+            optimiser.step(progress, frozen, rows)
+        else:
+            optimiser.zero_grad()
+        self._report(step, taken)
+        return torch.tensor(not taken)
+
+    def settle(self) -> None:
+        """Nothing is left to report."""

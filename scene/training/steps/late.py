@@ -1,0 +1,63 @@
+"""Steps on a CUDA device, which runs behind the host."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..control.learned_model import LearnedModel
+from ..guard import NonFiniteGuard
+from ..optimiser import Attempt, Rows
+from .step import Step
+
+LATEST = 8  # steps after which an answer is waited for
+
+
+@dataclass(frozen=True, eq=False)
+class _Sent:
+    """A step that the device has been sent. answer: what its attempt found, in memory of the host, once ``there`` has happened."""
+
+    step: Step
+    attempt: Attempt
+    answer: Tensor
+    there: torch.cuda.Event
+
+
+class LateSteps:
+    """`Steps` that the device judges and takes by itself. What it found is read some steps later, so that the host does not wait for it.
+
+    Until then, a step that was not taken counts for the bias correction of Adam in the steps after it.
+    """
+
+    def __init__(self, learned: LearnedModel, guard: NonFiniteGuard, report: Callable[[Step, bool], None]) -> None:
+        self._learned, self._guard, self._report = learned, guard, report
+        self._sent: deque[_Sent] = deque()
+
+    def take(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
+        assert rows.index is None, "a CUDA device computes with all rows"
+        attempt = self._learned.optimiser.step_if_finite({"the loss": step.loss}, progress, frozen)
+        answer, there = attempt.bad.to("cpu", non_blocking=True), torch.cuda.Event()
+        there.record(torch.cuda.current_stream(attempt.bad.device))
+        self._sent.append(_Sent(step, attempt, answer, there))
+        while self._sent and (len(self._sent) > LATEST or self._sent[0].there.query()):
+            self._read()
+        return attempt.bad[0]
+
+    def settle(self) -> None:
+        while self._sent:
+            self._read()
+
+    def _read(self) -> None:
+        """Read the oldest answer."""
+        sent = self._sent.popleft()
+        sent.there.synchronize()
+        bad, *each = sent.answer.tolist()
+        if bad:
+            self._learned.optimiser.uncount(sent.attempt)
+        gradients = [name for name, found in zip(sent.attempt.names[1:], each[1:]) if found]
+        self._guard.judged(not bad, gradients, sent.step.loss, sent.step.number, sent.step.frame)
+        self._report(sent.step, not bad)
