@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "blend.h"
+#include "driver.h"
 #include "state.h"
 
 namespace nb = nanobind;
@@ -164,6 +165,7 @@ NB_MODULE(_cpu, m) {
     m.def("forward", &forward, nb::arg("camera"), nb::arg("gaussians"), nb::arg("convexes"), nb::arg("frame"), nb::arg("keep"), nb::arg("threads"));
     m.def("backward", &backward_frame, nb::arg("frame"), nb::arg("grad"), nb::arg("camera"), nb::arg("gaussians"), nb::arg("convexes"),
           nb::arg("threads"));
+    add_launching(m);
     m.def("kernels", [] { return std::string(kernels().name); }, "The instruction set in use: avx512, avx2 or baseline.");
     m.def("select_kernels", [](const std::string& name) { return select_kernels(name.c_str()); }, nb::arg("name"),
           "Use another instruction set; False where the processor or the build lacks it.");

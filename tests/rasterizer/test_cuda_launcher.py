@@ -67,6 +67,8 @@ def driver(monkeypatch):
         def set_current(self):
             driver.contexts.append((threading.current_thread().name, self.index))
 
+    monkeypatch.setattr(cuda_launcher, "_cpu", types.SimpleNamespace(can_launch=lambda *types: False))
+
     def launch(stream, config, kernel, *arguments):
         if driver.error:
             raise ValueError(driver.error)

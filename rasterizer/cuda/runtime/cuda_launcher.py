@@ -9,6 +9,7 @@ from typing import Any, get_args
 import torch
 from torch import Tensor
 
+from ... import _cpu  # type: ignore[attr-defined]
 from . import cache
 from .arguments import Argument, Scalar
 from .program import Program
@@ -48,7 +49,8 @@ class CudaLauncher:
         major, minor = torch.cuda.get_device_capability(device)
         self.arch = f"sm_{major}{minor}"
         self._Device, self._LaunchConfig, self._Stream, self._launch = Device, LaunchConfig, Stream, launch
-        self._kernels: dict[tuple[Program, str], Any] = {}
+        self._kernels: dict[tuple[Program, str], tuple[Any, int]] = {}  # with their addresses, 0 if they are launched by cuda-core
+        self._native = _cpu.can_launch(Tensor, c_float, c_double, c_uint64)
         self._configs: dict[tuple[int, int], Any] = {}
         self._streams: dict[int, Any] = {}
 
@@ -59,9 +61,8 @@ class CudaLauncher:
             raise ValueError(
                 f"kernel {kernel} wants {blocks} blocks, and a grid has at most {MAX_BLOCKS}; render fewer primitives or pixels"
             )
-        values = self._values(kernel, arguments)
         if torch.cuda.current_device() == self.index and self.index in _THREAD.devices:
-            self._run(program, kernel, blocks, threads, values)
+            self._run(program, kernel, blocks, threads, arguments)
             return
         with torch.cuda.device(self.index):
             if self.index not in _THREAD.devices:
@@ -69,18 +70,22 @@ class CudaLauncher:
                 # context stays current: torch uses the same (primary) contexts when it switches devices later.
                 self._Device(self.index).set_current()
                 _THREAD.devices.add(self.index)
-            self._run(program, kernel, blocks, threads, values)
+            self._run(program, kernel, blocks, threads, arguments)
 
     def prepare(self, program: Program) -> None:
         """Compile a program, or find it in the cache, without loading it."""
         cache.compiled(program, self.arch)
 
-    def _run(self, program: Program, kernel: str, blocks: int, threads: int, values: list[Any]) -> None:
-        ready = self._kernels.get((program, kernel)) or self._load(program, kernel)
+    def _run(self, program: Program, kernel: str, blocks: int, threads: int, arguments: tuple[Argument, ...]) -> None:
+        ready, address = self._kernels.get((program, kernel)) or self._load(program, kernel)
+        handle = _current_stream(self.index)
+        # What is wrong with a launch that fails here, the slow way below finds out and says.
+        if address and _cpu.launch(address, blocks, threads, handle, self.index, arguments) == 0:
+            return
+        values = self._values(kernel, arguments)
         config = self._configs.get((blocks, threads))
         if config is None:
             config = _remember(self._configs, (blocks, threads), self._LaunchConfig(grid=blocks, block=threads))
-        handle = _current_stream(self.index)
         stream = self._streams.get(handle)
         if stream is None:
             stream = _remember(self._streams, handle, self._Stream.from_handle(handle))
@@ -115,7 +120,7 @@ class CudaLauncher:
                 )
         return values
 
-    def _load(self, program: Program, kernel: str) -> Any:
+    def _load(self, program: Program, kernel: str) -> tuple[Any, int]:
         from cuda.core import ObjectCode
 
         if torch.cuda.is_current_stream_capturing():
@@ -136,8 +141,8 @@ class CudaLauncher:
                 raise RuntimeError(
                     f"kernel {kernel} of {program} could not be loaded on {self.device}: {cause}; the program has {known}"
                 ) from cause
-        self._kernels[program, kernel] = ready
-        return ready
+        self._kernels[program, kernel] = found = ready, int(ready.handle) if self._native else 0
+        return found
 
 
 def _stream_object(index: int) -> int:
