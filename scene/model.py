@@ -51,6 +51,7 @@ class Model:
         self.affine = affine
         self.antialiased = antialiased
         self._links: dict[str, tuple[PrimitiveSet, Tensor | None]] = {}
+        self._moved: dict[str, tuple[Tensor, int, Tensor]] = {}
 
     @property
     def device(self) -> torch.device:
@@ -167,10 +168,12 @@ class Model:
         moving = primitives.dynamic
         if camera is not None and len(primitives) and self.field is not None and self.field.worth_culling:
             centres = primitives.rest_points().reshape(len(primitives), -1, 3).mean(1)
-            moving = moving & inside_image(camera, centres, margin)
-        if bool(moving.all()):  # the usual case in small scenes; takes a third of the time
-            return torch.arange(len(moving), device=moving.device)
-        return moving.nonzero()[:, 0]
+            return indices(moving & inside_image(camera, centres, margin))
+        # Who is dynamic seldom changes, and asking makes the host wait for a GPU.
+        known = self._moved.get(primitives.KIND)
+        if known is None or known[0] is not moving or known[1] != moving._version:
+            known = self._moved[primitives.KIND] = moving, moving._version, indices(moving)
+        return known[2]
 
     def render(self, camera: Camera, time: float, background: Tensor | None = None, backend: str = "auto") -> Frame:
         """One view at ``time`` in [0, 1], without gradients, as the mean camera would record it. ``background`` [3] in [0, 1]; None uses
@@ -229,6 +232,13 @@ class Model:
 def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes | FreeMotion:
     """The motion with this `state_dict` and ``config``. Raises KeyError if something is missing."""
     return KINDS[config["kind"]].from_state(dict(state), dict(config))
+
+
+def indices(chosen: Tensor) -> Tensor:
+    """Where ``chosen`` [N] bool is True: [m] int64."""
+    if bool(chosen.all()):  # the usual case in small scenes; takes a third of the time
+        return torch.arange(len(chosen), device=chosen.device)
+    return chosen.nonzero()[:, 0]
 
 
 @torch.no_grad()

@@ -23,7 +23,7 @@ def with_depth(camera: Camera, gaussians: Gaussians, convexes: Convexes, unit: f
     """Both kinds with two extras: z in units of ``unit``, relative to the mean of the Gaussians, and its square. For a Gaussian they are
     taken at its centre. For a convex they are means over its points, because parts that stick out behind an opaque front are invisible in
     the training views but not in others."""
-    pose = camera.cam_from_world.to(gaussians.means)
+    pose = camera.cam_from_world.to(gaussians.means, non_blocking=True)
     depths = [points @ pose[2, :3] + pose[2, 3] for points in (gaussians.means[:, None], convexes.points)]
     origin = depths[0].detach().mean() if len(depths[0]) else 0.0
     extras = [torch.stack([z.mean(1), z.square().mean(1)], 1) for z in ((depth - origin) / unit for depth in depths)]

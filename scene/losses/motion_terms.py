@@ -84,6 +84,9 @@ class MotionTerms:
     def _priors(self, model: Model, t: float, iteration: int) -> Tensor:
         s = self.settings
         assert model.field is not None
+        if not model.field.priors_at_places:
+            none = model.gaussians.means.detach()[:0]
+            return motion_priors(model.field, none, none, t, self.dt, self.unit, s.rigid, self.inertia)
         generator = torch.Generator().manual_seed(s.seed * 1_000_003 + iteration)
         moving = model.gaussians.dynamic.nonzero()[:, 0]
         if not len(moving):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
@@ -41,9 +40,9 @@ class SharedCourses(nn.Module):
         """[B, 7, RANK] weights at places [B, 33] as returned by `encode_places`."""
         return through(self.place, encoded).view(len(encoded), OUTPUTS, RANK) * RANK**-0.5
 
-    def courses(self, times: Sequence[float]) -> Tensor:
-        """[T, RANK] courses at ``times``, each clamped to [0, 1]."""
-        return through(self.time, encode_times(times, next(self.parameters())))
+    def courses(self, times: Tensor) -> Tensor:
+        """[T, RANK] courses at ``times`` [T] in [0, 1]."""
+        return through(self.time, encode_times(times))
 
 
 def encode_places(places: Tensor) -> Tensor:
@@ -51,9 +50,9 @@ def encode_places(places: Tensor) -> Tensor:
     return encode(places, PLACE_BANDS)
 
 
-def encode_times(times: Sequence[float], like: Tensor) -> Tensor:
-    """Positional encoding [T, 13] of ``times``, each clamped to [0, 1], with the type and device of ``like``."""
-    return encode(like.new_tensor([[min(max(float(t), 0.0), 1.0)] for t in times]), TIME_BANDS)
+def encode_times(times: Tensor) -> Tensor:
+    """Positional encoding [T, 13] of ``times`` [T] in [0, 1]."""
+    return encode(times[:, None], TIME_BANDS)
 
 
 def encode(x: Tensor, bands: int) -> Tensor:

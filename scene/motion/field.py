@@ -37,6 +37,7 @@ class DeformationField(nn.Module):
 
     worth_culling = True
     steady = False
+    priors_at_places = True
 
     def __init__(
         self,

@@ -23,6 +23,7 @@ class FreeMotion(nn.Module):
 
     worth_culling = False
     steady = True
+    priors_at_places = False
 
     def __init__(self, times: int) -> None:
         super().__init__()

@@ -46,6 +46,7 @@ class Motion(Protocol):
 
     worth_culling: bool  # whether leaving out positions outside the image saves time
     steady: bool  # motion is steady by construction, so that the priors do not apply
+    priors_at_places: bool  # whether `priors` looks at the places that it is given
 
     def links(self, points: Tensor, hyper: Tensor) -> Tensor | None:
         """[N, k] int32: which parts of the motion carry each of ``points`` [N, 3] with ``hyper`` [N, 2]; None if it has no parts. This

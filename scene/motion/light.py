@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
+from ..cuda.over_time import OverTime
 from ..primitives import SHADES
 from .courses import TIME_BANDS, encode_times, layers, through
 
@@ -21,7 +24,14 @@ class Light(nn.Module):
     def __init__(self, seed: int = 0) -> None:
         super().__init__()
         self.courses = nn.ModuleList(layers([1 + 2 * TIME_BANDS, WIDTH, SHADES], torch.Generator().manual_seed(seed)))
+        self._at = OverTime(lambda times: (through(self.courses, encode_times(times)),), self.parameters)
 
     def forward(self, t: float) -> Tensor:
         """[SHADES] courses of light at ``t``, clamped to [0, 1]."""
-        return through(self.courses, encode_times([t], next(self.parameters())))[0]
+        return self._at([t])[0][0]
+
+    def _apply(self, *args: Any, **kwargs: Any) -> Light:
+        """Where torch moves a module or changes its type."""
+        super()._apply(*args, **kwargs)
+        self._at.forget()
+        return self

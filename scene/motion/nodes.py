@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ..cuda.over_time import OverTime
 from ..primitives import HYPER
 from ..rotation import rotate
 from .courses import SharedCourses, encode_places
@@ -44,6 +45,7 @@ class ControlNodes(nn.Module):
 
     worth_culling = False  # projecting a position into the image takes as long as skinning it
     steady = False
+    priors_at_places = False
     positions: Tensor
     centre: Tensor
 
@@ -70,6 +72,8 @@ class ControlNodes(nn.Module):
         self.hyper = nn.Parameter(beside)
         self.rigid_parts = RigidParts.none(positions.device) if rigid_parts is None else rigid_parts
         self._known: dict[str, Tensor] = {}
+        self._poses = OverTime(self._poses_at, lambda: self.network.parameters())
+        self._restlessness = OverTime(self._restlessness_at, lambda: self.network.parameters())
 
     @property
     def config(self) -> dict[str, object]:
@@ -105,22 +109,28 @@ class ControlNodes(nn.Module):
         """How much the graph of the nodes is strained at ``t``, as a mean share of its edges' lengths, and how much nodes change course
         over ``dt``. ``rest`` and ``neighbours`` are not used."""
         if dt <= 0 or dt > 0.5:
-            return self._strain(self.at(t)), torch.zeros((), device=self.positions.device)
+            now = self.at(t)
+            return self._strain(now.turns, now.shifts), torch.zeros((), device=self.positions.device)
         middle = min(max(t, dt), 1 - dt)
-        now, before, here, after = self.at_times([t, middle - dt, middle, middle + dt])
-        shifts = (before.shifts - 2 * here.shifts + after.shifts).norm(dim=1).mean() / self.reach
-        turning = (before.turns - 2 * here.turns + after.turns).norm(dim=1).mean()
-        return self._strain(now), shifts + turning + RIGID_COURSE * self.rigid_parts.course(self.extent)
+        strain, course = self._restlessness([t, middle - dt, middle, middle + dt])
+        return strain, course + RIGID_COURSE * self.rigid_parts.course(self.extent)
 
-    def _strain(self, nodes: Nodes) -> Tensor:
+    def _restlessness_at(self, times: Tensor) -> tuple[Tensor, ...]:
+        """Strain at the first of ``times`` [4], and change of course over the other three: two scalars."""
+        turns, shifts = self._poses_at(times)
+        change = (shifts[1] - 2 * shifts[2] + shifts[3]).norm(dim=1).mean() / self.reach
+        turning = (turns[1] - 2 * turns[2] + turns[3]).norm(dim=1).mean()
+        return self._strain(turns[0], shifts[0]), change + turning
+
+    def _strain(self, turns: Tensor, shifts: Tensor) -> Tensor:
         """Strain of the graph, a scalar: how far edges are from turning with the node that they start from, relative to their lengths."""
         if len(self.positions) < 2:
             return torch.zeros((), device=self.positions.device)
         edge = self.graph()
         at_rest = self.positions[edge] - self.positions[:, None]
-        turns = nodes.turns[:, None].expand(*edge.shape, 4).reshape(-1, 4)
+        turns = turns[:, None].expand(*edge.shape, 4).reshape(-1, 4)
         turned = rotate(turns, at_rest.reshape(-1, 3)).reshape(at_rest.shape)
-        now = self.positions + nodes.shifts
+        now = self.positions + shifts
         strain = (now[edge] - now[:, None] - turned).norm(dim=2) / at_rest.norm(dim=2).clamp(min=1e-6)
         return strain.mean()
 
@@ -137,13 +147,14 @@ class ControlNodes(nn.Module):
     def at_times(self, times: Sequence[float]) -> list[Nodes]:
         """`at` for each of ``times``."""
         resting = self._resting()
-        outputs = OUTPUT * torch.einsum("bor,tr->tbo", self.network.weights(self._place()), self.network.courses(times))
-        nodes = []
-        for out in outputs:
-            quats = torch.cat([1 + out[:, :1], out[:, 1:4]], 1)
-            turns = quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6)
-            nodes.append(resting._replace(turns=turns, shifts=self.reach * out[:, 4:]))
-        return nodes
+        turns, shifts = self._poses(times)
+        return [resting._replace(turns=turn, shifts=shift) for turn, shift in zip(turns, shifts)]
+
+    def _poses_at(self, times: Tensor) -> tuple[Tensor, ...]:
+        """Unit quaternions [T, B, 4] and shifts [T, B, 3] of the nodes at ``times`` [T]."""
+        out = OUTPUT * torch.einsum("bor,tr->tbo", self.network.weights(self._place()), self.network.courses(times))
+        quats = torch.cat([1 + out[..., :1], out[..., 1:4]], 2)
+        return quats / quats.norm(dim=2, keepdim=True).clamp(min=1e-6), self.reach * out[..., 4:]
 
     def graph(self) -> Tensor:
         """[B, k] indices of each node's nearest neighbours."""
@@ -162,13 +173,18 @@ class ControlNodes(nn.Module):
     def _apply(self, *args: Any, **kwargs: Any) -> ControlNodes:
         """Where torch moves a module or changes its type."""
         super()._apply(*args, **kwargs)
-        self._known.clear()
+        self._forget()
         return self
 
     def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         """Where torch gives a module its part of a state."""
         super()._load_from_state_dict(*args, **kwargs)
+        self._forget()
+
+    def _forget(self) -> None:
         self._known.clear()
+        self._poses.forget()
+        self._restlessness.forget()
 
     def _resting(self) -> Nodes:
         none = self.positions.new_zeros(0)

@@ -25,6 +25,7 @@ class Path(torch.nn.Module):
 
     worth_culling = True
     steady = False
+    priors_at_places = True
     carry, light = DeformationField.carry, DeformationField.light  # by its displacement
 
     def links(self, points, hyper):

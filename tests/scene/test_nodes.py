@@ -101,7 +101,7 @@ def test_a_place_takes_its_share_of_the_courses():
     with torch.no_grad():
         network.place[-1].weight.normal_(0, 0.5, generator=torch.Generator().manual_seed(1))
     places, times = torch.rand(5, 3, dtype=torch.float64) * 2 - 1, [0.0, 0.3, 1.0]
-    weights, courses = network.weights(encode_places(places)), network.courses(times)
+    weights, courses = network.weights(encode_places(places)), network.courses(torch.tensor(times, dtype=torch.float64))
 
     def through(layers, x):
         for number, layer in enumerate(layers):
