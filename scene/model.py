@@ -15,7 +15,7 @@ from .colour import CameraAffine
 from .motion.field import DeformationField
 from .motion.free import FreeMotion
 from .motion.in_view import in_view
-from .motion.interface import Rest
+from .motion.interface import Rest, Time
 from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 
@@ -51,6 +51,7 @@ class Model:
         self.affine = affine
         self.antialiased = antialiased
         self._links: dict[str, tuple[PrimitiveSet, Tensor | None]] = {}
+        self._stale: set[str] = set()
         self._moved: dict[str, tuple[Tensor, int, Tensor]] = {}
 
     @property
@@ -66,7 +67,7 @@ class Model:
         self.relink()
         return self
 
-    def at(self, t: float, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None) -> tuple[Gaussians, Convexes]:
+    def at(self, t: Time, camera: Camera | None = None, move: bool = True, sh_degree: int | None = None) -> tuple[Gaussians, Convexes]:
         """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
 
         Only dynamic primitives move. If a ``camera`` is given, and culling pays off for this motion, those whose rest position it cannot
@@ -79,11 +80,11 @@ class Model:
         light = None
         field = self.field if move else None
         if isinstance(field, FreeMotion):
-            means, turned, shown = field.alive(g, t)
+            means, turned, shown = field.alive(g, float(t))
             assert turned is not None
             quats = turned
             if len(c):
-                points, _, convex_shown = field.alive(c, t)
+                points, _, convex_shown = field.alive(c, float(t))
         elif field is not None:
             light = field.light(t)
             index = self._moving(g, camera, margin=0.25)
@@ -104,21 +105,43 @@ class Model:
         convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), convex_shown, sh=c.sh(degree, light))
         return gaussians, convexes
 
+    def named_parameters(self) -> dict[str, Tensor]:
+        """Everything that is trained, by name: "gaussians.means", ..., "field.network.place.0.weight", ..."""
+        named = {f"{s.KIND}.{name}": p for s in (self.gaussians, self.convexes) for name, p in s.parameters.items()}
+        for kind, part in (("field", self.field), ("affine", self.affine)):
+            named |= {} if part is None else {f"{kind}.{name}": p for name, p in part.named_parameters()}
+        return named
+
+    def twin(self) -> Model:
+        """This model in the same memory, whose Gaussians and convexes are leaves of their own."""
+        sets = [type(s)(s.parameters, s.dynamic) for s in (self.gaussians, self.convexes)]
+        twin = Model(*sets, *self._rest_of_it())  # type: ignore[arg-type]
+        for own, other in zip((self.gaussians, self.convexes), sets):
+            if self.field is not None:
+                self._moving(own, None, 0.0)
+                link = self.links(own)
+                if link is not None:
+                    twin.set_links(other, link)
+        twin._moved = dict(self._moved)
+        return twin
+
     def with_gaussians(self, gaussians: GaussianSet) -> Model:
         """This model with other ``gaussians``; everything else is shared."""
-        same = self.convexes, self.field, self.sh_degree, self.near, self.background, self.affine, self.antialiased
-        return Model(gaussians, *same)
+        return Model(gaussians, self.convexes, *self._rest_of_it())
 
-    def in_view(self, t: float, camera: Camera, tiles: Tensor | None = None, move: bool = True) -> Tensor | None:
+    def _rest_of_it(self) -> tuple[Any, ...]:
+        return self.field, self.sh_degree, self.near, self.background, self.affine, self.antialiased
+
+    def in_view(self, t: Time, camera: Camera, tiles: Tensor | None = None, move: bool = True) -> Tensor | None:
         """[m] int64: the Gaussians that ``camera`` may show at time ``t``, if that can be told without moving them all; else None.
         ``tiles``: what is drawn, as `rasterize` takes it."""
         if self.device.type != "cpu" or not isinstance(self.field, FreeMotion | None):
             return None  # a GPU would have to wait for the number found
-        return in_view(self.gaussians, camera, self.field.frame(t) if self.field is not None and move else None, tiles)
+        return in_view(self.gaussians, camera, self.field.frame(float(t)) if self.field is not None and move else None, tiles)
 
-    def opacities_at(self, t: float, move: bool = True) -> Tensor:
+    def opacities_at(self, t: Time, move: bool = True) -> Tensor:
         """[N] opacities of all Gaussians at time ``t``, in view or not, attached to autograd."""
-        return self.field.opacities(self.gaussians, t) if isinstance(self.field, FreeMotion) and move else self.gaussians.opacities
+        return self.field.opacities(self.gaussians, float(t)) if isinstance(self.field, FreeMotion) and move else self.gaussians.opacities
 
     def centres_at(self, index: Tensor, t: float) -> Tensor:
         """[m, 3] centres of the Gaussians ``index`` at time ``t``, moved whether they are dynamic or not."""
@@ -131,21 +154,27 @@ class Model:
 
     def relink(self) -> None:
         """Search again for the parts of the motion that carry each primitive; call this after rest positions have changed."""
-        self._links.clear()
+        self._stale.update(self._links)
 
     def links(self, primitives: PrimitiveSet) -> Tensor | None:
         """`Motion.links` of all rest points of this model's Gaussians or convexes, cached until `relink` or until the set is replaced."""
         assert self.field is not None
         known = self._links.get(primitives.KIND)
-        if known is None or known[0] is not primitives:
-            points = primitives.rest_points().detach()
-            hyper = primitives.hyper.detach().repeat_interleave(len(points) // max(len(primitives), 1), 0)
-            known = self._links[primitives.KIND] = primitives, self.field.links(points, hyper)
-        return known[1]
+        if known is not None and known[0] is primitives and primitives.KIND not in self._stale:
+            return known[1]
+        points = primitives.rest_points().detach()
+        hyper = primitives.hyper.detach().repeat_interleave(len(points) // max(len(primitives), 1), 0)
+        link, old = self.field.links(points, hyper), known[1] if known is not None else None
+        if link is not None and old is not None and link.shape == old.shape and link.device == old.device:
+            link = old.copy_(link)  # a CUDA graph of a step reads it there
+        self._links[primitives.KIND] = primitives, link
+        self._stale.discard(primitives.KIND)
+        return link
 
     def set_links(self, primitives: PrimitiveSet, link: Tensor) -> None:
         """Continue with ``link`` from a checkpoint."""
         self._links[primitives.KIND] = primitives, link
+        self._stale.discard(primitives.KIND)
 
     def _rest(self, index: Tensor, convex_index: Tensor) -> Rest:
         """The Gaussians ``index`` and the corners of the convexes ``convex_index``."""

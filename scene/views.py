@@ -76,6 +76,14 @@ class Views:
     )  # on `device`, unless that is the CPU
     _there_bytes: int = 0
 
+    def moment(self, i: int) -> float:
+        """Time of frame ``i`` in [0, 1]."""
+        return float(self.time[i])
+
+    def backdrop(self) -> Tensor:
+        """`background` as a tensor [3] on the CPU."""
+        return torch.tensor(self.background)
+
     def recorded_by(self, i: int) -> int:
         """Number shared by the frames with the same exposure and white balance as frame ``i``."""
         return int((self.camera if self.recorder is None else self.recorder)[i])
@@ -101,8 +109,8 @@ class Views:
 
     def window(self, i: int, scale: float = 1.0) -> Window | None:
         """Left, top, right, bottom of the part of frame ``i`` that its alpha fills, with a margin, in px at ``scale``. None if that is most
-        of the image or unknown."""
-        if self.load_alpha is None:
+        of the image or unknown, and on a GPU, which draws a whole image in about the same time."""
+        if self.load_alpha is None or self.device != "cpu":
             return None
         if i not in self._windows:
             self._windows[i] = filled_window(self._image(i, 1.0, "alpha"))

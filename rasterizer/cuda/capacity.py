@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
 import torch
+from torch import Tensor
 
 from .state import Inputs
 
@@ -41,3 +46,41 @@ def took(inputs: Inputs, pairs: int) -> None:
     key = inputs.device, inputs.width, inputs.height
     most, lately = _TAKEN.get(key, (0, 0.0))
     _TAKEN[key] = max(pairs, most), max(pairs, FORGET * lately)
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """A frame in a CUDA graph, which has ``room`` for pairs. ends: its running sums of pairs, as of the last replay."""
+
+    key: tuple[torch.device, int, int]
+    room: int
+    ends: Tensor
+
+    def overflowed(self) -> bool:
+        """Whether the last replay left pairs out; then the next graph gets more room. Waits for the device."""
+        pairs = int(self.ends[-1]) if len(self.ends) else 0
+        if pairs <= self.room:
+            return False
+        most, lately = _TAKEN.get(self.key, (0, 0.0))
+        _TAKEN[self.key] = max(pairs, most), lately
+        return True
+
+
+_WATCHED: list[list[Watched]] = []  # of every `watching` that is entered
+
+
+@contextmanager
+def watching() -> Iterator[list[Watched]]:
+    """Inside, collects the frames that are captured."""
+    frames: list[Watched] = []
+    _WATCHED.append(frames)
+    try:
+        yield frames
+    finally:
+        _WATCHED.pop()
+
+
+def captured(inputs: Inputs, room: int, ends: Tensor) -> None:
+    """Tell who is `watching` of a frame in a capture."""
+    for frames in _WATCHED:
+        frames.append(Watched((inputs.device, inputs.width, inputs.height), room, ends))

@@ -30,6 +30,7 @@ def forward(launcher: Launcher, inputs: Inputs, keep: bool, deterministic: bool)
     sorted_ = _sort(launcher, inputs)
     room = capacity.room_in_graph(inputs)
     if room is not None:
+        capacity.captured(inputs, room, sorted_.ends)
         state = _lists(launcher, inputs, sorted_, deterministic, room)
         return _blend(launcher, inputs, state, keep), state
     needed, room = read_later(sorted_.ends[-1:]) if inputs.n + inputs.m else lambda: 0, capacity.likely_room(inputs)

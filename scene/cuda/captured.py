@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
+
+from .leaves import own_leaves
 
 WARM_UP = 2  # runs before the capture, in which libraries take the memory that they keep
 
 
 class Captured:
-    """``function`` of a tensor like ``given``, differentiable in ``parameters``, as one graph for its value and one for its gradients.
+    """``function`` of a tensor like ``given``, differentiable in the parameters of ``module``, as one graph for its value and one for its
+    gradients.
 
     function: maps a CUDA tensor to a tuple of float tensors. It must not wait for the device, and all that it reads besides ``given`` must
         stay where it is: the parameters are updated in place. Each of them must have a part in the result.
@@ -21,33 +24,38 @@ class Captured:
     Calls may follow one another before their backward passes: the graph of the gradients computes the value again.
     """
 
-    def __init__(self, function: Callable[[Tensor], tuple[Tensor, ...]], parameters: Sequence[Tensor], given: Tensor) -> None:
-        self.parameters = tuple(parameters)
+    def __init__(self, function: Callable[[Tensor], tuple[Tensor, ...]], module: nn.Module, given: Tensor) -> None:
+        self.parameters = tuple(module.parameters())
         self.given = given.detach().clone()
+        with own_leaves(module):
+            self._capture(function, tuple(module.parameters()))
+        self.sizes = [p.numel() for p in self.parameters]
+
+    def _capture(self, function: Callable[[Tensor], tuple[Tensor, ...]], leaves: tuple[Tensor, ...]) -> None:
+        def gradients(incoming: list[Tensor]) -> tuple[Tensor, ...]:
+            with torch.enable_grad():
+                return torch.autograd.grad(function(self.given), leaves, incoming)
+
+        given = self.given
         here = torch.cuda.current_stream(given.device)
         aside = torch.cuda.Stream(given.device)
         aside.wait_stream(here)
         with torch.cuda.stream(aside):
             for _ in range(WARM_UP):
-                self._gradients(function, [torch.zeros_like(out) for out in function(self.given)])
+                gradients([torch.zeros_like(out) for out in function(given)])
         here.wait_stream(aside)
         self.forward, self.backward = torch.cuda.CUDAGraph(), torch.cuda.CUDAGraph()
         # thread_local: what other threads do, such as a viewer that renders, does not end the capture.
         with torch.no_grad(), torch.cuda.graph(self.forward, capture_error_mode="thread_local"):
-            self.results = function(self.given)
+            self.results = function(given)
         self.incoming = [torch.zeros_like(result) for result in self.results]
         with torch.cuda.graph(self.backward, capture_error_mode="thread_local"):
-            self.outgoing = torch.cat([gradient.flatten() for gradient in self._gradients(function, self.incoming)])
-        self.sizes = [p.numel() for p in self.parameters]
+            self.outgoing = torch.cat([gradient.flatten() for gradient in gradients(self.incoming)])
 
     def __call__(self, given: Tensor) -> tuple[Tensor, ...]:
         """``given`` may be on the CPU; it gets no gradient."""
         results: tuple[Tensor, ...] = _Replay.apply(self, given, *self.parameters)
         return results
-
-    def _gradients(self, function: Callable[[Tensor], tuple[Tensor, ...]], incoming: list[Tensor]) -> tuple[Tensor, ...]:
-        with torch.enable_grad():
-            return torch.autograd.grad(function(self.given), self.parameters, incoming)
 
 
 class _Replay(torch.autograd.Function):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from .captured import Captured
 
@@ -13,24 +13,25 @@ Function = Callable[[Tensor], tuple[Tensor, ...]]
 
 
 class OverTime:
-    """``function`` of times [T], each clamped to [0, 1], and of what ``parameters`` returns.
+    """``function`` of times [T], each clamped to [0, 1], and of the parameters of what ``module`` returns.
 
     What else the function reads must not change; `forget` after it has.
     """
 
-    def __init__(self, function: Function, parameters: Callable[[], Iterable[Tensor]]) -> None:
-        self._function, self._parameters = function, parameters
+    def __init__(self, function: Function, module: Callable[[], nn.Module]) -> None:
+        self._function, self._module = function, module
         self._captured: dict[int, Function] = {}
 
-    def __call__(self, times: Sequence[float]) -> tuple[Tensor, ...]:
-        parameters = tuple(self._parameters())
-        given = torch.tensor([min(max(float(t), 0.0), 1.0) for t in times], dtype=parameters[0].dtype)
-        device = parameters[0].device
+    def __call__(self, times: Sequence[float] | Tensor) -> tuple[Tensor, ...]:
+        if isinstance(times, Tensor):  # on the device, as they are while a graph is captured that contains this function
+            return self._function(times.clamp(0, 1))
+        like = next(self._module().parameters())
+        given, device = torch.tensor([min(max(float(t), 0.0), 1.0) for t in times], dtype=like.dtype), like.device
         if device.type != "cuda" or not torch.backends.cuda.is_built() or torch.cuda.is_current_stream_capturing():
             return self._function(given.to(device, non_blocking=True))
         captured = self._captured.get(len(times))
         if captured is None:
-            captured = self._captured[len(times)] = Captured(self._function, parameters, given.to(device))
+            captured = self._captured[len(times)] = Captured(self._function, self._module(), given.to(device))
         return captured(given)
 
     def forget(self) -> None:

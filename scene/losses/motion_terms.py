@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ...rasterizer import Gaussians
 from ..model import Model
-from ..motion.interface import Motion
+from ..motion.interface import Motion, Time
 from ..settings import TrainingSettings
 from ..views import Views
 from .flow_loss import data_flow_loss, interval_loss
@@ -35,7 +35,7 @@ def displacement(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
     return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
 
 
-def motion_priors(motion: Motion, rest: Tensor, noise: Tensor, t: float, dt: float, unit: float, rigid: float, inertia: float) -> Tensor:
+def motion_priors(motion: Motion, rest: Tensor, noise: Tensor, t: Time, dt: float, unit: float, rigid: float, inertia: float) -> Tensor:
     """Priors towards rigid and steady motion at ``rest`` [n, 3], weighted by ``rigid`` and ``inertia``. Neighbours for the rigidity term
     are offset from ``rest`` along standard normal ``noise`` [n, 3]."""
     strain, course = motion.priors(rest, rest + NEIGHBOURHOOD * unit * noise, t, dt)
@@ -66,7 +66,7 @@ class MotionTerms:
 
     def __call__(self, model: Model, moved: Gaussians, i: int, scale: float, iteration: int, total: int) -> Tensor:
         """Weighted sum of the terms for training frame ``i``. ``moved``: its Gaussians at its time. ``scale``: image scale of the phase."""
-        s, t = self.settings, float(self.views.time[i])
+        s, t = self.settings, self.views.moment(i)
         assert model.field is not None
         dynamic = model.gaussians.dynamic
         loss = torch.zeros((), device=model.device)
@@ -78,10 +78,10 @@ class MotionTerms:
             if s.rigid or self.inertia:
                 loss = loss + PRIOR_EVERY * self._priors(model, t, iteration)
         if flow_due(s, iteration, total) and bool(dynamic.any() | model.convexes.dynamic.any()):
-            loss = loss + s.flow_every * self._flow(model, i, t, scale)
+            loss = loss + s.flow_every * self._flow(model, i, float(t), scale)
         return loss
 
-    def _priors(self, model: Model, t: float, iteration: int) -> Tensor:
+    def _priors(self, model: Model, t: Time, iteration: int) -> Tensor:
         s = self.settings
         assert model.field is not None
         if not model.field.priors_at_places:

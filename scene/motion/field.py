@@ -12,7 +12,7 @@ from ..rotation import compose
 from .displace import displace
 from .field_kernel import field_outputs
 from .hexplane import HexPlanes
-from .interface import Displacement, Moved, Rest
+from .interface import Displacement, Moved, Rest, Time
 
 
 class DeformationField(nn.Module):
@@ -104,8 +104,8 @@ class DeformationField(nn.Module):
         part share both, however it turns, and the gradient of a rest position is rotated with the part."""
         return displace(self._heads(rest, t), rest, 0.5 * (self.low + self.high), self.reach)
 
-    def carry(self, rest: Rest, t: float) -> Moved:
-        dx, dr, ds = self(rest.points, t)
+    def carry(self, rest: Rest, t: Time) -> Moved:
+        dx, dr, ds = self(rest.points, float(t))
         m = len(rest.quats)
         return Moved(rest.points + dx, compose(dr[:m], rest.quats), ds[:m])
 
@@ -119,8 +119,9 @@ class DeformationField(nn.Module):
         """[N, 7] numbers of order one that are equal for all positions that move as one rigid part."""
         return self._heads(rest, t)[:, :7]
 
-    def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
+    def priors(self, rest: Tensor, neighbours: Tensor, t: Time, dt: float) -> tuple[Tensor, Tensor]:
         """Mean norms of two differences of `rigid_motion`: between ``rest`` and ``neighbours``, and the second difference in time."""
+        t = float(t)
         now = self.rigid_motion(torch.cat([rest, neighbours]), t)
         here, there = now.chunk(2)
         rigidity = (here - there).norm(dim=1).mean()
@@ -132,7 +133,7 @@ class DeformationField(nn.Module):
         change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)
         return rigidity, change.norm(dim=1).mean()
 
-    def light(self, t: float) -> None:
+    def light(self, t: Time) -> None:
         """Colours do not change over time."""
 
     def regulariser(self) -> Tensor:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ..primitives import GaussianSet, PrimitiveSet
+from .interface import Time
 from .lives import live, presence
 
 
@@ -35,7 +36,7 @@ class FreeMotion(nn.Module):
         """Inverse of `state_dict` and `config`."""
         return cls(config["times"])
 
-    def light(self, t: float) -> None:
+    def light(self, t: Time) -> None:
         """Colours do not change: primitives can appear and vanish instead."""
 
     def alive(self, primitives: PrimitiveSet, t: float) -> tuple[Tensor, Tensor | None, Tensor]:
@@ -61,7 +62,7 @@ class FreeMotion(nn.Module):
     def spread_over(self, points: np.ndarray) -> None:
         """None: there are no parts."""
 
-    def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
+    def priors(self, rest: Tensor, neighbours: Tensor, t: Time, dt: float) -> tuple[Tensor, Tensor]:
         """Zero: motion is steady by construction, and primitives share nothing that could be kept rigid."""
         none = torch.zeros((), device=rest.device)
         return none, none

@@ -5,7 +5,16 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
+import torch
 from torch import Tensor
+
+Time = float | Tensor  # a moment in [0, 1]; a tensor [] on the device while a CUDA graph is captured, which is replayed for other moments
+
+
+def together(times: list[Time]) -> list[float] | Tensor:
+    """``times``, all floats or all tensors, as one tensor [T] if they are tensors."""
+    tensors = [t for t in times if isinstance(t, Tensor)]
+    return torch.stack(tensors) if tensors else [float(t) for t in times]
 
 
 class Displacement(NamedTuple):
@@ -57,12 +66,12 @@ class Motion(Protocol):
         """The same motion with its parts spread again over ``points`` [P, 3]; None if it has no such parts."""
         ...
 
-    def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
+    def priors(self, rest: Tensor, neighbours: Tensor, t: Time, dt: float) -> tuple[Tensor, Tensor]:
         """How far the motion at ``t`` is from rigid, judged by ``rest`` [n, 3] and nearby ``neighbours`` [n, 3], and how much it changes
         over two steps of ``dt``: two scalars of order one."""
         ...
 
-    def light(self, t: float) -> Tensor | None:
+    def light(self, t: Time) -> Tensor | None:
         """How bright the scene's light is at ``t``: [SHADES] courses of light, which each primitive follows by its own `shades`; None if
         colours do not change over time."""
         ...
@@ -75,6 +84,6 @@ class Motion(Protocol):
 class Carrier(Motion, Protocol):
     """A motion that is defined at places, so that it carries whatever is there."""
 
-    def carry(self, rest: Rest, t: float) -> Moved:
+    def carry(self, rest: Rest, t: Time) -> Moved:
         """``rest`` at time ``t`` in [0, 1]. Positions get gradients through the transform that moves them, not through the look-up."""
         ...

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from ..cuda.over_time import OverTime
 from ..primitives import SHADES
 from .courses import TIME_BANDS, encode_times, layers, through
+from .interface import Time, together
 
 WIDTH = 64
 
@@ -24,11 +25,11 @@ class Light(nn.Module):
     def __init__(self, seed: int = 0) -> None:
         super().__init__()
         self.courses = nn.ModuleList(layers([1 + 2 * TIME_BANDS, WIDTH, SHADES], torch.Generator().manual_seed(seed)))
-        self._at = OverTime(lambda times: (through(self.courses, encode_times(times)),), self.parameters)
+        self._at = OverTime(lambda times: (through(self.courses, encode_times(times)),), lambda: self)
 
-    def forward(self, t: float) -> Tensor:
+    def forward(self, t: Time) -> Tensor:
         """[SHADES] courses of light at ``t``, clamped to [0, 1]."""
-        return self._at([t])[0][0]
+        return self._at(together([t]))[0][0]
 
     def _apply(self, *args: Any, **kwargs: Any) -> Light:
         """Where torch moves a module or changes its type."""

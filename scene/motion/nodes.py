@@ -17,7 +17,7 @@ from ..cuda.over_time import OverTime
 from ..primitives import HYPER
 from ..rotation import rotate
 from .courses import SharedCourses, encode_places
-from .interface import Moved, Rest
+from .interface import Moved, Rest, Time, together
 from .light import Light
 from .rigid_parts import RigidParts
 from .skinning import Nodes, nearest_nodes, skin
@@ -72,8 +72,8 @@ class ControlNodes(nn.Module):
         self.hyper = nn.Parameter(beside)
         self.rigid_parts = RigidParts.none(positions.device) if rigid_parts is None else rigid_parts
         self._known: dict[str, Tensor] = {}
-        self._poses = OverTime(self._poses_at, lambda: self.network.parameters())
-        self._restlessness = OverTime(self._restlessness_at, lambda: self.network.parameters())
+        self._poses = OverTime(self._poses_at, lambda: self.network)
+        self._restlessness = OverTime(self._restlessness_at, lambda: self.network)
 
     @property
     def config(self) -> dict[str, object]:
@@ -94,7 +94,7 @@ class ControlNodes(nn.Module):
 
     # -- Motion -------------------------------------------------------------------------------------------------------------------
 
-    def carry(self, rest: Rest, t: float) -> Moved:
+    def carry(self, rest: Rest, t: Time) -> Moved:
         nodes = self._with_rigid_parts(self.at(t), t)
         link = self.links(rest.points, rest.hyper) if rest.link is None else rest.link
         m, n = len(rest.quats), len(rest.points)
@@ -105,14 +105,14 @@ class ControlNodes(nn.Module):
     def links(self, points: Tensor, hyper: Tensor) -> Tensor:
         return nearest_nodes(points, hyper, self._with_rigid_parts(self._resting(), 0.0), NEAREST)
 
-    def priors(self, rest: Tensor, neighbours: Tensor, t: float, dt: float) -> tuple[Tensor, Tensor]:
+    def priors(self, rest: Tensor, neighbours: Tensor, t: Time, dt: float) -> tuple[Tensor, Tensor]:
         """How much the graph of the nodes is strained at ``t``, as a mean share of its edges' lengths, and how much nodes change course
         over ``dt``. ``rest`` and ``neighbours`` are not used."""
         if dt <= 0 or dt > 0.5:
             now = self.at(t)
             return self._strain(now.turns, now.shifts), torch.zeros((), device=self.positions.device)
-        middle = min(max(t, dt), 1 - dt)
-        strain, course = self._restlessness([t, middle - dt, middle, middle + dt])
+        middle = t.clamp(dt, 1 - dt) if isinstance(t, Tensor) else min(max(t, dt), 1 - dt)
+        strain, course = self._restlessness(together([t, middle - dt, middle, middle + dt]))
         return strain, course + RIGID_COURSE * self.rigid_parts.course(self.extent)
 
     def _restlessness_at(self, times: Tensor) -> tuple[Tensor, ...]:
@@ -140,11 +140,11 @@ class ControlNodes(nn.Module):
 
     # -- the nodes ----------------------------------------------------------------------------------------------------------------
 
-    def at(self, t: float) -> Nodes:
+    def at(self, t: Time) -> Nodes:
         """The nodes at time ``t``, clamped to [0, 1], without the rigid parts."""
-        return self.at_times([t])[0]
+        return self.at_times(together([t]))[0]
 
-    def at_times(self, times: Sequence[float]) -> list[Nodes]:
+    def at_times(self, times: Sequence[float] | Tensor) -> list[Nodes]:
         """`at` for each of ``times``."""
         resting = self._resting()
         turns, shifts = self._poses(times)
@@ -190,11 +190,11 @@ class ControlNodes(nn.Module):
         none = self.positions.new_zeros(0)
         return Nodes(self.positions, self.hyper, 0.5 * torch.exp(-2 * self.log_radii), none, none)
 
-    def _with_rigid_parts(self, nodes: Nodes, t: float) -> Nodes:
+    def _with_rigid_parts(self, nodes: Nodes, t: Time) -> Nodes:
         rigid_parts = self.rigid_parts
         if not len(rigid_parts):
             return nodes
-        turns, shifts = rigid_parts.pose(min(max(float(t), 0.0), 1.0))
+        turns, shifts = rigid_parts.pose(t.clamp(0, 1) if isinstance(t, Tensor) else min(max(float(t), 0.0), 1.0))
         theirs = Nodes(rigid_parts.home, rigid_parts.hyper(self.extent), 0.5 / rigid_parts.radius.square(), turns, shifts)
         return Nodes(*(torch.cat([own, other]) if len(own) else own for own, other in zip(nodes, theirs)))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from .interface import Time
+
 # Distance of a rigid part from everything else, in extents, along the first hyper coordinate: no other node is near its own Gaussians.
 FAR = 10.0
 
@@ -40,14 +42,22 @@ class RigidParts(nn.Module):
         beside[:, 0] = FAR * extent * torch.arange(1, len(self) + 1, device=self.home.device)
         return beside
 
-    def pose(self, t: float) -> tuple[Tensor, Tensor]:
+    def pose(self, t: Time) -> tuple[Tensor, Tensor]:
         """Unit quaternions [b, 4] and shifts [b, 3] at time ``t`` in [0, 1]."""
-        keys = len(self.quats)
-        x = t * (keys - 1)
-        low = min(int(x), max(keys - 2, 0))
-        high, f = min(low + 1, keys - 1), x - low
-        quats = self.quats[low] * (1 - f) + self.quats[high] * f
-        return quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), self.shifts[low] * (1 - f) + self.shifts[high] * f
+        last = len(self.quats) - 1
+        x = t * last
+        f: Time
+        if isinstance(x, Tensor):  # whose value is not known here
+            key = x.long().clamp(max=max(last - 1, 0))
+            keys = key, (key + 1).clamp(max=last)
+            before, after = ([p.index_select(0, at[None])[0] for p in (self.quats, self.shifts)] for at in keys)
+            f = x - key
+        else:
+            low = min(int(x), max(last - 1, 0))
+            before, after = ([p[at] for p in (self.quats, self.shifts)] for at in (low, min(low + 1, last)))
+            f = x - low
+        quats, shifts = (a * (1 - f) + b * f for a, b in zip(before, after))
+        return quats / quats.norm(dim=1, keepdim=True).clamp(min=1e-6), shifts
 
     def course(self, extent: float) -> Tensor:
         """How unsteadily the rigid parts move from key to key, a scalar: the mean change of their velocities, in half radians and in units

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +23,7 @@ from ..views import Views
 from .drawn_tiles import DrawnTiles
 from .optimiser import ALL_ROWS, Rows
 from .recipe import Recipe
+from .replayed.one_view import OneView
 from .schedule import Phase
 
 WHOLE_EVERY = 8  # one step in so many uses the whole image where the others are cropped to the object
@@ -34,7 +37,8 @@ RELINK_EVERY = 100  # steps between two searches for the parts of the motion tha
 class Judged:
     """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3], of which color is as
     rendered, before the camera records it. weight [h, w]: of the pixels' gradients, 0 for those that do not count; None if it is 1
-    everywhere. rows: copies of the Gaussians that the view may show, which get the gradients."""
+    everywhere. rows: copies of the Gaussians that the view may show, which get the gradients. gradients: parameters and their gradients, if
+    these are known already."""
 
     loss: Tensor
     image_loss: Tensor
@@ -43,6 +47,15 @@ class Judged:
     weight: Tensor | None
     recording: Recording | None
     rows: Rows = ALL_ROWS
+    gradients: Sequence[tuple[Tensor, Tensor]] | None = None
+
+    def backward(self) -> None:
+        """Leave the gradients of the loss with the parameters."""
+        if self.gradients is None:
+            self.loss.backward()  # type: ignore[no-untyped-call]
+        else:
+            for parameter, gradient in self.gradients:
+                parameter.grad = gradient
 
     def psnr(self) -> float:
         """PSNR in dB over the pixels that count, or over all if none does."""
@@ -87,24 +100,31 @@ class Objective:
             measured_flow,
         )
 
+    def of(self, view: OneView) -> Objective:
+        """The same objective for what ``view`` shows."""
+        same = copy(self)
+        same.motion_terms = copy(self.motion_terms)
+        same.views = same.motion_terms.views = view  # type: ignore[assignment]
+        return same
+
     def __call__(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int) -> Judged:
         """Render ``model`` as training frame ``i`` with spherical harmonics up to ``sh_degree`` and judge it. ``step`` counts from 0."""
         views, s = self.views, self.settings
         window = None if step % WHOLE_EVERY == 0 else views.window(i, phase.scale)
         camera = views.rasterizer_camera(i, phase.scale, window)
-        background = torch.tensor(views.background)
+        t, background = views.moment(i), views.backdrop()
         if step % RELINK_EVERY == 0:
             model.relink()
         drawn = self.drawn.of(i, phase.scale, step) if window is None else None
         tiles = None if drawn is None else drawn.tiles
         whole = phase.move and flow_due(s, step, self.total)
-        seen = model.in_view(float(views.time[i]), camera, None if whole else tiles, phase.move)
+        seen = model.in_view(t, camera, None if whole else tiles, phase.move)
         rows, faded = ALL_ROWS, None
         if seen is not None and len(seen) <= MOST_SHOWN * len(model.gaussians):
-            faded = model.opacities_at(float(views.time[i]), phase.move)  # the penalty on opacity holds for all, in view or not
+            faded = model.opacities_at(t, phase.move)  # the penalty on opacity holds for all, in view or not
             model = model.with_gaussians(model.gaussians.select(seen))
             rows = Rows.of(model.gaussians, seen)
-        gaussians, convexes = model.at(float(views.time[i]), camera, phase.move, sh_degree)
+        gaussians, convexes = model.at(t, camera, phase.move, sh_degree)
         spread = self.spread if step % EVERY == 0 and step > BEGIN * self.total else 0.0
         shapes = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
         frame = rasterize(camera, *shapes, background, antialiased=model.antialiased, tiles=tiles)

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import torch
+
 from ..colour import CameraAffine, colour_recorders
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow
@@ -24,6 +26,7 @@ from .guard import NonFiniteGuard
 from .log import TrainingLog
 from .objective import Objective
 from .recipe import PLANES, Recipe
+from .replayed.objective import ReplayedObjective
 from .schedule import Phase, alike_since
 from .steps.at_once import StepsAtOnce
 from .steps.late import LateSteps
@@ -76,6 +79,9 @@ class Trainer:
         steps = self.curriculum.several, self.total, earlier
         self.objective = Objective(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth)
         self.learned = LearnedModel(model, settings, self.unit, lr_scale)
+        self.replayed: ReplayedObjective | None = None
+        if model.device.type == "cuda" and torch.backends.cuda.is_built():
+            self.replayed = ReplayedObjective(self.objective, lambda: self.learned.optimiser.parameters(), self._event)
         takes = LateSteps if model.device.type == "cuda" else StepsAtOnce
         self.steps: Steps = takes(self.learned, self.guard, self._taken)
         self.learned.before_change = self.steps.settle
@@ -116,10 +122,11 @@ class Trainer:
         """Step ``step`` of ``phase``: render one view and update the parameters."""
         model = self.model
         i = self.curriculum.frame(self.iteration)
-        judged = self.objective(model, i, self.iteration, phase, self._sh_degree())
+        judge = self.replayed or self.objective
+        judged = judge(model, i, self.iteration, phase, self._sh_degree())
         if self.iteration % 50 == 0:
             self.log.psnr.append([self.iteration, judged.psnr()])
-        judged.loss.backward()
+        judged.backward()
         if self.motion.rigid_parts_alone:
             leave_only_rigid_parts(model, self.learned.optimiser.parameters() | judged.rows.named())
         now = Step(self.iteration, i, judged.loss.detach(), judged.image_loss)

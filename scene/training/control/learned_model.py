@@ -55,7 +55,7 @@ class LearnedModel:
     def tensors(self) -> dict[str, Tensor]:
         """All tensors by name, for a checkpoint."""
         model = self.model
-        tensors = {f"parameter/{name}": p for name, p in self._named().items() if not name.startswith("field.")}
+        tensors = {f"parameter/{name}": p for name, p in self.model.named_parameters().items() if not name.startswith("field.")}
         tensors |= {f"optimiser/{name}": value for name, value in self.optimiser.state().items()}
         tensors |= {f"dynamic/{p.KIND}": p.dynamic for p in (model.gaussians, model.convexes)}
         if model.field is not None:
@@ -70,14 +70,6 @@ class LearnedModel:
         self.optimiser = self._make_optimiser()
         self.optimiser.load_state({k.removeprefix("optimiser/"): v for k, v in tensors.items() if k.startswith("optimiser/")})
 
-    def _named(self) -> dict[str, Tensor]:
-        named = {f"{s.KIND}.{name}": p for s in (self.model.gaussians, self.model.convexes) for name, p in s.parameters.items()}
-        if self.model.field is not None:
-            named |= {f"field.{name}": p for name, p in self.model.field.named_parameters()}
-        if self.model.affine is not None:
-            named |= {f"affine.{name}": p for name, p in self.model.affine.named_parameters()}
-        return named
-
     def _make_optimiser(self) -> RowAdam:
-        named = self._named()
+        named = self.model.named_parameters()
         return RowAdam(named, learning_rates(named, self._settings, self._unit, self._lr_scale))

@@ -1,0 +1,1 @@
+"""Steps of training on a GPU as CUDA graphs."""

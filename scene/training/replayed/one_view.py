@@ -1,0 +1,67 @@
+"""What a CUDA graph of a training step reads of the views: one frame, whose content is replaced between replays."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ....rasterizer import Camera
+from ...views import Views
+
+
+class OneView:
+    """Stands for ``views`` at ``scale`` while a step is captured; `show` fills in a frame. Everything is on the views' device."""
+
+    def __init__(self, views: Views, scale: float) -> None:
+        self._views, self._scale = views, scale
+        self.width, self.height, self.background = views.width, views.height, views.background
+        self.load_alpha, self.load_kept = views.load_alpha, views.load_kept
+        width, height = views.size(scale)
+        device = views.device
+        self._camera = Camera(torch.eye(3, device=device), torch.eye(4, device=device), width, height, views.near)
+        self._moment = torch.zeros((), device=device)
+        self._backdrop = views.backdrop().to(device)
+        self._target = torch.zeros(height, width, 3, device=device)
+        self._alpha = torch.zeros(height, width, device=device)
+        self._kept = torch.ones(height, width, dtype=torch.bool, device=device)
+
+    def show(self, i: int) -> None:
+        """Put in frame ``i``. Does not wait for the device."""
+        views, scale = self._views, self._scale
+        camera = views.rasterizer_camera(i, scale)
+        self._camera.K.copy_(camera.K, non_blocking=True)
+        self._camera.cam_from_world.copy_(camera.cam_from_world, non_blocking=True)
+        self._moment.fill_(views.moment(i))
+        self._target.copy_(views.target(i, scale))
+        if self.load_alpha is not None:
+            self._alpha.copy_(views.alpha(i, scale))
+        if self.load_kept is not None:
+            kept = views.kept(i, scale)
+            assert kept is not None
+            self._kept.copy_(kept)
+
+    # What a step asks of `Views`.
+
+    def size(self, scale: float) -> tuple[int, int]:
+        return self._views.size(scale)
+
+    def window(self, i: int, scale: float = 1.0) -> None:
+        """The whole image."""
+
+    def rasterizer_camera(self, i: int, scale: float = 1.0, window: None = None) -> Camera:
+        return self._camera
+
+    def moment(self, i: int) -> Tensor:
+        return self._moment
+
+    def backdrop(self) -> Tensor:
+        return self._backdrop
+
+    def target(self, i: int, scale: float = 1.0, window: None = None) -> Tensor:
+        return self._target
+
+    def alpha(self, i: int, scale: float = 1.0, window: None = None) -> Tensor:
+        return self._alpha
+
+    def kept(self, i: int, scale: float = 1.0, window: None = None) -> Tensor | None:
+        return None if self.load_kept is None else self._kept
