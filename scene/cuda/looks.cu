@@ -54,7 +54,8 @@ extern "C" __global__ void __launch_bounds__(kPrimitives)
 extern "C" __global__ void __launch_bounds__(kPrimitives)
     look_backward(int n, int width, int stored, int shown, const float* logs, const float* others, const float* logits, const float* dc,
                   const float* shades, const float* light, const float* g_sizes, const float* g_others, const float* g_opacities,
-                  const float* g_sh, float* d_logs, float* d_others, float* d_logits, float* d_dc, float* d_rest, float* d_shades, float* d_light) {
+                  const float* g_sh, float* d_logs, float* d_others, float* d_logits, float* d_dc, float* d_rest, float* d_shades,
+                  float* d_light) {
     const Rows rows(n);
     each_number(d_logs ? rows.count * width : 0, [&](int k) {
         const int64 at = rows.first * width + k;
