@@ -75,17 +75,10 @@ class Model:
         """
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         g, c = self.gaussians, self.convexes
-        means, quats, log_scales, shown = g.means, g.quats, g.log_scales, g.opacities
-        points, convex_shown = c.points, c.opacities
+        means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
         light = None
         field = self.field if move else None
-        if isinstance(field, FreeMotion):
-            means, turned, shown = field.alive(g, float(t))
-            assert turned is not None
-            quats = turned
-            if len(c):
-                points, _, convex_shown = field.alive(c, float(t))
-        elif field is not None:
+        if field is not None and not isinstance(field, FreeMotion):
             light = field.light(t)
             index = self._moving(g, camera, margin=0.25)
             convex_index = self._moving(c, camera, margin=0.25)
@@ -101,9 +94,15 @@ class Model:
                     log_scales = log_scales if moved.log_scales is None else log_scales.index_add(0, index, moved.log_scales)
                 if len(convex_index):
                     points = points.index_copy(0, convex_index, moved.points[n:].reshape(-1, *points.shape[1:]))
-        gaussians = Gaussians(means, quats, torch.exp(log_scales), shown, sh=g.sh(degree, light))
-        convexes = Convexes(points, torch.exp(c.log_tau), torch.exp(c.log_kappa), convex_shown, sh=c.sh(degree, light))
-        return gaussians, convexes
+        (scales,), shown, sh = g.look((log_scales,), degree, light)
+        (tau, kappa), convex_shown, convex_sh = c.look((c.log_tau, c.log_kappa), degree, light)
+        if isinstance(field, FreeMotion):
+            means, turned, shown = field.alive(g, float(t), shown)
+            assert turned is not None
+            quats = turned
+            if len(c):
+                points, _, convex_shown = field.alive(c, float(t), convex_shown)
+        return Gaussians(means, quats, scales, shown, sh=sh), Convexes(points, tau, kappa, convex_shown, sh=convex_sh)
 
     def named_parameters(self) -> dict[str, Tensor]:
         """Everything that is trained, by name: "gaussians.means", ..., "field.network.place.0.weight", ..."""

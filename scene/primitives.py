@@ -94,6 +94,17 @@ class PrimitiveSet:
         rest = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
         return torch.cat([dc, self.sh_rest[:, :rest]], dim=1) if rest else dc
 
+    def look(self, logs: tuple[Tensor, ...], degree: int, light: Tensor | None = None) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
+        """The exponentials of ``logs``, one or two float32 tensors of N rows; `opacities`; `sh`. On an NVIDIA GPU this is one kernel."""
+        if self.device.type == "cuda":
+            from ..rasterizer.cuda.runtime import launcher_for
+            from .cuda.looks import look
+
+            shown = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
+            given = logs, self.opacity_logits, self.sh_dc, self.sh_rest, shown, self.shades, light
+            return look(launcher_for(self.device), *given)
+        return tuple(map(torch.exp, logs)), self.opacities, self.sh(degree, light)
+
     def rest_points(self) -> Tensor:
         """[N * corners, 3] positions that the motion displaces."""
         raise NotImplementedError

@@ -1,9 +1,9 @@
-"""The image terms of the loss and their gradient on the GPU: a torch.autograd.Function around two kernels."""
+"""The image terms of the loss and their gradients on the GPU: a torch.autograd.Function around two kernels."""
 
 from __future__ import annotations
 
 from ctypes import c_float, c_int32
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,42 +16,83 @@ WIDE, HIGH = 32, 8  # px, size of a tile
 THREADS = 192
 
 
-def photometric_loss(launcher: Launcher, image: Tensor, target: Tensor, l1: float, ssim: float) -> Tensor:
-    """``l1 * mean|image - target| + ssim * (1 - SSIM)``, a scalar on the launcher's device. The call does not synchronise.
+class Opposite(NamedTuple):
+    """The same comparison in front of the opposite background, and that of alpha. alpha, known: of the render and of the capture, [H, W]
+    float32; alpha receives gradients. kept: [H, W] bool, or None if all are; the others are equal in front of that background and their
+    alpha does not count. change: RGB of the opposite background minus the one that was rendered. share: of the whole photometric loss.
+    weight: of mean|alpha - known|."""
 
-    image, target: [H, W, 3] float32. Gradients go to image only and are bit-equal from run to run.
+    alpha: Tensor
+    known: Tensor
+    kept: Tensor | None
+    change: tuple[float, float, float]
+    share: float
+    weight: float
+
+
+def photometric_loss(
+    launcher: Launcher,
+    image: Tensor,
+    target: Tensor,
+    l1: float,
+    ssim: float,
+    weight: Tensor | None = None,
+    recording: tuple[Tensor, Tensor] | None = None,
+    opposite: Opposite | None = None,
+) -> Tensor:
+    """`scene.losses.photometric.photometric_loss` and, with ``opposite``, `scene.losses.appearance.appearance_loss`: a scalar on the
+    launcher's device. The call does not synchronise.
+
+    image, target: [H, W, 3] float32. weight: [H, W] float32. recording: gain and offset, [3] float32 each. Gradients go to image, recording
+    and the rendered alpha, and are bit-equal from run to run.
 
     Raises ValueError for other shapes or types and for images without pixels, and whatever `Launcher.launch` raises.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3 or not image.numel():
         raise ValueError(f"image and target must both be [H, W, 3]; got {tuple(image.shape)} and {tuple(target.shape)}")
-    if image.dtype != torch.float32 or target.dtype != torch.float32:
-        raise ValueError(f"image and target must be float32; got {image.dtype} and {target.dtype}")
-    loss: Tensor = _Photometric.apply(launcher, image, target, l1, ssim)
+    gain, offset = recording or (None, None)
+    alpha, known, kept = opposite[:3] if opposite else (None, None, None)
+    floats, flags = (image, target, weight, gain, offset, alpha, known), (kept,)
+    if any(p is not None and p.dtype != torch.float32 for p in floats) or any(p is not None and p.dtype != torch.bool for p in flags):
+        found = ", ".join(str(p.dtype) for p in (*floats, *flags) if p is not None)
+        raise ValueError(f"image and target, like all but kept, must be float32, and kept bool; got {found}")
+    size = image.shape[:2]
+    images, colours = (weight, alpha, known, kept), (gain, offset)
+    if any(p is not None and p.shape != size for p in images) or any(p is not None and p.shape != (3,) for p in colours):
+        found = ", ".join(str(list(p.shape)) for p in (*images, *colours) if p is not None)
+        raise ValueError(f"weight, alpha, known and kept must be {list(size)}, gain and offset [3]; got {found}")
+    pixels = size.numel()
+    share, of_alpha, change = (opposite.share, opposite.weight, opposite.change) if opposite else (0.0, 0.0, (0.0, 0.0, 0.0))
+    weights = [part * term / (3 * pixels) for part in (1 - share, share) for term in (l1, ssim)]
+    loss: Tensor = _Photometric.apply(launcher, change, (*weights, of_alpha / pixels), *floats, *flags)
     return loss
 
 
 class _Photometric(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, launcher: Launcher, image: Tensor, target: Tensor, l1: float, ssim: float) -> Tensor:
-        image, target = image.detach().contiguous(), target.detach().contiguous()
+    def forward(ctx: Any, launcher: Launcher, change: tuple[float, ...], weights: tuple[float, ...], *given: Tensor | None) -> Tensor:
+        inputs = [None if p is None else p.detach().contiguous() for p in given]
+        image, _, _, _, _, alpha, *_ = inputs
+        assert image is not None
         height, width = image.shape[:2]
-        pitch = -(-width // 4) * 4
-        maps = image.new_empty(3, 3, height, pitch) if ctx.needs_input_grad[1] else None
-        blocks = -(-width // WIDE) * -(-height // HIGH)
-        losses = image.new_empty(blocks)
-        scalars = (c_int32(width), c_int32(height), c_int32(pitch), c_float(l1 / image.numel()), c_float(ssim / image.numel()))
-        launcher.launch(program("photometric"), "photometric_loss", blocks, THREADS, image, target, *scalars, maps, losses)
-        if maps is not None:
-            ctx.launcher, ctx.blocks, ctx.scalars = launcher, blocks, scalars
-            ctx.save_for_backward(image, target, maps)
+        pitch, backgrounds = -(-width // 4) * 4, 1 if alpha is None else 2
+        maps = image.new_empty(backgrounds, 3, 3, height, pitch) if any(ctx.needs_input_grad) else None
+        tiles = -(-width // WIDE) * -(-height // HIGH)
+        losses = image.new_empty(backgrounds * tiles)
+        scalars: tuple[c_float | c_int32, ...] = (*map(c_float, change), *map(c_int32, (width, height, pitch)), *map(c_float, weights))
+        launcher.launch(program("photometric"), "photometric_loss", len(losses), THREADS, *inputs, *scalars, maps, losses)
+        ctx.launcher, ctx.tiles, ctx.scalars = launcher, tiles, scalars
+        ctx.save_for_backward(*inputs, maps)
         return losses.sum()
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Any, ...]:
-        image, target, maps = ctx.saved_tensors
-        gradient = torch.empty_like(image)
-        inputs = (image, target, maps, upstream.contiguous(), *ctx.scalars)
-        ctx.launcher.launch(program("photometric"), "photometric_gradient", ctx.blocks, THREADS, *inputs, gradient)
-        return None, gradient, None, None, None
+        *inputs, maps = ctx.saved_tensors
+        image, _, _, gain, _, alpha, *_ = inputs
+        d_image, d_alpha = torch.empty_like(image), None if alpha is None else torch.empty_like(alpha)
+        d_recording = None if gain is None else image.new_empty(ctx.tiles, 6)
+        given, results = (*inputs, *ctx.scalars, maps, upstream.contiguous()), (d_image, d_alpha, d_recording)
+        ctx.launcher.launch(program("photometric"), "photometric_gradient", ctx.tiles, THREADS, *given, *results)
+        d_gain, d_offset = (None, None) if d_recording is None else d_recording.sum(0).view(2, 3)
+        return None, None, None, d_image, None, None, d_gain, d_offset, d_alpha, None, None

@@ -24,6 +24,7 @@ RECORDED: dict[str, Program] = {
         program("photometric"),
         program("displace"),
         program("lives"),
+        program("looks"),
         program("smoothness"),
         program("sum_links"),
         *(program(name, links=k, hyper=h) for name in ("nearest", "skinning") for k, h in ((4, 2), (8, 4))),

@@ -30,15 +30,15 @@ def photometric_loss(
         raise ValueError(f"weight must be {list(image.shape[:2])}, got {list(weight.shape)}")
     if image.device.type == "cpu" and image.dtype == torch.float32:
         return _Photometric.apply(image, target, l1, ssim, weight, *(recording or (None, None)))
-    if recording is not None:
-        image = recording[0] * image + recording[1]
-    if weight is not None:
-        image = scale_gradient(torch.where(weight[..., None] != 0, image, target), weight[..., None])
     if image.device.type == "cuda" and image.dtype == torch.float32:
         from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda import photometric
 
-        return photometric.photometric_loss(launcher_for(image.device), image, target, l1, ssim)
+        return photometric.photometric_loss(launcher_for(image.device), image, target, l1, ssim, weight, recording)
+    if recording is not None:
+        image = recording[0] * image + recording[1]
+    if weight is not None:
+        image = scale_gradient(torch.where(weight[..., None] != 0, image, target), weight[..., None])
     return l1 * (image - target).abs().mean() + ssim * (1 - ssim_reference(image, target))
 
 

@@ -39,12 +39,14 @@ class FreeMotion(nn.Module):
     def light(self, t: Time) -> None:
         """Colours do not change: primitives can appear and vanish instead."""
 
-    def alive(self, primitives: PrimitiveSet, t: float) -> tuple[Tensor, Tensor | None, Tensor]:
+    def alive(self, primitives: PrimitiveSet, t: float, whole: Tensor | None = None) -> tuple[Tensor, Tensor | None, Tensor]:
         """At time ``t`` in [0, 1], of all N primitives: their points, as means [N, 3] or corners [N, K, 3]; the quaternions [N, 4] of
-        Gaussians, None for convexes; their opacities [N]. Those that are not dynamic are at rest."""
+        Gaussians, None for convexes; their opacities [N]. Those that are not dynamic are at rest. ``whole`` [N]: the opacities that they
+        have at most, if they are known already."""
         single = isinstance(primitives, GaussianSet)
         points, quats = (primitives.means[:, None], primitives.quats) if single else (primitives.points, None)
-        moved, turned, shown = live(points, quats, primitives.opacities, primitives.life, primitives.dynamic, self.frame(t))
+        whole = primitives.opacities if whole is None else whole
+        moved, turned, shown = live(points, quats, whole, primitives.life, primitives.dynamic, self.frame(t))
         return moved[:, 0] if single else moved, turned, shown
 
     def opacities(self, primitives: PrimitiveSet, t: float) -> Tensor:

@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Frame, rasterize
+from ..losses.appearance import appearance_loss
 from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow, MotionTerms, flow_due
-from ..losses.photometric import Recording, photometric_loss
+from ..losses.photometric import Recording
 from ..losses.surface import surface_loss
 from ..model import Model
 from ..settings import TrainingSettings
@@ -28,7 +29,6 @@ from .schedule import Phase
 
 WHOLE_EVERY = 8  # one step in so many uses the whole image where the others are cropped to the object
 SMOOTH_END = 0.05  # of its weight that the smoothness of surfaces has at the end: it helps to find them, then blurs their detail
-OTHER_BACKGROUND = 0.3  # share of the loss with the opposite background, if the capture has alpha
 MOST_SHOWN = 0.8  # of the Gaussians; if a view may show more, selecting them costs more than it saves
 RELINK_EVERY = 100  # steps between two searches for the parts of the motion that carry each primitive
 
@@ -135,15 +135,10 @@ class Objective:
         if kept is not None:  # what the image shows where it does not count must not reach the pixels beside
             target = torch.where(kept[..., None], target, frame.color.detach())
             weight = kept.float() if weight is None else kept * weight
-        loss = photometric_loss(frame.color, target, s.l1, s.ssim, weight, recording)
-        if s.alpha and views.load_alpha is not None:
-            alpha = views.alpha(i, phase.scale, window)
-            wrong = (frame.alpha - alpha).abs()
-            other = photometric_loss(*on_other_background(frame, target, alpha, background, kept), s.l1, s.ssim, weight, recording)
-            loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + s.alpha * (wrong if kept is None else wrong * kept).mean()
+        alpha = views.alpha(i, phase.scale, window) if s.alpha and views.load_alpha is not None else None
         # Scaled as a mean over the whole image: there is nothing outside the window.
         share = target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale)))
-        loss = loss * share
+        loss = appearance_loss(frame, target, s, background, alpha, kept, weight, recording, share)
         image_loss = loss.detach()
         if spread:
             loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)
@@ -168,15 +163,3 @@ class Objective:
         moving = None if known is None else known.moving(i)
         depths = frame.depth, frame.alpha, target
         return surface_loss(*depths, self.unit, smooth, self.settings.depth, measured, moving, weight)
-
-
-def on_other_background(frame: Frame, target: Tensor, alpha: Tensor, background: Tensor, kept: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Render and ``target`` [h, w, 3], of the given ``alpha`` [h, w], in front of the opposite of ``background`` [3]. Where ``kept`` [h, w]
-    bool is False, both are the same.
-
-    On one background alone, a hole in front of it looks like a surface of its colour.
-    """
-    change = (1 - 2 * background).to(target.device)
-    color = frame.color + (1 - frame.alpha)[..., None] * change
-    target = target + (1 - alpha)[..., None] * change
-    return color, target if kept is None else torch.where(kept[..., None], target, color.detach())

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from e4dgs.scene.losses.appearance import on_other_background
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.primitives import ConvexSet
 from e4dgs.scene.training import convergence, objective
@@ -176,13 +177,13 @@ def test_what_is_compared_on_the_other_background_is_what_a_render_on_it_shows(v
     on_black, on_white = (model.render(camera, 0.0, background) for background in (black, white))
     alpha = torch.linspace(0, 1, SIZE)[:, None].expand(SIZE, SIZE)
     red = torch.tensor([1.0, 0.0, 0.0])
-    color, target = objective.on_other_background(on_black, alpha[..., None] * red, alpha, black, None)
+    color, target = on_other_background(on_black, alpha[..., None] * red, alpha, black, None)
     assert torch.allclose(color, on_white.color, atol=1e-6)
     assert torch.allclose(target, alpha[..., None] * red + (1 - alpha)[..., None], atol=1e-6)
-    back, _ = objective.on_other_background(on_white, target, alpha, white, None)
+    back, _ = on_other_background(on_white, target, alpha, white, None)
     assert torch.allclose(back, on_black.color, atol=1e-6)
     kept = torch.arange(SIZE)[None].expand(SIZE, SIZE) < SIZE // 2
-    color, target = objective.on_other_background(on_black, alpha[..., None] * red, alpha, black, kept)
+    color, target = on_other_background(on_black, alpha[..., None] * red, alpha, black, kept)
     assert torch.equal(color[~kept], target[~kept]) and not torch.equal(color[kept], target[kept])
 
 

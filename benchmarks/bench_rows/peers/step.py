@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import torch
-from e4dgs.scene.losses import flow_loss
+from e4dgs.scene.losses import appearance, flow_loss
 from e4dgs.scene.model import Model
 from e4dgs.scene.training import objective
 from e4dgs.scene.training.optimiser import ALL_ROWS, Rows
@@ -62,10 +62,10 @@ def with_torch_adam(made: Trainer) -> None:
 @contextmanager
 def torch_kernels() -> Iterator[None]:
     """While it lasts, training renders with the torch rasterizer and judges with the torch loss."""
-    kept = objective.rasterize, flow_loss.rasterize, objective.photometric_loss
+    kept = objective.rasterize, flow_loss.rasterize, appearance.photometric_loss
     objective.rasterize = flow_loss.rasterize = rasterize_torch  # type: ignore[assignment]
-    objective.photometric_loss = torch_loss
+    appearance.photometric_loss = torch_loss
     try:
         yield
     finally:
-        objective.rasterize, flow_loss.rasterize, objective.photometric_loss = kept
+        objective.rasterize, flow_loss.rasterize, appearance.photometric_loss = kept

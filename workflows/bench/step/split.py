@@ -82,7 +82,7 @@ def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
 
     calls: list[tuple[Any, str, str, Callable[[Any], None] | None]] = [
         (objective, "rasterize", "rasterize forward", seen.rendered),
-        (objective, "photometric_loss", "loss forward", seen.judged),
+        (objective, "appearance_loss", "loss forward", seen.judged),
         (views, "target", "data", None),
         (views, "rasterizer_camera", "data", None),
         (model, "at", "model forward", seen.placed),
