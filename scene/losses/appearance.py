@@ -16,7 +16,7 @@ def appearance_loss(
     frame: Frame,
     target: Tensor,
     settings: TrainingSettings,
-    background: Tensor,
+    background: tuple[float, float, float],
     alpha: Tensor | None = None,
     kept: Tensor | None = None,
     weight: Tensor | None = None,
@@ -29,7 +29,7 @@ def appearance_loss(
     Args:
         frame: a render [h, w] in front of ``background``; its colour and alpha receive gradients.
         target: [h, w, 3] float32, with alpha in front of the same background.
-        background: [3] float32, on the CPU.
+        background: RGB in [0, 1].
         alpha: [h, w] float32.
         kept: [h, w] bool, the pixels whose alpha counts; see `on_other_background`. None: all.
         weight, recording: see `photometric_loss`.
@@ -41,14 +41,16 @@ def appearance_loss(
 
         opposite = None
         if alpha is not None:
-            red, green, blue = (1 - 2 * background).tolist()
+            red, green, blue = (1 - 2 * level for level in background)
             opposite = photometric.Opposite(frame.alpha, alpha, kept, (red, green, blue), OTHER_BACKGROUND, share * s.alpha)
         terms = share * s.l1, share * s.ssim, weight, recording, opposite
         return photometric.photometric_loss(launcher_for(color.device), color, target, *terms)
     loss = photometric_loss(color, target, s.l1, s.ssim, weight, recording)
     if alpha is not None:
         wrong = (frame.alpha - alpha).abs()
-        other = photometric_loss(*on_other_background(frame, target, alpha, background, kept), s.l1, s.ssim, weight, recording)
+        other = photometric_loss(
+            *on_other_background(frame, target, alpha, torch.tensor(background, dtype=color.dtype), kept), s.l1, s.ssim, weight, recording
+        )
         loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + s.alpha * (wrong if kept is None else wrong * kept).mean()
     return loss * share
 

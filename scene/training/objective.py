@@ -138,7 +138,7 @@ class Objective:
         alpha = views.alpha(i, phase.scale, window) if s.alpha and views.load_alpha is not None else None
         # Scaled as a mean over the whole image: there is nothing outside the window.
         share = target.shape[0] * target.shape[1] / (math.prod(views.size(phase.scale)))
-        loss = appearance_loss(frame, target, s, background, alpha, kept, weight, recording, share)
+        loss = appearance_loss(frame, target, s, views.background, alpha, kept, weight, recording, share)
         image_loss = loss.detach()
         if spread:
             loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)

@@ -13,7 +13,7 @@ from pretend_cuda import pretending_cuda
 from simt import CHECKED, RACES, Emulator, why_not
 
 SETTINGS = TrainingSettings(l1=0.7, ssim=0.3, alpha=0.5)
-BACKGROUND = torch.tensor([0.1, 0.0, 0.9])
+BACKGROUND = (0.1, 0.0, 0.9)
 SHARE = 0.6
 SIZES = [(1, 1), (5, 3), (9, 33), (33, 17), (2, 70)]  # a tile is 8 x 32
 PARTS = [
@@ -69,7 +69,7 @@ def composed(image, target, alpha=None, known=None, kept=None, weight=None, gain
     """`appearance_loss` of whatever device and type the image has."""
     frame = SimpleNamespace(color=image, alpha=alpha)
     recording = None if gain is None else (gain, offset)
-    return appearance_loss(frame, target, SETTINGS, BACKGROUND.to(image.dtype), known, kept, weight, recording, SHARE)
+    return appearance_loss(frame, target, SETTINGS, BACKGROUND, known, kept, weight, recording, SHARE)
 
 
 def on(launcher):
