@@ -74,7 +74,7 @@ def composed(image, target, alpha=None, known=None, kept=None, weight=None, gain
 
 def on(launcher):
     def run(image, target, alpha=None, known=None, kept=None, weight=None, gain=None, offset=None):
-        change = tuple((1 - 2 * BACKGROUND).tolist())
+        change = tuple(1 - 2 * level for level in BACKGROUND)
         opposite = None if alpha is None else Opposite(alpha, known, kept, change, OTHER_BACKGROUND, SHARE * SETTINGS.alpha)
         recording = None if gain is None else (gain, offset)
         return photometric_loss(launcher, image, target, SHARE * SETTINGS.l1, SHARE * SETTINGS.ssim, weight, recording, opposite)
