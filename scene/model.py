@@ -138,6 +138,10 @@ class Model:
             return None  # a GPU would have to wait for the number found
         return in_view(self.gaussians, camera, self.field.frame(float(t)) if self.field is not None and move else None, tiles)
 
+    def moves(self) -> bool:
+        """Whether any primitive is dynamic."""
+        return any(len(self._moving(s, None, 0.0)) for s in (self.gaussians, self.convexes))
+
     def opacities_at(self, t: Time, move: bool = True) -> Tensor:
         """[N] opacities of all Gaussians at time ``t``, in view or not, attached to autograd."""
         return self.field.opacities(self.gaussians, float(t)) if isinstance(self.field, FreeMotion) and move else self.gaussians.opacities

@@ -70,6 +70,7 @@ class Views:
     _images: OrderedDict[tuple[int, float, Kind], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _windows: dict[int, tuple[int, int, int, int] | None] = field(default_factory=dict, repr=False)
     _edges: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
+    _edges_there: dict[tuple[int, float], Tensor] = field(default_factory=dict, repr=False)  # on `device`, unless that is the CPU
     _bytes: int = 0
     _there: OrderedDict[tuple[int, float, Kind], Tensor] = field(
         default_factory=OrderedDict, repr=False
@@ -153,12 +154,17 @@ class Views:
 
     def edges(self, i: int, scale: float = 1.0) -> Tensor:
         """[H, W] float32 in [0, 1], the weight of an edge at each pixel."""
-        if i not in self._edges:
-            self._edges[i] = self.stored_edges(i) if self.stored_edges is not None else edge_weights(self._image(i, 1.0))
-        edges = self._edges[i]
-        if scale != 1.0:
-            edges = cv2.resize(edges, self.size(scale), interpolation=cv2.INTER_AREA)
-        return torch.from_numpy(edges).to(self.device).float().div_(255.0)
+        there = self._edges_there.get((i, scale))
+        if there is None:
+            if i not in self._edges:
+                self._edges[i] = self.stored_edges(i) if self.stored_edges is not None else edge_weights(self._image(i, 1.0))
+            edges = self._edges[i]
+            if scale != 1.0:
+                edges = cv2.resize(edges, self.size(scale), interpolation=cv2.INTER_AREA)
+            there = torch.from_numpy(edges).to(self.device)
+            if self.device != "cpu":
+                self._edges_there[i, scale] = there
+        return there.float().div_(255.0)
 
     def _image(self, i: int, scale: float, kind: Kind = "colour") -> np.ndarray:
         key = (int(i), scale, kind)

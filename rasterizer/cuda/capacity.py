@@ -12,7 +12,7 @@ from torch import Tensor
 from .state import Inputs
 
 SPARE = 1.25  # factor on what the last frames of this size took
-GRAPH_SPARE = 1.5  # inside a CUDA graph, where pairs beyond the space are lost
+GRAPH_SPARE, GRAPH_ROOM = 1.5, 1024  # the same inside a CUDA graph, where pairs beyond the space are lost; and pairs in addition
 FORGET = 0.98  # of that number is left after a frame that took less
 
 _TAKEN: dict[tuple[torch.device, int, int], tuple[int, float]] = {}  # the most that a frame took, and what the last frames took
@@ -20,7 +20,7 @@ _TAKEN: dict[tuple[torch.device, int, int], tuple[int, float]] = {}  # the most 
 
 def room_in_graph(inputs: Inputs) -> int | None:
     """None outside of a capture. Inside one, where buffers are fixed and waiting for the device is not allowed, the number of pairs to
-    allocate: `GRAPH_SPARE` times the most that a frame on this device and of this size has taken so far, plus 1024.
+    allocate: `GRAPH_SPARE` times the most that a frame on this device and of this size has taken so far, plus `GRAPH_ROOM`.
 
     Raises RuntimeError inside a capture if there was no such frame.
     """
@@ -32,7 +32,7 @@ def room_in_graph(inputs: Inputs) -> int | None:
             f"a CUDA graph is being captured, and no frame of {inputs.width} x {inputs.height} was rendered on {inputs.device} "
             "before: render one first, from which the graph's buffers take their size"
         )
-    return int(GRAPH_SPARE * taken[0]) + 1024
+    return int(GRAPH_SPARE * taken[0]) + GRAPH_ROOM
 
 
 def likely_room(inputs: Inputs) -> int | None:

@@ -16,6 +16,8 @@ import torch
 from torch import Tensor
 
 from ...rasterizer.cuda import selftest
+from ...rasterizer.cuda.programs import backproject_convexes, needed, project_convexes
+from ...rasterizer.cuda.runtime import Program, warm_up
 from ..model import Model
 from ..motion.field import DeformationField
 from ..motion.free import FreeMotion
@@ -27,6 +29,7 @@ from ..training.objective import Objective
 from ..training.recipe import RECIPES
 from ..training.schedule import Phase
 from ..views import Views
+from .programs import program
 
 WIDTH, HEIGHT = 40, 24
 CAMERAS, TIMES = 2, 3
@@ -38,10 +41,26 @@ STEP, TOTAL = 80, 100  # every term of the loss is evaluated at this step of thi
 
 def problem(device: str) -> str | None:
     """One line about what is wrong with rendering or training on this device, or None if nothing is."""
+    try:
+        warm_up(programs_used(), torch.device(device))
+    except Exception as cause:  # any failure is the answer
+        return f"the CUDA kernels cannot be compiled here: {str(cause).splitlines()[0] if str(cause) else type(cause).__name__}"
     found = selftest.problem(device)
     for motion in DEGREES:
         found = found or selftest.disagreement(partial(_step, motion, "cpu"), partial(_step, motion, device))
     return found
+
+
+def programs_used() -> list[Program]:
+    """The programs of these checks. Compiled one after another as they are met, they would take 20 s."""
+    plain = needed(6, -1, 0, True), needed(6, 1, 0, True), needed(6, 2, 2, True), needed(6, -1, 2)
+    fading = needed(6, 1, 2, True, antialiased=True), needed(6, -1, 2, antialiased=True)
+    found = {one for some in (*plain, *fading) for one in some}
+    found -= {project_convexes(6, 1), backproject_convexes(6, 1, False)}  # there, convexes have colours of their own
+    features = {"field": {"channels": 16, "levels": 2}, "field_backward": {"channels": 16, "levels": 2, "lines": 576}}
+    features |= {name: {"links": 4, "hyper": 2} for name in ("nearest", "skinning")}
+    features |= {name: {} for name in ("adam", "displace", "lives", "looks", "photometric", "smoothness")}
+    return [*found, *(program(name, **of) for name, of in features.items())]
 
 
 def _step(motion: str, device: str) -> dict[str, Tensor]:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from ...rasterizer import Camera, Convexes, Gaussians, rasterize
 from ..model import Model
+from ..motion.interface import Time
 
 Kind = TypeVar("Kind", Gaussians, Convexes)
 Moved = tuple[Gaussians, Convexes]
@@ -72,7 +73,7 @@ def _flow_between(model: Model, camera: Camera, now: Moved, next_camera: Camera,
     return flow / alpha.clamp(min=0.05)[..., None], alpha
 
 
-def interval_loss(model: Model, camera: Camera, t: float, dt: float, edges: Tensor) -> Tensor:
+def interval_loss(model: Model, camera: Camera, t: Time, dt: float, edges: Tensor) -> Tensor:
     """L_interval (Eq. 8): mean over edge pixels of |flow(t + dt) - flow(t)|^2 in px^2, both seen from the same camera.
 
     edges: [H, W] weight in [0, 1]. The three times t, t + dt, t + 2 dt must lie in [0, 1].

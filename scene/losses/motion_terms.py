@@ -22,6 +22,7 @@ from .flow_loss import data_flow_loss, interval_loss
 MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
 PRIOR_EVERY = 4  # steps between two evaluations of the priors and of plane smoothness; their weights are scaled up to compensate
 PRIOR_SAMPLES = 1024
+FLOW_SCALE = 0.5  # size at which flow is rendered
 NEIGHBOURHOOD = 0.025  # of the viewing distance: distance between two places that should move alike
 
 
@@ -77,8 +78,8 @@ class MotionTerms:
                 loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()
             if s.rigid or self.inertia:
                 loss = loss + PRIOR_EVERY * self._priors(model, t, iteration)
-        if flow_due(s, iteration, total) and bool(dynamic.any() | model.convexes.dynamic.any()):
-            loss = loss + s.flow_every * self._flow(model, i, float(t), scale)
+        if flow_due(s, iteration, total) and model.moves():
+            loss = loss + s.flow_every * self._flow(model, i, t, scale)
         return loss
 
     def _priors(self, model: Model, t: Time, iteration: int) -> Tensor:
@@ -97,21 +98,21 @@ class MotionTerms:
         noise = torch.randn(rest.shape, generator=generator).to(rest.device)
         return motion_priors(model.field, rest, noise, t, self.dt, self.unit, s.rigid, self.inertia)
 
-    def _flow(self, model: Model, i: int, t: float, scale: float) -> Tensor:
+    def _flow(self, model: Model, i: int, t: Time, scale: float) -> Tensor:
         s, views = self.settings, self.views
         total = torch.zeros((), device=model.device)
         assert model.field is not None
         if s.interval and self.times >= 3 and not model.field.steady:
-            start = min(t, 1 - 2 * self.dt)
-            camera = views.rasterizer_camera(i, scale * 0.5)
-            total = total + s.interval * interval_loss(model, camera, start, self.dt, views.edges(i, scale * 0.5))
+            start = t.clamp(max=1 - 2 * self.dt) if isinstance(t, Tensor) else min(t, 1 - 2 * self.dt)
+            camera = views.rasterizer_camera(i, scale * FLOW_SCALE)
+            total = total + s.interval * interval_loss(model, camera, start, self.dt, views.edges(i, scale * FLOW_SCALE))
         measured = self.measured_flow(i) if self.measured_flow is not None and s.data_flow else None
         if measured is not None:
             flow, weight = measured
             later = int(views.next[i])
-            camera, next_camera = views.rasterizer_camera(i, 0.5), views.rasterizer_camera(later, 0.5)
-            edges = weight.to(model.device) * views.edges(i, 0.5)
+            camera, next_camera = views.rasterizer_camera(i, FLOW_SCALE), views.rasterizer_camera(later, FLOW_SCALE)
+            edges = weight.to(model.device) * views.edges(i, FLOW_SCALE)
             total = total + s.data_flow * data_flow_loss(
-                model, camera, t, next_camera, float(views.time[later]), flow.to(model.device), edges
+                model, camera, float(t), next_camera, float(views.time[later]), flow.to(model.device), edges
             )
         return total

@@ -49,9 +49,23 @@ def on_cpu():
     return selftest._step("planes", "cpu")
 
 
+class Noting(Emulator):
+    """An emulator that remembers what it was asked to run."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.programs = set()
+
+    def launch(self, program, *given):
+        self.programs.add(program)
+        super().launch(program, *given)
+
+
 def test_the_proof_holds_and_covers_every_kernel():
-    with pretending_cuda() as pretending:
+    emulator = Noting()
+    with pretending_cuda(emulator=emulator) as pretending:
         assert selftest.problem("cuda") is None
+    assert emulator.programs == set(selftest.programs_used()), "these are compiled together, ahead"
     declared = {
         name
         for floor in ("rasterizer", "scene")
