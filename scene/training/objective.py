@@ -52,7 +52,9 @@ class Judged:
     def backward(self) -> None:
         """Leave the gradients of the loss with the parameters."""
         if self.gradients is None:
-            self.loss.backward()  # type: ignore[no-untyped-call]
+            # In this thread: waking another one for the GPU's part takes longer than the part itself.
+            with torch.autograd.set_multithreading_enabled(False):
+                self.loss.backward()  # type: ignore[no-untyped-call]
         else:
             for parameter, gradient in self.gradients:
                 parameter.grad = gradient

@@ -25,7 +25,9 @@ def begun() -> Trainer:
     views = replace(make_views(), load_alpha=lambda i: alpha, device="cuda", _there=OrderedDict(), _there_bytes=0)
     model = fresh(views)
     model.field = make_nodes(model.gaussians.means.detach().numpy(), QUICK)
-    return Trainer(model.to("cuda"), views, [PHASE], QUICK, 200, recipe=NODES)
+    trainer = Trainer(model.to("cuda"), views, [PHASE], QUICK, 200, recipe=NODES)
+    trainer.objective.several = False  # as where each time has one camera, for which control nodes are
+    return trainer
 
 
 def judged(trainer: Trainer, judge, step: int) -> dict[str, torch.Tensor]:

@@ -13,7 +13,7 @@ from e4dgs.workflows.bench.rows import Bench, Check, Measured
 from e4dgs.workflows.bench.scenes import garden
 from e4dgs.workflows.bench.timing import interleaved, ratio
 
-FASTER = 1.5
+FASTER = {"forward": 1.5, "both": 2.0}
 SIZES = ((648, 420), (1920, 1080))
 TILED = (1, 4, 16)  # copies of the scene, each moved by the scene's own extent, as gsplat's benchmark does
 
@@ -33,11 +33,11 @@ def measure(bench: Bench) -> Measured:
                 runs |= {"gsplat forward": forward(scene, peer), "gsplat both": both_on_gpu(scene, peer)}
             times = interleaved(bench, {key: ending(run) for key, run in runs.items()})
             memory = {key: peak_mib(run) for key, run in runs.items()}
-            for part in ("forward", "both"):
+            for part, bar in FASTER.items():
                 checks.append(Check(f"{what}, {part}: ours", 1e3 * times[f"ours {part}"].median / CALLS, unit="ms"))
                 if there:
                     value, note = ratio(times[f"gsplat {part}"], times[f"ours {part}"])
-                    checks.append(Check(f"{what}, {part}: gsplat's time over ours", value, FASTER, "above", note=note))
+                    checks.append(Check(f"{what}, {part}: gsplat's time over ours", value, bar, "above", note=note))
             if there:
                 share = memory["ours both"] / memory["gsplat both"]
                 checks.append(Check(f"{what}: our memory over gsplat's, forward + backward", share, 1.0))

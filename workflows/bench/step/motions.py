@@ -27,9 +27,9 @@ RIG = {"a rig, all of it moves": ("free", 1.0), "a rig, a fifth moves": ("free",
 
 def measure(bench: Bench) -> Measured:
     views, masks, name = views_of(bench)
-    rig = len(np.unique(views.camera)) > 1 and len(np.unique(views.time)) < len(views.train)
+    rig = is_rig(views)
     kinds = RIG if rig else NODES
-    models = {what: _model(bench, views, masks, *kind) for what, kind in kinds.items()}
+    models = {what: model_in_motion(bench, views, masks, *kind) for what, kind in kinds.items()}
     times = interleaved(bench, {what: make_trainer(model, _views(views, kinds[what][1]))[1] for what, model in models.items()})
     ms = {what: 1e3 * t.best / PERIOD for what, t in times.items()}
     if rig:
@@ -65,7 +65,13 @@ def _views(views: Views, moving: float) -> Views:
     return replace(views, load_moving=band)
 
 
-def _model(bench: Bench, views: Views, masks: list[np.ndarray] | None, motion: str, moving: float) -> Model:
+def is_rig(views: Views) -> bool:
+    """Whether several cameras see the same times."""
+    return len(np.unique(views.camera)) > 1 and len(np.unique(views.time)) < len(views.train)
+
+
+def model_in_motion(bench: Bench, views: Views, masks: list[np.ndarray] | None, motion: str, moving: float) -> Model:
+    """A model whose ``motion`` is "nodes" or "free", of which the share ``moving`` is dynamic."""
     model = make_model(bench, views, masks, NODES_COUNT if motion == "nodes" else RIG_COUNT)
     gaussians = model.gaussians
     if motion == "nodes":
