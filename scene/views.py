@@ -135,18 +135,22 @@ class Views:
         """[H, W] bool, the pixels that count; None if all do."""
         return None if self.load_kept is None else self._tensor(i, scale, window, "kept") >= WHOLLY
 
-    def _tensor(self, i: int, scale: float, window: Window | None, kind: Kind) -> Tensor:
+    def stored(self, i: int, scale: float, kind: Kind) -> Tensor:
+        """The picture of frame ``i`` of this kind as it is kept on `device`: uint8 [H, W, 3] or [H, W]. It may be gone from there after the
+        next call."""
         if self.device == "cpu":
-            there = torch.from_numpy(self._image(i, scale, kind))
-        else:
-            key = (int(i), scale, kind)
-            if key not in self._there:
-                self._there[key] = torch.from_numpy(self._image(i, scale, kind)).to(self.device)
-                self._there_bytes += self._there[key].nbytes
-            self._there.move_to_end(key)
-            while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
-                self._there_bytes -= self._there.popitem(last=False)[1].nbytes
-            there = self._there[key]
+            return torch.from_numpy(self._image(i, scale, kind))
+        key = (int(i), scale, kind)
+        if key not in self._there:
+            self._there[key] = torch.from_numpy(self._image(i, scale, kind)).to(self.device)
+            self._there_bytes += self._there[key].nbytes
+        self._there.move_to_end(key)
+        while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
+            self._there_bytes -= self._there.popitem(last=False)[1].nbytes
+        return self._there[key]
+
+    def _tensor(self, i: int, scale: float, window: Window | None, kind: Kind) -> Tensor:
+        there = self.stored(i, scale, kind)
         if window is not None:
             left, top, right, bottom = window
             there = there[top:bottom, left:right]

@@ -15,7 +15,7 @@ from e4dgs.stages.training.motions import make_nodes
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views
 
 TOTAL = 200
-QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "densify_every": 40, "flow_every": 8})
+QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "densify_every": 40, "flow_every": 8, "affine": False})
 PHASE = Phase("moving", TOTAL, move=True)
 STEPS = (61, 62, 63, 64, 68, 72, 65, 76, 80, 66, 84, 88)  # plain ones, and ones with priors, depths and flow
 

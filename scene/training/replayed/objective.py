@@ -45,7 +45,7 @@ class _Graph:
     graph: torch.cuda.CUDAGraph
     view: OneView
     judged: Judged
-    gradients: list[tuple[Tensor, Tensor]]
+    losses: Tensor
     frames: list[Watched]
     replays: int = 0
 
@@ -114,14 +114,15 @@ class ReplayedObjective:
             with watching() as frames, torch.cuda.graph(graph, capture_error_mode="thread_local"):
                 judged = objective(twin, i, step, phase, sh_degree)
                 found = torch.autograd.grad(judged.loss, list(leaves.values()), allow_unused=True)
+                losses = torch.stack([judged.loss.detach(), judged.image_loss])
         self.captures += 1
         gradients = [(parameters[name], gradient) for name, gradient in zip(leaves, found) if gradient is not None]
-        judged = replace(judged, loss=judged.loss.detach(), color=judged.color.detach(), gradients=gradients)
-        return _Graph(twin, flow, graph, view, judged, gradients, list(frames))
+        judged = replace(judged, loss=losses[0], image_loss=losses[1], color=judged.color.detach(), gradients=gradients)
+        return _Graph(twin, flow, graph, view, judged, losses, list(frames))
 
     def _replay(self, found: _Graph, i: int) -> Judged:
         found.view.show(i, found.flow)
         found.graph.replay()
         found.replays += 1
-        # Both are read after the next replays.
-        return replace(found.judged, loss=found.judged.loss.clone(), image_loss=found.judged.image_loss.clone())
+        loss, image_loss = found.losses.clone().unbind()  # they are read after the next replays
+        return replace(found.judged, loss=loss, image_loss=image_loss)

@@ -7,7 +7,9 @@ from torch import Tensor
 
 from ....rasterizer import Camera
 from ...losses.motion_terms import FLOW_SCALE
-from ...views import Views
+from ...views import WHOLLY, Kind, Views
+
+K_SIZE, POSE_SIZE = 9, 16
 
 
 class OneView:
@@ -18,38 +20,37 @@ class OneView:
         self._views, self._scale = views, scale
         self.width, self.height, self.background = views.width, views.height, views.background
         self.load_alpha, self.load_kept = views.load_alpha, views.load_kept
-        device = views.device
-        width, height = views.size(scale)
+        device, sizes = views.device, (scale, scale * FLOW_SCALE)
+        # Both cameras and the time travel in one copy.
+        self._numbers = torch.zeros(2 * (K_SIZE + POSE_SIZE) + 1, device=device)
+        *parts, self._moment = self._numbers.split([K_SIZE, POSE_SIZE, K_SIZE, POSE_SIZE, 1])
         self._cameras = {
-            size: Camera(torch.eye(3, device=device), torch.eye(4, device=device), *views.size(size), views.near)
-            for size in (scale, scale * FLOW_SCALE)
+            size: Camera(K.view(3, 3), pose.view(4, 4), *views.size(size), views.near)
+            for size, K, pose in zip(sizes, parts[::2], parts[1::2])
         }
-        self._moment = torch.zeros((), device=device)
+        self._known: dict[int, Tensor] = {}  # the numbers of each frame, on the CPU
         self._backdrop = views.backdrop().to(device)
-        self._target = torch.zeros(height, width, 3, device=device)
-        self._alpha = torch.zeros(height, width, device=device)
-        small_width, small_height = views.size(scale * FLOW_SCALE)
+        kinds: dict[Kind, object] = {"colour": True, "alpha": views.load_alpha, "kept": views.load_kept}
+        (width, height), (small_width, small_height) = map(views.size, sizes)
+        self._pictures = {
+            kind: torch.zeros((height, width, 3) if kind == "colour" else (height, width), dtype=torch.uint8, device=device)
+            for kind, there in kinds.items()
+            if there
+        }
         self._edges = torch.zeros(small_height, small_width, device=device)
-        self._kept = torch.ones(height, width, dtype=torch.bool, device=device)
 
     def show(self, i: int, flow: bool) -> None:
-        """Put in frame ``i``, with its edges if they are used for ``flow``. Does not wait for the device."""
-        views, scale = self._views, self._scale
-        for size, own in self._cameras.items():
-            if flow or size == scale:
-                camera = views.rasterizer_camera(i, size)
-                own.K.copy_(camera.K, non_blocking=True)
-                own.cam_from_world.copy_(camera.cam_from_world, non_blocking=True)
+        """Put in frame ``i``, with its edges if they are used for ``flow``. Does not wait for the device, once it has the pictures."""
+        views = self._views
+        if i not in self._known:
+            cameras = [views.rasterizer_camera(i, size) for size in self._cameras]
+            numbers = [part.flatten() for camera in cameras for part in (camera.K, camera.cam_from_world)]
+            self._known[i] = torch.cat([*numbers, torch.tensor([views.moment(i)])])
+        self._numbers.copy_(self._known[i], non_blocking=True)
+        for kind, picture in self._pictures.items():
+            picture.copy_(views.stored(i, self._scale, kind))
         if flow:
-            self._edges.copy_(views.edges(i, scale * FLOW_SCALE))
-        self._moment.fill_(views.moment(i))
-        self._target.copy_(views.target(i, scale))
-        if self.load_alpha is not None:
-            self._alpha.copy_(views.alpha(i, scale))
-        if self.load_kept is not None:
-            kept = views.kept(i, scale)
-            assert kept is not None
-            self._kept.copy_(kept)
+            self._edges.copy_(views.edges(i, self._scale * FLOW_SCALE))
 
     # What a step asks of `Views`.
 
@@ -63,19 +64,19 @@ class OneView:
         return self._cameras[scale]
 
     def moment(self, i: int) -> Tensor:
-        return self._moment
+        return self._moment[0]
 
     def backdrop(self) -> Tensor:
         return self._backdrop
 
     def target(self, i: int, scale: float = 1.0, window: None = None) -> Tensor:
-        return self._target
+        return self._pictures["colour"].float().div_(255.0)
 
     def alpha(self, i: int, scale: float = 1.0, window: None = None) -> Tensor:
-        return self._alpha
+        return self._pictures["alpha"].float().div_(255.0)
+
+    def kept(self, i: int, scale: float = 1.0, window: None = None) -> Tensor | None:
+        return None if self.load_kept is None else self._pictures["kept"].float().div_(255.0) >= WHOLLY
 
     def edges(self, i: int, scale: float = 1.0) -> Tensor:
         return self._edges
-
-    def kept(self, i: int, scale: float = 1.0, window: None = None) -> Tensor | None:
-        return None if self.load_kept is None else self._kept
