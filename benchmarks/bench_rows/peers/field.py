@@ -106,6 +106,7 @@ class TorchField(nn.Module):
         return rigidity, change.norm(dim=1).mean()
 
     steady = False
+    priors_at_places = True
     worth_culling, links, spread_over = True, DeformationField.links, DeformationField.spread_over
     carry, light = DeformationField.carry, DeformationField.light
 
