@@ -78,7 +78,8 @@ class _Skin(torch.autograd.Function):
         if in_order:
             linked, order = torch.sort(link.view(-1), stable=True)
             ctx.launcher.launch(program("sum_links"), "sum_links", nodes, SUM_THREADS, c_int64(len(order)), linked, order, rows, sums)
-        shifts, falloff, turns, home_hyper = sums[:, :3], sums[:, 3], sums[:, 4:8], sums[:, 8 : 8 + hyper.shape[1]]
+        shifts, falloff, turns = sums[:, :3], sums[:, 3], sums[:, 4:8]
+        home_hyper = sums[:, 8 : 8 + hyper.shape[1]].contiguous()  # a parameter; autograd warns of gradients laid out otherwise
         return None, *own, None, None, home_hyper, falloff, turns, shifts
 
 
