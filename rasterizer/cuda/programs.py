@@ -78,7 +78,7 @@ def needed(
     return found
 
 
-ARCHITECTURES = ("sm_80", "sm_86", "sm_89", "sm_90")  # register counts and spills are recorded for these
+ARCHITECTURES = ("sm_75", "sm_80", "sm_86", "sm_89", "sm_90")  # register counts and spills are recorded for these
 # What CI compiles for every architecture: every file, with the features that need the fewest and the most registers.
 RECORDED: dict[str, Program] = {
     str(one): one
