@@ -2,9 +2,9 @@
 
     python benchmarks/cuda_resources.py [--out FOLDER]
 
-Compiles every program in RECORDED of `rasterizer/cuda/programs.py` and `scene/cuda/programs.py` for sm_75, sm_80, sm_86, sm_89 and sm_90, which
-takes no GPU, and writes `cuda_resources.json` into tests/rasterizer and tests/scene. `test_cuda_compiles.py` beside each holds the kernels
-to it: run this after a change of a kernel whose registers are meant to rise, and commit the file with the change.
+Compiles every program in RECORDED of `rasterizer/cuda/programs.py` and `scene/cuda/programs.py` for sm_75, sm_80, sm_86, sm_89 and sm_90,
+which takes no GPU, and writes `cuda_resources.json` into tests/rasterizer and tests/scene. `test_cuda_compiles.py` beside each holds the
+kernels to it: run this after a change of a kernel whose registers are meant to rise, and commit the file with the change.
 """
 
 from __future__ import annotations
