@@ -203,7 +203,10 @@ def test_tensors_that_lie_across_others_are_taken():
     assert torch.equal(near, nearest_nodes(Emulator(), inputs["points"], inputs["hyper"], nodes_of(inputs), 4))
 
 
-@pytest.mark.parametrize("emulator", [Emulator(), Emulator(3), Emulator(flags=CHECKED), Emulator(flags=RACES)], ids=["plain", "order", "checked", "races"])
+EVERY_WAY = {"plain": Emulator(), "order": Emulator(3), "checked": Emulator(flags=CHECKED), "races": Emulator(flags=RACES)}
+
+
+@pytest.mark.parametrize("emulator", EVERY_WAY.values(), ids=EVERY_WAY.keys())
 @pytest.mark.parametrize("sizes", [(0, 5, 4, 2), (1, 1, 1, 0), (300, 128, 4, 2), (130, 129, 4, 2), (200, 300, 8, 4)], ids=str)
 def test_the_nearest_nodes_are_found(emulator, sizes):
     inputs, link = scene(*sizes)
