@@ -70,7 +70,7 @@ class Views:
     _images: OrderedDict[tuple[int, float, Kind], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _windows: dict[int, tuple[int, int, int, int] | None] = field(default_factory=dict, repr=False)
     _edges: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
-    _edges_there: dict[tuple[int, float], Tensor] = field(default_factory=dict, repr=False)  # on `device`, unless that is the CPU
+    _edges_there: dict[tuple[int, float], Tensor] = field(default_factory=dict, init=False, repr=False)  # on `device`, not the CPU
     _bytes: int = 0
     _there: OrderedDict[tuple[int, float, Kind], Tensor] = field(
         default_factory=OrderedDict, repr=False

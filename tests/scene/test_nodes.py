@@ -160,11 +160,13 @@ def test_saved_and_read_back_nodes_move_alike():
 def test_links_are_kept_until_asked_for_anew():
     model = Model(GaussianSet.from_points(rest().points.numpy(), np.full((40, 3), 0.5), 0), ConvexSet.empty(6, 0), moving(), 0)
     first = model.links(model.gaussians)
+    before = first.clone()
     with torch.no_grad():
         model.gaussians.means.mul_(-1)
-    assert torch.equal(model.links(model.gaussians), first)
+    assert torch.equal(model.links(model.gaussians), before)
     model.relink()
-    assert not torch.equal(model.links(model.gaussians), first)
+    assert not torch.equal(model.links(model.gaussians), before)
+    assert model.links(model.gaussians) is first, "in the memory that a captured step reads"
     model.gaussians = model.gaussians.select(torch.arange(5))
     assert len(model.links(model.gaussians)) == 5
 
