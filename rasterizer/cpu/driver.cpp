@@ -5,8 +5,6 @@
 #include <array>
 #include <cstdint>
 #include <cstring>
-#include <string>
-#include <vector>
 
 namespace nb = nanobind;
 

@@ -1,4 +1,4 @@
-// Launches CUDA kernels from C++: through cuda-core and Python's ctypes a launch takes 20 us, of which the driver takes 3.
+// Launches CUDA kernels from C++. Seen by Python's profiler, a launch takes 14 us, where reading its arguments in Python and cuda-core took 54.
 #pragma once
 #include <nanobind/nanobind.h>
 

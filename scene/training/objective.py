@@ -52,7 +52,7 @@ class Judged:
     def backward(self) -> None:
         """Leave the gradients of the loss with the parameters."""
         if self.gradients is None:
-            # In this thread: waking another one for the GPU's part takes longer than the part itself.
+            # In this thread: for a GPU, autograd would otherwise wake another one and wait for it.
             with torch.autograd.set_multithreading_enabled(False):
                 self.loss.backward()  # type: ignore[no-untyped-call]
         else:

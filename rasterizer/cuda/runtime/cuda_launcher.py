@@ -149,7 +149,7 @@ def _stream_object(index: int) -> int:
     return int(torch.cuda.current_stream(index).cuda_stream)
 
 
-# torch's own code and Triton ask like this; an object for the stream takes 2 us.
+# torch's own code and Triton ask like this, without making an object for the stream.
 _current_stream = getattr(torch._C, "_cuda_getCurrentRawStream", _stream_object)
 
 
