@@ -1,5 +1,8 @@
 """A few coloured Gaussians that slide past cameras: the views of a training that takes milliseconds a step, and models to begin with."""
 
+from collections import OrderedDict
+from dataclasses import replace
+
 import numpy as np
 import torch
 from e4dgs.scene.model import Model
@@ -61,3 +64,8 @@ def fresh(views, static=False):
     points = rng.uniform(-1, 1, (60, 3))
     g = GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, max_scale=0.3)
     return Model(g, ConvexSet.empty(6, 0), None if static else make_field(points, views, SETTINGS), 0)
+
+
+def there(views):
+    """The same views, on the CUDA device."""
+    return replace(views, device="cuda", _there=OrderedDict(), _there_bytes=0)

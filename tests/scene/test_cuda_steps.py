@@ -1,7 +1,6 @@
 """Steps on a CUDA device, which judges them by itself: what is not finite leaves no trace, and the host hears of it later. There is no such
 device here: see test_cuda_training.py."""
 
-from collections import OrderedDict
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from e4dgs.scene.training.steps.late import LATEST
 from e4dgs.scene.training.trainer import Trainer
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler
-from sliding_gaussians import SETTINGS, SIZE, fresh, make_views
+from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, there
 
 pytestmark = needs_compiler
 
@@ -25,10 +24,6 @@ QUICK = SETTINGS.model_copy(update={"iterations": 30, "densify_every": 10, "flow
 @pytest.fixture(scope="module")
 def views():
     return make_views()
-
-
-def there(views):
-    return replace(views, device="cuda", _there=OrderedDict(), _there_bytes=0)
 
 
 def begun(views, model=None, **options):

@@ -1,7 +1,6 @@
 """Training with everything on a CUDA device. There is none here: `pretending_cuda` makes tensors carry the mark of one, refuses what a GPU
 would refuse, and runs the CUDA kernels in the emulator. The scene is that of sliding_gaussians.py."""
 
-from collections import OrderedDict
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.training.motions import make_nodes
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler
-from sliding_gaussians import SETTINGS, SIZE, fresh, make_views
+from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, there
 
 pytestmark = needs_compiler
 
@@ -24,10 +23,6 @@ QUICK = SETTINGS.model_copy(update={"iterations": 30, "densify_every": 10, "flow
 @pytest.fixture(scope="module")
 def views():
     return make_views()
-
-
-def there(views):
-    return replace(views, device="cuda", _there=OrderedDict(), _there_bytes=0)
 
 
 def measured(i):
