@@ -164,10 +164,8 @@ def rigid(pose: np.ndarray, where: str) -> np.ndarray:
         reason = "mirrors" if error <= _RIGID_TOLERANCE else f"is {error:.2g} away from a rotation"
         raise CaptureError(f"{where}: the 3x3 part {reason}, so the pose is not rigid; remove scale, shear and mirroring from the export")
     # Files store six or seven digits. The nearest rotation restores full precision, so that inverse and transpose agree later on.
-    # Each pass squares the error (Newton-Schulz). Not by SVD: after other libraries, LAPACK's has been seen to fail on sound matrices.
-    for _ in range(5):
-        rotation = rotation @ (1.5 * np.eye(3) - 0.5 * rotation.T @ rotation)
-    result[:3, :3] = rotation
+    u, _, vt = np.linalg.svd(rotation)
+    result[:3, :3] = u @ vt
     return result
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -30,6 +31,8 @@ ROOT = HERE.parents[1]
 RUNTIME = ("scheduler.cpp", "report.cpp", "races.cpp", "hooks.cpp", "launch.cpp")
 FLAGS = ("-std=c++20", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-fno-strict-aliasing", "-Wno-attributes")
 FLAGS += ("-Werror=frame-larger-than=65536", "-gdwarf-4")  # of version 5, addr2line of 2022 confuses the files
+if platform.machine() in ("x86_64", "AMD64"):
+    FLAGS += ("-mno-mmx",)  # GCC 12 kept a value in an MMX register; after that x87 code, as in OpenBLAS, gives NaN
 # For Emulator(flags=CHECKED), with GCC: arrays' bounds, alignment, integer overflow, and conversions that saturate on a GPU end a launch
 # where they stand, at hardly more time.
 CHECKED = ("-fsanitize=undefined,float-cast-overflow", "-fsanitize-undefined-trap-on-error", "-fno-crossjumping", "-fno-tree-tail-merge")
