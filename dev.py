@@ -43,6 +43,7 @@ SANITIZED_TESTS = (
     "tests/fuzz",
     "tests/scene/test_hexplane.py",
     "tests/scene/test_photometric.py",
+    "tests/scene/test_slanted.py",
     "tests/vision/test_raft.py",
 )
 BUILD_SUFFIXES = {".cpp", ".h", ".inl", ".cmake", ".txt"}

@@ -7,9 +7,11 @@
 #include <cstdint>
 #include <optional>
 #include <stdexcept>
+#include <string>
 #include <utility>
 
 #include "arrays.h"
+#include "patch_match.h"
 #include "photometric.h"
 #include "surface.h"
 
@@ -69,4 +71,21 @@ void bind_images(nb::module_& m) {
         },
         nb::arg("depth"), nb::arg("alpha"), nb::arg("image"), nb::arg("measured").none(), nb::arg("moving").none(), nb::arg("weight").none(),
         nb::arg("unit"), nb::arg("smooth"), nb::arg("measure"), nb::arg("d_depth"), nb::arg("d_alpha"), nb::arg("threads"));
+
+    m.def(
+        "patch_match",
+        [](const In& image, const In& others, const In& to, int best, std::pair<float, float> range, float step, float focal, uint32_t seed,
+           int iterations, const Out& planes, const Out& score, int threads) {
+            if (image.ndim() != 2 || image.shape(0) < 2 || image.shape(1) < 2) throw std::invalid_argument("image must be [H,W], 2 px or more");
+            const size_t h = image.shape(0), w = image.shape(1), n = others.ndim() == 3 ? others.shape(0) : 0;
+            if (n < 1 || n > size_t(e4dgs::kMostOthers))
+                throw std::invalid_argument("others must be [N,H,W] with 1 to " + std::to_string(e4dgs::kMostOthers) + " images");
+            check(others, {n, h, w}, "others"), check(to, {n, 3, 4}, "to"), check(planes, {3, h, w}, "planes"), check(score, {h, w}, "score");
+            if (best < 1 || iterations < 0) throw std::invalid_argument("best must be at least 1 and iterations at least 0");
+            const e4dgs::Patches in{image.data(), others.data(), to.data(), int(n), best, int(h), int(w), range.first, range.second, step, focal, seed};
+            nb::gil_scoped_release release;
+            e4dgs::patch_match(in, iterations, planes.data(), score.data(), threads);
+        },
+        nb::arg("image"), nb::arg("others"), nb::arg("to"), nb::arg("best"), nb::arg("range"), nb::arg("step"), nb::arg("focal"), nb::arg("seed"),
+        nb::arg("iterations"), nb::arg("planes"), nb::arg("score"), nb::arg("threads"));
 }

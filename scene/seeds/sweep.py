@@ -1,4 +1,5 @@
-"""Depth by plane sweep (Collins 1996): for each pixel, the one of many parallel planes that makes neighbouring images agree best.
+"""Depth by plane sweep (Collins 1996): for each pixel, the one of many parallel planes that makes neighbouring images agree best. Then each
+pixel looks for the slanted plane that does (`slanted`).
 
 Feature matching finds only corners; the sweep finds everything that has texture. The measure is zero-mean normalised cross-correlation,
 which does not depend on the cameras' colour gains.
@@ -14,6 +15,7 @@ import numpy as np
 import torch
 
 from ..views import Views
+from .slanted import refine
 
 WIDTH = 320  # px, longest side of the images that are compared
 NEIGHBOURS = 4  # cameras that each one is compared with
@@ -21,7 +23,6 @@ AGREEING = 2  # of these, how many count, the best ones: the others may not see 
 NARROW, WIDE = 3.0, 45.0  # degrees between the directions from which two cameras see the scene
 WINDOW = 7  # px, side of the correlation window
 LEAST_SCORE = 0.75  # least correlation of an accepted plane
-LEAD = 0.04  # by which the score of the best plane must exceed that of planes farther than two steps from it
 TEXTURE = 2.0  # grey levels; windows with a smaller standard deviation have too little texture
 LEAST_POINTS = 8  # views that show fewer get no map
 PLANES = (32, 160)  # fewest and most planes; in between, as many as make a step about one pixel
@@ -101,15 +102,16 @@ def points_of(maps: Sequence[DepthMap], views: Views) -> tuple[np.ndarray, np.nd
 def _sweep(
     grey: list[np.ndarray], K: np.ndarray, poses: np.ndarray, k: int, others: list[int], near: float, far: float
 ) -> tuple[np.ndarray, float]:
-    """Inverse depth [h, w] of the k-th image, 0 where no plane stands out, and the step between planes."""
+    """Inverse depth [h, w] of the k-th image, 0 where no plane makes the others agree, and the step between planes."""
     h, w = grey[k].shape
     relative = [poses[j] @ np.linalg.inv(poses[k]) for j in others]
-    middle = np.array([w / 2, h / 2, 1.0])
+    # Where the pixel (x, y) with inverse depth v lies in each of the others: at (x, y, 1, v), times its depth there.
+    to = np.stack([K[j] @ np.hstack([pose[:3, :3] @ np.linalg.inv(K[k]), pose[:3, 3:]]) for j, pose in zip(others, relative)])
     ends = []
-    for j, pose in zip(others, relative):
-        ray = pose[:3, :3] @ np.linalg.inv(K[k]) @ middle
-        at = [K[j] @ (ray * z + pose[:3, 3]) for z in (near, far)]
-        ends.append(np.linalg.norm(at[0][:2] / at[0][2] - at[1][:2] / at[1][2]) if min(at[0][2], at[1][2]) > 0 else PLANES[1])
+    for one in to:
+        at = [one @ [w / 2, h / 2, 1, 1 / z] for z in (near, far)]
+        ahead = min(at[0][2], at[1][2]) > 0
+        ends.append(np.linalg.norm(at[0][:2] / at[0][2] - at[1][:2] / at[1][2]) if ahead else PLANES[1])
     count = int(np.clip(np.ceil(max(ends)), *PLANES))
     inverse = np.linspace(1 / far, 1 / near, count)
     blur = lambda image: cv2.boxFilter(image, -1, (WINDOW, WINDOW))  # noqa: E731
@@ -117,13 +119,12 @@ def _sweep(
     spread = np.sqrt(np.maximum(blur(grey[k] * grey[k]) - mean * mean, 0))
     # Pixel centres are at +0.5 here, but at whole numbers in OpenCV.
     shift = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
-    scores = np.empty((count, h, w), np.float32)
     inside = np.ones((h, w), np.float32)
-    for p, value in enumerate(inverse):
+    best, rough = np.full((h, w), -np.inf, np.float32), np.zeros((h, w), np.float32)
+    for value in inverse:
         each = np.full((len(others), h, w), -1.0, np.float32)
-        for o, (j, pose) in enumerate(zip(others, relative)):
-            plane = pose[:3, :3] + np.outer(pose[:3, 3], [0, 0, value])
-            H = np.linalg.inv(shift) @ K[j] @ plane @ np.linalg.inv(K[k]) @ shift
+        for o, j in enumerate(others):
+            H = np.linalg.inv(shift) @ (to[o][:, :3] + np.outer(to[o][:, 3], [0, 0, value])) @ shift
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             there = cv2.warpPerspective(grey[j], H, (w, h), flags=flags)
             seen = cv2.warpPerspective(inside, H, (w, h), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP) > 0
@@ -132,19 +133,12 @@ def _sweep(
             score = (blur(grey[k] * there) - mean * their_mean) / np.maximum(spread * their_spread, 1e-3)
             each[o] = np.where(seen & (their_spread > TEXTURE), score, -1.0)
         each.sort(axis=0)
-        best = each[-AGREEING:]
-        scores[p] = blur(best.mean(0))  # averaged over neighbours, as single pixels may match by chance
-    choice = scores.argmax(0)
-    rows = np.arange(count)[:, None, None]
-    top = np.take_along_axis(scores, choice[None], 0)[0]
-    rival = np.where(np.abs(rows - choice) > 2, scores, -1.0).max(0)
-    sure = (top > LEAST_SCORE) & (top - rival > LEAD) & (spread > TEXTURE) & (choice > 0) & (choice < count - 1)
-    before, after = (np.take_along_axis(scores, np.clip(choice + d, 0, count - 1)[None], 0)[0] for d in (-1, 1))
-    bend = before - 2 * top + after
-    offset = np.where(bend < -1e-6, 0.5 * (before - after) / np.where(bend < -1e-6, bend, -1.0), 0.0)
-    step = float(inverse[1] - inverse[0])
-    found = inverse[0] + (choice + np.clip(offset, -0.5, 0.5)) * step
-    return np.where(sure, found, 0.0).astype(np.float32), step
+        score = blur(each[-AGREEING:].mean(0))  # averaged over neighbours, as single pixels may match by chance
+        better = score > best
+        best[better], rough[better] = score[better], value
+    found, score = refine(grey[k], [grey[j] for j in others], to, AGREEING, rough, (inverse[0], inverse[-1]), count, K[k][0, 0])
+    sure = (score > LEAST_SCORE) & (spread > TEXTURE) & (found > inverse[0]) & (found < inverse[-1])
+    return np.where(sure, found, 0.0).astype(np.float32), float(inverse[1] - inverse[0])
 
 
 def agreed(maps: dict[int, DepthMap], K: np.ndarray, poses: np.ndarray, k: int, others: list[int]) -> np.ndarray:
