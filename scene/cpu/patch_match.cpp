@@ -142,9 +142,10 @@ private:
 // One pixel of one iteration: the planes of its neighbours, then random changes of the best.
 void improve(const Patches& in, int iteration, int x, int y, float* planes, float* score) {
     Patch patch;
+    const int64_t pixels = int64_t(in.height) * in.width, here = int64_t(y) * in.width + x;
+    if (in.wanted && !in.wanted[here]) return;
     take_patch(in, x, y, patch);
     if (patch.spread < kLeastSpread) return;
-    const int64_t pixels = int64_t(in.height) * in.width, here = int64_t(y) * in.width + x;
     Plane best{planes[here], planes[pixels + here], planes[2 * pixels + here]};
     float most = score[here];
     auto attempt = [&](const Plane& plane) {
@@ -181,9 +182,11 @@ void patch_match(const Patches& in, int iterations, float* planes, float* score,
 #pragma omp parallel for num_threads(threads) schedule(dynamic, 4)
     for (int y = 0; y < in.height; ++y)
         for (int x = 0; x < in.width; ++x) {
+            const int64_t here = int64_t(y) * in.width + x;
+            score[here] = -1;
+            if (in.wanted && !in.wanted[here]) continue;
             Patch patch;
             take_patch(in, x, y, patch);
-            const int64_t here = int64_t(y) * in.width + x;
             score[here] = patch.spread < kLeastSpread ? -1.0f : agreement(in, patch, x, y, {planes[here], planes[pixels + here], planes[2 * pixels + here]});
         }
     // Pixels of one colour of a chess board read only those of the other.

@@ -16,6 +16,7 @@ struct Patches {
     int height, width;
     float low, high, step;  // range of the inverse depth; a difference that does not matter much
     float focal;            // px, for the size of slants
+    const bool* wanted;     // [height, width], pixels that count; or null, if all do
     uint32_t seed;
 };
 

@@ -1,7 +1,8 @@
 """Seeds on moving objects at several times, with positions and velocities from masks and flow.
 
-If several cameras see the same time, seeds lie on the visual hull of their masks. For one moving camera they lie on the pixels of its
-mask, at the depth that `depths.py` finds. Velocities are measured over neighbouring frames.
+If several cameras see the same time, seeds lie where they agree on the depth of what their masks show, and for the rest on the visual hull
+of the masks. For one moving camera they lie on the pixels of its mask, at the depth that `depths.py` finds. Velocities are measured over
+neighbouring frames.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from ...scene.seeds.colours import median_colours
 from ...scene.seeds.hull import visual_hull
+from ...scene.seeds.surfaces import surface_points
 from ...scene.views import Views
 from ...vision.sequences import camera_sequences
 from ..artifacts.flow import StoredFlow
@@ -24,6 +26,8 @@ from .scene_flow import next_positions
 KEYS = 12  # least number of times at which seeds are placed
 APART = 8  # frames; if these times would lie farther apart, more are used
 FEWEST_FRAMES = 3  # least number of frames of a camera for a path, and of cameras that see a time for a hull
+HULL = 20_000  # points of a visual hull
+MEASURED_SHARE = 0.6  # of the seeds at a time, where cameras agree on their depth
 AROUND = 3  # frames on either side over which the velocity is measured for one camera
 
 
@@ -49,7 +53,7 @@ def rig_seeds(
     seed: int,
     advance: Callable[[int], None] = lambda n: None,
 ) -> MovingSeeds | None:
-    """Up to ``most`` seeds on the visual hulls of the masks at key times; None if no seed is found or fewer than three cameras have masks.
+    """Up to ``most`` seeds on what the masks show at key times; None if no seed is found or fewer than three cameras have masks.
 
     mask(i): [H, W] bool, moving pixels of frame i, or None. advance: called with the number of key times that are done.
     """
@@ -65,10 +69,9 @@ def rig_seeds(
         if len(known) < FEWEST_FRAMES:
             continue
         chosen, masks = np.array([i for i, _ in known]), [m for _, m in known]
-        points = visual_hull(views, masks, chosen, most // len(rows), seed)
+        points, colors = on_surfaces(views, masks, chosen, most // len(rows), seed)
         if not len(points):
             continue
-        colors = median_colours(views, points, chosen, masks)[0]
         alive = np.ones(len(points), bool)
         steps = [(d, next_positions(views, chains, k, d, points, alive)) for d in (1, -1) if 0 <= k + d < len(times) and len(chains) > 1]
         known_steps = np.stack([there for _, (_, there) in steps]) if steps else np.zeros((1, len(points)), bool)
@@ -76,6 +79,21 @@ def rig_seeds(
         velocity = (moved * known_steps[..., None]).sum(0) / np.maximum(known_steps.sum(0), 1)[:, None]
         found.append(MovingSeeds(points, colors, velocity * per_frame(views, times, k), np.full(len(points), times[k])))
     return join(found)
+
+
+def on_surfaces(views: Views, masks: list[np.ndarray], frames: np.ndarray, most: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Up to ``most`` points [n, 3] (world units) on what the ``masks`` of ``frames`` of one time show, and colours [n, 3] in [0, 1]: where
+    cameras agree on its depth, and for the rest on the visual hull."""
+    hull = visual_hull(views, masks, frames, HULL, seed)
+    if not len(hull):
+        return hull, np.zeros((0, 3))
+    measured, measured_colors, left = surface_points(views, frames.tolist(), [views.load(int(i)) for i in frames], masks, hull)
+    rng = np.random.default_rng(seed)
+    measured_chosen = rng.permutation(len(measured))[: int(MEASURED_SHARE * most)]
+    hull = hull[left]
+    hull = hull[rng.permutation(len(hull))[: most - len(measured_chosen)]]
+    points, colors = measured[measured_chosen], measured_colors[measured_chosen]
+    return np.concatenate([points, hull]), np.concatenate([colors, median_colours(views, hull, frames, masks)[0]])
 
 
 def camera_seeds(

@@ -29,7 +29,7 @@ MOVING_SHARE = 0.5  # masks of single frames of a moving camera, if moving objec
 COVERED_SHARE = 0.05  # the same, if they have none and seeds that they sometimes hide must represent them
 OVERLAP = 0.6  # standard deviation of a Gaussian's lifetime, relative to the frames between two times with seeds
 SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide,
-SWEPT_DENSITY = 3.0  # and relative to the share of the pixels whose depth it found: the others need seeds, too
+SWEPT_DENSITY = 1.5  # and relative to the share of the pixels whose depth it found: the others need seeds, too
 LEAST_POINTS = 30  # least number of points for depths interpolated between them to be meaningful
 LOOKS = 60  # masks of a moving camera that are used
 

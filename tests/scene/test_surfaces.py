@@ -1,0 +1,69 @@
+"""Surfaces of moving objects before a rig of few cameras, whose visual hull is mostly empty space."""
+
+import cv2
+import numpy as np
+import pytest
+from e4dgs.scene.seeds.hull import visual_hull
+from e4dgs.scene.seeds.surfaces import TOLERANCE, surface_points
+from e4dgs.scene.views import Views
+from factory import Options, make, render
+
+WIDTH, HEIGHT = 240, 180
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """Views of five cameras in an arc around a box and a ball in a room, their pictures, and where each shows the two and how far away."""
+    made = make(Options(rig="arc", backdrop="room", cameras=5, times=1, width=WIDTH, height=HEIGHT, samples=2, fov_degrees=60))
+    truths = [render(made.scene, view.camera, view.time, samples=1) for view in made.views]
+    pictures = [(truth.image[..., :3] * truth.image[..., 3:] * 255).astype(np.uint8) for truth in truths]
+    n = len(made.views)
+    views = Views(
+        np.array([v.camera.K for v in made.views]), np.array([v.camera.cam_from_world for v in made.views]), np.zeros(n), np.arange(n),
+        np.full(n, -1), np.arange(n), WIDTH, HEIGHT, lambda i: pictures[i],
+    )  # fmt: skip
+    backdrop = np.bincount(np.concatenate([truth.object.ravel() + 1 for truth in truths])).argmax() - 1
+    return views, pictures, [truth.object != backdrop for truth in truths], [truth.depth for truth in truths]
+
+
+def empty(views, depths, points, margin):
+    """[n] bool: points that some camera sees past, by the true depth, and not only at the rim of an object."""
+    found = np.zeros(len(points), bool)
+    for i, depth in enumerate(depths):
+        shown, x, y, z = views.project(i, points)
+        found[shown] |= z < (1 - margin) * cv2.erode(depth, np.ones((5, 5)))[y, x]
+    return found
+
+
+def test_measured_points_lie_on_the_surface_and_the_rest_of_the_hull_is_not_known_to_be_empty(rig):
+    views, pictures, masks, depths = rig
+    hull = visual_hull(views, masks, views.train, 6000, 0)
+    points, colors, left = surface_points(views, list(views.train), pictures, masks, hull)
+    assert len(points) > 0.2 * sum(mask.sum() for mask in masks)
+    assert empty(views, depths, points, TOLERANCE).mean() < 0.05
+    behind = np.ones(len(points), bool)
+    for i, depth in enumerate(depths):
+        shown, x, y, z = views.project(i, points)
+        behind[shown] &= z > (1 + TOLERANCE) * depth[y, x]
+    assert behind.mean() < 0.03
+    outside = empty(views, depths, hull, 0.05)
+    assert outside.sum() > 500 and (outside & left).sum() < 0.6 * outside.sum()
+    assert len(colors) == len(points) and colors.min() >= 0 and colors.max() <= 1
+    shown, x, y, z = views.project(0, points)
+    near = np.abs(z / depths[0][y, x] - 1) < 0.005
+    assert np.median(np.abs(colors[shown][near] - pictures[0][y, x][near] / 255)) < 0.05
+
+
+def test_without_texture_the_hull_stays_as_it_is_seen_from_outside(rig):
+    views, pictures, masks, _ = rig
+    hull = visual_hull(views, masks, views.train, 3000, 0)
+    points, colors, left = surface_points(views, list(views.train), [np.full_like(p, 128) for p in pictures], masks, hull)
+    assert points.shape == (0, 3) and colors.shape == (0, 3)
+    assert left.mean() > 0.3
+
+
+def test_nothing_is_found_of_what_no_mask_shows(rig):
+    views, pictures, masks, _ = rig
+    hull = visual_hull(views, masks, views.train, 3000, 0)
+    points, colors, left = surface_points(views, list(views.train), pictures, [np.zeros_like(m) for m in masks], hull)
+    assert points.shape == (0, 3) and colors.shape == (0, 3) and left.dtype == bool
