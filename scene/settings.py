@@ -42,7 +42,7 @@ class RefinementSettings(Settings):
     spread: float | None = Field(None, ge=0, description="weight of the spread in depth of what one pixel shows; 0.3 for nodes, else 0")
     smooth: float = Field(2.0, ge=0, description="rigs: weight of how much surfaces bend where pictures are smooth; falls to a twentieth")
     depth: float = Field(0.3, ge=0, description="rigs: weight of the difference from the depth measured between cameras, where known")
-    interval: float = Field(1e-3, ge=0, description="weight of L_interval (Eq. 8), with flow in px; 0 turns it off")
+    interval: float | None = Field(None, ge=0, description="weight of L_interval (Eq. 8), with flow in px; 0.001 for planes, else 0")
     data_flow: float = Field(1e-3, ge=0, description="weight of the difference of rendered and measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="steps between two evaluations of the flow terms")
     densify_every: int = Field(0, ge=0, description="steps between two rounds of density control; 0: 100, or for nodes at most 150 rounds")

@@ -20,13 +20,14 @@ from .options import Captures, Debug, Device, Format, Preset, Set, Static, Works
 from .session import DEFAULT_WORKSPACE, Options
 
 NO_DATA, NO_INTERVAL = (tuple(f"{stage}.{term}=0" for stage in ("coarse", "fine")) for term in ("data_flow", "interval"))
-NO_CONVEXES = ("hulls.budget=0",)
+INTERVAL = ("coarse.interval=0.001", "fine.interval=0.001")  # by default, only planes have it
+NO_CONVEXES, CONVEX = ("hulls.budget=0",), (f"hulls.budget={CONVEXES}",)  # by default, captures with control nodes get none
 ROWS: Mapping[str, tuple[str, ...]] = {
     "a, base": (*NO_DATA, *NO_INTERVAL, *NO_CONVEXES),
-    "b, convexes": (*NO_DATA, *NO_INTERVAL, f"hulls.budget={CONVEXES}"),  # by default, captures with control nodes get none
+    "b, convexes": (*NO_DATA, *NO_INTERVAL, *CONVEX),
     "c, edges at time steps": (*NO_INTERVAL, *NO_CONVEXES),
-    "d, edges and interval": NO_CONVEXES,
-    "full": (),
+    "d, edges and interval": (*INTERVAL, *NO_CONVEXES),
+    "full": (*INTERVAL, *CONVEX),
     "full resolution": ("coarse.full_from=0",),
     "joint": ("coarse.strategy=joint",),
     "alternating": ("coarse.strategy=alternating",),

@@ -26,11 +26,6 @@ FLOW_SCALE = 0.5  # size at which flow is rendered
 NEIGHBOURHOOD = 0.025  # of the viewing distance: distance between two places that should move alike
 
 
-def flow_due(settings: TrainingSettings, iteration: int, total: int) -> bool:
-    """Whether step ``iteration`` of ``total`` evaluates the flow terms, which draw the whole image."""
-    return iteration % settings.flow_every == 0 and iteration >= 0.3 * total
-
-
 def displacement(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
     """Mean displacement, world units, of those of ``rest`` [N, 3] that are ``dynamic`` [N]."""
     return (moved.means - rest).norm(dim=1).sum() / dynamic.sum().clamp(min=1)
@@ -47,7 +42,7 @@ class MotionTerms:
     """The motion terms of one training run, and how often each is evaluated.
 
     unit: the viewing distance, world units. rest: weight of the mean displacement. inertia: weight of how abruptly motion changes.
-    times: number of distinct times in the capture. measured_flow: see `Trainer`.
+    interval: weight of L_interval. times: number of distinct times in the capture. measured_flow: see `Trainer`.
     """
 
     def __init__(
@@ -57,11 +52,12 @@ class MotionTerms:
         unit: float,
         rest: float,
         inertia: float,
+        interval: float,
         times: int,
         measured_flow: MeasuredFlow | None,
     ) -> None:
         self.views, self.settings, self.unit, self.measured_flow = views, settings, unit, measured_flow
-        self.rest, self.inertia = rest, inertia
+        self.rest, self.inertia, self.interval = rest, inertia, interval
         self.times = times
         self.dt = 1.0 / max(times - 1, 1)
 
@@ -78,9 +74,19 @@ class MotionTerms:
                 loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()
             if s.rigid or self.inertia:
                 loss = loss + PRIOR_EVERY * self._priors(model, t, iteration)
-        if flow_due(s, iteration, total) and model.moves():
+        if self.flow_due(model, iteration, total) and model.moves():
             loss = loss + s.flow_every * self._flow(model, i, t, scale)
         return loss
+
+    def flow_due(self, model: Model, iteration: int, total: int) -> bool:
+        """Whether step ``iteration`` of ``total`` evaluates flow terms, which draw the whole image."""
+        if iteration % self.settings.flow_every or iteration < 0.3 * total:
+            return False
+        return self._may_bend(model) or (self.measured_flow is not None and self.settings.data_flow > 0)
+
+    def _may_bend(self, model: Model) -> bool:
+        """Whether L_interval has a weight and can differ from 0."""
+        return self.interval > 0 and self.times >= 3 and model.field is not None and not model.field.steady
 
     def _priors(self, model: Model, t: Time, iteration: int) -> Tensor:
         s = self.settings
@@ -102,10 +108,10 @@ class MotionTerms:
         s, views = self.settings, self.views
         total = torch.zeros((), device=model.device)
         assert model.field is not None
-        if s.interval and self.times >= 3 and not model.field.steady:
+        if self._may_bend(model):
             start = t.clamp(max=1 - 2 * self.dt) if isinstance(t, Tensor) else min(t, 1 - 2 * self.dt)
             camera = views.rasterizer_camera(i, scale * FLOW_SCALE)
-            total = total + s.interval * interval_loss(model, camera, start, self.dt, views.edges(i, scale * FLOW_SCALE))
+            total = total + self.interval * interval_loss(model, camera, start, self.dt, views.edges(i, scale * FLOW_SCALE))
         measured = self.measured_flow(i) if self.measured_flow is not None and s.data_flow else None
         if measured is not None:
             flow, weight = measured

@@ -15,7 +15,7 @@ from ...rasterizer import Frame, rasterize
 from ..losses.appearance import appearance_loss
 from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
 from ..losses.measured_depth import MeasuredDepth
-from ..losses.motion_terms import MeasuredFlow, MotionTerms, flow_due
+from ..losses.motion_terms import MeasuredFlow, MotionTerms
 from ..losses.photometric import Recording
 from ..losses.surface import surface_loss
 from ..model import Model
@@ -98,6 +98,7 @@ class Objective:
             unit,
             recipe.rest if settings.rest is None else settings.rest,
             recipe.inertia if settings.inertia is None else settings.inertia,
+            recipe.interval if settings.interval is None else settings.interval,
             len(np.unique(views.time)),
             measured_flow,
         )
@@ -119,7 +120,7 @@ class Objective:
             model.relink()
         drawn = self.drawn.of(i, phase.scale, step) if window is None else None
         tiles = None if drawn is None else drawn.tiles
-        whole = phase.move and flow_due(s, step, self.total)
+        whole = phase.move and self.motion_terms.flow_due(model, step, self.total)
         seen = model.in_view(t, camera, None if whole else tiles, phase.move)
         rows, faded = ALL_ROWS, None
         if seen is not None and len(seen) <= MOST_SHOWN * len(model.gaussians):

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 class Recipe:
     """What differs between kinds of motion. Times are fractions of all steps.
 
-    freeze_at: when static Gaussians leave the motion. freeze_pixels: a Gaussian that travels less than this, in px of the nearest camera,
-    is static. freeze_share: if less than this share of the dynamic Gaussians is static, none leaves. spread_at: when the parts of the
-    motion are spread again over the Gaussians. rigid_parts_at: when to search for turning parts. opacity, rest, inertia, spread: defaults
-    of these weights of `TrainingSettings`. grow_until: default of its `densify_until`. steady: growth adds an equal number in every round,
-    instead of as many as the images allow. rounds: maximum number of rounds of density control, if they went on to the last step.
-    prune_at: when primitives that the training views hardly blend are removed; the steps that follow make up for the loss.
+    freeze_at: when static Gaussians leave the motion. freeze_pixels: a Gaussian that travels less than this, in px of the nearest
+    camera, is static. freeze_share: if less than this share of the dynamic Gaussians is static, none leaves. spread_at: when the parts
+    of the motion are spread again over the Gaussians. rigid_parts_at: when to search for turning parts. opacity, rest, inertia,
+    interval, spread: defaults of these weights of `TrainingSettings`. grow_until: default of its `densify_until`. steady: growth adds
+    an equal number in every round, instead of as many as the images allow. rounds: maximum number of rounds of density control, if they
+    went on to the last step. prune_at: when primitives that the training views hardly blend are removed; the steps that follow make up
+    for the loss.
     """
 
     freeze_at: float = 0.45
@@ -25,6 +26,7 @@ class Recipe:
     opacity: float = 0.15
     rest: float = 0.005
     inertia: float = 0.01
+    interval: float = 1e-3
     spread: float = 0.0
     rigid_parts_at: tuple[float, ...] = ()
     grow_until: float = 0.75
@@ -47,6 +49,7 @@ NODES = Recipe(
     opacity=0.01,
     rest=0.0,
     inertia=0.03,
+    interval=0.0,
     spread=0.3,
     steady=True,
     largest_convex=0.03,

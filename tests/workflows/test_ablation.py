@@ -16,6 +16,8 @@ def test_every_row_is_made_of_settings_that_exist(name):
     settings = build_settings(reconstruction().settings, given)
     assert (settings["hulls"].budget == 0) == name.startswith(("a,", "c,", "d,"))
     assert (settings["fine"].interval == 0) == name.startswith(("a,", "b,", "c,"))
+    assert bool(settings["coarse"].interval) == (name.startswith("d,") or name == "full")
+    assert bool(settings["hulls"].budget) == (name.startswith("b,") or name == "full")
     assert (settings["fine"].data_flow == 0) == name.startswith(("a,", "b,"))
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from ....rasterizer.cuda.capacity import Watched, watching
 from ...cuda.leaves import own_leaves
 from ...losses.depth_spread import BEGIN, EVERY
-from ...losses.motion_terms import PRIOR_EVERY, flow_due
+from ...losses.motion_terms import PRIOR_EVERY
 from ...model import Model
 from ...motion.nodes import ControlNodes
 from ...primitives import PrimitiveSet
@@ -68,7 +68,7 @@ class ReplayedObjective:
         if not self._usable or not self._covers(model, step, phase):
             return self.objective(model, i, step, phase, sh_degree)
         late = step > BEGIN * self.objective.total
-        flow = phase.move and flow_due(self.objective.settings, step, self.objective.total)
+        flow = phase.move and self.objective.motion_terms.flow_due(model, step, self.objective.total)
         kind = phase.scale, phase.move, sh_degree, late and step % EVERY == 0, step % PRIOR_EVERY == 0, flow
         made_for = self._made_for(model)
         if self._now is None or not self._now.holds(made_for):
