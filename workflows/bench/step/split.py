@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.autograd.graph import Node
 
+from ....scene.losses.motion_terms import MotionTerms
 from ....scene.training import objective
 from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured
@@ -87,7 +88,7 @@ def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
         (views, "rasterizer_camera", "data", None),
         (model, "at", "model forward", seen.placed),
         (model.field, "forward", "field forward", seen.moved),
-        (trainer.objective, "motion_terms", "regularisers forward", None),
+        (MotionTerms, "__call__", "regularisers forward", None),
         (trainer.learned.optimiser, "step", "optimiser", None),
         (trainer.guard, "accepts", "guard", None),
     ]
