@@ -1,6 +1,6 @@
 """The surface of what several cameras see at one time inside their masks, looked for from its visual hull inwards.
 
-With few cameras a visual hull is much larger than the object: most of its surface is empty space that no camera sees past.
+With few cameras a visual hull is much larger than the object, and much of its surface lies where nothing is.
 """
 
 from __future__ import annotations
