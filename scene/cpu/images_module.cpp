@@ -74,8 +74,8 @@ void bind_images(nb::module_& m) {
 
     m.def(
         "patch_match",
-        [](const In& image, const In& others, const In& to, int best, std::pair<float, float> range, float step, float focal, uint32_t seed,
-           int iterations, const std::optional<Flags>& wanted, const Out& planes, const Out& score, int threads) {
+        [](const In& image, const In& others, const In& to, int best, std::pair<float, float> range, float step, float focal, int iterations,
+           const std::optional<Flags>& wanted, const Out& planes, const Out& score, int threads) {
             if (image.ndim() != 2 || image.shape(0) < 2 || image.shape(1) < 2) throw std::invalid_argument("image must be [H,W], 2 px or more");
             const size_t h = image.shape(0), w = image.shape(1), n = others.ndim() == 3 ? others.shape(0) : 0;
             if (n < 1 || n > size_t(e4dgs::kMostOthers))
@@ -84,10 +84,10 @@ void bind_images(nb::module_& m) {
             if (wanted && (wanted->shape(0) != h || wanted->shape(1) != w)) throw std::invalid_argument("wanted must be [H,W]");
             if (best < 1 || iterations < 0) throw std::invalid_argument("best must be at least 1 and iterations at least 0");
             const e4dgs::Patches in{image.data(), others.data(), to.data(), int(n), best, int(h), int(w),
-                                   range.first, range.second, step, focal, wanted ? wanted->data() : nullptr, seed};
+                                   range.first, range.second, step, focal, wanted ? wanted->data() : nullptr};
             nb::gil_scoped_release release;
             e4dgs::patch_match(in, iterations, planes.data(), score.data(), threads);
         },
-        nb::arg("image"), nb::arg("others"), nb::arg("to"), nb::arg("best"), nb::arg("range"), nb::arg("step"), nb::arg("focal"), nb::arg("seed"),
+        nb::arg("image"), nb::arg("others"), nb::arg("to"), nb::arg("best"), nb::arg("range"), nb::arg("step"), nb::arg("focal"),
         nb::arg("iterations"), nb::arg("wanted").none(), nb::arg("planes"), nb::arg("score"), nb::arg("threads"));
 }

@@ -162,7 +162,7 @@ void improve(const Patches& in, int iteration, int x, int y, float* planes, floa
         const float change = std::fabs(plane.inverse - best.inverse) + kRadius * (std::fabs(plane.dx - best.dx) + std::fabs(plane.dy - best.dy));
         if (change > kAlike * in.step) attempt(plane);
     }
-    Random random(in.seed + uint32_t(here) * 2654435761U + uint32_t(iteration) * 40503U);
+    Random random(uint32_t(here) * 2654435761U + uint32_t(iteration) * 40503U);
     const float smaller = std::ldexp(1.0f, -iteration), range = kFirstRange * smaller * (in.high - in.low);
     const float slant = kFirstSlant * smaller * best.inverse / in.focal;
     const float deeper = best.inverse + range * random();

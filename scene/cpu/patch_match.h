@@ -17,7 +17,6 @@ struct Patches {
     float low, high, step;  // range of the inverse depth; a difference that does not matter much
     float focal;            // px, for the size of slants
     const bool* wanted;     // [height, width], pixels that count; or null, if all do
-    uint32_t seed;
 };
 
 // Improves planes [3, height, width] (inverse depth, its change in x, its change in y) in place, in as many iterations; score [height, width]:

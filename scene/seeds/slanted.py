@@ -41,5 +41,5 @@ def refine(
     step = (limits[1] - limits[0]) / max(steps - 1, 1)
     pictures = np.ascontiguousarray(np.stack(others), np.float32)
     plain = np.ascontiguousarray(image, np.float32), pictures, np.ascontiguousarray(to, np.float32)
-    _kernels.patch_match(*plain, best, limits, step, focal, 0, iterations, wanted, planes, score, 1)
+    _kernels.patch_match(*plain, best, limits, step, focal, iterations, wanted, planes, score, 1)
     return planes[0], score

@@ -14,7 +14,7 @@ import torch
 
 from ..views import Views
 from .slanted import refine
-from .sweep import AGREEING, LEAST_SCORE, WIDTH, DepthMap, agreed, beside, points_of
+from .sweep import AGREEING, LEAST_SCORE, DepthMap, beside, keep_agreed, points_of, small_pictures, towards
 
 SPLAT = 7  # px, side of the square in which a point of the hull counts as the nearest
 BEHIND = 0.25  # of its depth: how far behind the hull the surface may lie
@@ -34,22 +34,19 @@ def surface_points(
 
     frames: of one time; pictures: theirs, uint8 [H, W, 3]; masks: theirs, bool [H, W]; hull [P, 3]: points of the visual hull.
     """
-    scale = min(1.0, WIDTH / max(views.width, views.height))
-    size = max(8, round(views.width * scale)), max(8, round(views.height * scale))
-    grey = [cv2.cvtColor(cv2.resize(p, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(np.float32) for p in pictures]
-    K = np.stack([np.diag([size[0] / views.width, size[1] / views.height, 1.0]) @ views.K[i] for i in frames])
+    grey, K = small_pictures(views, frames, pictures)
+    size = grey[0].shape[::-1]
     poses = views.cam_from_world[list(frames)]
+    others = [beside(views, frames, k, hull) for k in range(len(frames))]
+    nearest = [_nearest(K[k], poses[k], hull, size) for k in range(len(frames))]
 
     def look(k: int) -> DepthMap | None:
-        others = beside(views, frames, k, hull)
-        rough = _nearest(K[k], poses[k], hull, size)
+        rough = nearest[k]
         wanted = (cv2.resize(masks[k].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0) & (rough > 0)
-        if not others or wanted.sum() < LEAST_PIXELS:
+        if not others[k] or wanted.sum() < LEAST_PIXELS:
             return None
-        relative = [poses[j] @ np.linalg.inv(poses[k]) for j in others]
-        to = np.stack([K[j] @ np.hstack([pose[:3, :3] @ np.linalg.inv(K[k]), pose[:3, 3:]]) for j, pose in zip(others, relative)])
         low, high = rough[wanted].min() / (1 + BEHIND), rough[wanted].max() * (1 + BEFORE)
-        given = grey[k], [grey[j] for j in others], to, AGREEING
+        given = grey[k], [grey[j] for j in others[k]], towards(others[k], K, poses, k), AGREEING
         best, most = rough, np.full(rough.shape, -1.0, np.float32)
         for factor in np.linspace(1 - BEFORE, 1 + BEHIND, TRIES):
             one = rough / np.float32(factor)
@@ -62,20 +59,17 @@ def surface_points(
 
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         maps = {k: one for k, one in enumerate(pool.map(look, range(len(frames)))) if one is not None}
-    kept = {k: agreed(maps, K, poses, k, beside(views, frames, k, hull)) for k in maps}
-    for k, inverse in kept.items():
-        maps[k].inverse = inverse
+    keep_agreed(maps, K, poses, dict(enumerate(others)))
     points, frame, at = points_of(list(maps.values()), views)
     place = {int(i): k for k, i in enumerate(frames)}
-    x, y = at[:, 0].astype(int), at[:, 1].astype(int)
-    colors = np.array([pictures[place[int(i)]][v, u] for i, u, v in zip(frame, x, y)], np.float64).reshape(-1, 3) / 255.0
+    colors = np.stack(pictures)[[place[int(i)] for i in frame], at[:, 1].astype(int), at[:, 0].astype(int)] / 255.0
     empty, open_ = np.zeros(len(hull), bool), np.zeros(len(hull), bool)
     for k in range(len(frames)):
         pixel, depth, shown = _projected(K[k], poses[k], hull, size)
         x, y = pixel.T
         known = maps[k].inverse[y, x] if k in maps else np.zeros(len(shown), np.float32)
         empty[shown] |= (known > 0) & (depth * known < 1 - TOLERANCE)
-        open_[shown] |= (known == 0) & (depth * _nearest(K[k], poses[k], hull, size)[y, x] < 1 + FRONT)
+        open_[shown] |= (known == 0) & (depth * nearest[k][y, x] < 1 + FRONT)
     return points, colors, open_ & ~empty
 
 

@@ -45,10 +45,7 @@ def plane_sweep(
     points [P, 3]: trusted points in world units, which set the range of depths. Frames that show too few of them, or that have no other
     frame at a suitable angle, get no map.
     """
-    scale = min(1.0, WIDTH / max(views.width, views.height))
-    size = max(8, round(views.width * scale)), max(8, round(views.height * scale))
-    grey = [cv2.cvtColor(cv2.resize(p, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(np.float32) for p in pictures]
-    K = np.stack([np.diag([size[0] / views.width, size[1] / views.height, 1.0]) @ views.K[i] for i in frames])
+    grey, K = small_pictures(views, frames, pictures)
     poses = views.cam_from_world[list(frames)]
 
     def look(k: int) -> tuple[int, np.ndarray, float] | None:
@@ -63,10 +60,23 @@ def plane_sweep(
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         rough = [found for found in pool.map(look, range(len(frames))) if found is not None]
     maps = {k: DepthMap(int(frames[k]), inverse, step) for k, inverse, step in rough}
-    kept = {k: agreed(maps, K, poses, k, beside(views, frames, k, points)) for k in maps}
-    for k, inverse in kept.items():
-        maps[k].inverse = inverse
+    keep_agreed(maps, K, poses, {k: beside(views, frames, k, points) for k in maps})
     return list(maps.values())
+
+
+def small_pictures(views: Views, frames: Sequence[int], pictures: Sequence[np.ndarray]) -> tuple[list[np.ndarray], np.ndarray]:
+    """The ``pictures`` in grey, [h, w] float32, at the size at which they are compared, and the K [n, 3, 3] of ``frames`` there, px."""
+    scale = min(1.0, WIDTH / max(views.width, views.height))
+    size = max(8, round(views.width * scale)), max(8, round(views.height * scale))
+    grey = [cv2.cvtColor(cv2.resize(p, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(np.float32) for p in pictures]
+    return grey, np.stack([np.diag([size[0] / views.width, size[1] / views.height, 1.0]) @ views.K[i] for i in frames])
+
+
+def towards(others: list[int], K: np.ndarray, poses: np.ndarray, k: int) -> np.ndarray:
+    """[N, 3, 4]: the pixel (x, y) of the k-th image with inverse depth v lies at this times (x, y, 1, v) in each of ``others``, times its
+    depth there."""
+    relative = [poses[j] @ np.linalg.inv(poses[k]) for j in others]
+    return np.stack([K[j] @ np.hstack([pose[:3, :3] @ np.linalg.inv(K[k]), pose[:3, 3:]]) for j, pose in zip(others, relative)])
 
 
 def beside(views: Views, frames: Sequence[int], k: int, points: np.ndarray) -> list[int]:
@@ -104,9 +114,7 @@ def _sweep(
 ) -> tuple[np.ndarray, float]:
     """Inverse depth [h, w] of the k-th image, 0 where no plane makes the others agree, and the step between planes."""
     h, w = grey[k].shape
-    relative = [poses[j] @ np.linalg.inv(poses[k]) for j in others]
-    # Where the pixel (x, y) with inverse depth v lies in each of the others: at (x, y, 1, v), times its depth there.
-    to = np.stack([K[j] @ np.hstack([pose[:3, :3] @ np.linalg.inv(K[k]), pose[:3, 3:]]) for j, pose in zip(others, relative)])
+    to = towards(others, K, poses, k)
     ends = []
     for one in to:
         at = [one @ [w / 2, h / 2, 1, 1 / z] for z in (near, far)]
@@ -139,6 +147,13 @@ def _sweep(
     found, score = refine(grey[k], [grey[j] for j in others], to, AGREEING, rough, (inverse[0], inverse[-1]), count, K[k][0, 0])
     sure = (score > LEAST_SCORE) & (spread > TEXTURE) & (found > inverse[0]) & (found < inverse[-1])
     return np.where(sure, found, 0.0).astype(np.float32), float(inverse[1] - inverse[0])
+
+
+def keep_agreed(maps: dict[int, DepthMap], K: np.ndarray, poses: np.ndarray, others: dict[int, list[int]]) -> None:
+    """Forgets the depths in ``maps`` that none of the maps of ``others`` confirms. All are compared before any changes."""
+    kept = {k: agreed(maps, K, poses, k, others[k]) for k in maps}
+    for k, inverse in kept.items():
+        maps[k].inverse = inverse
 
 
 def agreed(maps: dict[int, DepthMap], K: np.ndarray, poses: np.ndarray, k: int, others: list[int]) -> np.ndarray:

@@ -55,7 +55,7 @@ def test_the_score_is_the_mean_correlation_of_the_images_that_agree_best():
     planes = np.stack([truth * rng.uniform(0.97, 1.03, truth.shape), *rng.normal(0, 0.002, (2, *truth.shape))]).astype(np.float32)
     score = np.empty_like(truth)
     plain = np.ascontiguousarray(np.stack(others), np.float32), np.ascontiguousarray(to, np.float32)
-    _kernels.patch_match(image.astype(np.float32), *plain, AGREEING, (0.01, 2.0), 0.01, FOCAL, 0, 0, None, planes, score, 1)
+    _kernels.patch_match(image.astype(np.float32), *plain, AGREEING, (0.01, 2.0), 0.01, FOCAL, 0, None, planes, score, 1)
     for x, y in ((30, 60), (70, 50), (60, 80), (2, 88), (117, 70)):
         each = []
         for one, pose in zip(others, to):
@@ -88,7 +88,7 @@ def test_threads_make_no_difference():
     for threads in (1, 3):
         planes, score = np.zeros((3, *truth.shape), np.float32), np.empty_like(truth)
         planes[0] = 0.4
-        _kernels.patch_match(*plain, AGREEING, (1e-3, 1.0), 0.02, FOCAL, 0, 2, None, planes, score, threads)
+        _kernels.patch_match(*plain, AGREEING, (1e-3, 1.0), 0.02, FOCAL, 2, None, planes, score, threads)
         results.append((planes, score))
     assert np.array_equal(results[0][0], results[1][0]) and np.array_equal(results[0][1], results[1][1])
 
@@ -107,7 +107,7 @@ def test_what_does_not_fit_is_refused():
     image = np.zeros((4, 5), np.float32)
     others, to = np.zeros((2, 4, 5), np.float32), np.zeros((2, 3, 4), np.float32)
     planes, score = np.zeros((3, 4, 5), np.float32), image.copy()
-    rest = ((0.1, 1.0), 0.1, 5.0, 0, 1, None)
+    rest = ((0.1, 1.0), 0.1, 5.0, 1, None)
     for bad, message in (
         ((image[:1].copy(), others, to, 2, *rest, planes, score), r"image must be \[H,W\]"),
         ((image, np.zeros((9, 4, 5), np.float32), to, 2, *rest, planes, score), "1 to 8 images"),
