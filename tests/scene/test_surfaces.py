@@ -1,27 +1,17 @@
-"""Surfaces of moving objects before a rig of few cameras, whose visual hull is mostly empty space."""
+"""Surfaces of moving objects before a rig of few cameras, whose visual hull is larger than they are."""
 
 import cv2
 import numpy as np
 import pytest
 from e4dgs.scene.seeds.hull import visual_hull
 from e4dgs.scene.seeds.surfaces import TOLERANCE, surface_points
-from e4dgs.scene.views import Views
-from factory import Options, make, render
-
-WIDTH, HEIGHT = 240, 180
+from rendered_room import rendered_room
 
 
 @pytest.fixture(scope="module")
 def rig():
-    """Views of five cameras in an arc around a box and a ball in a room, their pictures, and where each shows the two and how far away."""
-    made = make(Options(rig="arc", backdrop="room", cameras=5, times=1, width=WIDTH, height=HEIGHT, samples=2, fov_degrees=60))
-    truths = [render(made.scene, view.camera, view.time, samples=1) for view in made.views]
-    pictures = [(truth.image[..., :3] * truth.image[..., 3:] * 255).astype(np.uint8) for truth in truths]
-    n = len(made.views)
-    views = Views(
-        np.array([v.camera.K for v in made.views]), np.array([v.camera.cam_from_world for v in made.views]), np.zeros(n), np.arange(n),
-        np.full(n, -1), np.arange(n), WIDTH, HEIGHT, lambda i: pictures[i],
-    )  # fmt: skip
+    """Views of five cameras in a room, their pictures, where each shows the box and the ball, and how far away everything is."""
+    views, pictures, truths = rendered_room(5)
     backdrop = np.bincount(np.concatenate([truth.object.ravel() + 1 for truth in truths])).argmax() - 1
     return views, pictures, [truth.object != backdrop for truth in truths], [truth.depth for truth in truths]
 

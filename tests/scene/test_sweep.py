@@ -6,22 +6,13 @@ import torch
 from e4dgs.scene.losses.measured_depth import LARGEST, MeasuredDepth, depth_difference
 from e4dgs.scene.seeds.sweep import beside, plane_sweep, points_of
 from e4dgs.scene.views import Views
-from factory import Options, make, render
-
-WIDTH, HEIGHT = 240, 180
+from rendered_room import HEIGHT, WIDTH, rendered_room
 
 
 @pytest.fixture(scope="module")
 def room():
     """Views of seven cameras in a textured room, their pictures, the true depth of each, and a few true points."""
-    made = make(Options(rig="arc", backdrop="room", cameras=7, times=1, width=WIDTH, height=HEIGHT, samples=2, fov_degrees=60))
-    truths = [render(made.scene, view.camera, view.time, samples=1) for view in made.views]
-    pictures = [(truth.image[..., :3] * truth.image[..., 3:] * 255).astype(np.uint8) for truth in truths]
-    n = len(made.views)
-    views = Views(
-        np.array([v.camera.K for v in made.views]), np.array([v.camera.cam_from_world for v in made.views]), np.zeros(n), np.arange(n),
-        np.full(n, -1), np.arange(n), WIDTH, HEIGHT, lambda i: pictures[i],
-    )  # fmt: skip
+    views, pictures, truths = rendered_room(7)
     rng = np.random.default_rng(0)
     x, y = rng.integers(0, WIDTH, 40), rng.integers(0, HEIGHT, 40)
     z = truths[0].depth[y, x]

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from e4dgs.scene.seeds.hull import visual_hull
+from e4dgs.stages.seeding import moving
 from e4dgs.stages.seeding.depths import ANYWHERE
-from e4dgs.stages.seeding.moving import APART, KEYS, camera_seeds, key_times, rig_seeds, slope
+from e4dgs.stages.seeding.moving import APART, HULL, KEYS, MEASURED_SHARE, camera_seeds, key_times, on_surfaces, rig_seeds, slope
 from moving_square import CAMERA, FOCAL, FRAMES, SQUARE, WALL, flow_of, pose, views, wall
 from sliding_ball import RADIUS, TIMES, place, sliding_ball
 
@@ -44,6 +46,29 @@ def test_before_a_rig_seeds_lie_on_the_ball_at_each_time(rig):
         distance = np.linalg.norm(seeds.points[row] - place(t), axis=1)
         assert row.sum() > 100 and np.median(distance) < 1.6 * RADIUS  # the hull of few cameras is larger than the ball
         assert np.median(seeds.velocities[row, 0]) == pytest.approx(speed, rel=0.25)
+
+
+def test_before_a_rig_most_seeds_are_measured_and_the_rest_is_what_is_left_of_the_hull(rig, monkeypatch):
+    flow, seen, _ = rig
+    measured = np.full((5000, 3), 9.0)  # far from the hull
+
+    def surface_points(views, frames, pictures, masks, hull):
+        return measured, np.full((5000, 3), 0.25), np.arange(len(hull)) % 2 == 0
+
+    def left(seeds):
+        return np.sort(seeds[(seeds != 9).any(1)], axis=0)
+
+    frames = seen.train[seen.time[seen.train] == seen.time[seen.train][0]]
+    masks = [flow.moving(int(i)) > 127 for i in frames]
+    monkeypatch.setattr(moving, "surface_points", surface_points)
+    points, colors = on_surfaces(seen, masks, frames, 1000, 0)
+    assert (points == 9).all(1).sum() == round(MEASURED_SHARE * 1000) and (colors[(points == 9).all(1)] == 0.25).all()
+    hull = visual_hull(seen, masks, frames, HULL, 0)[::2]
+    assert len(left(points)) == min(400, len(hull)) and np.isin(left(points)[:, 0], hull[:, 0]).all()
+    measured = measured[:10]
+    monkeypatch.setattr(moving, "surface_points", lambda *given: (measured, measured, np.ones(len(given[-1]), bool)))
+    points, _ = on_surfaces(seen, masks, frames, 200, 0)
+    assert len(points) == 200 and (points == 9).all(1).sum() == 10, "the hull stands for what is not measured"
 
 
 def test_before_a_rig_without_masks_there_are_no_seeds(rig):
