@@ -1,8 +1,8 @@
-"""Measures where the time of our training step goes: every part by name, and the remainder as "rest".
+"""Measures where the time of our training step goes, with the motion that a capture gets: every part by name, and the remainder as "rest".
 
 Parts are measured by wrapping the functions that a step calls. Parts of the backward pass are measured by hooks on the nodes of the
-autograd graph, grouped by what they compute: the image's loss, the image, the field's output or the primitives; the others belong to
-regularisers.
+autograd graph, grouped by what they compute: the image's loss, the image, what the motion has moved or the primitives; the others belong
+to regularisers.
 """
 
 from __future__ import annotations
@@ -17,21 +17,26 @@ from torch import Tensor
 from torch.autograd.graph import Node
 
 from ....scene.losses.motion_terms import MotionTerms
+from ....scene.model import Model
+from ....scene.motion.free import FreeMotion
 from ....scene.training import objective
 from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured
 from .clock import Clock
-from .training import PERIOD, make_model, make_trainer, views_of
+from .motions import is_rig, model_in_motion
+from .training import PERIOD, make_trainer, views_of
 
-FORWARD = ("data", "model forward", "field forward", "rasterize forward", "loss forward", "regularisers forward")
-BACKWARD = ("rasterize backward", "loss backward", "model backward", "field backward", "regularisers backward", "gradients into leaves")
+FORWARD = ("data", "in view", "model forward", "motion forward", "rasterize forward", "loss forward", "regularisers forward")
+BACKWARD = ("rasterize backward", "loss backward", "model backward", "motion backward", "regularisers backward", "gradients into leaves")
 PARTS = (*FORWARD, *BACKWARD, "guard", "optimiser", "rest")
+WHAT = {"nodes": "control nodes", "free": "lives of their own"}
 WATCHING = "watching"  # setting and removing hooks, which is not part of a step
 
 
 def measure(bench: Bench) -> Measured:
     views, masks, name = views_of(bench)
-    trainer, run = make_trainer(make_model(bench, views, masks), views)
+    motion = "free" if is_rig(views) else "nodes"
+    trainer, run = make_trainer(model_in_motion(bench, views, masks, motion, 1.0), views)
     periods = max(2, bench.repeats)
     bench.expect(2 * periods + 1)
 
@@ -55,8 +60,8 @@ def measure(bench: Bench) -> Measured:
     parts = {part: 1e3 * taken.get(part, 0.0) / PERIOD for part in PARTS}
     whole, unwatched = 1e3 * seconds / PERIOD, 1e3 * min(plain) / PERIOD
     return Measured(
-        protocol=f"{name}, {len(trainer.model.gaussians):,} Gaussians, {views.width}x{views.height}; the fastest of {periods} runs of "
-        f"{PERIOD} steps; {torch.get_num_threads()} threads",
+        protocol=f"{name}, {len(trainer.model.gaussians):,} Gaussians on {WHAT[motion]}, {views.width}x{views.height}; the fastest of "
+        f"{periods} runs of {PERIOD} steps; {torch.get_num_threads()} threads",
         checks=[
             Check("a step", unwatched, unit="ms"),
             Check("sum of the parts, of the whole step", 100 * sum(parts.values()) / whole, unit="%"),
@@ -86,8 +91,9 @@ def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
         (objective, "appearance_loss", "loss forward", seen.judged),
         (views, "target", "data", None),
         (views, "rasterizer_camera", "data", None),
-        (model, "at", "model forward", seen.placed),
-        (model.field, "forward", "field forward", seen.moved),
+        (Model, "in_view", "in view", None),
+        (Model, "at", "model forward", seen.placed),
+        (model.field, "alive" if isinstance(model.field, FreeMotion) else "carry", "motion forward", seen.moved),
         (MotionTerms, "__call__", "regularisers forward", None),
         (trainer.learned.optimiser, "step", "optimiser", None),
         (trainer.guard, "accepts", "guard", None),
@@ -112,7 +118,7 @@ class _Seen:
         self._image: list[Tensor] = []
         self._loss: list[Tensor] = []
         self._primitives: list[Tensor] = []
-        self._field: list[Tensor] = []
+        self._moved: list[Tensor] = []
 
     def rendered(self, frame: Any) -> None:
         self._image = [frame.color]
@@ -124,14 +130,14 @@ class _Seen:
         self._primitives = [value for kind in kinds for value in vars(kind).values() if isinstance(value, Tensor)]
 
     def moved(self, output: Any) -> None:
-        self._field = list(output)
+        self._moved = [value for value in output if value is not None]
 
     def watch(self, loss: Tensor) -> list[Any]:
         """Sets hooks on every node behind ``loss``. The time between nodes counts as rest."""
         left = _nodes_behind([loss])
         named = {"gradients into leaves": {node for node in left if "AccumulateGrad" in node.name()}}
         left -= named["gradients into leaves"]
-        behind = {"field": self._field, "model": self._primitives, "rasterize": self._image, "loss": self._loss}
+        behind = {"motion": self._moved, "model": self._primitives, "rasterize": self._image, "loss": self._loss}
         for part, tensors in behind.items():  # earlier parts of the step lie behind all later ones, so they are assigned first
             named[f"{part} backward"] = left & _nodes_behind(tensors)
             left -= named[f"{part} backward"]
