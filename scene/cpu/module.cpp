@@ -173,27 +173,30 @@ NB_MODULE(_kernels, m) {
         "select_kernels", [](const std::string& name) { return e4dgs::select_field_kernels(name.c_str()); }, nb::arg("name"),
         "Use another instruction set for the field; False where the processor or the build lacks it.");
 
-    // index: the rows of parameter, first and second to which gradient belongs; null: all of them.
+    // index: the rows of parameter, first and second to which gradient and pace belong; null: all of them. pace: a factor on the rate of each row; null: 1.
     m.def(
         "adam_rows",
-        [](const Out& parameter, const In& gradient, const Out& first, const Out& second, const std::optional<Rows>& index, int64_t step, float rate,
-           float beta1, float beta2, float epsilon, int threads) {
+        [](const Out& parameter, const In& gradient, const Out& first, const Out& second, const std::optional<In>& pace, const std::optional<Rows>& index,
+           int64_t step, float rate, float beta1, float beta2, float epsilon, int threads) {
             const size_t size = parameter.size(), rows = parameter.ndim() ? parameter.shape(0) : 1, width = rows ? size / rows : 0;
             const size_t given = index ? index->shape(0) : rows;
             if (gradient.size() != given * width || first.size() != size || second.size() != size)
                 throw std::invalid_argument("gradient must have the shape of the rows it belongs to, moments that of the parameter");
             if (index && std::any_of(index->data(), index->data() + given, [rows](int64_t row) { return row < 0 || size_t(row) >= rows; }))
                 throw std::invalid_argument("index names a row that the parameter does not have");
+            if (pace && pace->size() != given) throw std::invalid_argument("pace must have one number for each row of gradient");
             if (step < 1) throw std::invalid_argument("the first step is number 1");
             const auto correction = [step](float beta) { return float(1.0 - std::pow(double(beta), double(step))); };
             const e4dgs::AdamStep adam{rate, beta1, beta2, epsilon, correction(beta1), correction(beta2)};
+            const float* paces = pace ? pace->data() : nullptr;
             nb::gil_scoped_release release;
             if (index)
-                e4dgs::adam_chosen(parameter.data(), gradient.data(), first.data(), second.data(), index->data(), int64_t(given), int64_t(width), adam, threads);
+                e4dgs::adam_chosen(parameter.data(), gradient.data(), first.data(), second.data(), paces, index->data(), int64_t(given), int64_t(width), adam,
+                                   threads);
             else
-                e4dgs::adam_rows(parameter.data(), gradient.data(), first.data(), second.data(), int64_t(rows), int64_t(width), adam, threads);
+                e4dgs::adam_rows(parameter.data(), gradient.data(), first.data(), second.data(), paces, int64_t(rows), int64_t(width), adam, threads);
         },
-        nb::arg("parameter"), nb::arg("gradient"), nb::arg("first"), nb::arg("second"), nb::arg("index").none(), nb::arg("step"), nb::arg("rate"),
+        nb::arg("parameter"), nb::arg("gradient"), nb::arg("first"), nb::arg("second"), nb::arg("pace").none(), nb::arg("index").none(), nb::arg("step"), nb::arg("rate"),
         nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"), nb::arg("threads"));
 
     m.def("smoothness", [](const Ins& space, const Ins& time, const Outs& grad_space, const Outs& grad_time, int threads) {

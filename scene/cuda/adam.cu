@@ -13,17 +13,18 @@ struct Entry {
     float* parameter;  // null: the gradient is only checked
     const float* gradient;
     float *first, *second;
+    const float* pace;  // [rows], a factor on the rate of each row; null: 1
     int64 rows, width;
     int first_block, parts, rows_each;
     uint32 divide;              // 2^31 / width, rounded up
     float rate, inverse_root;   // see Adam
 };
-static_assert(sizeof(Entry) == 72);
+static_assert(sizeof(Entry) == 80);
 
-// The numbers of a tensor that a block takes: `n` from `at`.
+// The numbers of a tensor that a block takes: `n` from `at`, which is in row `row`.
 struct Piece {
     int tensor, part;
-    int64 at;
+    int64 row, at;
     int n;
 };
 
@@ -54,7 +55,7 @@ __device__ __forceinline__ Piece piece_of_block(const Entry* tensors, int count)
     const int local = block - t.first_block, part = local % t.parts;
     const int64 row = int64(local / t.parts) * t.rows_each, from = int64(part) * kChunk;
     const int64 left = (t.rows - row < t.rows_each ? t.rows - row : t.rows_each) * t.width - from;
-    return {begun - 1, part, row * t.width + from, int(left < kChunk ? left : kChunk)};
+    return {begun - 1, part, row, row * t.width + from, int(left < kChunk ? left : kChunk)};
 }
 
 // Whether any of the bits `from` to `last` (inclusive) is set.
@@ -104,6 +105,7 @@ extern "C" __global__ void __launch_bounds__(kAdamThreads)
     const float* gradient = t.gradient + piece.at;
     float g[kEach], p[kEach], m[kEach], v[kEach];
     bool on[kEach];
+    uint32 local[kEach] = {};  // row, counted from the block's first
 #pragma unroll
     for (int j = 0; j < kEach; ++j) {
         const int i = thread + j * kAdamThreads;
@@ -121,13 +123,13 @@ extern "C" __global__ void __launch_bounds__(kAdamThreads)
 #pragma unroll
         for (int j = 0; j < kEach; ++j) {
             const uint32 i = uint32(thread + j * kAdamThreads);
-            const uint32 begin = __umulhi(2 * i, t.divide) * width;  // i / width * width: exact, as i and width are at most kChunk
+            local[j] = __umulhi(2 * i, t.divide);  // i / width: exact, as i and width are at most kChunk
+            const uint32 begin = local[j] * width;
             on[j] = on[j] && any_bit(bits, begin, begin + width - 1);
         }
     }
 
     float *parameter = t.parameter + piece.at, *first = t.first + piece.at, *second = t.second + piece.at;
-    const Adam adam{t.rate, beta1, beta2, epsilon, t.inverse_root};
     // Everything is read before anything is written, so that all of a thread's reads are in flight at once.
 #pragma unroll
     for (int j = 0; j < kEach; ++j) {
@@ -138,6 +140,7 @@ extern "C" __global__ void __launch_bounds__(kAdamThreads)
     for (int j = 0; j < kEach; ++j) {
         if (!on[j]) continue;
         const int i = thread + j * kAdamThreads;
+        const Adam adam{t.pace ? t.rate * t.pace[piece.row + local[j]] : t.rate, beta1, beta2, epsilon, t.inverse_root};
         adam.step(g[j], p[j], m[j], v[j]);
         parameter[i] = p[j], first[i] = m[j], second[i] = v[j];
     }

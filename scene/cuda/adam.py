@@ -17,13 +17,13 @@ from .programs import program
 
 THREADS = 256
 CHUNK = 1024  # most numbers per block; a row may be wider
-# `Entry` of adam.cu: parameter, gradient, first, second, rows, width, first_block, parts, rows_each, divide, rate, inverse_root.
-ENTRY = Struct("=4Q2q3iI2f")
+# `Entry` of adam.cu: parameter, gradient, first, second, pace, rows, width, first_block, parts, rows_each, divide, rate, inverse_root.
+ENTRY = Struct("=5Q2q3iI2f")
 
 
 class Update(NamedTuple):
     """A tensor of a step, contiguous float32. ``parameter`` and its moments ``first`` and ``second`` have the shape of ``gradient``; if
-    there are none, the gradient is only checked. ``step`` counts from 1."""
+    there are none, the gradient is only checked. ``step`` counts from 1. ``pace`` [rows]: a factor on the rate of each row, or None."""
 
     gradient: Tensor
     parameter: Tensor | None = None
@@ -31,6 +31,7 @@ class Update(NamedTuple):
     second: Tensor | None = None
     step: int = 1
     rate: float = 0.0
+    pace: Tensor | None = None
 
 
 def step_if_finite(
@@ -62,7 +63,7 @@ def step_if_finite(
 
 def _entry(update: Update, device: torch.device, first_block: int, beta1: float, beta2: float) -> tuple[bytes, int]:
     """The tensor's row of the table, and how many blocks it takes."""
-    gradient, parameter, first, second, step, rate = update
+    gradient, parameter, first, second, step, rate, pace = update
     shape = gradient.shape
     addresses = []
     for t in (parameter, gradient, first, second):
@@ -78,6 +79,8 @@ def _entry(update: Update, device: torch.device, first_block: int, beta1: float,
     if step < 1:
         raise ValueError(f"the first step is number 1, got {step}")
     rows = shape[0] if shape else 1
+    if pace is not None and not (pace.shape == (rows,) and pace.dtype == torch.float32 and pace.device == device and pace.is_contiguous()):
+        raise ValueError(f"pace must be contiguous float32 [{rows}] on {device}; got {pace.dtype} {list(pace.shape)} on {pace.device}")
     width = gradient.numel() // rows if rows else 0
     each, parts = 1, -(-width // CHUNK)
     if 0 < width <= CHUNK:
@@ -87,6 +90,7 @@ def _entry(update: Update, device: torch.device, first_block: int, beta1: float,
     divide = -(-(2**31) // width) if width else 0
     correction1, inverse_root = _corrections(step, beta1, beta2)
     scalars = c_float(rate).value / correction1, inverse_root
+    addresses.append(0 if pace is None else pace.data_ptr())
     return ENTRY.pack(*addresses, rows, width, first_block, parts, each, divide, *scalars), -(-rows // each) * parts
 
 

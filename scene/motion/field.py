@@ -136,5 +136,8 @@ class DeformationField(nn.Module):
     def light(self, t: Time) -> None:
         """Colours do not change over time."""
 
+    def pace(self, log_spans: Tensor) -> None:
+        """Primitives are present throughout."""
+
     def regulariser(self) -> Tensor:
         return self.planes.total_variation()

@@ -6,6 +6,8 @@ Like spacetime Gaussians (Li et al. 2024), with the linear motion of free-time G
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -13,6 +15,8 @@ from torch import Tensor, nn
 from ..primitives import GaussianSet, PrimitiveSet
 from .interface import Time
 from .lives import live, presence
+
+PACE, MOST_PACE = 0.35, 4.0  # rates grow with this power of the share of the times at which a primitive is present, at most so much
 
 
 class FreeMotion(nn.Module):
@@ -57,6 +61,11 @@ class FreeMotion(nn.Module):
     def frame(self, t: float) -> float:
         """Fractional frame number at time ``t`` in [0, 1]."""
         return min(max(float(t), 0.0), 1.0) * (self.times - 1)
+
+    def pace(self, log_spans: Tensor) -> Tensor:
+        """[m], larger for short lives (see `Life`): only steps near them change what is present so briefly."""
+        share = math.sqrt(2 * math.pi) / self.times * torch.exp(log_spans.detach())
+        return share.pow(-PACE).clamp(1.0, MOST_PACE)
 
     def links(self, points: Tensor, hyper: Tensor) -> None:
         """None: each primitive carries itself."""

@@ -76,6 +76,10 @@ class Motion(Protocol):
         colours do not change over time."""
         ...
 
+    def pace(self, log_spans: Tensor) -> Tensor | None:
+        """A factor [m] on the learning rates of primitives with these ``log_spans`` [m], see `Life`; None if lives play no part."""
+        ...
+
     def regulariser(self) -> Tensor:
         """The term of lambda_3 in Eq. 9, a scalar."""
         ...

@@ -134,6 +134,9 @@ class ControlNodes(nn.Module):
         strain = (now[edge] - now[:, None] - turned).norm(dim=2) / at_rest.norm(dim=2).clamp(min=1e-6)
         return strain.mean()
 
+    def pace(self, log_spans: Tensor) -> None:
+        """Primitives are present throughout."""
+
     def regulariser(self) -> Tensor:
         """Nodes have no planes to smooth."""
         return torch.zeros((), device=self.positions.device)

@@ -68,14 +68,19 @@ class RowAdam:
     """Adam over named tensors that updates only the rows (first axis) that got a gradient, and whose rows can be replaced.
 
     A row whose gradient is all zero was seen by no ray: it keeps its value and its moments. ``rates`` maps each name to a function of
-    progress in [0, 1] that returns the learning rate. Parameters are contiguous float32, all on the CPU or all on one CUDA device, which a
-    step does not synchronise.
+    progress in [0, 1] that returns the learning rate. ``pace`` returns, from the `log_spans` [m] of primitives, a factor [m] on the rates
+    of all that belongs to them, or None. Parameters are contiguous float32, all on the CPU or all on one CUDA device, which a step does not
+    synchronise.
     """
 
     def __init__(
-        self, parameters: dict[str, Tensor], rates: dict[str, Callable[[float], float]], betas: tuple[float, float] = (0.9, 0.99)
+        self,
+        parameters: dict[str, Tensor],
+        rates: dict[str, Callable[[float], float]],
+        betas: tuple[float, float] = (0.9, 0.99),
+        pace: Callable[[Tensor], Tensor | None] = lambda log_spans: None,
     ) -> None:
-        self.rates, self.betas = rates, betas
+        self.rates, self.betas, self._pace = rates, betas, pace
         self._parameters = dict(parameters)
         self._device = next((p.device for p in parameters.values()), torch.device("cpu"))
         self._state: dict[str, Moments] = {}
@@ -92,12 +97,13 @@ class RowAdam:
             assert rows.index is None, "a CUDA device computes with all rows"
             self.step_if_finite({}, progress, frozen)
             return
+        paces = self._paces(self._parameters), self._paces(rows.parameters)
         for name, p in self._parameters.items():
             grad, index = rows.gradient(name, p)
             if grad is None or not grad.numel() or name.split(".")[0] in frozen:
                 continue
             state = self._counted(name, p)
-            tensors = p.detach(), grad.contiguous(), state.first, state.second
+            tensors = p.detach(), grad.contiguous(), state.first, state.second, paces[index is not None].get(name.split(".")[0])
             _kernels.adam_rows(*tensors, index, state.steps, self.rates[name](progress), *self.betas, EPSILON, torch.get_num_threads())
         self.zero_grad()
 
@@ -107,7 +113,7 @@ class RowAdam:
         from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda.adam import Update, step_if_finite
 
-        updates = {name: Update(other) for name, other in others.items()}
+        updates, paces = {name: Update(other) for name, other in others.items()}, self._paces(self._parameters)
         for name, p in self._parameters.items():
             if p.grad is None or not p.grad.numel():
                 continue
@@ -116,7 +122,8 @@ class RowAdam:
                 updates[name] = Update(grad)
                 continue
             state = self._counted(name, p)
-            updates[name] = Update(grad, p.detach(), state.first, state.second, state.steps, self.rates[name](progress))
+            pace = paces.get(name.split(".")[0])
+            updates[name] = Update(grad, p.detach(), state.first, state.second, state.steps, self.rates[name](progress), pace)
         bad = step_if_finite(launcher_for(self._device), self._device, list(updates.values()), *self.betas, EPSILON)
         self.zero_grad()
         return Attempt(list(updates), bad, [name for name, update in updates.items() if update.parameter is not None])
@@ -163,6 +170,11 @@ class RowAdam:
             if f"{name}/step" in tensors:
                 moments = (tensors[f"{name}/{key}"].to(p.device, copy=True) for key in ("exp_avg", "exp_avg_sq"))
                 self._state[name] = Moments(int(tensors[f"{name}/step"]), *moments)
+
+    def _paces(self, parameters: dict[str, Tensor]) -> dict[str, Tensor]:
+        """The factors on the rates of each kind of primitives, by its name."""
+        spans = {name.split(".")[0]: p.detach() for name, p in parameters.items() if name.endswith(".log_spans")}
+        return {kind: pace for kind, span in spans.items() if (pace := self._pace(span)) is not None}
 
     def _counted(self, name: str, parameter: Tensor) -> Moments:
         """What is remembered of a parameter that takes a step, which is counted."""

@@ -23,8 +23,12 @@ from .depths import depth_at, object_depths, steady
 from .objects import follow_objects
 from .scene_flow import next_positions
 
-KEYS = 12  # least number of times at which seeds are placed
-APART = 8  # frames; if these times would lie farther apart, more are used
+KEYS = 24  # least number of times at which seeds are placed
+APART = 8  # frames; if these times would lie farther apart, more are used,
+WAY = 0.014  # of the image's width; for rigs also if moving pixels would move farther between them,
+SLOWER = 75  # percent of the moving pixels, that is: the others are faster
+LEAST_AT_ONCE = 250  # seeds; so many remain for each time
+PAIRS = 60  # of frames in which the speed is measured
 FEWEST_FRAMES = 3  # least number of frames of a camera for a path, and of cameras that see a time for a hull
 HULL = 20_000  # points of a visual hull
 MEASURED_SHARE = 0.6  # of the seeds at a time, where cameras agree on their depth
@@ -40,27 +44,48 @@ class MovingSeeds(NamedTuple):
     time: np.ndarray
 
 
-def key_times(times: np.ndarray) -> np.ndarray:
-    """Indices into ``times`` [T] of the key times, at which seeds are placed: evenly spread, including the first and the last."""
-    return np.unique(np.linspace(0, len(times) - 1, min(max(KEYS, len(times) // APART), len(times))).round().astype(int))
+def key_times(times: np.ndarray, apart: float = APART, most: int | None = None) -> np.ndarray:
+    """Indices into ``times`` [T] of the key times, at which seeds are placed: evenly spread, including the first and the last; about
+    ``apart`` frames from one another, but at least `KEYS` and not more than ``most``."""
+    count = max(KEYS, int(len(times) / apart))
+    return np.unique(np.linspace(0, len(times) - 1, min(count, len(times), most or count)).round().astype(int))
+
+
+def rig_times(flow: StoredFlow, times: np.ndarray, most: int) -> np.ndarray:
+    """Indices into the training times ``times`` [T] of the key times of a rig, which share ``most`` seeds: the faster things move, the
+    closer they are, because a seed moves steadily and lives for about as long as there is to the next."""
+    apart = min(APART, WAY / max(speed(flow), 1e-6))
+    return key_times(times, max(apart, 1.0), max(KEYS, most // LEAST_AT_ONCE))
+
+
+def speed(flow: StoredFlow) -> float:
+    """How far moving pixels move between neighbouring frames, in widths of the image: `SLOWER` percent of them are slower. 0 if nothing
+    moves."""
+    found = []
+    for p in range(0, len(flow.pairs), max(1, len(flow.pairs) // PAIRS)):
+        row = flow.moving(flow.pairs[p][0]) > 127
+        if row.any():
+            found.append(np.linalg.norm(flow.forward(p)[row].astype(np.float32), axis=1))
+    return float(np.percentile(np.concatenate(found), SLOWER)) / flow.size[1] if found else 0.0
 
 
 def rig_seeds(
     flow: StoredFlow,
     views: Views,
     mask: Callable[[int], np.ndarray | None],
+    rows: np.ndarray,
     most: int,
     seed: int,
     advance: Callable[[int], None] = lambda n: None,
 ) -> MovingSeeds | None:
     """Up to ``most`` seeds on what the masks show at key times; None if no seed is found or fewer than three cameras have masks.
 
-    mask(i): [H, W] bool, moving pixels of frame i, or None. advance: called with the number of key times that are done.
+    mask(i): [H, W] bool, moving pixels of frame i, or None. rows: indices of the key times among the training times. advance: called with
+    the number of key times that are done.
     """
     times = np.unique(views.time[views.train])
     sequences = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) == len(times)]
     chains = [(Chain(flow, frames), frames) for frames in sequences]
-    rows = key_times(times)
     found = []
     for k in rows:
         frames = views.train[views.time[views.train] == times[k]]

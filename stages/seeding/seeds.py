@@ -21,7 +21,7 @@ from ..artifacts.frameset import FrameSet
 from ..facts import Facts
 from ..posing.triangulate import triangulate
 from .fill import fill_seeds, middle_frames, moving_mask, sweep
-from .moving import MovingSeeds, camera_seeds, key_times, rig_seeds
+from .moving import MovingSeeds, camera_seeds, rig_seeds, rig_times
 
 # A seed is dynamic if at least this share of the masks that see it mark it as moving.
 FIXED_SHARE = 0.3  # masks of fixed cameras, each marking all pixels that ever change
@@ -89,9 +89,9 @@ def moving_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarra
     if flow is None or not flow.has_moving:
         return None
     if Facts.of(ctx.facts).rig:
-        times = np.unique(views.time[views.train])
-        with ctx.progress(len(key_times(times)), "seeds on moving objects") as bar:
-            found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), most, ctx.settings.seed, bar.advance)
+        rows = rig_times(flow, np.unique(views.time[views.train]), most)
+        with ctx.progress(len(rows), "seeds on moving objects") as bar:
+            found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), rows, most, ctx.settings.seed, bar.advance)
     elif flow.has_ever_moving:
         return None
     else:

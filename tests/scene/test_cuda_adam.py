@@ -48,23 +48,23 @@ def start(shape, seed=0):
     return p, g, 0.1 * m, 0.02 + 0.01 * v.square()
 
 
-def take(launcher, *cases, number=3, device=CPU):
+def take(launcher, *cases, number=3, device=CPU, pace=None):
     """One step of all cases together, in place; what was found to be bad."""
-    updates = [Update(g, p, m, v, number, RATE) for p, g, m, v in cases]
+    updates = [Update(g, p, m, v, number, RATE, pace) for p, g, m, v in cases]
     return step_if_finite(launcher, device, updates, BETA1, BETA2, EPSILON).tolist()
 
 
-def step(case, number=3, launcher=None):
+def step(case, number=3, launcher=None, pace=None):
     """(parameter, first, second) after a step on the GPU."""
     p, g, m, v = map(guarded, case)
-    assert take(launcher or Emulator(), (p, g, m, v), number=number) == [False, False]
+    assert take(launcher or Emulator(), (p, g, m, v), number=number, pace=pace) == [False, False]
     assert all(map(is_intact, (p, g, m, v)))
     return p, m, v
 
 
-def step_on_cpu(case, number=3):
+def step_on_cpu(case, number=3, pace=None):
     p, g, m, v = (t.clone() for t in case)
-    _kernels.adam_rows(p, g, m, v, None, number, RATE, BETA1, BETA2, EPSILON, 1)
+    _kernels.adam_rows(p, g, m, v, pace, None, number, RATE, BETA1, BETA2, EPSILON, 1)
     return p, m, v
 
 
@@ -91,6 +91,20 @@ def test_a_step_is_that_of_the_cpu_and_of_float64(shape):
         assert (got - on_cpu).abs().max() <= 2e-7 * want.abs().max()
     change = exact[0] - case[0]
     assert (ours[0] - exact[0]).norm() <= 2e-6 * change.norm()
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_rows_step_at_their_own_pace(shape):
+    case = start(shape)
+    if not case[1].any():
+        case[1].fill_(0.5)
+    pace = 0.5 + torch.rand(rows_of(case[0]).shape[0], generator=torch.Generator().manual_seed(3))
+    plain, ours, theirs = step(case), step(case, pace=pace), step_on_cpu(case, pace=pace)
+    of_rows = pace.view([len(pace), *[1] * (len(shape) - 1)] if shape else [])
+    want = case[0] + of_rows * (plain[0] - case[0])
+    assert (ours[0] - want).abs().max() <= 4e-7 * want.abs().max()
+    assert (ours[0] - theirs[0]).abs().max() <= 2e-7 * want.abs().max()
+    assert all(map(same_bits, ours[1:], plain[1:]))  # moments know no pace
 
 
 @pytest.mark.parametrize("number", [1, 7, 100_000])
@@ -211,6 +225,8 @@ def test_wrong_arguments_are_refused_and_no_rows_are_nothing_to_do():
         take(Emulator(), (p, p.to("meta"), p, p))
     with pytest.raises(ValueError, match="both moments"):
         step_if_finite(Emulator(), CPU, [Update(p, p)], BETA1, BETA2, EPSILON)
+    with pytest.raises(ValueError, match=r"pace must be contiguous float32 \[3\] on cpu; got torch.float32 \[2\]"):
+        take(Emulator(), (p, p, p, p), pace=torch.ones(2))
     with pytest.raises(ValueError, match="number 1"):
         take(Emulator(), (p, p, p, p), number=0)
     for shape in ((0, 3), (3, 0)):
@@ -219,7 +235,7 @@ def test_wrong_arguments_are_refused_and_no_rows_are_nothing_to_do():
 
 def test_the_optimiser_steps_where_its_parameters_lie():
     """In two launches, without waiting, and as if a step that was not finite had not been."""
-    shapes = {"a.p": (20, 3), "b.wide": (3, 1500), "b.none": (0, 3), "c.frozen": (4,)}
+    shapes = {"a.p": (20, 3), "a.log_spans": (20,), "b.wide": (3, 1500), "b.none": (0, 3), "c.frozen": (4,)}
     generator = torch.Generator().manual_seed(5)
     start = {name: torch.randn(shape, generator=generator) for name, shape in shapes.items()}
     grads = {name: torch.randn(shape, generator=generator) for name, shape in shapes.items()}
@@ -227,7 +243,7 @@ def test_the_optimiser_steps_where_its_parameters_lie():
     with pretending_cuda() as pretending:
         for device in ("cpu", "cuda"):
             named = {name: p.clone().to(device).requires_grad_() for name, p in start.items()}
-            adam = RowAdam(named, {name: lambda progress: 0.1 for name in named})
+            adam = RowAdam(named, {name: lambda progress: 0.1 for name in named}, pace=lambda log_spans: torch.exp(-log_spans))
             for bad in (False, True, False):
                 for name, p in named.items():
                     p.grad = grads[name].to(device, copy=True)
@@ -238,8 +254,8 @@ def test_the_optimiser_steps_where_its_parameters_lie():
                 if device == "cuda":
                     attempt = adam.step_if_finite({"the loss": torch.ones((), device=device)}, 0.0, frozenset({"c"}))
                     assert pretending.kernels == ["check_gradients", "adam_rows"] and not pretending.syncs
-                    assert attempt.names == ["the loss", "a.p", "b.wide", "c.frozen"]
-                    assert attempt.bad.tolist() == [bad, False, False, False, bad]
+                    assert attempt.names == ["the loss", "a.p", "a.log_spans", "b.wide", "c.frozen"]
+                    assert attempt.bad.tolist() == [bad, False, False, False, False, bad]
                     if bad:
                         adam.uncount(attempt)
                 elif not bad:

@@ -7,11 +7,13 @@ import pytest
 import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.free import MOST_PACE, PACE, FreeMotion
 from e4dgs.scene.motion.lives import live, live_reference, turned_by
 from e4dgs.scene.primitives import ALWAYS, LIFE, ConvexSet, GaussianSet, Life
 from e4dgs.scene.rotation import quats_to_matrices
+from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.density import measure_responsibility, survivors
+from e4dgs.scene.training.control.learned_model import LearnedModel
 from e4dgs.scene.views import Views
 
 TIMES = 11
@@ -264,3 +266,38 @@ def test_opacities_alone_are_those_of_the_whole():
     motion = FreeMotion(TIMES)
     for t in (0.0, 0.33, 1.0):
         assert torch.allclose(motion.opacities(gaussians, t), motion.alive(gaussians, t)[2], rtol=1e-5, atol=1e-9)
+
+
+def test_brief_lives_learn_faster():
+    """Up to a limit; what is present throughout learns as it does in a static scene."""
+    motion = FreeMotion(TIMES)
+
+    def pace(share):
+        return float(motion.pace(torch.tensor([math.log(share * TIMES / math.sqrt(2 * math.pi))]))[0])
+
+    assert float(motion.pace(torch.tensor([math.log(ALWAYS)]))[0]) == pace(1.01) == 1
+    assert pace(0.99) == pytest.approx(0.99**-PACE) and pace(0.2) == pytest.approx(0.2**-PACE)
+    least = MOST_PACE ** (-1 / PACE)
+    assert pace(1.01 * least) < pace(0.99 * least) == pace(0.1 * least) == MOST_PACE
+
+
+@pytest.mark.parametrize("kind", ["gaussians", "convexes"])
+def test_a_training_step_moves_brief_lives_farther(kind):
+    made = Model(GaussianSet.from_points(np.zeros((2, 3)), np.zeros((2, 3)), 0), ConvexSet.empty(6, 0), FreeMotion(TIMES), 0)
+    if kind == "convexes":
+        balls = np.random.default_rng(1).normal(size=(2, 6, 3))
+        made.convexes = ConvexSet.from_points(balls, np.full((2, 3), 0.5), 0)
+    primitives = getattr(made, kind)
+    primitives.live(torch.tensor([2.0, 5.0]), 1.0)
+    with torch.no_grad():
+        primitives.log_spans[1] = math.log(ALWAYS)
+    learned = LearnedModel(made, TrainingSettings(), 1.0, 1.0)
+    before = {name: p.detach().clone() for name, p in primitives.parameters.items()}
+    want = float(made.field.pace(primitives.log_spans)[0])
+    for p in primitives.parameters.values():
+        p.grad = torch.ones_like(p)
+    learned.optimiser.step(0.0)
+    for name, p in primitives.parameters.items():
+        if p[0].numel():
+            brief, long = ((p.detach() - before[name])[row].flatten()[0] for row in (0, 1))
+            assert float(brief / long) == pytest.approx(want, rel=2e-3 if name != "log_spans" else 2e-2), name

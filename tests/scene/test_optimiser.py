@@ -4,6 +4,7 @@ import platform
 
 import pytest
 import torch
+from e4dgs.scene import _kernels
 from e4dgs.scene.training.optimiser import ALL_ROWS, EPSILON, RowAdam, Rows
 
 
@@ -85,6 +86,37 @@ def test_copied_rows_step_as_the_rows_themselves_would(width, chosen):
         assert len(chosen) == 1 or not torch.equal(ends[0][0], start)
 
 
+@pytest.mark.parametrize("width", [1, 2, 3, 4, 5, 45])
+@pytest.mark.parametrize("copied", [False, True], ids=["all rows", "copied rows"])
+def test_rows_step_at_their_own_pace(copied, width):
+    """Of every width that the kernel treats on its own, and in more rows than it takes at once. Parameters of other owners have none."""
+    generator = torch.Generator().manual_seed(width)
+    start, spans = torch.randn(700, width, generator=generator), torch.randn(700, generator=generator)
+    index = torch.arange(0, 699, 3)
+    ends = []
+    for pace in (lambda log_spans: torch.exp(-log_spans), lambda log_spans: None):
+        named = {"a.p": start.clone(), "a.log_spans": spans.clone(), "b.q": torch.ones(4, width)}
+        adam = RowAdam({k: p.requires_grad_() for k, p in named.items()}, {name: lambda progress: 0.1 for name in named}, pace=pace)
+        draw = torch.Generator().manual_seed(7)
+        for _ in range(5):
+            grad = torch.randn(700, width, generator=draw)
+            named["b.q"].grad = torch.ones(4, width)
+            if copied:
+                rows = {name: named[name].detach()[index].requires_grad_() for name in ("a.p", "a.log_spans")}
+                rows["a.p"].grad = grad[index]
+                adam.step(0.0, rows=Rows(index, rows))
+            else:
+                named["a.p"].grad = grad
+                adam.step(0.0)
+        ends.append({name: p.detach() for name, p in named.items()})
+    paced, plain = ends
+    stepped = index if copied else torch.arange(700)
+    change = torch.zeros(700, width)
+    change[stepped] = torch.exp(-spans)[stepped, None] * (plain["a.p"] - start)[stepped]
+    torch.testing.assert_close(paced["a.p"], start + change, rtol=1e-5, atol=1e-5)
+    assert torch.equal(paced["b.q"], plain["b.q"])
+
+
 def test_gradients_of_rows_and_of_the_whole_are_added():
     index = torch.tensor([1, 3])
     ends = []
@@ -154,9 +186,12 @@ def test_state_survives_saving():
 
 
 def test_wrong_shapes_are_refused():
-    from e4dgs.scene import _kernels
-
     with pytest.raises(ValueError, match="index names a row"):
-        _kernels.adam_rows(torch.ones(3), torch.ones(1), torch.ones(3), torch.ones(3), torch.tensor([3]), 1, 0.1, 0.9, 0.99, 1e-8, 1)
+        _kernels.adam_rows(torch.ones(3), torch.ones(1), torch.ones(3), torch.ones(3), None, torch.tensor([3]), 1, 0.1, 0.9, 0.99, 1e-8, 1)
     with pytest.raises(ValueError, match="the rows it belongs to"):
-        _kernels.adam_rows(torch.ones(3), torch.ones(2), torch.ones(3), torch.ones(3), None, 1, 0.1, 0.9, 0.99, 1e-8, 1)
+        _kernels.adam_rows(torch.ones(3), torch.ones(2), torch.ones(3), torch.ones(3), None, None, 1, 0.1, 0.9, 0.99, 1e-8, 1)
+    x = torch.ones(6, 3)
+    for pace, index in ((torch.ones(5), None), (torch.ones(6), torch.tensor([1, 2]))):
+        grad = x if index is None else x[:2]
+        with pytest.raises(ValueError, match="pace must have one number for each row of gradient"):
+            _kernels.adam_rows(x.clone(), grad, x.clone(), x.clone(), pace, index, 1, 0.1, 0.9, 0.99, 1e-8, 1)

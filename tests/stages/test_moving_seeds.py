@@ -5,7 +5,20 @@ import pytest
 from e4dgs.scene.seeds.hull import visual_hull
 from e4dgs.stages.seeding import moving
 from e4dgs.stages.seeding.depths import ANYWHERE
-from e4dgs.stages.seeding.moving import APART, HULL, KEYS, MEASURED_SHARE, camera_seeds, key_times, on_surfaces, rig_seeds, slope
+from e4dgs.stages.seeding.moving import (
+    APART,
+    HULL,
+    KEYS,
+    LEAST_AT_ONCE,
+    MEASURED_SHARE,
+    camera_seeds,
+    key_times,
+    on_surfaces,
+    rig_seeds,
+    rig_times,
+    slope,
+    speed,
+)
 from moving_square import CAMERA, FOCAL, FRAMES, SQUARE, WALL, flow_of, pose, views, wall
 from sliding_ball import RADIUS, TIMES, place, sliding_ball
 
@@ -38,7 +51,7 @@ def test_before_one_camera_nothing_hidden_means_no_seeds(tmp_path):
 
 def test_before_a_rig_seeds_lie_on_the_ball_at_each_time(rig):
     flow, seen, _ = rig
-    seeds = rig_seeds(flow, seen, lambda i: flow.moving(i) > 127, 2000, 0)
+    seeds = rig_seeds(flow, seen, lambda i: flow.moving(i) > 127, np.arange(TIMES), 2000, 0)
     assert seeds is not None and len(np.unique(seeds.time)) == TIMES
     speed = 1.0 / (TIMES - 1)  # it slides by one unit over the capture
     for t in np.unique(seeds.time):
@@ -73,7 +86,7 @@ def test_before_a_rig_most_seeds_are_measured_and_the_rest_is_what_is_left_of_th
 
 def test_before_a_rig_without_masks_there_are_no_seeds(rig):
     flow, seen, _ = rig
-    assert rig_seeds(flow, seen, lambda i: None, 2000, 0) is None
+    assert rig_seeds(flow, seen, lambda i: None, np.arange(TIMES), 2000, 0) is None
 
 
 @pytest.mark.parametrize(
@@ -82,6 +95,39 @@ def test_before_a_rig_without_masks_there_are_no_seeds(rig):
 def test_key_times_reach_from_first_to_last(count, expected):
     rows = key_times(np.linspace(0, 1, count))
     assert len(rows) == expected and rows[0] == 0 and rows[-1] == count - 1
+
+
+class Moving:
+    """Flow of a band of ``width`` of 200 columns, at ``speed`` px a frame. The rest would move much more, but is not on the masks."""
+
+    size, pairs = (10, 200), [(i, i + 1) for i in range(100)]
+
+    def __init__(self, speed, width=40):
+        self._speed, self._width = speed, width
+
+    def moving(self, frame):
+        mask = np.zeros(self.size, np.uint8)
+        mask[:, : self._width] = 255
+        return mask
+
+    def forward(self, p):
+        flow = np.full((*self.size, 2), 50.0, np.float16)
+        flow[:, : self._width] = (0.6 * self._speed, 0.8 * self._speed)
+        return flow
+
+
+def test_key_times_of_a_rig_are_closer_if_things_move_fast():
+    """At 200 px, moving pixels may move 2.8 px from one to the next."""
+    times = np.linspace(0, 1, 300)
+    counts = [len(rig_times(Moving(v), times, 100_000)) for v in (0.1, 0.35, 0.7, 1.4, 2.8, 10.0)]
+    assert counts == pytest.approx([300 // APART, 300 // APART, 75, 150, 300, 300], abs=1)
+    assert len(rig_times(Moving(1.0, width=0), times, 100_000)) == 300 // APART, "nothing moves"
+    assert len(rig_times(Moving(10.0), times, 20_000)) == 20_000 // LEAST_AT_ONCE, "each time has seeds enough"
+    assert len(rig_times(Moving(10.0), times, 10)) == len(rig_times(Moving(0.0), times[: KEYS + 5], 10)) == KEYS
+
+
+def test_the_speed_is_that_of_all_but_the_fastest_moving_pixels():
+    assert speed(Moving(3.0)) == pytest.approx(3 / 200, rel=1e-3)
 
 
 def test_a_slope_leaves_out_what_is_not_known():

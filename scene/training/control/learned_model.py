@@ -72,4 +72,7 @@ class LearnedModel:
 
     def _make_optimiser(self) -> RowAdam:
         named = self.model.named_parameters()
-        return RowAdam(named, learning_rates(named, self._settings, self._unit, self._lr_scale))
+        return RowAdam(named, learning_rates(named, self._settings, self._unit, self._lr_scale), pace=self._pace)
+
+    def _pace(self, log_spans: Tensor) -> Tensor | None:
+        return None if self.model.field is None else self.model.field.pace(log_spans)
