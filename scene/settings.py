@@ -41,6 +41,9 @@ class RefinementSettings(Settings):
     )
     spread: float | None = Field(None, ge=0, description="weight of the spread in depth of what one pixel shows; 0.3 for nodes, else 0")
     smooth: float = Field(2.0, ge=0, description="rigs: weight of how much surfaces bend where pictures are smooth; falls to a twentieth")
+    dropout: float = Field(
+        0.2, ge=0, lt=1, description="rigs: share of the Gaussians at rest that a step leaves out at random; grows from 0"
+    )
     depth: float = Field(0.3, ge=0, description="rigs: weight of the difference from the depth measured between cameras, where known")
     interval: float | None = Field(None, ge=0, description="weight of L_interval (Eq. 8), with flow in px; 0.001 for planes, else 0")
     data_flow: float = Field(1e-3, ge=0, description="weight of the difference of rendered and measured flow at edges, px; 0 turns it off")

@@ -26,10 +26,12 @@ from .optimiser import ALL_ROWS, Rows
 from .recipe import Recipe
 from .replayed.one_view import OneView
 from .schedule import Phase
+from .steps.dropout import keeps, thinned
 
 WHOLE_EVERY = 8  # one step in so many uses the whole image where the others are cropped to the object
 SMOOTH_END = 0.05  # of its weight that the smoothness of surfaces has at the end: it helps to find them, then blurs their detail
 MOST_SHOWN = 0.8  # of the Gaussians; if a view may show more, selecting them costs more than it saves
+DROPOUT_GROWS = 0.75  # of the training; then losses can be compared, to see whether training still improves
 RELINK_EVERY = 100  # steps between two searches for the parts of the motion that carry each primitive
 
 
@@ -91,6 +93,7 @@ class Objective:
         self.measured_depth = measured_depth if settings.depth else None
         self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
         self.spread = recipe.spread if settings.spread is None else settings.spread
+        self.dropout = settings.dropout if several else 0.0
         self.drawn = DrawnTiles(views, settings.seed, earlier + total)
         self.motion_terms = MotionTerms(
             views,
@@ -104,8 +107,9 @@ class Objective:
         )
 
     def of(self, view: OneView) -> Objective:
-        """The same objective for what ``view`` shows."""
+        """The same objective for what ``view`` shows. Nothing is left out: a CUDA graph would leave out the same in every step."""
         same = copy(self)
+        same.dropout = 0.0
         same.motion_terms = copy(self.motion_terms)
         same.views = same.motion_terms.views = view  # type: ignore[assignment]
         return same
@@ -122,12 +126,19 @@ class Objective:
         tiles = None if drawn is None else drawn.tiles
         whole = phase.move and self.motion_terms.flow_due(model, step, self.total)
         seen = model.in_view(t, camera, None if whole else tiles, phase.move)
+        left_out = self.left_out(step)
+        keep = keeps(model.gaussians.dynamic, left_out, s.seed, self.earlier + step) if left_out else None
+        if seen is not None and keep is not None:
+            seen, keep = seen[keep[seen]], None
         rows, faded = ALL_ROWS, None
-        if seen is not None and len(seen) <= MOST_SHOWN * len(model.gaussians):
+        if seen is not None and (left_out or len(seen) <= MOST_SHOWN * len(model.gaussians)):
             faded = model.opacities_at(t, phase.move)  # the penalty on opacity holds for all, in view or not
             model = model.with_gaussians(model.gaussians.select(seen))
             rows = Rows.of(model.gaussians, seen)
         gaussians, convexes = model.at(t, camera, phase.move, sh_degree)
+        opacities = gaussians.opacities if faded is None else faded
+        if left_out:
+            gaussians = thinned(gaussians, model.gaussians.dynamic, left_out, keep)
         spread = self.spread if step % EVERY == 0 and step > BEGIN * self.total else 0.0
         shapes = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
         frame = rasterize(camera, *shapes, background, antialiased=model.antialiased, tiles=tiles)
@@ -146,11 +157,15 @@ class Objective:
         if spread:
             loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)
         loss = loss + self._surface(frame, target, i, step, weight)
-        opacities = gaussians.opacities if faded is None else faded
         loss = loss + self.opacity / (views.width * views.height) * (opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
         return Judged(loss, image_loss, frame.color, target, weight, recording, rows)
+
+    def left_out(self, step: int) -> float:
+        """Share of the Gaussians at rest that step ``step`` leaves out; 0 unless one time alone shows the scene from several sides."""
+        progress = (self.earlier + step) / max(self.earlier + self.total, 1)
+        return self.dropout * min(progress / DROPOUT_GROWS, 1.0)
 
     def smooth(self, step: int) -> float:
         """Weight of the smoothness of surfaces at ``step``; 0 unless one time alone shows the scene from several sides."""
