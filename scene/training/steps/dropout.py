@@ -22,7 +22,8 @@ def keeps(dynamic: Tensor, share: float, seed: int, step: int) -> Tensor:
     """[N] bool: those that step ``step`` keeps. Each that is not ``dynamic`` [N] is left out with probability ``share``. It depends only
     on the numbers given, so that a resumed training leaves out the same."""
     draw = np.random.default_rng((seed, 9, step)).random(len(dynamic), dtype=np.float32)
-    return torch.from_numpy(draw >= share).to(dynamic.device) | dynamic
+    # Not blocking: the host must not wait for a GPU in each step.
+    return torch.from_numpy(draw >= share).to(dynamic.device, non_blocking=True) | dynamic
 
 
 def thinned(gaussians: Gaussians, dynamic: Tensor, share: float, keep: Tensor | None = None) -> Gaussians:
