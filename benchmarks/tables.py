@@ -22,7 +22,7 @@ COMMANDS = {
     "field": "python benchmarks/bench.py field --out benchmarks/results/bench_field.json",
     "step": "python benchmarks/bench.py step --capture CAPTURE --out benchmarks/results/bench_step.json",
     "cuda": "python benchmarks/bench.py cuda --garden FILE --out benchmarks/results/bench_cuda.json",
-    "rig": "e4dgs bench step --rows split --capture RIG --out benchmarks/results/bench_rig.json",
+    "rig": "e4dgs bench step --capture RIG --out benchmarks/results/bench_rig.json",
     "flow": "python benchmarks/flow.py SCENES --weights DIR --out benchmarks/results/bench_flow.json",
     "flow_terms": "python benchmarks/flow_terms.py SCENES --out benchmarks/results/bench_flow_terms.json",
     "knobs": "python benchmarks/knobs.py --out benchmarks/results/bench_knobs.json",
