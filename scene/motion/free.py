@@ -64,8 +64,8 @@ class FreeMotion(nn.Module):
 
     def pace(self, log_spans: Tensor) -> Tensor:
         """[m], larger for short lives (see `Life`): only steps near them change what is present so briefly."""
-        share = math.sqrt(2 * math.pi) / self.times * torch.exp(log_spans.detach())
-        return share.pow(-PACE).clamp(1.0, MOST_PACE)
+        log_share = log_spans.detach() + math.log(math.sqrt(2 * math.pi) / self.times)
+        return torch.exp(-PACE * log_share).clamp(1.0, MOST_PACE)
 
     def links(self, points: Tensor, hyper: Tensor) -> None:
         """None: each primitive carries itself."""

@@ -97,13 +97,16 @@ class RowAdam:
             assert rows.index is None, "a CUDA device computes with all rows"
             self.step_if_finite({}, progress, frozen)
             return
-        paces = self._paces(self._parameters), self._paces(rows.parameters)
+        paces: dict[tuple[str, bool], Tensor | None] = {}
         for name, p in self._parameters.items():
             grad, index = rows.gradient(name, p)
             if grad is None or not grad.numel() or name.split(".")[0] in frozen:
                 continue
             state = self._counted(name, p)
-            tensors = p.detach(), grad.contiguous(), state.first, state.second, paces[index is not None].get(name.split(".")[0])
+            kind = name.split(".")[0], index is not None
+            if kind not in paces:  # the same for all that belongs to a kind, and of copied rows alone where there are some
+                paces[kind] = self._pace_of(kind[0], self._parameters if index is None else rows.parameters)
+            tensors = p.detach(), grad.contiguous(), state.first, state.second, paces[kind]
             _kernels.adam_rows(*tensors, index, state.steps, self.rates[name](progress), *self.betas, EPSILON, torch.get_num_threads())
         self.zero_grad()
 
@@ -113,7 +116,8 @@ class RowAdam:
         from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda.adam import Update, step_if_finite
 
-        updates, paces = {name: Update(other) for name, other in others.items()}, self._paces(self._parameters)
+        updates = {name: Update(other) for name, other in others.items()}
+        paces = {kind: self._pace_of(kind, self._parameters) for kind in {name.split(".")[0] for name in self._parameters}}
         for name, p in self._parameters.items():
             if p.grad is None or not p.grad.numel():
                 continue
@@ -122,8 +126,8 @@ class RowAdam:
                 updates[name] = Update(grad)
                 continue
             state = self._counted(name, p)
-            pace = paces.get(name.split(".")[0])
-            updates[name] = Update(grad, p.detach(), state.first, state.second, state.steps, self.rates[name](progress), pace)
+            tensors = grad, p.detach(), state.first, state.second
+            updates[name] = Update(*tensors, state.steps, self.rates[name](progress), paces[name.split(".")[0]])
         bad = step_if_finite(launcher_for(self._device), self._device, list(updates.values()), *self.betas, EPSILON)
         self.zero_grad()
         return Attempt(list(updates), bad, [name for name, update in updates.items() if update.parameter is not None])
@@ -171,10 +175,10 @@ class RowAdam:
                 moments = (tensors[f"{name}/{key}"].to(p.device, copy=True) for key in ("exp_avg", "exp_avg_sq"))
                 self._state[name] = Moments(int(tensors[f"{name}/step"]), *moments)
 
-    def _paces(self, parameters: dict[str, Tensor]) -> dict[str, Tensor]:
-        """The factors on the rates of each kind of primitives, by its name."""
-        spans = {name.split(".")[0]: p.detach() for name, p in parameters.items() if name.endswith(".log_spans")}
-        return {kind: pace for kind, span in spans.items() if (pace := self._pace(span)) is not None}
+    def _pace_of(self, kind: str, parameters: dict[str, Tensor]) -> Tensor | None:
+        """The factors on the rates of the rows of a kind of primitives, of which ``parameters`` has all rows or some; None: 1."""
+        spans = parameters.get(f"{kind}.log_spans")
+        return None if spans is None else self._pace(spans.detach())
 
     def _counted(self, name: str, parameter: Tensor) -> Moments:
         """What is remembered of a parameter that takes a step, which is counted."""
