@@ -32,10 +32,17 @@ class CameraAffine(nn.Module):
 
     def recording(self, camera: int) -> tuple[Tensor, Tensor] | None:
         """The gain and the offset [3] of camera number ``camera``; None if it has no row."""
-        row = self._row.get(int(camera))
-        if row is None:
-            return None
-        return torch.exp(self.log_gain[row] - self.log_gain.mean(0)), self.offset[row] - self.offset.mean(0)
+        row = self.row(camera)
+        return None if row is None else self.recorded_in(row)
+
+    def row(self, camera: int) -> int | None:
+        """Which row is that of camera number ``camera``; None if there is none."""
+        return self._row.get(int(camera))
+
+    def recorded_in(self, row: int | Tensor) -> tuple[Tensor, Tensor]:
+        """The gain and the offset [3] in row ``row``, a number or a tensor [1] on the module's device."""
+        gain, offset = self.log_gain[row].reshape(3), self.offset[row].reshape(3)
+        return torch.exp(gain - self.log_gain.mean(0)), offset - self.offset.mean(0)
 
 
 def colour_recorders(views: Views) -> np.ndarray | None:

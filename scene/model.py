@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .colour import CameraAffine
+from .cuda.renders import Renders
 from .motion.field import DeformationField
 from .motion.free import FreeMotion
 from .motion.in_view import in_view
@@ -53,6 +54,7 @@ class Model:
         self._links: dict[str, tuple[PrimitiveSet, Tensor | None]] = {}
         self._stale: set[str] = set()
         self._moved: dict[str, tuple[Tensor, int, Tensor]] = {}
+        self._renders = Renders()
 
     @property
     def device(self) -> torch.device:
@@ -97,11 +99,11 @@ class Model:
         (scales,), shown, sh = g.look((log_scales,), degree, light)
         (tau, kappa), convex_shown, convex_sh = c.look((c.log_tau, c.log_kappa), degree, light)
         if isinstance(field, FreeMotion):
-            means, turned, shown = field.alive(g, float(t), shown)
+            means, turned, shown = field.alive(g, t, shown)
             assert turned is not None
             quats = turned
             if len(c):
-                points, _, convex_shown = field.alive(c, float(t), convex_shown)
+                points, _, convex_shown = field.alive(c, t, convex_shown)
         return Gaussians(means, quats, scales, shown, sh=sh), Convexes(points, tau, kappa, convex_shown, sh=convex_sh)
 
     def named_parameters(self) -> dict[str, Tensor]:
@@ -111,17 +113,13 @@ class Model:
             named |= {} if part is None else {f"{kind}.{name}": p for name, p in part.named_parameters()}
         return named
 
-    def twin(self) -> Model:
-        """This model in the same memory, whose Gaussians and convexes are leaves of their own."""
-        sets = [type(s)(s.parameters, s.dynamic) for s in (self.gaussians, self.convexes)]
-        twin = Model(*sets, *self._rest_of_it())  # type: ignore[arg-type]
-        for own, other in zip((self.gaussians, self.convexes), sets):
-            if self.field is not None:
-                self._moving(own, None, 0.0)
-                link = self.links(own)
-                if link is not None:
-                    twin.set_links(other, link)
-        twin._moved = dict(self._moved)
+    def in_rooms(self, rooms: Sequence[tuple[PrimitiveSet, Tensor, Tensor | None]]) -> Model:
+        """This model with other Gaussians and convexes, of which it is known which move and what links them to the motion."""
+        twin = Model(*(primitives for primitives, _, _ in rooms), *self._rest_of_it())  # type: ignore[arg-type]
+        for primitives, index, link in rooms:
+            twin._moved[primitives.KIND] = primitives.dynamic, primitives.dynamic._version, index
+            if link is not None:
+                twin.set_links(primitives, link)
         return twin
 
     def with_gaussians(self, gaussians: GaussianSet) -> Model:
@@ -136,15 +134,15 @@ class Model:
         ``tiles``: what is drawn, as `rasterize` takes it."""
         if self.device.type != "cpu" or not isinstance(self.field, FreeMotion | None):
             return None  # a GPU would have to wait for the number found
-        return in_view(self.gaussians, camera, self.field.frame(float(t)) if self.field is not None and move else None, tiles)
+        return in_view(self.gaussians, camera, float(self.field.frame(float(t))) if self.field is not None and move else None, tiles)
 
     def moves(self) -> bool:
         """Whether any primitive is dynamic."""
-        return any(len(self._moving(s, None, 0.0)) for s in (self.gaussians, self.convexes))
+        return any(len(self.moving(s)) for s in (self.gaussians, self.convexes))
 
     def opacities_at(self, t: Time, move: bool = True) -> Tensor:
         """[N] opacities of all Gaussians at time ``t``, in view or not, attached to autograd."""
-        return self.field.opacities(self.gaussians, float(t)) if isinstance(self.field, FreeMotion) and move else self.gaussians.opacities
+        return self.field.opacities(self.gaussians, t) if isinstance(self.field, FreeMotion) and move else self.gaussians.opacities
 
     def centres_at(self, index: Tensor, t: float) -> Tensor:
         """[m, 3] centres of the Gaussians ``index`` at time ``t``, moved whether they are dynamic or not."""
@@ -183,17 +181,22 @@ class Model:
         """The Gaussians ``index`` and the corners of the convexes ``convex_index``."""
         g, c = self.gaussians, self.convexes
         whole = len(index) == len(g)
-        points, quats, hyper = (p if whole else p[index] for p in (g.means, g.quats, g.hyper))
+        # Not by brackets, whose gradient on a GPU sorts the indices first.
+        points, quats, hyper = (p if whole else p.index_select(0, index) for p in (g.means, g.quats, g.hyper))
         link = self.links(g)
         link = link if whole or link is None else link[index]
         if len(convex_index):
             corners = c.points.shape[1]
-            points = torch.cat([points, c.points[convex_index].reshape(-1, 3)])
-            hyper = torch.cat([hyper, c.hyper[convex_index].repeat_interleave(corners, 0)])
+            points = torch.cat([points, c.points.index_select(0, convex_index).reshape(-1, 3)])
+            hyper = torch.cat([hyper, c.hyper.index_select(0, convex_index).repeat_interleave(corners, 0)])
             other = self.links(c)
             if link is not None and other is not None:
                 link = torch.cat([link, other.reshape(len(c), corners, -1)[convex_index].flatten(0, 1)])
         return Rest(points, quats, hyper, link)
+
+    def moving(self, primitives: PrimitiveSet) -> Tensor:
+        """Indices [m] of the dynamic ones among this model's Gaussians or convexes, cached until that changes."""
+        return self._moving(primitives, None, 0.0)
 
     def _moving(self, primitives: PrimitiveSet, camera: Camera | None, margin: float) -> Tensor:
         """Indices [m] of the dynamic primitives whose rest position lies in the camera's view, widened by ``margin`` of its size."""
@@ -213,9 +216,19 @@ class Model:
         camera = replace(camera, near=max(camera.near, self.near))
         background = torch.tensor(self.background) if background is None else background
         with torch.no_grad():
-            gaussians, convexes = self.at(time, camera)
-            mode = self.antialiased
-            return rasterize(camera, gaussians, convexes, background, backend=backend, antialiased=mode)  # type: ignore[arg-type]
+            if self.device.type == "cuda" and backend in ("auto", "cuda") and isinstance(self.field, ControlNodes | FreeMotion | None):
+                return self._renders(self._draw, self._memory(), self.device, camera, time, background)
+            return self._draw(camera, time, background, backend)
+
+    def _draw(self, camera: Camera, time: Time, background: Tensor, backend: str = "auto") -> Frame:
+        return rasterize(camera, *self.at(time, camera), background, backend=backend, antialiased=self.antialiased)  # type: ignore[arg-type]
+
+    def _memory(self) -> tuple[object, ...]:
+        """What a CUDA graph of a render reads, so that it can be told whether that is still there."""
+        sets = self.gaussians, self.convexes
+        parameters = (p.data_ptr() for s in sets for p in s.parameters.values())
+        links = () if self.field is None else [None if link is None else link.data_ptr() for link in map(self.links, sets)]
+        return self.field, *sets, *(s.dynamic._version for s in sets), *parameters, *links
 
     def bake(self, displacement: Tensor, index: Tensor) -> None:
         """Move the rest positions of the Gaussians ``index`` by ``displacement`` [m, 3] and take them out of the field."""

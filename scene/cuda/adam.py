@@ -9,6 +9,7 @@ from functools import lru_cache
 from struct import Struct
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -19,6 +20,7 @@ THREADS = 256
 CHUNK = 1024  # most numbers per block; a row may be wider
 # `Entry` of adam.cu: parameter, gradient, first, second, pace, rows, width, first_block, parts, rows_each, divide, rate, inverse_root.
 ENTRY = Struct("=5Q2q3iI2f")
+SCALARS = np.dtype({"names": ["rate", "inverse_root"], "formats": ["<f4", "<f4"], "offsets": [72, 76], "itemsize": ENTRY.size})
 
 
 class Update(NamedTuple):
@@ -45,25 +47,39 @@ def step_if_finite(
 
     Raises ValueError for other shapes, types, devices or steps, and whatever `Launcher.launch` raises.
     """
-    table, blocks = bytearray(), 0
-    for update in updates:
-        entry, taken = _entry(update, device, blocks, beta1, beta2)
-        table += entry
-        blocks += taken
-    # What is found to be bad is written behind the table, where the upload has put zeros.
-    end = len(table)
-    uploaded = torch.frombuffer(table + bytes(1 + len(updates)), dtype=torch.uint8).to(device, non_blocking=True)
-    tensors, bad = uploaded[:end], uploaded[end:]
-    found = torch.empty(blocks, dtype=torch.uint8, device=device)
-    adam, common = program("adam"), (tensors, c_int32(len(updates)), found, bad)
-    launcher.launch(adam, "check_gradients", blocks, THREADS, *common)
-    launcher.launch(adam, "adam_rows", blocks, THREADS, *common, c_float(beta1), c_float(beta2), c_float(epsilon))
-    return bad.view(torch.bool)
+    return Table(updates, device).step(launcher, [(u.step, u.rate) for u in updates], beta1, beta2, epsilon)
 
 
-def _entry(update: Update, device: torch.device, first_block: int, beta1: float, beta2: float) -> tuple[bytes, int]:
-    """The tensor's row of the table, and how many blocks it takes."""
-    gradient, parameter, first, second, step, rate, pace = update
+class Table:
+    """What the kernels of a step read of ``updates``, which can be used again for other steps and rates of the same tensors."""
+
+    def __init__(self, updates: Sequence[Update], device: torch.device) -> None:
+        table, self._blocks, self._device = bytearray(), 0, device
+        for update in updates:
+            entry, taken = _entry(update, device, self._blocks)
+            table += entry
+            self._blocks += taken
+        self._count, self._end = len(updates), len(table)
+        # What is found to be bad is written behind the table, where the upload has put zeros.
+        self._bytes = table + bytes(1 + len(updates))
+        self._scalars = np.frombuffer(self._bytes, SCALARS, len(updates))
+
+    def step(self, launcher: Launcher, steps: Sequence[tuple[int, float]], beta1: float, beta2: float, epsilon: float) -> Tensor:
+        """`step_if_finite` with these steps and rates."""
+        if self._count:
+            self._scalars[:] = [_scalars(step, rate, beta1, beta2) for step, rate in steps]
+        uploaded = torch.frombuffer(self._bytes, dtype=torch.uint8).to(self._device, non_blocking=True)
+        tensors, bad = uploaded[: self._end], uploaded[self._end :]
+        found = torch.empty(self._blocks, dtype=torch.uint8, device=self._device)
+        adam, common = program("adam"), (tensors, c_int32(self._count), found, bad)
+        launcher.launch(adam, "check_gradients", self._blocks, THREADS, *common)
+        launcher.launch(adam, "adam_rows", self._blocks, THREADS, *common, c_float(beta1), c_float(beta2), c_float(epsilon))
+        return bad.view(torch.bool)
+
+
+def _entry(update: Update, device: torch.device, first_block: int) -> tuple[bytes, int]:
+    """The tensor's row of the table, without rate and step, and how many blocks it takes."""
+    gradient, parameter, first, second, _, _, pace = update
     shape = gradient.shape
     addresses = []
     for t in (parameter, gradient, first, second):
@@ -76,8 +92,6 @@ def _entry(update: Update, device: torch.device, first_block: int, beta1: float,
             raise ValueError(f"parameter and moments must be contiguous float32 {list(shape)} on {device}, as is the gradient; got {given}")
     if parameter is not None and (first is None or second is None):
         raise ValueError("a parameter needs both moments")
-    if step < 1:
-        raise ValueError(f"the first step is number 1, got {step}")
     rows = shape[0] if shape else 1
     if pace is not None and not (pace.shape == (rows,) and pace.dtype == torch.float32 and pace.device == device and pace.is_contiguous()):
         raise ValueError(f"pace must be contiguous float32 [{rows}] on {device}; got {pace.dtype} {list(pace.shape)} on {pace.device}")
@@ -88,10 +102,16 @@ def _entry(update: Update, device: torch.device, first_block: int, beta1: float,
         if each >= 64:
             each -= each % 8  # blocks of short rows start at a 32-byte sector
     divide = -(-(2**31) // width) if width else 0
-    correction1, inverse_root = _corrections(step, beta1, beta2)
-    scalars = c_float(rate).value / correction1, inverse_root
     addresses.append(0 if pace is None else pace.data_ptr())
-    return ENTRY.pack(*addresses, rows, width, first_block, parts, each, divide, *scalars), -(-rows // each) * parts
+    return ENTRY.pack(*addresses, rows, width, first_block, parts, each, divide, 0.0, 0.0), -(-rows // each) * parts
+
+
+def _scalars(step: int, rate: float, beta1: float, beta2: float) -> tuple[float, float]:
+    """The rate with the first moment's bias correction, and the inverse root of the second's."""
+    if step < 1:
+        raise ValueError(f"the first step is number 1, got {step}")
+    correction1, inverse_root = _corrections(step, beta1, beta2)
+    return c_float(rate).value / correction1, inverse_root
 
 
 @lru_cache(64)  # most tensors of a step have taken as many steps

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from .graph import capturing
 from .leaves import own_leaves
 
 WARM_UP = 2  # runs before the capture, in which libraries take the memory that they keep
@@ -45,11 +46,10 @@ class Captured:
                 gradients([torch.zeros_like(out) for out in function(given)])
         here.wait_stream(aside)
         self.forward, self.backward = torch.cuda.CUDAGraph(), torch.cuda.CUDAGraph()
-        # thread_local: what other threads do, such as a viewer that renders, does not end the capture.
-        with torch.no_grad(), torch.cuda.graph(self.forward, capture_error_mode="thread_local"):
+        with torch.no_grad(), capturing(self.forward):
             self.results = function(given)
         self.incoming = [torch.zeros_like(result) for result in self.results]
-        with torch.cuda.graph(self.backward, capture_error_mode="thread_local"):
+        with capturing(self.backward):
             self.outgoing = torch.cat([gradient.flatten() for gradient in gradients(self.incoming)])
 
     def __call__(self, given: Tensor) -> tuple[Tensor, ...]:

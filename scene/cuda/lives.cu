@@ -42,10 +42,11 @@ __device__ __forceinline__ Vec mean_of(const float* points, int corners) {
 using namespace e4dgs;
 
 // points and moved [n, corners, 3]; quats and turned [n, 4], both null for convexes; opacities and shown [n]; times and log_spans [n] in
-// frames; velocities and spins [n, 3] per frame; dynamic [n].
+// frames; velocities and spins [n, 3] per frame; dynamic [n]. The frame is the number at frame_at, or `frame` if that is null.
 extern "C" __global__ void __launch_bounds__(128)
     live(int n, int corners, const float* points, const float* quats, const float* opacities, const float* times, const float* log_spans,
-         const float* velocities, const float* spins, const bool* dynamic, float frame, float* moved, float* turned, float* shown) {
+         const float* velocities, const float* spins, const bool* dynamic, float frame, const float* frame_at, float* moved,
+         float* turned, float* shown) {
     const int64 i = int64(blockIdx.x) * blockDim.x + threadIdx.x;
     if (i >= n) return;
     const float* from = points + 3 * corners * i;
@@ -56,7 +57,7 @@ extern "C" __global__ void __launch_bounds__(128)
         shown[i] = opacities[i];
         return;
     }
-    const float age = frame - times[i], z = age * expf(-log_spans[i]);
+    const float age = (frame_at ? *frame_at : frame) - times[i], z = age * expf(-log_spans[i]);
     const Quat turn = turn_by(0.5f * age * load_vec(spins + 3 * i)).quat();
     const Vec drift = age * load_vec(velocities + 3 * i);
     const Vec mean = corners > 1 ? mean_of(from, corners) : Vec{0.0f, 0.0f, 0.0f};
@@ -72,8 +73,9 @@ extern "C" __global__ void __launch_bounds__(128)
 extern "C" __global__ void __launch_bounds__(128)
     live_backward(int n, int corners, const float* points, const float* quats, const float* opacities, const float* times,
                   const float* log_spans, const float* velocities, const float* spins, const bool* dynamic, float frame,
-                  const float* g_moved, const float* g_turned, const float* g_shown, float* out_points, float* out_quats,
-                  float* out_opacities, float* out_times, float* out_log_spans, float* out_velocities, float* out_spins) {
+                  const float* frame_at, const float* g_moved, const float* g_turned, const float* g_shown, float* out_points,
+                  float* out_quats, float* out_opacities, float* out_times, float* out_log_spans, float* out_velocities,
+                  float* out_spins) {
     const int64 i = int64(blockIdx.x) * blockDim.x + threadIdx.x;
     if (i >= n) return;
     const int64 first = corners * i;
@@ -87,7 +89,8 @@ extern "C" __global__ void __launch_bounds__(128)
         store_vec(out_velocities + 3 * i, {0.0f, 0.0f, 0.0f}), store_vec(out_spins + 3 * i, {0.0f, 0.0f, 0.0f});
         return;
     }
-    const float age = frame - times[i], inverse = expf(-log_spans[i]), z = age * inverse, presence = expf(-0.5f * z * z);
+    const float age = (frame_at ? *frame_at : frame) - times[i];
+    const float inverse = expf(-log_spans[i]), z = age * inverse, presence = expf(-0.5f * z * z);
     const Vec spin = load_vec(spins + 3 * i);
     const Turn turn = turn_by(0.5f * age * spin);
     const Quat q = turn.quat();

@@ -17,10 +17,11 @@ THREADS = 128
 
 
 def live(
-    launcher: Launcher, points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float
+    launcher: Launcher, points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float | Tensor
 ) -> tuple[Tensor, Tensor | None, Tensor]:
     """`scene.motion.lives.live`: ``points`` [N, K, 3], ``quats`` [N, 4] or None and ``opacities`` [N] at ``frame``. float32 and, of
-    ``dynamic`` [N], bool, on the launcher's device; the call does not synchronise.
+    ``dynamic`` [N], bool, on the launcher's device; the call does not synchronise. ``frame``: a number, or a tensor [] there, which a CUDA
+    graph reads anew in each replay.
 
     Gradients reach everything except dynamic and frame, and are bit-equal from run to run. Raises ValueError for other shapes or types,
     and whatever `Launcher.launch` raises.
@@ -39,7 +40,7 @@ def live(
 
 class _Live(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, launcher: Launcher, frame: float, dynamic: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, launcher: Launcher, frame: float | Tensor, dynamic: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
         points, opacities, *life = (p.detach().contiguous() for p in given)
         quats = life.pop() if len(life) > 4 else None
         inputs = _inputs(points, quats, opacities, life, dynamic, frame)
@@ -63,6 +64,9 @@ class _Live(torch.autograd.Function):
         return None, None, None, of_points, *others, *(() if of_quats is None else (of_quats,))
 
 
-def _inputs(points: Tensor, quats: Tensor | None, opacities: Tensor, life: list[Tensor], dynamic: Tensor, frame: float) -> tuple[Any, ...]:
+def _inputs(
+    points: Tensor, quats: Tensor | None, opacities: Tensor, life: list[Tensor], dynamic: Tensor, frame: float | Tensor
+) -> tuple[Any, ...]:
     """The arguments that both kernels begin with."""
-    return c_int32(points.shape[0]), c_int32(points.shape[1]), points, quats, opacities, *life, dynamic, c_float(frame)
+    when = (c_float(0.0), frame) if isinstance(frame, Tensor) else (c_float(frame), None)
+    return c_int32(points.shape[0]), c_int32(points.shape[1]), points, quats, opacities, *life, dynamic, *when

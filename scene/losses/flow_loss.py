@@ -48,7 +48,7 @@ def _blend(model: Model, camera: Camera, gaussians: Gaussians, convexes: Convexe
 
 
 def rendered_flow(
-    model: Model, camera: Camera, t: float, next_camera: Camera, t_next: float, only: tuple[Tensor, Tensor] | None = None
+    model: Model, camera: Camera, t: Time, next_camera: Camera, t_next: Time, only: tuple[Tensor, Tensor] | None = None
 ) -> tuple[Tensor, Tensor]:
     """Flow [H, W, 2] (u right, v down, px) from ``camera`` at ``t`` to ``next_camera`` at ``t_next``, and alpha [H, W].
 
@@ -85,7 +85,7 @@ def interval_loss(model: Model, camera: Camera, t: Time, dt: float, edges: Tenso
     return ((second - first).square().sum(-1) * weight).sum() / weight.sum().clamp(min=1.0)
 
 
-def data_flow_loss(model: Model, camera: Camera, t: float, next_camera: Camera, t_next: float, measured: Tensor, weight: Tensor) -> Tensor:
+def data_flow_loss(model: Model, camera: Camera, t: Time, next_camera: Camera, t_next: Time, measured: Tensor, weight: Tensor) -> Tensor:
     """Rendered against measured flow [H, W, 2] px: mean Charbonnier distance over pixels of ``weight`` [H, W] (edges times confidence)."""
     flow, alpha = rendered_flow(model, camera, t, next_camera, t_next)
     weight = weight * (alpha > 0.5)

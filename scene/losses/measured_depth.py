@@ -38,6 +38,17 @@ class MeasuredDepth:
             self._sized[key] = interpolate(found[None, None], (height, width), mode="nearest")[0, 0]
         return self._sized[key]
 
+    def covers(self, frame: int) -> bool:
+        """Whether ``frame`` has a map."""
+        return frame in self._maps
+
+    def static(self, frame: int, height: int, width: int) -> Tensor | None:
+        """`of`, with 0 where `moving` says that it does not count."""
+        found, moving = self.of(frame, height, width), self.moving(frame)
+        if found is None or moving is None:
+            return found
+        return torch.where(interpolate(moving[None, None].float(), (height, width), mode="nearest")[0, 0] == 0, found, 0.0)
+
     def moving(self, frame: int) -> Tensor | None:
         """[h, w] bool, the pixels of ``frame`` that show something moving, where `of` does not count; None if there are none."""
         return self._moving(frame)

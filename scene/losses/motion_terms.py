@@ -8,15 +8,16 @@ costs no more than in proportion to its motion.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from ...rasterizer import Gaussians
+from ...rasterizer import Camera, Gaussians
 from ..model import Model
 from ..motion.interface import Motion, Time
 from ..settings import TrainingSettings
-from ..views import Views
+from ..views import CACHE_BYTES, Views
 from .flow_loss import data_flow_loss, interval_loss
 
 MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
@@ -24,6 +25,17 @@ PRIOR_EVERY = 4  # steps between two evaluations of the priors and of plane smoo
 PRIOR_SAMPLES = 1024
 FLOW_SCALE = 0.5  # size at which flow is rendered
 NEIGHBOURHOOD = 0.025  # of the viewing distance: distance between two places that should move alike
+
+
+class FlowTarget(NamedTuple):
+    """What the flow at one frame should be. flow [h, w, 2] px, from ``camera`` to ``next_camera`` at time ``later``; edges [h, w]: weight
+    of each pixel."""
+
+    camera: Camera
+    next_camera: Camera
+    later: Time
+    flow: Tensor
+    edges: Tensor
 
 
 def displacement(moved: Gaussians, rest: Tensor, dynamic: Tensor) -> Tensor:
@@ -60,6 +72,9 @@ class MotionTerms:
         self.rest, self.inertia, self.interval = rest, inertia, interval
         self.times = times
         self.dt = 1.0 / max(times - 1, 1)
+        self._has_target: dict[int, bool] = {}
+        self._targets: dict[int, FlowTarget] = {}
+        self._target_bytes = 0
 
     def __call__(self, model: Model, moved: Gaussians, i: int, scale: float, iteration: int, total: int) -> Tensor:
         """Weighted sum of the terms for training frame ``i``. ``moved``: its Gaussians at its time. ``scale``: image scale of the phase."""
@@ -82,9 +97,9 @@ class MotionTerms:
         """Whether step ``iteration`` of ``total`` evaluates flow terms, which draw the whole image."""
         if iteration % self.settings.flow_every or iteration < 0.3 * total:
             return False
-        return self._may_bend(model) or (self.measured_flow is not None and self.settings.data_flow > 0)
+        return self.may_bend(model) or (self.measured_flow is not None and self.settings.data_flow > 0)
 
-    def _may_bend(self, model: Model) -> bool:
+    def may_bend(self, model: Model) -> bool:
         """Whether L_interval has a weight and can differ from 0."""
         return self.interval > 0 and self.times >= 3 and model.field is not None and not model.field.steady
 
@@ -108,17 +123,38 @@ class MotionTerms:
         s, views = self.settings, self.views
         total = torch.zeros((), device=model.device)
         assert model.field is not None
-        if self._may_bend(model):
+        if self.may_bend(model):
             start = t.clamp(max=1 - 2 * self.dt) if isinstance(t, Tensor) else min(t, 1 - 2 * self.dt)
             camera = views.rasterizer_camera(i, scale * FLOW_SCALE)
             total = total + self.interval * interval_loss(model, camera, start, self.dt, views.edges(i, scale * FLOW_SCALE))
-        measured = self.measured_flow(i) if self.measured_flow is not None and s.data_flow else None
-        if measured is not None:
-            flow, weight = measured
-            later = int(views.next[i])
-            camera, next_camera = views.rasterizer_camera(i, FLOW_SCALE), views.rasterizer_camera(later, FLOW_SCALE)
-            edges = weight.to(model.device) * views.edges(i, FLOW_SCALE)
-            total = total + s.data_flow * data_flow_loss(
-                model, camera, float(t), next_camera, float(views.time[later]), flow.to(model.device), edges
-            )
+        target = self.flow_target(i)
+        if target is not None:
+            total = total + s.data_flow * data_flow_loss(model, target.camera, t, *target[1:])
         return total
+
+    def has_target(self, i: int) -> bool:
+        """Whether training frame ``i`` has a `flow_target`."""
+        if i not in self._has_target:
+            self._has_target[i] = self.flow_target(i) is not None
+        return self._has_target[i]
+
+    def flow_target(self, i: int) -> FlowTarget | None:
+        """What the flow at training frame ``i`` should be; None if that is unknown or has no weight. Kept on a GPU, as far as there is
+        space for it: reading and resizing it takes longer than a step."""
+        if i in self._targets:
+            return self._targets[i]
+        target = self._flow_target(i)
+        if target is not None and torch.device(self.views.device).type != "cpu":
+            self._target_bytes += target.flow.nbytes + target.edges.nbytes
+            if self._target_bytes <= CACHE_BYTES:
+                self._targets[i] = target
+        return target
+
+    def _flow_target(self, i: int) -> FlowTarget | None:
+        measured = self.measured_flow(i) if self.measured_flow is not None and self.settings.data_flow else None
+        if measured is None:
+            return None
+        views, later = self.views, int(self.views.next[i])
+        flow, weight = (part.to(views.device) for part in measured)
+        cameras = views.rasterizer_camera(i, FLOW_SCALE), views.rasterizer_camera(later, FLOW_SCALE)
+        return FlowTarget(*cameras, views.moment(later), flow, weight * views.edges(i, FLOW_SCALE))

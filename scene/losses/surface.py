@@ -16,7 +16,7 @@ def surface_loss(
     alpha: Tensor,
     image: Tensor,
     unit: float,
-    smooth: float,
+    smooth: float | Tensor,
     measure: float = 0.0,
     measured: Tensor | None = None,
     moving: Tensor | None = None,
@@ -24,11 +24,12 @@ def surface_loss(
 ) -> Tensor:
     """``smooth`` times `depth_smoothness`, plus ``measure`` times `depth_difference` if ``measured`` is given: a scalar.
 
+    smooth: a number, or a tensor [] on the device.
     weight: [H, W] float32, factor on each pixel's gradient, but not on its loss; None: 1 everywhere. For the rest, see the two terms.
     Off the CPU and in double the terms are computed with torch.
     """
     if depth.device.type == "cpu" and depth.dtype == torch.float32:
-        return _Surface.apply(depth, alpha, image, measured, moving, weight, unit, smooth, measure)
+        return _Surface.apply(depth, alpha, image, measured, moving, weight, unit, float(smooth), measure)
     return surface_reference(depth, alpha, image, unit, smooth, measure, measured, moving, weight)
 
 
@@ -37,7 +38,7 @@ def surface_reference(
     alpha: Tensor,
     image: Tensor,
     unit: float,
-    smooth: float,
+    smooth: float | Tensor,
     measure: float = 0.0,
     measured: Tensor | None = None,
     moving: Tensor | None = None,
@@ -46,7 +47,9 @@ def surface_reference(
     """`surface_loss` in plain torch: the kernel's oracle."""
     if weight is not None:
         depth, alpha = scale_gradient(depth, weight), scale_gradient(alpha, weight)
-    loss = smooth * depth_smoothness(depth, alpha, image, unit) if smooth else depth.new_zeros(())
+    # Not asked of a tensor, which would wait for a GPU.
+    smoothed = isinstance(smooth, Tensor) or smooth > 0
+    loss = smooth * depth_smoothness(depth, alpha, image, unit) if smoothed else depth.new_zeros(())
     return loss if measured is None else loss + measure * depth_difference(depth, alpha, measured, moving, unit)
 
 

@@ -43,7 +43,7 @@ class FreeMotion(nn.Module):
     def light(self, t: Time) -> None:
         """Colours do not change: primitives can appear and vanish instead."""
 
-    def alive(self, primitives: PrimitiveSet, t: float, whole: Tensor | None = None) -> tuple[Tensor, Tensor | None, Tensor]:
+    def alive(self, primitives: PrimitiveSet, t: Time, whole: Tensor | None = None) -> tuple[Tensor, Tensor | None, Tensor]:
         """At time ``t`` in [0, 1], of all N primitives: their points, as means [N, 3] or corners [N, K, 3]; the quaternions [N, 4] of
         Gaussians, None for convexes; their opacities [N]. Those that are not dynamic are at rest. ``whole`` [N]: the opacities that they
         have at most, if they are known already."""
@@ -53,14 +53,14 @@ class FreeMotion(nn.Module):
         moved, turned, shown = live(points, quats, whole, primitives.life, primitives.dynamic, self.frame(t))
         return moved[:, 0] if single else moved, turned, shown
 
-    def opacities(self, primitives: PrimitiveSet, t: float) -> Tensor:
+    def opacities(self, primitives: PrimitiveSet, t: Time) -> Tensor:
         """The opacities [N] of `alive` alone."""
         present = presence(primitives.life, self.frame(t))
         return primitives.opacities * torch.where(primitives.dynamic, present, 1.0)
 
-    def frame(self, t: float) -> float:
+    def frame(self, t: Time) -> Time:
         """Fractional frame number at time ``t`` in [0, 1]."""
-        return min(max(float(t), 0.0), 1.0) * (self.times - 1)
+        return (t.clamp(0, 1) if isinstance(t, Tensor) else min(max(t, 0.0), 1.0)) * (self.times - 1)
 
     def pace(self, log_spans: Tensor) -> Tensor:
         """[m], larger for short lives (see `Life`): only steps near them change what is present so briefly."""

@@ -14,16 +14,16 @@ from ..rotation import compose, rotate
 Alive = tuple[Tensor, Tensor | None, Tensor]
 
 
-def live(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float) -> Alive:
+def live(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float | Tensor) -> Alive:
     """``points`` [N, K, 3], ``quats`` [N, 4] (w x y z, any norm; None for convexes) and ``opacities`` [N] at fractional ``frame``.
 
     A primitive that is ``dynamic`` [N] bool drifts and turns steadily; the K points of a convex turn about their mean. Its opacity is
     multiplied by exp(-age^2 / (2 span^2)), where age and span are in frames. The others stay as they are. Gradients reach everything except
-    ``dynamic`` and ``frame``. float32 on the CPU or on an NVIDIA GPU uses a kernel, anything else plain torch.
+    ``dynamic`` and ``frame``, a number or a tensor []. float32 on the CPU or on an NVIDIA GPU uses a kernel, anything else plain torch.
     """
     if points.device.type == "cpu" and points.dtype == torch.float32:
         turned_too = () if quats is None else (quats,)
-        moved, shown, *turned = _Live.apply(frame, dynamic, points, opacities, *life, *turned_too)
+        moved, shown, *turned = _Live.apply(float(frame), dynamic, points, opacities, *life, *turned_too)
         return moved, turned[0] if turned else None, shown
     if points.is_cuda and points.dtype == torch.float32:
         from ...rasterizer.cuda.runtime import launcher_for
@@ -33,7 +33,7 @@ def live(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dy
     return live_reference(points, quats, opacities, life, dynamic, frame)
 
 
-def live_reference(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float) -> Alive:
+def live_reference(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float | Tensor) -> Alive:
     """`live` in plain torch: the kernel's oracle in float64, and the implementation on other devices."""
     # Selected, so that whatever the life of the others holds, they get no gradient from it.
     life = Life(*(p[dynamic] for p in life))
@@ -50,7 +50,7 @@ def live_reference(points: Tensor, quats: Tensor | None, opacities: Tensor, life
     return points.index_copy(0, index, moved), turned, opacities.index_copy(0, index, opacities[dynamic] * present)
 
 
-def presence(life: Life, frame: float) -> Tensor:
+def presence(life: Life, frame: float | Tensor) -> Tensor:
     """[N] in [0, 1], the factor on opacities at ``frame``."""
     return torch.exp(-0.5 * ((frame - life.times) * torch.exp(-life.log_spans)).square())
 

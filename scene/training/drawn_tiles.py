@@ -24,11 +24,17 @@ MOST_DRAWN = 0.9  # with a larger expected share of the image, all of it is draw
 
 
 class Drawn(NamedTuple):
-    """tiles [rows, columns] bool, as `rasterize` takes them. weight [H, W] float32: 0 for pixels that are not drawn, else the factor on the
-    pixel's gradient with which the gradient's expected value is that of drawing everything."""
+    """tiles [rows, columns] bool, as `rasterize` takes them. weight [rows, columns] float32: 0 for tiles that are not drawn, else the
+    factor on the gradient of its pixels with which the gradient's expected value is that of drawing everything."""
 
     tiles: Tensor
     weight: Tensor
+
+    def pixels(self, like: Tensor) -> Tensor:
+        """The weight of each pixel, [H, W] as those of ``like`` [H, W, ...] and on its device."""
+        height, width = like.shape[:2]
+        wide = self.weight.to(like.device, non_blocking=True)[:, None, :, None].expand(-1, TILE, -1, TILE)
+        return wide.reshape(TILE * self.weight.shape[0], -1)[:height, :width].contiguous()
 
 
 class DrawnTiles:
@@ -51,9 +57,7 @@ class DrawnTiles:
         rows, columns = moving.shape
         blocks = np.random.default_rng((self.seed, 3, step)).random((-(-rows // SIDE), -(-columns // SIDE))) < self.share
         chosen = moving | spread(blocks, SIDE)[:rows, :columns]
-        width, height = self.views.size(scale)
-        weight = spread(np.where(moving, 1.0, chosen / self.share).astype(np.float32), TILE)[:height, :width]
-        return Drawn(torch.from_numpy(chosen), torch.from_numpy(weight).to(self.views.device))
+        return Drawn(torch.from_numpy(chosen), torch.from_numpy(np.where(moving, 1.0, chosen / self.share).astype(np.float32)))
 
     def moving(self, frame: int, scale: float) -> np.ndarray:
         """[rows, columns] bool, the tiles of ``frame`` at ``scale`` in which something moves."""

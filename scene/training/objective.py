@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ...rasterizer import Frame, rasterize
+from ..colour import CameraAffine
 from ..losses.appearance import appearance_loss
 from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
 from ..losses.measured_depth import MeasuredDepth
@@ -21,10 +22,9 @@ from ..losses.surface import surface_loss
 from ..model import Model
 from ..settings import TrainingSettings
 from ..views import Views
-from .drawn_tiles import DrawnTiles
+from .drawn_tiles import Drawn, DrawnTiles
 from .optimiser import ALL_ROWS, Rows
 from .recipe import Recipe
-from .replayed.one_view import OneView
 from .schedule import Phase
 from .steps.dropout import keeps, thinned
 
@@ -72,6 +72,16 @@ class Judged:
         return -10 * float(np.log10(max(float(error.mean()), 1e-10)))
 
 
+class Now(NamedTuple):
+    """What changes from step to step: numbers, or tensors [] on the device while a step is captured as a CUDA graph. left_out: share of the
+    Gaussians at rest that the step leaves out; smooth: weight of the smoothness of surfaces; both are None if they are 0. number: of the
+    step, counted from the first one of the first stage."""
+
+    left_out: float | Tensor | None
+    smooth: float | Tensor | None
+    number: int | Tensor
+
+
 class Objective:
     """unit: the viewing distance, world units. several: whether one time alone shows the scene from several sides. total: number
     of steps; earlier: those that earlier stages took. measured_flow, measured_depth: see `Trainer`."""
@@ -106,14 +116,6 @@ class Objective:
             measured_flow,
         )
 
-    def of(self, view: OneView) -> Objective:
-        """The same objective for what ``view`` shows. Nothing is left out: a CUDA graph would leave out the same in every step."""
-        same = copy(self)
-        same.dropout = 0.0
-        same.motion_terms = copy(self.motion_terms)
-        same.views = same.motion_terms.views = view  # type: ignore[assignment]
-        return same
-
     def __call__(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int) -> Judged:
         """Render ``model`` as training frame ``i`` with spherical harmonics up to ``sh_degree`` and judge it. ``step`` counts from 0."""
         views, s = self.views, self.settings
@@ -122,30 +124,31 @@ class Objective:
         t, background = views.moment(i), views.backdrop()
         if step % RELINK_EVERY == 0:
             model.relink()
-        drawn = self.drawn.of(i, phase.scale, step) if window is None else None
+        drawn, now = self.drawn_of(i, phase.scale, step) if window is None else None, self.now(step)
         tiles = None if drawn is None else drawn.tiles
         whole = phase.move and self.motion_terms.flow_due(model, step, self.total)
         seen = model.in_view(t, camera, None if whole else tiles, phase.move)
-        left_out = self.left_out(step)
-        keep = keeps(model.gaussians.dynamic, left_out, s.seed, self.earlier + step) if left_out else None
+        left_out = now.left_out
+        keep = None if left_out is None else keeps(model.gaussians.dynamic, left_out, s.seed, now.number)
         if seen is not None and keep is not None:
             seen, keep = seen[keep[seen]], None
         rows, faded = ALL_ROWS, None
-        if seen is not None and (left_out or len(seen) <= MOST_SHOWN * len(model.gaussians)):
+        if seen is not None and (left_out is not None or len(seen) <= MOST_SHOWN * len(model.gaussians)):
             faded = model.opacities_at(t, phase.move)  # the penalty on opacity holds for all, in view or not
             model = model.with_gaussians(model.gaussians.select(seen))
             rows = Rows.of(model.gaussians, seen)
         gaussians, convexes = model.at(t, camera, phase.move, sh_degree)
         opacities = gaussians.opacities if faded is None else faded
-        if left_out:
+        if left_out is not None:
             gaussians = thinned(gaussians, model.gaussians.dynamic, left_out, keep)
         spread = self.spread if step % EVERY == 0 and step > BEGIN * self.total else 0.0
         shapes = with_depth(camera, gaussians, convexes, self.unit) if spread else (gaussians, convexes)
         frame = rasterize(camera, *shapes, background, antialiased=model.antialiased, tiles=tiles)
-        recording = None if model.affine is None else model.affine.recording(views.recorded_by(i))
+        row = self.row(model.affine, i)
+        recording = None if model.affine is None or row is None else model.affine.recorded_in(row)
         target = views.target(i, phase.scale, window)
         kept = views.kept(i, phase.scale, window)
-        weight = None if drawn is None else drawn.weight
+        weight = None if drawn is None else drawn.pixels(target)
         if kept is not None:  # what the image shows where it does not count must not reach the pixels beside
             target = torch.where(kept[..., None], target, frame.color.detach())
             weight = kept.float() if weight is None else kept * weight
@@ -156,11 +159,28 @@ class Objective:
         image_loss = loss.detach()
         if spread:
             loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)
-        loss = loss + self._surface(frame, target, i, step, weight)
+        loss = loss + self._surface(frame, target, i, now.smooth, weight)
         loss = loss + self.opacity / (views.width * views.height) * (opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
         return Judged(loss, image_loss, frame.color, target, weight, recording, rows)
+
+    def now(self, step: int) -> Now:
+        """What is special about step ``step``."""
+        return Now(self.left_out(step) or None, self.smooth(step) or None, self.earlier + step)
+
+    def drawn_of(self, i: int, scale: float, step: int) -> Drawn | None:
+        """What step ``step`` draws of frame ``i`` at ``scale``; None: everything."""
+        return self.drawn.of(i, scale, step)
+
+    def row(self, affine: CameraAffine | None, i: int) -> int | Tensor | None:
+        """Row of ``affine`` in which frame ``i`` is recorded; None if there is none."""
+        return None if affine is None else affine.row(self.views.recorded_by(i))
+
+    def measured(self, i: int, height: int, width: int) -> tuple[Tensor | None, Tensor | None]:
+        """Measured depth of frame ``i``, and where something moves in front of it; see `MeasuredDepth`."""
+        known = self.measured_depth
+        return (None, None) if known is None else (known.of(i, height, width), known.moving(i))
 
     def left_out(self, step: int) -> float:
         """Share of the Gaussians at rest that step ``step`` leaves out; 0 unless one time alone shows the scene from several sides."""
@@ -172,12 +192,11 @@ class Objective:
         progress = (self.earlier + step) / max(self.earlier + self.total, 1)
         return self.settings.smooth * SMOOTH_END**progress if self.several else 0.0
 
-    def _surface(self, frame: Frame, target: Tensor, i: int, step: int, weight: Tensor | None) -> Tensor:
+    def _surface(self, frame: Frame, target: Tensor, i: int, smooth: float | Tensor | None, weight: Tensor | None) -> Tensor:
         """The terms on the depth of ``frame``, a render of training frame ``i`` whose pixels' gradients have ``weight``."""
-        smooth, known = self.smooth(step), self.measured_depth
-        measured = None if known is None else known.of(i, *frame.depth.shape)
-        if not smooth and measured is None:
+        height, width = frame.depth.shape
+        measured, moving = self.measured(i, height, width)
+        if smooth is None and measured is None:
             return frame.depth.new_zeros(())
-        moving = None if known is None else known.moving(i)
         depths = frame.depth, frame.alpha, target
-        return surface_loss(*depths, self.unit, smooth, self.settings.depth, measured, moving, weight)
+        return surface_loss(*depths, self.unit, 0.0 if smooth is None else smooth, self.settings.depth, measured, moving, weight)

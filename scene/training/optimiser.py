@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,6 +13,7 @@ from .. import _kernels
 from ..primitives import PrimitiveSet
 
 EPSILON = 1e-15
+MOST_TABLES = 64
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,8 @@ class RowAdam:
         self._parameters = dict(parameters)
         self._device = next((p.device for p in parameters.values()), torch.device("cpu"))
         self._state: dict[str, Moments] = {}
+        self._tables: dict[tuple[Any, ...], Any] = {}  # on a CUDA device, what its kernels read, by where that is
+        self._paces: dict[str, Tensor | None] = {}
 
     def parameters(self) -> dict[str, Tensor]:
         return dict(self._parameters)
@@ -114,23 +118,33 @@ class RowAdam:
         """The same on a CUDA device, with a constant number of launches. Nothing changes there if any number of any gradient, be it of a
         frozen parameter, or of ``others`` is not finite. The step is counted until `uncount` takes that back."""
         from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.adam import Update, step_if_finite
+        from ..cuda.adam import Table, Update
 
-        updates = {name: Update(other) for name, other in others.items()}
-        paces = {kind: self._pace_of(kind, self._parameters) for kind in {name.split(".")[0] for name in self._parameters}}
-        for name, p in self._parameters.items():
-            if p.grad is None or not p.grad.numel():
-                continue
-            grad = p.grad.contiguous()
-            if name.split(".")[0] in frozen:
-                updates[name] = Update(grad)
-                continue
-            state = self._counted(name, p)
-            tensors = grad, p.detach(), state.first, state.second
-            updates[name] = Update(*tensors, state.steps, self.rates[name](progress), paces[name.split(".")[0]])
-        bad = step_if_finite(launcher_for(self._device), self._device, list(updates.values()), *self.betas, EPSILON)
+        gradients = {name: p.grad.contiguous() for name, p in self._parameters.items() if p.grad is not None and p.grad.numel()}
+        trained = [name for name in gradients if name.split(".")[0] not in frozen]
+        states = {name: self._counted(name, self._parameters[name]) for name in trained}
+        paces = {kind: self._kept_pace(kind) for kind in {name.split(".")[0] for name in trained}}
+        # What the table of a step holds besides rates and steps; steps that are replayed have all of it in the same places.
+        used = *others.values(), *(p for p in paces.values() if p is not None), *(m for s in states.values() for m in (s.first, s.second))
+        of_gradients = ((name, g.shape, g.data_ptr(), self._parameters[name].data_ptr()) for name, g in gradients.items())
+        key = frozen, *(tensor.data_ptr() for tensor in used), *of_gradients
+        table = self._tables.get(key)
+        if table is None:
+            updates = [Update(other) for other in others.values()]
+            for name, gradient in gradients.items():
+                update, state = Update(gradient), states.get(name)
+                if state is not None:
+                    pace = paces[name.split(".")[0]]
+                    update = Update(gradient, self._parameters[name].detach(), state.first, state.second, pace=pace)
+                updates.append(update)
+            if len(self._tables) >= MOST_TABLES:
+                self._tables.clear()
+            table = self._tables[key] = Table(updates, self._device)
+        steps = [(1, 0.0)] * len(others)
+        steps += [(states[name].steps, self.rates[name](progress)) if name in states else (1, 0.0) for name in gradients]
+        bad = table.step(launcher_for(self._device), steps, *self.betas, EPSILON)
         self.zero_grad()
-        return Attempt(list(updates), bad, [name for name, update in updates.items() if update.parameter is not None])
+        return Attempt([*others, *gradients], bad, trained)
 
     def uncount(self, attempt: Attempt) -> None:
         """Correct the step counts for an attempt that turned out not to be finite."""
@@ -179,6 +193,14 @@ class RowAdam:
         """The factors on the rates of the rows of a kind of primitives, of which ``parameters`` has all rows or some; None: 1."""
         spans = parameters.get(f"{kind}.log_spans")
         return None if spans is None else self._pace(spans.detach())
+
+    def _kept_pace(self, kind: str) -> Tensor | None:
+        """`_pace_of` all rows, where the last one was if it has as many."""
+        pace, kept = self._pace_of(kind, self._parameters), self._paces.get(kind)
+        if pace is not None and kept is not None and kept.shape == pace.shape:
+            pace = kept.copy_(pace)
+        self._paces[kind] = pace
+        return pace
 
     def _counted(self, name: str, parameter: Tensor) -> Moments:
         """What is remembered of a parameter that takes a step, which is counted."""

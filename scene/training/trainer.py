@@ -133,20 +133,15 @@ class Trainer:
         not_taken = self.steps.take(now, self.iteration / max(self.total, 1), self._frozen(phase, step), judged.rows)
         if len(model.convexes) and self.recipe.largest_convex < math.inf:
             keep_small(model.convexes, self.recipe.largest_convex * self.unit, not_taken)
-        if self.iteration % EVERY == 0:
-            self.log.loss.append([self.iteration, self._smoothed()])
 
     def _taken(self, step: Step, taken: bool) -> None:
-        """What `Steps` report."""
+        """What `Steps` report, on a GPU some steps later."""
         if taken:
             self.loss.add(step.image_loss)
         else:
             self._event(f"step {step.number}: not finite, rolled back")
-
-    def _smoothed(self) -> float:
-        """The smoothed loss of all steps so far."""
-        self.steps.settle()
-        return self.loss.value()
+        if step.number % EVERY == 0:
+            self.log.loss.append([step.number, self.loss.value()])
 
     def _sh_degree(self) -> int:
         """Colours start independent of direction; one degree is added after every sixth of the steps."""
@@ -173,6 +168,7 @@ class Trainer:
         progress = self.iteration / max(self.total, 1)
         if self.iteration % 100 or progress < max(0.5, self.density.grow_until):
             return False
+        self.steps.settle()
         first = self.iteration - 2 * self.settings.patience
         if not self.curriculum.complete(first) or first < max(self.learned.changed, alike_since(self.phases, self.iteration)):
             return False
@@ -188,7 +184,7 @@ class Trainer:
             self._event(f"step {self.iteration}: {phase.name} has converged, its last {steps} steps are left out")
 
     def _note(self, phase: Phase) -> str:
-        return f"{phase.name}, loss {self._smoothed():.4f}, {len(self.model.gaussians)} Gaussians, {len(self.model.convexes)} convexes"
+        return f"{phase.name}, loss {self.loss.value():.4f}, {len(self.model.gaussians)} Gaussians, {len(self.model.convexes)} convexes"
 
     def _event(self, message: str) -> None:
         self.log.events.append(message)

@@ -41,6 +41,16 @@ class Matched(NamedTuple):
     flow: Source
 
 
+class _Camera(NamedTuple):
+    """A camera whose pairs have been submitted. frames: for each training frame, a job that ends when its edges are stored."""
+
+    camera: int
+    mine: list[int]
+    changes: MotionMask | None
+    gathered: MovingMasks | None
+    frames: deque[Future[str]]
+
+
 def measure(
     ctx: Context, frames: FrameSet, cameras: Mapping[int, list[int]], wanted: Sequence[int], out: FlowWriter
 ) -> dict[int, np.ndarray]:
@@ -93,6 +103,31 @@ def measure(
         ctx.progress(len(trained) * (1 + (moving is not None)), f"{count} pairs, {flows.method_name}") as bar,
         _pool(flows.method) as pool,
     ):
+        matched, masked = deque[_Camera](), deque[tuple[_Camera, Future[np.ndarray] | None, list[Future[list[np.ndarray]]]]]()
+
+        def look_for_motion() -> None:
+            """Submit the jobs for the masks of the camera whose pairs were submitted first."""
+            one = matched.popleft()
+            came.update(future.result() for future in one.frames)
+            static = None if one.changes is None else pool.submit(one.changes.mask, ctx.settings.grow)
+            masked.append((one, static, [] if one.gathered is None else one.gathered.masks(pool)))
+
+        def write_masks() -> None:
+            """Wait for the masks of the camera that has waited longest, and store them."""
+            nonlocal moved
+            one, static, jobs = masked.popleft()
+            if static is not None:
+                masks[one.camera] = static.result()
+            for i, mask in zip(one.mine if jobs else (), (mask for job in jobs for mask in job.result()), strict=True):
+                kept = frames.kept(i)
+                mask = mask if kept is None else np.where(kept, mask, 0)  # no seeds on ignored pixels
+                assert moving is not None
+                moving[i] = mask
+                moved += np.count_nonzero(mask) / mask.size
+                if i in number and mask.any():
+                    followed.append(float((np.asarray(arrays.confidence[number[i]])[mask > 0] > 0).mean()))
+                bar.advance(1, frames.names[i])
+
         for camera, mine in cameras.items():
             changes = MotionMask(list(pool.map(frames.composited, sample(mine)))) if fixed and len(mine) > 1 else None
             gathered = MovingMasks.of_camera(frames, mine, fixed) if moving is not None else None
@@ -117,18 +152,16 @@ def measure(
             if own is not None:
                 waiting.append((mine[-1], own, before, None))
             busy.extend(pool.submit(finish, *job) for job in waiting)
-            came.update(future.result() for future in busy)
-            if changes is not None:
-                masks[camera] = changes.mask(ctx.settings.grow)
-            if moving is not None and gathered is not None:
-                for i, mask in zip(mine, (mask for job in gathered.masks(pool) for mask in job.result()), strict=True):
-                    kept = frames.kept(i)
-                    mask = mask if kept is None else np.where(kept, mask, 0)  # no seeds on ignored pixels
-                    moving[i] = mask
-                    moved += np.count_nonzero(mask) / mask.size
-                    if i in number and mask.any():
-                        followed.append(float((np.asarray(arrays.confidence[number[i]])[mask > 0] > 0).mean()))
-                    bar.advance(1, frames.names[i])
+            # Masks are made one after another for each camera, so those of a few cameras are made beside the pairs of the next ones.
+            matched.append(_Camera(camera, mine, changes, gathered, busy))
+            if len(matched) > 1:
+                look_for_motion()
+            if len(masked) > threads // 2:
+                write_masks()
+        while matched:
+            look_for_motion()
+        while masked:
+            write_masks()
     if moving is not None:
         out.write_moving_share(moved / max(len(trained), 1))
         ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")

@@ -50,6 +50,12 @@ def learned(trainer):
     return {name: t.detach().cpu().clone() for name, t in state.items() if not name.endswith("/step")}
 
 
+def settled(trainer):
+    """The smoothed loss of all steps so far."""
+    trainer.steps.settle()
+    return trainer.loss.value()
+
+
 def test_a_step_that_is_not_finite_is_as_if_it_had_not_been(views, monkeypatch):
     """The device leaves it out at once; the host hears of it later, and then corrects what it has counted."""
     with pretending_cuda():
@@ -57,7 +63,7 @@ def test_a_step_that_is_not_finite_is_as_if_it_had_not_been(views, monkeypatch):
         model.convexes = ConvexSet.from_points(np.random.default_rng(0).normal(size=(5, 6, 3)), np.full((5, 3), 0.5), 0)
         trainer, take = begun(views, model, recipe=replace(PLANES, largest_convex=0.01))
         take(1, 2, 3)
-        before, losses = learned(trainer), trainer._smoothed()
+        before, losses = learned(trainer), settled(trainer)
         with monkeypatch.context() as patch:
             poison(trainer, patch)
             take(4)
@@ -66,7 +72,7 @@ def test_a_step_that_is_not_finite_is_as_if_it_had_not_been(views, monkeypatch):
         take(5, 6)
         assert trainer.log.events == ["step 4: not finite, rolled back"] and trainer.guard.count == 1
         assert any(not torch.equal(now, before[name]) for name, now in learned(trainer).items())
-        assert np.isfinite(trainer._smoothed()) and trainer._smoothed() != losses
+        assert np.isfinite(settled(trainer)) and settled(trainer) != losses
         steps = {name: int(t) for name, t in trainer.learned.optimiser.state().items() if name.endswith("/step")}
         assert set(steps.values()) == {5}, steps
 

@@ -55,8 +55,9 @@ def test_the_weight_is_0_or_what_makes_up_for_the_steps_that_leave_a_pixel_out()
     some = [tiles.of(3, 1.0, step) for step in range(steps)]
     for one in some[:50]:
         pixels = one.tiles.repeat_interleave(TILE, 0).repeat_interleave(TILE, 1)[:HEIGHT, :WIDTH]
-        assert one.weight.shape == (HEIGHT, WIDTH) and torch.equal(one.weight > 0, pixels)
-    mean = torch.stack([one.weight for one in some]).mean(0)
+        weight = one.pixels(torch.zeros(HEIGHT, WIDTH, 3))
+        assert one.weight.shape == (ROWS, COLUMNS) and weight.shape == (HEIGHT, WIDTH) and torch.equal(weight > 0, pixels)
+    mean = torch.stack([one.pixels(torch.zeros(HEIGHT, WIDTH)) for one in some]).mean(0)
     assert float((mean - 1).abs().max()) < 4 * np.sqrt((1 - SHARE) / SHARE / steps)
 
 

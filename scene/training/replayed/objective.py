@@ -2,127 +2,183 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from ....rasterizer.cuda.capacity import Watched, watching
+from ....rasterizer.rasterize import FAR_CAMERA
+from ...cuda.graph import Graph, Recorded, Results
 from ...cuda.leaves import own_leaves
 from ...losses.depth_spread import BEGIN, EVERY
 from ...losses.motion_terms import PRIOR_EVERY
 from ...model import Model
+from ...motion.free import FreeMotion
 from ...motion.nodes import ControlNodes
 from ...primitives import PrimitiveSet
+from ..drawn_tiles import Drawn
 from ..objective import RELINK_EVERY, Judged, Objective
 from ..schedule import Phase
-from .one_view import OneView
+from .of_one_view import OfOneView
+from .one_view import Kind, OneView
+from .room import Room
 
 CHECK_EVERY = 64  # replays between two looks at whether the graph had room for all pairs
+IMAGES = 6  # results in front of the gradients: losses, colour, target, weight, gain, offset
 
-
-class _MadeFor(NamedTuple):
-    """Objects are held, so that no other ones can take their memory, and compared by identity."""
-
-    gaussians: PrimitiveSet
-    convexes: PrimitiveSet
-    field: Any
-    dynamic: tuple[int, int]
-    links: tuple[int | None, ...]
-
-    def holds(self, now: _MadeFor) -> bool:
-        return all(a is b for a, b in zip(self[:3], now[:3])) and self[3:] == now[3:]
+Record = Callable[[Callable[[], Results], torch.device, Any], Recorded]
 
 
 @dataclass(eq=False)
-class _Graph:
-    """twin: the model that was captured, which keeps alive what the graph reads."""
+class _Step:
+    """A captured kind of step. names: of the parameters whose gradients are the last results. cut: these gradients without the rows that
+    hold nothing, and their parameters; None after rows have changed."""
 
-    twin: Model
-    flow: bool
-    graph: torch.cuda.CUDAGraph
+    graph: Recorded
     view: OneView
-    judged: Judged
-    losses: Tensor
-    frames: list[Watched]
+    names: list[str]
     replays: int = 0
+    cut: list[tuple[Tensor, Tensor]] | None = None
 
 
 class ReplayedObjective:
     """`Objective` for a model on a GPU. The first step of a kind is computed as usual, the second one is captured, later ones are replays.
 
-    Covers what control nodes are trained with; other steps are computed as usual. parameters: of the optimiser, by name. captures: how many
-    graphs were made.
+    A graph computes in memory with room for more primitives than there are (`Room`), to which the model's parameters are moved, so that it
+    can go on when density control adds some and removes others. Computed as usual are steps with a six-plane field, which needs the time on
+    the CPU, and those of cameras so far from the origin that scenes are moved there.
+
+    parameters: of the optimiser, by name. captures: how many graphs were made. record: makes them.
     """
 
-    def __init__(self, objective: Objective, parameters: Callable[[], dict[str, Tensor]], say: Callable[[str], None]) -> None:
-        self.objective, self._parameters, self._say = objective, parameters, say
-        self._graphs: dict[Hashable, _Graph] = {}
-        self._seen: set[Hashable] = set()  # kinds of steps that have been computed with the present model
-        self._now: _MadeFor | None = None
-        self._usable, self.captures = True, 0
+    def __init__(
+        self,
+        objective: Objective,
+        parameters: Callable[[], dict[str, Tensor]],
+        say: Callable[[str], None],
+        record: Record = Graph,
+    ) -> None:
+        self.objective, self._parameters, self._say, self._record = objective, parameters, say, record
+        self._steps: dict[Kind, _Step] = {}
+        self._seen: set[Kind] = set()  # kinds of steps that have been computed, so that their kernels are compiled
+        self._rooms: list[Room] = []
+        self._modules: tuple[Any, ...] = ()  # the model's other parts; held, so that no other ones can take their memory
+        self._taken: tuple[Any, ...] = ()  # what the rooms hold; sets are held, too
+        self._pool: Any = None
+        self._usable, self.captures = bool(np.linalg.norm(objective.views.centres(), axis=1).max() < FAR_CAMERA), 0
 
     def __call__(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int) -> Judged:
-        if not self._usable or not self._covers(model, step, phase):
+        if not self._usable or not self._covers(model, step):
             return self.objective(model, i, step, phase, sh_degree)
-        late = step > BEGIN * self.objective.total
-        flow = phase.move and self.objective.motion_terms.flow_due(model, step, self.objective.total)
-        kind = phase.scale, phase.move, sh_degree, late and step % EVERY == 0, step % PRIOR_EVERY == 0, flow
-        made_for = self._made_for(model)
-        if self._now is None or not self._now.holds(made_for):
-            self._now = made_for
-            self._graphs.clear()
-            self._seen.clear()
+        drawn = self.objective.drawn_of(i, phase.scale, step)
+        row = None if model.affine is None else model.affine.row(self.objective.views.recorded_by(i))
+        kind = self._kind(model, i, step, phase, sh_degree, drawn, row)
         if kind not in self._seen:
             self._seen.add(kind)
             return self.objective(model, i, step, phase, sh_degree)
-        if kind not in self._graphs:
+        self._make_room(model)
+        known = self._steps.get(kind)
+        if known is not None and known.replays % CHECK_EVERY == CHECK_EVERY - 1 and any(f.overflowed() for f in known.graph.frames):
+            del self._steps[kind]  # pairs were left out; the next graph has more room
+            return self.objective(model, i, step, phase, sh_degree)
+        if known is None:
             try:
-                self._graphs[kind] = self._capture(model, i, step, phase, sh_degree, flow)
+                view = OneView(self.objective, kind)
+                view.show(i, step, drawn, row)
+                known = self._steps[kind] = self._capture(model, view, i, step, phase)
             except RuntimeError as cause:
                 self._usable = False
                 self._say(f"steps are not replayed as CUDA graphs: {str(cause).splitlines()[0]}")
                 return self.objective(model, i, step, phase, sh_degree)
-        found = self._graphs[kind]
-        if found.replays % CHECK_EVERY == CHECK_EVERY - 1 and any(frame.overflowed() for frame in found.frames):
-            del self._graphs[kind]  # pairs were left out; the next graph has more room
-            return self.objective(model, i, step, phase, sh_degree)
-        return self._replay(found, i)
+        known.view.show(i, step, drawn, row)
+        known.graph.replay()
+        known.replays += 1
+        return self._judged(known)
 
-    def _covers(self, model: Model, step: int, phase: Phase) -> bool:
-        """Whether nothing but the frame changes between steps like this one."""
-        o = self.objective
-        known = isinstance(model.field, ControlNodes) and model.affine is None and o.measured_depth is None and not o.several
-        measured = o.motion_terms.measured_flow is not None and o.settings.data_flow > 0
-        return known and o.views.load_moving is None and not measured and step % RELINK_EVERY != 0
+    def _covers(self, model: Model, step: int) -> bool:
+        """Whether nothing but the numbers and pictures of `OneView` changes between steps like this one."""
+        if isinstance(model.field, ControlNodes):
+            return step % RELINK_EVERY != 0
+        return isinstance(model.field, FreeMotion | None)
 
-    def _made_for(self, model: Model) -> _MadeFor:
-        """The memory that a step reads and writes, besides the frame's and that of the motion's parameters."""
-        g, c = model.gaussians, model.convexes
-        links = tuple(None if link is None else link.data_ptr() for link in (model.links(g), model.links(c)))
-        return _MadeFor(g, c, model.field, (g.dynamic._version, c.dynamic._version), links)
+    def _kind(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int, drawn: Drawn | None, row: int | None) -> Kind:
+        o, now = self.objective, self.objective.now(step)
+        moves = phase.move and model.field is not None
+        flow = moves and o.motion_terms.flow_due(model, step, o.total)
+        return Kind(
+            phase.scale,
+            phase.move,
+            sh_degree,
+            spread=o.spread > 0 and step % EVERY == 0 and step > BEGIN * o.total,
+            prior=moves and not model.field.steady and step % PRIOR_EVERY == 0,  # type: ignore[union-attr]
+            flow=flow,
+            edges=flow and o.motion_terms.may_bend(model),
+            target=flow and o.motion_terms.has_target(i),
+            drawn=drawn is not None,
+            measured=o.measured_depth is not None and o.measured_depth.covers(i),
+            recorded=row is not None,
+            left_out=now.left_out is not None,
+            smooth=now.smooth is not None,
+        )
 
-    def _capture(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int, flow: bool) -> _Graph:
-        view = OneView(self.objective.views, phase.scale)
-        view.show(i, flow)
-        objective = self.objective.of(view)
-        twin, parameters, graph = model.twin(), self._parameters(), torch.cuda.CUDAGraph()
-        with own_leaves(model.field, model.affine):
-            leaves = {name: p for name, p in twin.named_parameters().items() if name in parameters}
-            with watching() as frames, torch.cuda.graph(graph, capture_error_mode="thread_local"):
-                judged = objective(twin, i, step, phase, sh_degree)
+    def _make_room(self, model: Model) -> None:
+        """Let the rooms hold the model, and forget the graphs if they read something else."""
+        sets: tuple[PrimitiveSet, ...] = (model.gaussians, model.convexes)
+        links = tuple(None if model.field is None else model.links(s) for s in sets)
+        taken = *sets, *(s.dynamic for s in sets), *(s.dynamic._version for s in sets), *map(_place, links)
+        modules = model.field, model.affine
+        same = len(taken) == len(self._taken) and all(a is b or (isinstance(a, int) and a == b) for a, b in zip(taken, self._taken))
+        if same and all(a is b for a, b in zip(modules, self._modules)):
+            return
+        indices = tuple(model.moving(s) for s in sets)
+        fits = len(self._rooms) == len(sets) and all(map(Room.fits, self._rooms, sets, indices, links))
+        if not fits or not all(a is b for a, b in zip(modules, self._modules)):
+            self._steps.clear()
+            self._modules = modules
+            self._pool = torch.cuda.graph_pool_handle() if model.device.type == "cuda" else None
+        if not fits:
+            self._rooms = list(map(Room, sets, indices, links))
+        for room, primitives, index, link in zip(self._rooms, sets, indices, links):
+            own = room.take(primitives, index, link)
+            if own is not None:
+                model.set_links(primitives, own)
+        for known in self._steps.values():
+            known.cut = None
+        self._taken = *taken[:-2], *(None if model.field is None else _place(model.links(s)) for s in sets)
+
+    def _capture(self, model: Model, view: OneView, i: int, step: int, phase: Phase) -> _Step:
+        objective = OfOneView(self.objective, view)
+        twin = model.in_rooms([(room.held, room.index, room.link) for room in self._rooms])
+        known, names = self._parameters(), list[str]()
+
+        def compute() -> Results:
+            with own_leaves(model.field, model.affine):
+                leaves = {name: p for name, p in twin.named_parameters().items() if name in known}
+                judged = objective(twin, i, step, phase, view.kind.sh_degree)
                 found = torch.autograd.grad(judged.loss, list(leaves.values()), allow_unused=True)
-                losses = torch.stack([judged.loss.detach(), judged.image_loss])
-        self.captures += 1
-        gradients = [(parameters[name], gradient) for name, gradient in zip(leaves, found) if gradient is not None]
-        judged = replace(judged, loss=losses[0], image_loss=losses[1], color=judged.color.detach(), gradients=gradients)
-        return _Graph(twin, flow, graph, view, judged, losses, list(frames))
+            gradients = {name: gradient for name, gradient in zip(leaves, found) if gradient is not None}
+            names[:] = gradients
+            images = torch.stack([judged.loss, judged.image_loss]), judged.color, judged.target, judged.weight
+            results = *images, *(judged.recording or (None, None)), *gradients.values()
+            return [result if result is None else result.detach() for result in results]
 
-    def _replay(self, found: _Graph, i: int) -> Judged:
-        found.view.show(i, found.flow)
-        found.graph.replay()
-        found.replays += 1
-        loss, image_loss = found.losses.clone().unbind()  # they are read after the next replays
-        return replace(found.judged, loss=loss, image_loss=image_loss)
+        graph = self._record(compute, model.device, self._pool)
+        self.captures += 1
+        return _Step(graph, view, names)
+
+    def _judged(self, known: _Step) -> Judged:
+        losses, color, target, weight, gain, offset, *gradients = known.graph.results
+        if known.cut is None:
+            now = self._parameters()
+            known.cut = [(now[name], g[: len(now[name])]) for name, g in zip(known.names, gradients)]  # type: ignore[index]
+        assert losses is not None and color is not None and target is not None
+        loss, image_loss = losses.unbind()
+        recording = None if gain is None or offset is None else (gain, offset)
+        return Judged(loss, image_loss, color, target, weight, recording, gradients=known.cut)
+
+
+def _place(link: Tensor | None) -> int | None:
+    return None if link is None else link.data_ptr()

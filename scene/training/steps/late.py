@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -19,7 +19,8 @@ LATEST = 8  # steps after which an answer is waited for
 
 @dataclass(frozen=True, eq=False)
 class _Sent:
-    """A step that the device has been sent. answer: what its attempt found, in memory of the host, once ``there`` has happened."""
+    """A step that the device has been sent. answer: its losses and what its attempt found, in memory of the host once ``there`` has
+    happened. The losses on the device are replaced by those of the next step."""
 
     step: Step
     attempt: Attempt
@@ -40,7 +41,10 @@ class LateSteps:
     def take(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
         assert rows.index is None, "a CUDA device computes with all rows"
         attempt = self._learned.optimiser.step_if_finite({"the loss": step.loss}, progress, frozen)
-        answer, there = attempt.bad.to("cpu", non_blocking=True), torch.cuda.Event()
+        # One copy; to read a number on the device would be to wait for all that was queued since.
+        losses = torch.stack([step.loss.float(), step.image_loss.float()])
+        found = torch.cat([losses.view(torch.uint8), attempt.bad.view(torch.uint8)])
+        answer, there = found.to("cpu", non_blocking=True), torch.cuda.Event()
         there.record(torch.cuda.current_stream(attempt.bad.device))
         self._sent.append(_Sent(step, attempt, answer, there))
         while self._sent and (len(self._sent) > LATEST or self._sent[0].there.query()):
@@ -55,9 +59,10 @@ class LateSteps:
         """Read the oldest answer."""
         sent = self._sent.popleft()
         sent.there.synchronize()
-        bad, *each = sent.answer.tolist()
+        loss, image_loss = sent.answer[:8].clone().view(torch.float32)
+        step, (bad, *each) = replace(sent.step, loss=loss, image_loss=image_loss), sent.answer[8:].tolist()
         if bad:
             self._learned.optimiser.uncount(sent.attempt)
         gradients = [name for name, found in zip(sent.attempt.names[1:], each[1:]) if found]
-        self._guard.judged(not bad, gradients, sent.step.loss, sent.step.number, sent.step.frame)
-        self._report(sent.step, not bad)
+        self._guard.judged(not bad, gradients, step.loss, step.number, step.frame)
+        self._report(step, not bad)

@@ -1,0 +1,78 @@
+"""Steps that are captured once and then replayed for other frames, steps and numbers of primitives, with something on the CPU in place of
+CUDA graphs that computes again what was captured."""
+
+import pytest
+import torch
+from e4dgs.scene.model import Model
+from e4dgs.scene.training.control.density import split_along_longest_axis
+from e4dgs.scene.training.replayed import room
+from e4dgs.scene.training.replayed.objective import ReplayedObjective
+from replaying import KINDS, PHASE, Again, agree, agree_in_other_numbers, begun
+
+
+@pytest.fixture(autouse=True)
+def as_on_a_gpu(monkeypatch):
+    monkeypatch.setattr(Model, "in_view", lambda *given, **named: None)
+
+
+def begin(what):
+    trainer = begun(what)
+    trainer.replayed = ReplayedObjective(trainer.objective, lambda: trainer.learned.optimiser.parameters(), trainer._event, Again)
+    return trainer
+
+
+@pytest.mark.parametrize("what", KINDS)
+def test_other_frames_steps_and_numbers_of_primitives_give_what_the_usual_step_gives(what):
+    trainer = begin(what)
+    assert agree_in_other_numbers(trainer) == len(trainer.replayed._steps) >= 3
+
+
+def test_steps_move_what_the_graphs_read():
+    trainer = begin("free")
+    agree(trainer, range(61, 100))
+    for step in range(100, 110):
+        judge = trainer.replayed(trainer.model, int(trainer.views.train[step % 5]), step, PHASE, 1)
+        judge.backward()
+        trainer.learned.optimiser.step(0.5, rows=judge.rows)
+    agree(trainer, range(110, 120))
+    assert trainer.replayed._rooms[0].held.means.data_ptr() == trainer.model.gaussians.means.data_ptr()
+
+
+def test_more_than_there_is_room_for_is_captured_again(monkeypatch):
+    monkeypatch.setattr(room, "LEAST_SPARE", 4)
+    monkeypatch.setattr(room, "SPARE", 1.0)
+    trainer = begin("nodes")
+    agree(trainer, range(61, 80))
+    captures = trainer.replayed.captures
+    gaussians = trainer.model.gaussians
+    trainer.learned.replace(*split_along_longest_axis(gaussians, torch.arange(3)), 100)
+    agree(trainer, range(61, 80))
+    assert trainer.replayed.captures == captures, "3 more leave one row that holds nothing"
+    trainer.learned.replace(*split_along_longest_axis(trainer.model.gaussians, torch.arange(1)), 101)
+    agree(trainer, range(61, 80))
+    assert trainer.replayed.captures == 2 * captures
+
+
+def test_gaussians_that_leave_the_motion_are_captured_again_only_where_none_had():
+    trainer = begin("nodes")
+    agree(trainer, range(61, 80))
+    captures = trainer.replayed.captures
+    trainer.model.gaussians.dynamic[:7] = False
+    agree(trainer, range(61, 80))
+    assert trainer.replayed.captures == 2 * captures
+    trainer.model.gaussians.dynamic[7:14] = False
+    agree(trainer, range(61, 80))
+    assert trainer.replayed.captures == 2 * captures
+
+
+def test_a_step_that_cannot_be_captured_is_computed_as_usual():
+    trainer = begin("nodes")
+
+    def refuses(function, device, pool):
+        raise RuntimeError("operation not permitted when stream is capturing\nand more")
+
+    trainer.replayed._record = refuses
+    agree(trainer, range(61, 70))
+    assert trainer.replayed.captures == 0 and trainer.log.events == [
+        "steps are not replayed as CUDA graphs: operation not permitted when stream is capturing"
+    ]
