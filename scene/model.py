@@ -19,6 +19,7 @@ from .motion.in_view import in_view
 from .motion.interface import Rest, Time
 from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
+from .views import inside_image
 
 KINDS: Mapping[str, Any] = {"planes": DeformationField, "nodes": ControlNodes, "free": FreeMotion}
 
@@ -136,6 +137,11 @@ class Model:
             return None  # a GPU would have to wait for the number found
         return in_view(self.gaussians, camera, float(self.field.frame(float(t))) if self.field is not None and move else None, tiles)
 
+    @property
+    def replayable(self) -> bool:
+        """Whether a CUDA graph of this model can show other times: planes need the time on the CPU."""
+        return isinstance(self.field, ControlNodes | FreeMotion | None)
+
     def moves(self) -> bool:
         """Whether any primitive is dynamic."""
         return any(len(self.moving(s)) for s in (self.gaussians, self.convexes))
@@ -216,7 +222,7 @@ class Model:
         camera = replace(camera, near=max(camera.near, self.near))
         background = torch.tensor(self.background) if background is None else background
         with torch.no_grad():
-            if self.device.type == "cuda" and backend in ("auto", "cuda") and isinstance(self.field, ControlNodes | FreeMotion | None):
+            if self.device.type == "cuda" and backend in ("auto", "cuda") and self.replayable:
                 return self._renders(self._draw, self._memory(), self.device, camera, time, background)
             return self._draw(camera, time, background, backend)
 
@@ -284,15 +290,3 @@ def indices(chosen: Tensor) -> Tensor:
     if bool(chosen.all()):  # the usual case in small scenes; takes a third of the time
         return torch.arange(len(chosen), device=chosen.device)
     return chosen.nonzero()[:, 0]
-
-
-@torch.no_grad()
-def inside_image(camera: Camera, points: Tensor, margin: float = 0.0) -> Tensor:
-    """Which of ``points`` [N, 3] (world units) project into the image, widened on each side by ``margin`` of its size: [N] bool."""
-    R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
-    x, y, z = (points @ R.T.to(points, non_blocking=True) + T.to(points, non_blocking=True)).unbind(1)
-    fx, fy, cx, cy = (float(camera.K[row, column]) for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    depth = z.clamp(min=1e-6)
-    px, py = fx * x / depth + cx, fy * y / depth + cy
-    wide, high = margin * camera.width, margin * camera.height
-    return (z > camera.near) & (px > -wide) & (px < camera.width + wide) & (py > -high) & (py < camera.height + high)

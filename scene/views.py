@@ -220,3 +220,16 @@ def filled_window(alpha: np.ndarray) -> Window | None:
     left, right = max(int(columns[0]) - margin, 0), min(int(columns[-1]) + 1 + margin, width)
     top, bottom = max(int(rows[0]) - margin, 0), min(int(rows[-1]) + 1 + margin, height)
     return None if (right - left) * (bottom - top) > MOST_WINDOW * width * height else (left, top, right, bottom)
+
+
+@torch.no_grad()
+def inside_image(camera: Camera, points: Tensor, margin: float = 0.0) -> Tensor:
+    """Which of ``points`` [N, 3] (world units) project into the image, widened on each side by ``margin`` of its size: [N] bool."""
+    R, T = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
+    x, y, z = (points @ R.T.to(points, non_blocking=True) + T.to(points, non_blocking=True)).unbind(1)
+    # Not as numbers, for which the host would wait if the camera is on a GPU.
+    fx, fy, cx, cy = (camera.K[row, column] for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    depth = z.clamp(min=1e-6)
+    px, py = fx * x / depth + cx, fy * y / depth + cy
+    wide, high = margin * camera.width, margin * camera.height
+    return (z > camera.near) & (px > -wide) & (px < camera.width + wide) & (py > -high) & (py < camera.height + high)

@@ -8,7 +8,7 @@ from e4dgs.scene.losses.measured_depth import MeasuredDepth
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.motion.rigid_parts import RigidParts
 from e4dgs.scene.primitives import ConvexSet
-from e4dgs.scene.training.control.density import split_along_longest_axis
+from e4dgs.scene.training.control.density import measure_responsibility, split_along_longest_axis
 from e4dgs.scene.training.drawn_tiles import DrawnTiles
 from e4dgs.scene.training.recipe import FREE, NODES
 from e4dgs.scene.training.schedule import Phase
@@ -129,3 +129,20 @@ def agree_in_other_numbers(trainer):
     assert trainer.replayed.captures == captures, "there was room"
     assert not trainer.log.events
     return captures
+
+
+def agree_on_responsibility(trainer):
+    """Usual and replayed measurements, while primitives are added and removed and the scale changes."""
+    measure, views = trainer.density._measure, trainer.views
+    frames = [int(i) for i in views.train]
+    for scale, some in ((1.0, 10), (1.0, 0), (1.0, 0), (0.5, 10), (0.5, 20), (0.5, 0), (1.0, 0)):
+        model = trainer.model
+        want, got = (f(model, views, frames[some % 3 :: 3], True, scale) for f in (measure_responsibility, measure))
+        for name, value in vars(want).items():
+            there = getattr(got, name)
+            assert there.shape == value.shape and torch.equal(torch.isinf(there), torch.isinf(value)), name
+            assert torch.allclose(there, value, rtol=1e-4, atol=1e-6), (name, scale, some)
+        if some:
+            chosen = torch.arange(some, device=model.device)
+            trainer.learned.replace(*split_along_longest_axis(model.gaussians, chosen), 100)
+    assert len(measure._frames) == 2 and not trainer.log.events

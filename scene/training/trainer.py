@@ -16,7 +16,7 @@ from ..model import Model
 from ..settings import TrainingSettings
 from ..views import Views
 from .checkpoint import load_checkpoint, save_checkpoint
-from .control.density import keep_small
+from .control.density import Measure, keep_small, measure_responsibility
 from .control.growth import DensityControl
 from .control.learned_model import LearnedModel
 from .control.motion import MotionControl
@@ -27,6 +27,8 @@ from .log import TrainingLog
 from .objective import Objective
 from .recipe import PLANES, Recipe
 from .replayed.objective import ReplayedObjective
+from .replayed.responsibility import ReplayedResponsibility
+from .replayed.rooms import Rooms
 from .schedule import Phase, alike_since
 from .steps.at_once import StepsAtOnce
 from .steps.late import LateSteps
@@ -80,14 +82,17 @@ class Trainer:
         self.objective = Objective(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth)
         self.learned = LearnedModel(model, settings, self.unit, lr_scale)
         self.replayed: ReplayedObjective | None = None
+        measure: Measure = measure_responsibility
         if model.device.type == "cuda" and torch.backends.cuda.is_built():
-            self.replayed = ReplayedObjective(self.objective, lambda: self.learned.optimiser.parameters(), self._event)
+            rooms = Rooms()
+            self.replayed = ReplayedObjective(self.objective, lambda: self.learned.optimiser.parameters(), rooms, self._event)
+            measure = ReplayedResponsibility(self.objective, rooms, self._event)
         takes = LateSteps if model.device.type == "cuda" else StepsAtOnce
         self.steps: Steps = takes(self.learned, self.guard, self._taken)
         self.learned.before_change = self.steps.settle
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)
-        self.density = DensityControl(*common, budget, grow, self._event)
+        self.density = DensityControl(*common, budget, grow, self._event, measure)
 
     def run(self) -> TrainingLog:
         """Run all phases, starting from a checkpoint if there is one."""

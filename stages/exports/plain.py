@@ -39,7 +39,7 @@ class PlainLook:
         import torch
 
         from ...rasterizer.reference.gaussians import DILATION, PIXEL_VARIANCE
-        from ...scene.model import inside_image
+        from ...scene.views import inside_image
         from ...scene.training.control.hidden import footprint
 
         found = cls.unchanged(len(model.gaussians))

@@ -5,13 +5,19 @@ import torch
 from e4dgs.rasterizer.cuda import capacity
 from e4dgs.scene.training.replayed import objective as replayed
 from e4dgs.scene.training.replayed.of_one_view import OfOneView
-from replaying import KINDS, TOTAL, agree, agree_in_other_numbers, begun, judged
+from replaying import KINDS, TOTAL, agree, agree_in_other_numbers, agree_on_responsibility, begun, judged
 
 
 @pytest.mark.cuda
 @pytest.mark.parametrize("what", KINDS)
 def test_loss_and_gradients_are_those_of_the_usual_step(what: str) -> None:
     assert agree_in_other_numbers(begun(what, "cuda")) >= 3
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("what", KINDS)
+def test_responsibility_is_measured_as_usual(what: str) -> None:
+    agree_on_responsibility(begun(what, "cuda"))
 
 
 @pytest.mark.cuda

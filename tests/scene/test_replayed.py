@@ -7,7 +7,9 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.training.control.density import split_along_longest_axis
 from e4dgs.scene.training.replayed import room
 from e4dgs.scene.training.replayed.objective import ReplayedObjective
-from replaying import KINDS, PHASE, Again, agree, agree_in_other_numbers, begun
+from e4dgs.scene.training.replayed.responsibility import ReplayedResponsibility
+from e4dgs.scene.training.replayed.rooms import Rooms
+from replaying import KINDS, PHASE, Again, agree, agree_in_other_numbers, agree_on_responsibility, begun
 
 
 @pytest.fixture(autouse=True)
@@ -17,7 +19,9 @@ def as_on_a_gpu(monkeypatch):
 
 def begin(what):
     trainer = begun(what)
-    trainer.replayed = ReplayedObjective(trainer.objective, lambda: trainer.learned.optimiser.parameters(), trainer._event, Again)
+    rooms, parameters = Rooms(), lambda: trainer.learned.optimiser.parameters()
+    trainer.replayed = ReplayedObjective(trainer.objective, parameters, rooms, trainer._event, Again)
+    trainer.density._measure = ReplayedResponsibility(trainer.objective, rooms, trainer._event, Again)
     return trainer
 
 
@@ -25,6 +29,11 @@ def begin(what):
 def test_other_frames_steps_and_numbers_of_primitives_give_what_the_usual_step_gives(what):
     trainer = begin(what)
     assert agree_in_other_numbers(trainer) == len(trainer.replayed._steps) >= 3
+
+
+@pytest.mark.parametrize("what", KINDS)
+def test_responsibility_is_measured_as_usual(what):
+    agree_on_responsibility(begin(what))
 
 
 def test_steps_move_what_the_graphs_read():
@@ -35,7 +44,7 @@ def test_steps_move_what_the_graphs_read():
         judge.backward()
         trainer.learned.optimiser.step(0.5, rows=judge.rows)
     agree(trainer, range(110, 120))
-    assert trainer.replayed._rooms[0].held.means.data_ptr() == trainer.model.gaussians.means.data_ptr()
+    assert trainer.replayed._rooms._rooms[0].held.means.data_ptr() == trainer.model.gaussians.means.data_ptr()
 
 
 def test_more_than_there_is_room_for_is_captured_again(monkeypatch):

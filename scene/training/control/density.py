@@ -7,15 +7,16 @@ sum(error * channel) with respect to a primitive's value in it is the sum over p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
 from ....rasterizer import rasterize
-from ...model import Model, inside_image
+from ...model import Model
 from ...primitives import ConvexSet, GaussianSet, PrimitiveSet
 from ...rotation import quats_to_matrices
-from ...views import Views
+from ...views import Views, inside_image
 
 LEAST_LIFE = 0.5  # number of probed views within a primitive's lifetime below which they say nothing about it
 
@@ -34,43 +35,71 @@ class Responsibility:
     life_convexes: Tensor
 
 
+class Measure(Protocol):
+    """What `measure_responsibility` does."""
+
+    def __call__(self, model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility: ...
+
+
+class Sums(NamedTuple):
+    """Sums over frames, of Gaussians and of convexes. total [N, 2]: blending weight, and weight times error. seen [N]: frames whose image
+    contains the centre, and lived [N]: all frames, both counted by how much of the primitive is present."""
+
+    total: tuple[Tensor, Tensor]
+    seen: tuple[Tensor, Tensor]
+    lived: tuple[Tensor, Tensor]
+
+    @classmethod
+    def none(cls, model: Model) -> Sums:
+        counts = len(model.gaussians), len(model.convexes)
+        zeros = [[torch.zeros(count, *more, device=model.device) for count in counts] for more in ((2,), (), ())]
+        return cls(*map(tuple, zeros))  # type: ignore[arg-type]
+
+
 def measure_responsibility(model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility:
     """Render ``frames`` and attribute their absolute error (mean over channels) to the primitives blended at each pixel."""
-    n, m = len(model.gaussians), len(model.convexes)
-    device = model.device
-    total = [torch.zeros(n, 2, device=device), torch.zeros(m, 2, device=device)]
-    seen = [torch.zeros(n, device=device), torch.zeros(m, device=device)]
-    lived = [torch.zeros(n, device=device), torch.zeros(m, device=device)]
-    whole = model.gaussians.opacities.detach(), model.convexes.opacities.detach()
-    background = torch.tensor(views.background)
+    sums = Sums.none(model)
     for i in frames:
-        camera = views.rasterizer_camera(i, scale)
-        with torch.no_grad():
-            gaussians, convexes = model.at(float(views.time[i]), camera, move)
-        probes = [torch.zeros(count, 2, device=device, requires_grad=True) for count in (n, m)]
-        frame = rasterize(
-            camera, replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1]), background, antialiased=model.antialiased
-        )
-        with torch.no_grad():
-            color = frame.color if model.affine is None else model.affine(frame.color, views.recorded_by(i))
-            error = (color - views.target(i, scale)).abs().mean(-1)
-            kept = views.kept(i, scale)
-            if kept is not None:
-                error = error * kept
-        gradients = torch.autograd.grad((frame.extras * torch.stack([torch.ones_like(error), error], -1)).sum(), probes, allow_unused=True)
-        for sums, gradient in zip(total, gradients):
+        row = None if model.affine is None else model.affine.row(views.recorded_by(i))
+        add_frame(sums, model, views, i, move, scale, row)
+    return responsibility(sums, len(frames), scale)
+
+
+def add_frame(sums: Sums, model: Model, views: Views, i: int, move: bool, scale: float, row: int | Tensor | None) -> None:
+    """Add frame ``i`` to ``sums``. row: of `CameraAffine`, if it has one for the frame."""
+    camera, background = views.rasterizer_camera(i, scale), views.backdrop()
+    with torch.no_grad():
+        gaussians, convexes = model.at(views.moment(i), camera, move)
+    probes = [torch.zeros_like(total, requires_grad=True) for total in sums.total]
+    shapes = replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1])
+    frame = rasterize(camera, *shapes, background, antialiased=model.antialiased)
+    with torch.no_grad():
+        color = frame.color
+        if model.affine is not None and row is not None:
+            gain, offset = model.affine.recorded_in(row)
+            color = color * gain + offset
+        error = (color - views.target(i, scale)).abs().mean(-1)
+        kept = views.kept(i, scale)
+        if kept is not None:
+            error = error * kept
+    gradients = torch.autograd.grad((frame.extras * torch.stack([torch.ones_like(error), error], -1)).sum(), probes, allow_unused=True)
+    with torch.no_grad():
+        for total, gradient in zip(sums.total, gradients):
             if gradient is not None:
-                sums += gradient
-        with torch.no_grad():
-            now = gaussians.opacities / whole[0].clamp(min=1e-9), convexes.opacities / whole[1].clamp(min=1e-9)
-        for count, life, there, centres in zip(seen, lived, now, (gaussians.means, convexes.points.mean(1))):
-            count += inside_image(camera, centres) * there
-            life += there
-    weight = [sums[:, 0] / (count.clamp(min=LEAST_LIFE) * scale**2) for sums, count in zip(total, seen)]
-    weight = [torch.where(life < LEAST_LIFE, torch.inf, w) for w, life in zip(weight, lived)]
-    error = [sums[:, 1] / life.clamp(min=LEAST_LIFE) for sums, life in zip(total, lived)]
-    share = [life / max(len(frames), 1) for life in lived]
-    return Responsibility(*weight, *error, *share)
+                total += gradient
+        opacities = (gaussians.opacities, model.gaussians.opacities), (convexes.opacities, model.convexes.opacities)
+        for k, ((now, whole), centres) in enumerate(zip(opacities, (gaussians.means, convexes.points.mean(1)))):
+            there = now / whole.clamp(min=1e-9)
+            sums.seen[k].add_(inside_image(camera, centres) * there)
+            sums.lived[k].add_(there)
+
+
+def responsibility(sums: Sums, frames: int, scale: float) -> Responsibility:
+    """The means over ``frames`` frames at ``scale``, of which ``sums`` has the sums."""
+    weight = [total[:, 0] / (seen.clamp(min=LEAST_LIFE) * scale**2) for total, seen in zip(sums.total, sums.seen)]
+    weight = [torch.where(life < LEAST_LIFE, torch.inf, w) for w, life in zip(weight, sums.lived)]
+    error = [total[:, 1] / life.clamp(min=LEAST_LIFE) for total, life in zip(sums.total, sums.lived)]
+    return Responsibility(*weight, *error, *(life / max(frames, 1) for life in sums.lived))
 
 
 def survivors(primitives: PrimitiveSet, min_opacity: float, weight: Tensor | None = None, min_weight: float = 0.0) -> Tensor:

@@ -13,7 +13,7 @@ from ..curriculum import Curriculum
 from ..recipe import Recipe
 from ..schedule import Phase
 from ..turning import bound_to_rigid_parts
-from .density import choose_to_split, measure_responsibility, split_along_longest_axis, survivors
+from .density import Measure, choose_to_split, measure_responsibility, split_along_longest_axis, survivors
 from .hidden import seen_share
 from .learned_model import LearnedModel
 
@@ -29,6 +29,7 @@ class DensityControl:
     """Adds primitives to ``learned`` where the error is, and removes those that contribute nothing.
 
     phases: of the whole training. budget: maximum number of Gaussians. grow: whether any are added. event: called with what happened.
+    measure: does the work of `measure_responsibility`.
     """
 
     def __init__(
@@ -42,8 +43,10 @@ class DensityControl:
         budget: int,
         grow: bool,
         event: Callable[[str], None],
+        measure: Measure = measure_responsibility,
     ) -> None:
         self.learned, self.views, self.curriculum, self.settings, self.recipe = learned, views, curriculum, settings, recipe
+        self._measure = measure
         self.budget, self.grow, self._event = budget, grow, event
         self.total = total = sum(phase.iterations for phase in phases)
         self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until
@@ -72,7 +75,7 @@ class DensityControl:
         if not self.grow:
             return
         model, progress = self.learned.model, step / max(self.total, 1)
-        measured = measure_responsibility(model, self.views, self.curriculum.probe(step, PROBE_VIEWS), phase.move, phase.scale)
+        measured = self._measure(model, self.views, self.curriculum.probe(step, PROBE_VIEWS), phase.move, phase.scale)
         alive = round(float(measured.life_gaussians.sum()))  # Gaussians absent at a time cost nothing then
         room = min(self._most(phase) - alive, MOST_FOR_ONE * self.budget - len(model.gaussians))
         if room <= 0:
@@ -111,7 +114,7 @@ class DensityControl:
     def _remove_hardly_seen(self, step: int) -> None:
         """Remove primitives that the training views hardly blend."""
         model = self.learned.model
-        measured = measure_responsibility(model, self.views, self.curriculum.probe(self.total, FINAL_VIEWS), self._ends_moving, 0.5)
+        measured = self._measure(model, self.views, self.curriculum.probe(self.total, FINAL_VIEWS), self._ends_moving, 0.5)
         before = len(model.gaussians), len(model.convexes)
         self._prune(step, (measured.weight_gaussians, measured.weight_convexes))
         self._event(

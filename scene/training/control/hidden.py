@@ -15,9 +15,9 @@ from torch import Tensor
 
 from ....rasterizer import Camera, Gaussians, rasterize
 from ....rasterizer.reference.gaussians import DILATION
-from ...model import Model, inside_image
+from ...model import Model
 from ...rotation import quats_to_matrices
-from ...views import Views
+from ...views import Views, inside_image
 
 LEAST = 0.05  # px; smaller footprints are not judged
 

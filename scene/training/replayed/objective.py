@@ -16,15 +16,14 @@ from ...cuda.leaves import own_leaves
 from ...losses.depth_spread import BEGIN, EVERY
 from ...losses.motion_terms import PRIOR_EVERY
 from ...model import Model
-from ...motion.free import FreeMotion
 from ...motion.nodes import ControlNodes
-from ...primitives import PrimitiveSet
+from ...views import Views
 from ..drawn_tiles import Drawn
 from ..objective import RELINK_EVERY, Judged, Objective
 from ..schedule import Phase
 from .of_one_view import OfOneView
 from .one_view import Kind, OneView
-from .room import Room
+from .rooms import Rooms
 
 CHECK_EVERY = 64  # replays between two looks at whether the graph had room for all pairs
 IMAGES = 6  # results in front of the gradients: losses, colour, target, weight, gain, offset
@@ -44,6 +43,11 @@ class _Step:
     cut: list[tuple[Tensor, Tensor]] | None = None
 
 
+def replayable(views: Views) -> bool:
+    """Whether no camera is so far from the origin that scenes are moved there before they are drawn."""
+    return bool(np.linalg.norm(views.centres(), axis=1).max() < FAR_CAMERA)
+
+
 class ReplayedObjective:
     """`Objective` for a model on a GPU. The first step of a kind is computed as usual, the second one is captured, later ones are replays.
 
@@ -51,24 +55,22 @@ class ReplayedObjective:
     can go on when density control adds some and removes others. Computed as usual are steps with a six-plane field, which needs the time on
     the CPU, and those of cameras so far from the origin that scenes are moved there.
 
-    parameters: of the optimiser, by name. captures: how many graphs were made. record: makes them.
+    parameters: of the optimiser, by name. rooms: hold the model. captures: how many graphs were made. record: makes them.
     """
 
     def __init__(
         self,
         objective: Objective,
         parameters: Callable[[], dict[str, Tensor]],
+        rooms: Rooms,
         say: Callable[[str], None],
         record: Record = Graph,
     ) -> None:
-        self.objective, self._parameters, self._say, self._record = objective, parameters, say, record
+        self.objective, self._parameters, self._rooms, self._say, self._record = objective, parameters, rooms, say, record
         self._steps: dict[Kind, _Step] = {}
         self._seen: set[Kind] = set()  # kinds of steps that have been computed, so that their kernels are compiled
-        self._rooms: list[Room] = []
-        self._modules: tuple[Any, ...] = ()  # the model's other parts; held, so that no other ones can take their memory
-        self._taken: tuple[Any, ...] = ()  # what the rooms hold; sets are held, too
-        self._pool: Any = None
-        self._usable, self.captures = bool(np.linalg.norm(objective.views.centres(), axis=1).max() < FAR_CAMERA), 0
+        self._age = self._changes = 0  # of the rooms
+        self._usable, self.captures = replayable(objective.views), 0
 
     def __call__(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int) -> Judged:
         if not self._usable or not self._covers(model, step):
@@ -79,7 +81,14 @@ class ReplayedObjective:
         if kind not in self._seen:
             self._seen.add(kind)
             return self.objective(model, i, step, phase, sh_degree)
-        self._make_room(model)
+        self._rooms.hold(model)
+        if self._rooms.age != self._age:
+            self._age = self._rooms.age
+            self._steps.clear()
+        if self._rooms.changes != self._changes:
+            self._changes = self._rooms.changes
+            for other in self._steps.values():
+                other.cut = None
         known = self._steps.get(kind)
         if known is not None and known.replays % CHECK_EVERY == CHECK_EVERY - 1 and any(f.overflowed() for f in known.graph.frames):
             del self._steps[kind]  # pairs were left out; the next graph has more room
@@ -102,7 +111,7 @@ class ReplayedObjective:
         """Whether nothing but the numbers and pictures of `OneView` changes between steps like this one."""
         if isinstance(model.field, ControlNodes):
             return step % RELINK_EVERY != 0
-        return isinstance(model.field, FreeMotion | None)
+        return model.replayable
 
     def _kind(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int, drawn: Drawn | None, row: int | None) -> Kind:
         o, now = self.objective, self.objective.now(step)
@@ -124,34 +133,9 @@ class ReplayedObjective:
             smooth=now.smooth is not None,
         )
 
-    def _make_room(self, model: Model) -> None:
-        """Let the rooms hold the model, and forget the graphs if they read something else."""
-        sets: tuple[PrimitiveSet, ...] = (model.gaussians, model.convexes)
-        links = tuple(None if model.field is None else model.links(s) for s in sets)
-        taken = *sets, *(s.dynamic for s in sets), *(s.dynamic._version for s in sets), *map(_place, links)
-        modules = model.field, model.affine
-        same = len(taken) == len(self._taken) and all(a is b or (isinstance(a, int) and a == b) for a, b in zip(taken, self._taken))
-        if same and all(a is b for a, b in zip(modules, self._modules)):
-            return
-        indices = tuple(model.moving(s) for s in sets)
-        fits = len(self._rooms) == len(sets) and all(map(Room.fits, self._rooms, sets, indices, links))
-        if not fits or not all(a is b for a, b in zip(modules, self._modules)):
-            self._steps.clear()
-            self._modules = modules
-            self._pool = torch.cuda.graph_pool_handle() if model.device.type == "cuda" else None
-        if not fits:
-            self._rooms = list(map(Room, sets, indices, links))
-        for room, primitives, index, link in zip(self._rooms, sets, indices, links):
-            own = room.take(primitives, index, link)
-            if own is not None:
-                model.set_links(primitives, own)
-        for known in self._steps.values():
-            known.cut = None
-        self._taken = *taken[:-2], *(None if model.field is None else _place(model.links(s)) for s in sets)
-
     def _capture(self, model: Model, view: OneView, i: int, step: int, phase: Phase) -> _Step:
         objective = OfOneView(self.objective, view)
-        twin = model.in_rooms([(room.held, room.index, room.link) for room in self._rooms])
+        twin = self._rooms.whole(model)
         known, names = self._parameters(), list[str]()
 
         def compute() -> Results:
@@ -165,7 +149,7 @@ class ReplayedObjective:
             results = *images, *(judged.recording or (None, None)), *gradients.values()
             return [result if result is None else result.detach() for result in results]
 
-        graph = self._record(compute, model.device, self._pool)
+        graph = self._record(compute, model.device, self._rooms.pool)
         self.captures += 1
         return _Step(graph, view, names)
 
@@ -178,7 +162,3 @@ class ReplayedObjective:
         loss, image_loss = losses.unbind()
         recording = None if gain is None or offset is None else (gain, offset)
         return Judged(loss, image_loss, color, target, weight, recording, gradients=known.cut)
-
-
-def _place(link: Tensor | None) -> int | None:
-    return None if link is None else link.data_ptr()

@@ -37,6 +37,11 @@ class Kind(NamedTuple):
     left_out: bool
     smooth: bool
 
+    @classmethod
+    def plain(cls, scale: float, move: bool, recorded: bool) -> Kind:
+        """A render alone, without terms of a loss."""
+        return cls(scale, move, -1, False, False, False, False, False, False, False, recorded, False, False)
+
 
 class OneView:
     """Stands for the views of ``objective`` while a step of ``kind`` is captured; `show` fills in a frame and a step. Everything is on the
