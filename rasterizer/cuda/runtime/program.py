@@ -36,18 +36,21 @@ def digest(program: Program) -> str:
     File names are relative to their folder, so the same installation in another place has the same digest. Computed once per
     process and program, so edits take effect at the next start. Raises OSError if the source or a header cannot be read.
     """
-    state = hashlib.blake2b(digest_size=20)
-
-    def add(*parts: bytes) -> None:
-        for part in parts:
-            state.update(len(part).to_bytes(8, "little") + part)
-
-    add(program.source.name.encode(), program.source.read_bytes())
+    parts = [program.source.name.encode(), program.source.read_bytes()]
     for name, value in sorted(program.defines):
-        add(b"define", name.encode(), str(value).encode())
-    for folder in (program.source.parent, *program.includes):
-        add(b"folder")
-        for path in sorted(folder.rglob("*")):
-            if path.suffix in HEADERS and path.is_file():
-                add(path.relative_to(folder).as_posix().encode(), path.read_bytes())
-    return state.hexdigest()
+        parts += b"define", name.encode(), str(value).encode()
+    return _of(*parts, *map(_headers, (program.source.parent, *program.includes))).hex()
+
+
+@cache
+def _headers(folder: Path) -> bytes:
+    """Digest of the headers in ``folder``, which many programs share."""
+    found = (path for path in sorted(folder.rglob("*")) if path.suffix in HEADERS and path.is_file())
+    return _of(*(part for path in found for part in (path.relative_to(folder).as_posix().encode(), path.read_bytes())))
+
+
+def _of(*parts: bytes) -> bytes:
+    state = hashlib.blake2b(digest_size=20)
+    for part in parts:
+        state.update(len(part).to_bytes(8, "little") + part)
+    return state.digest()
