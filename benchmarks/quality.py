@@ -64,13 +64,14 @@ def table(results: dict[str, dict]) -> str:
     for name, r in results.items():
         m = r["metrics"]
         count = m["primitives"]
+        again = "-" if r["cached_seconds"] is None else f"{r['cached_seconds']:.1f} s"
         title = " ".join([name, *r["options"], *(["(stale)"] if r.get("stale") else [])])
         for split, s in m["splits"].items():
             if not s or s.get("psnr") is None:
                 continue
             minutes = f"{r['wall_seconds'] / 60:.1f} min | {m['train_seconds'] / 60:.1f} min"
             rows.append(
-                f"| {title} | {minutes} | {r['cached_seconds']:.1f} s | {split} "
+                f"| {title} | {minutes} | {again} | {split} "
                 f"| {s['psnr']:.2f} | {s['ssim']:.4f} | {s['edge_psnr']:.2f} | {count['gaussians']} + {count['convexes']} "
                 f"| {m['render_fps']:.1f} fps |"
             )

@@ -88,19 +88,22 @@ class SpinSearch:
     """Looks for the steady turn of one part.
 
     views: posed images. frames [n]: indices of views in order of time. path [n, 3]: observed path of the part's centre, world units.
-    radius: of the part, world units.
+    radius: of the part, world units. The work is done on the device of the views.
     """
 
     def __init__(self, views: Views, frames: np.ndarray, path: np.ndarray, radius: float) -> None:
         self.frames, self.count = frames, len(frames)
-        self.path = torch.tensor(path, dtype=torch.float32)
+        self.device = torch.device(views.device)
+        self.path = self._tensor(path)
         self.radius, self.surface = radius, SURFACE * radius
-        self.cam_from_world = torch.tensor(views.cam_from_world[frames], dtype=torch.float32)
-        self.K = torch.tensor(views.K[frames], dtype=torch.float32)
-        self.centres = torch.tensor(views.centres()[frames], dtype=torch.float32)
-        self.directions = {n: torch.tensor(fibonacci_sphere(n), dtype=torch.float32) for n in (FEW_DIRECTIONS, DIRECTIONS)}
+        self.cam_from_world, self.K = self._tensor(views.cam_from_world[frames]), self._tensor(views.K[frames])
+        self.centres = self._tensor(views.centres()[frames])
+        self.directions = {n: self._tensor(fibonacci_sphere(n)) for n in (FEW_DIRECTIONS, DIRECTIONS)}
         self.pixels, self.half = self._project(self.path)
-        self.patches = torch.stack([self._patch(views, f) for f in range(self.count)])
+        self.patches = torch.stack([self._patch(views, f) for f in range(self.count)]).to(self.device)
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.tensor(values, dtype=torch.float32, device=self.device)
 
     def _project(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Pixels [n, 2] of one point a frame, and half a patch in px [n]."""
@@ -125,7 +128,7 @@ class SpinSearch:
     def variance(self, omega: Tensor, offset: Tensor, first: int, last: int, directions: int = DIRECTIONS) -> Tensor:
         """[C] mean over the sphere of the variance of the colours that frames ``first`` to ``last`` see, for C turns ``omega`` [C, 3] in
         rad a frame about the path moved by ``offset`` [3]. directions: number of places on the sphere, one of the two constants."""
-        f = torch.arange(first, last + 1)
+        f = torch.arange(first, last + 1, device=self.device)
         turns = rotation_vectors((f - 0.5 * (first + last))[None, :, None] * omega[:, None])
         normal = torch.einsum("cfij,nj->cfni", turns, self.directions[directions])
         centre = self.path[f] + offset
@@ -154,12 +157,13 @@ class SpinSearch:
         if self.count < MIN_FRAMES:
             return None
         degree = np.pi / 180
-        candidates = lattice(FASTEST * degree, 5)
+        candidates = lattice(FASTEST * degree, 5).to(self.device)
         candidates = candidates[candidates.norm(dim=1) <= FASTEST * degree]
-        offsets = torch.cat([torch.zeros(1, 3), torch.eye(3), -torch.eye(3)]) * self.radius / 3
+        axes, still = torch.eye(3, device=self.device), torch.zeros(1, 3, device=self.device)
+        offsets = torch.cat([still, axes, -axes]) * self.radius / 3
         with torch.no_grad():
             trials = [(self.over_windows(candidates, offset, WINDOW, FEW_DIRECTIONS), offset) for offset in offsets]
-            resting = float(self.over_windows(torch.zeros(1, 3), offsets[0], WINDOW, FEW_DIRECTIONS))
+            resting = float(self.over_windows(still, offsets[0], WINDOW, FEW_DIRECTIONS))
         variance, offset = min(trials, key=lambda trial: float(trial[0].min()))
         if float(variance.min()) >= HOPELESS * resting:
             return None
@@ -170,15 +174,15 @@ class SpinSearch:
             half = min(3 * half, self.count // 2)
             step = 25 * degree / half
             with torch.no_grad():
-                near = omega + lattice(4 * step, 4)
+                near = omega + lattice(4 * step, 4).to(self.device)
                 omega = near[int(self.over_windows(near, offset, half).argmin())][None]
         omega, offset = self._descend(omega, offset, half)
-        still, turning = torch.zeros(1, 3), omega[:1]
+        turning = omega[:1]
         with torch.no_grad():
             gains = [float(self.over_windows(turning, offset, h) / self.over_windows(still, offset, h)) for h in (WINDOW, half)]
         if not max(gains) < ACCEPT:
             return None
-        return Spin(turning[0].numpy(), offset.numpy(), gains[-1])
+        return Spin(turning[0].cpu().numpy(), offset.cpu().numpy(), gains[-1])
 
     def _descend(self, omega: Tensor, offset: Tensor, half: int = WINDOW, steps: int = 40) -> tuple[Tensor, Tensor]:
         """The best of ``omega`` [C, 3] after gradient steps on each together with its own offset: ([1, 3], [3])."""
@@ -209,4 +213,4 @@ def rotation_vectors(v: Tensor) -> Tensor:
     zero = torch.zeros_like(v[..., 0])
     x, y, z = v.unbind(-1)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).view(*v.shape, 3)
-    return torch.eye(3) + torch.sin(angle) / angle * cross + (1 - torch.cos(angle)) / angle**2 * (cross @ cross)
+    return torch.eye(3, device=v.device) + torch.sin(angle) / angle * cross + (1 - torch.cos(angle)) / angle**2 * (cross @ cross)

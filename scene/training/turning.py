@@ -84,7 +84,7 @@ def _make_rigid(model: Model, part: Part, spin: Spin, search: SpinSearch, times:
     keys = len(nodes.rigid_parts.quats) if len(nodes.rigid_parts) else max(2, len(times) // FRAMES_PER_KEY)
     at = np.interp(np.linspace(0, 1, keys), times, np.arange(len(times)))
     turns = Rotation.from_rotvec((at - 0.5 * (len(times) - 1))[:, None] * spin.omega).as_quat()[:, [3, 0, 1, 2]]
-    path = search.path.numpy() + spin.offset
+    path = search.path.cpu().numpy() + spin.offset
     path = np.stack([np.interp(at, np.arange(len(times)), path[:, axis]) for axis in range(3)], 1)
     shifts = torch.tensor(path).float().to(device) - centre
     model.field = nodes.with_rigid_parts(nodes.rigid_parts.joined(centre, radius, torch.tensor(turns).float().to(device), shifts))

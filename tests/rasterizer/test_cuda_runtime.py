@@ -20,7 +20,6 @@ def digest(program):
     return digest_once.__wrapped__(program)
 
 
-
 @pytest.fixture
 def nvrtc():
     try:

@@ -1,5 +1,7 @@
 """Finding parts that turn too fast for gradients, on rendered balls whose turn is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +14,9 @@ from e4dgs.scene.training import turning
 from e4dgs.scene.training.spin import DIRECTIONS, FEW_DIRECTIONS, MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
 from e4dgs.scene.training.turning import FRESH, WIDER, make_turning_parts_rigid
 from e4dgs.scene.views import Views
+from pretend_cuda import pretending_cuda
 from scipy.spatial.transform import Rotation
+from simt import needs_compiler
 
 SIZE, RADIUS = 64, 0.3
 OMEGA = np.radians([4.0, 9.0, -5.0])  # a frame: 11 degrees, two fifths of a spot
@@ -70,6 +74,15 @@ def test_a_steady_turn_is_found_and_so_is_its_centre():
     # The sphere is no exact model even of this ball; what is left here is what training refines.
     assert np.degrees(np.linalg.norm(spin.omega - OMEGA)) < 1.5
     assert np.linalg.norm(spin.offset + shift) < 0.15 * RADIUS
+
+
+@needs_compiler
+def test_a_search_on_a_gpu_finds_the_same():
+    views = turning_ball(30, OMEGA)
+    want = search(views).find()
+    with pretending_cuda():
+        got = search(replace(views, device="cuda")).find()
+    assert np.allclose(got.omega, want.omega, atol=1e-3) and np.allclose(got.offset, want.offset, atol=1e-3)
 
 
 @pytest.mark.parametrize("views", [turning_ball(30, 0 * OMEGA), turning_ball(30, OMEGA, plain=True)], ids=["still", "plain"])
