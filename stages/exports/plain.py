@@ -39,8 +39,8 @@ class PlainLook:
         import torch
 
         from ...rasterizer.reference.gaussians import DILATION, PIXEL_VARIANCE
-        from ...scene.views import inside_image
         from ...scene.training.control.hidden import footprint
+        from ...scene.views import inside_image
 
         found = cls.unchanged(len(model.gaussians))
         if not model.antialiased:
