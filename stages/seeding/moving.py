@@ -8,9 +8,11 @@ neighbouring frames.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from ...scene.seeds.colours import median_colours
 from ...scene.seeds.hull import visual_hull
@@ -31,6 +33,7 @@ LEAST_AT_ONCE = 250  # seeds; so many remain for each time of a rig that has mor
 PAIRS = 60  # of frames in which the speed is measured
 FEWEST_FRAMES = 3  # least number of frames of a camera for a path, and of cameras that see a time for a hull
 HULL = 20_000  # points of a visual hull
+AT_ONCE = 4  # times of a rig whose seeds are placed at once, which bounds the memory
 MEASURED_SHARE = 0.6  # of the seeds at a time, where cameras agree on their depth
 AROUND = 3  # frames on either side over which the velocity is measured for one camera
 
@@ -86,24 +89,27 @@ def rig_seeds(
     times = np.unique(views.time[views.train])
     sequences = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) == len(times)]
     chains = [(Chain(flow, frames), frames) for frames in sequences]
-    found = []
-    for k in rows:
+
+    def at(k: int) -> MovingSeeds | None:
         frames = views.train[views.time[views.train] == times[k]]
         known = [(i, m) for i in frames if (m := mask(int(i))) is not None]
         advance(1)
         if len(known) < FEWEST_FRAMES:
-            continue
+            return None
         chosen, masks = np.array([i for i, _ in known]), [m for _, m in known]
         points, colors = on_surfaces(views, masks, chosen, most // len(rows), seed)
         if not len(points):
-            continue
+            return None
         alive = np.ones(len(points), bool)
         steps = [(d, next_positions(views, chains, k, d, points, alive)) for d in (1, -1) if 0 <= k + d < len(times) and len(chains) > 1]
         known_steps = np.stack([there for _, (_, there) in steps]) if steps else np.zeros((1, len(points)), bool)
         moved = np.stack([d * (to - points) for d, (to, _) in steps]) if steps else np.zeros((1, len(points), 3))
         velocity = (moved * known_steps[..., None]).sum(0) / np.maximum(known_steps.sum(0), 1)[:, None]
-        found.append(MovingSeeds(points, colors, velocity * per_frame(views, times, k), np.full(len(points), times[k])))
-    return join(found)
+        return MovingSeeds(points, colors, velocity * per_frame(views, times, k), np.full(len(points), times[k]))
+
+    # Beside one another, since a part of the work on one time is done by one thread.
+    with ThreadPoolExecutor(min(torch.get_num_threads(), AT_ONCE)) as pool:
+        return join([found for found in pool.map(at, rows) if found is not None])
 
 
 def on_surfaces(views: Views, masks: list[np.ndarray], frames: np.ndarray, most: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
