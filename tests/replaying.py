@@ -19,7 +19,7 @@ from sliding_gaussians import SETTINGS, fresh, make_views
 TOTAL, SIZE = 200, 48
 PHASE = Phase("moving", TOTAL, move=True)
 QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "flow_every": 8, "interval": 1e-3, "dropout": 0.2, "affine": True})
-KINDS = ("nodes", "nodes, turning", "free", "free, convexes")
+KINDS = ("nodes", "nodes, turning", "free", "free, convexes", "static")
 
 
 class Again:
@@ -43,8 +43,8 @@ def half_moves(i):
 
 def begun(what, device="cpu"):
     """A training of "nodes" on one camera with alpha, or of lives ("free") on a rig with everything that a rig has; "turning" adds a rigid
-    part to the nodes, "convexes" some of these."""
-    rig = "free" in what
+    part to the nodes, "convexes" some of these. "static": a rig in which nothing moves."""
+    rig = "nodes" not in what
     views = replace(make_views(cameras=4 if rig else 1, times=8, size=SIZE), device=device)
     depth, flow = None, None
     if rig:
@@ -62,7 +62,10 @@ def begun(what, device="cpu"):
         views = replace(views, load_alpha=lambda i: alpha, load_kept=lambda i: kept)
     model = fresh(views)
     gaussians = model.gaussians
-    if rig:
+    if what == "static":
+        model.field = None
+        gaussians.dynamic.fill_(False)
+    elif rig:
         model.field = FreeMotion(8)
         gaussians.live(torch.arange(len(gaussians)) % 8, 2.0)
         gaussians.dynamic = torch.arange(len(gaussians)) % 3 > 0
