@@ -14,6 +14,7 @@ from .state import Inputs, State, looks_of
 
 GAUSSIAN_SUMS = 10  # as in records.cuh
 CONVEX_EDGES = 7
+GAUSSIAN_GRADS, CONVEX_GRADS = ("means", "quats", "scales", "opacities", "looks"), ("points", "tau", "kappa", "opacities", "looks")
 
 
 def backward(
@@ -85,23 +86,26 @@ def _sums(
 def _backproject(
     launcher: Launcher, inputs: Inputs, state: State, sums: tuple[Tensor, Tensor], out: dict[str, Tensor], camera: bool
 ) -> Tensor:
-    """Writes the gradients into `out`. Returns the camera's gradient as rows [*, 16], still to be summed."""
-    g, c, n, m = inputs.gaussians, inputs.convexes, inputs.n, inputs.m
+    """Writes the gradients into `out`. Returns the camera's gradient as rows [*, 16], still to be summed. Nothing is launched for a kind of
+    which only the extras' gradients are wanted."""
+    g, c = inputs.gaussians, inputs.convexes
+    n, m = (
+        count if camera or any(name in out for name in (f"{kind}.{field}" for field in fields)) else 0
+        for count, kind, fields in ((inputs.n, "gaussians", GAUSSIAN_GRADS), (inputs.m, "convexes", CONVEX_GRADS))
+    )
     blocks, convex_blocks = -(-n // THREADS), -(-m // THREADS)
     rows = torch.zeros(blocks + convex_blocks if camera else 0, 16, dtype=torch.float64, device=inputs.device)
     view = (inputs.view.camera, c_int32(inputs.width), c_int32(inputs.height))
     if n:
         looks, degree = looks_of(g)
-        names = ("means", "quats", "scales", "opacities", "looks")
-        grads = [out.get(f"gaussians.{name}") for name in names]
+        grads = [out.get(f"gaussians.{name}") for name in GAUSSIAN_GRADS]
         program = programs.backproject_gaussians(degree, camera, inputs.view.antialiased)
         shape = (c_int32(n), g.means, g.quats, g.scales, g.opacities, looks, state.gaussians, state.visible, sums[0])
         launcher.launch(program, "backproject_gaussians", blocks, THREADS, *view, *shape, *grads, rows if camera else None)
     if m:
         looks, degree = looks_of(c)
-        names = ("points", "tau", "kappa", "opacities", "looks")
-        grads = [out.get(f"convexes.{name}") for name in names]
+        grads = [out.get(f"convexes.{name}") for name in CONVEX_GRADS]
         program = programs.backproject_convexes(inputs.points, degree, camera, inputs.view.antialiased)
-        shape = (c_int32(m), c.points, c.tau, c.kappa, c.opacities, looks, state.convexes, state.visible[n:], sums[1])
+        shape = (c_int32(m), c.points, c.tau, c.kappa, c.opacities, looks, state.convexes, state.visible[inputs.n :], sums[1])
         launcher.launch(program, "backproject_convexes", convex_blocks, THREADS, *view, *shape, *grads, rows[blocks:] if camera else None)
     return rows

@@ -242,3 +242,30 @@ def test_a_captured_graph_renders_what_changed_inputs_ask_for() -> None:
         torch.cuda.synchronize()
         fresh = rasterize(there.camera, there.gaussians, there.convexes, there.background, backend="cuda")
     assert torch.equal(frame.color, fresh.color)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "wanted", [("gaussians.extras", "convexes.extras"), ("convexes.points",), ("gaussians.means",), ("K", "gaussians.extras")]
+)
+def test_what_is_not_wanted_is_not_computed_and_changes_nothing(wanted: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Probes and flow want the extras' gradients alone: nothing is then projected back."""
+    scene, weights = some_scene()
+    launched = []
+
+    class Noting(Emulator):
+        def launch(self, program: Any, kernel: str, *arguments: Any) -> None:
+            launched.append(kernel)
+            super().launch(program, kernel, *arguments)
+
+    with launching("cpu", Noting()):
+        every = gradients(scene, "cuda", weights)
+        launched.clear()
+        leaves = {name: scene.tensors()[name].detach().clone().requires_grad_() for name in wanted}
+        frame = scene.having(leaves).render("cuda")
+        loss = sum((getattr(frame, name) * weight).sum() for name, weight in weights.items())
+        found = torch.autograd.grad(loss, list(leaves.values()))
+    for name, gradient in zip(leaves, found):
+        assert torch.equal(gradient, every[name]), name
+    kinds = {"gaussians": "gaussians.means" in wanted or "K" in wanted, "convexes": "convexes.points" in wanted or "K" in wanted}
+    assert {kind: f"backproject_{kind}" in launched for kind in kinds} == kinds
