@@ -16,27 +16,26 @@ from ....rasterizer import Gaussians
 
 MOST_OPAQUE = 0.999
 ROUND = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from any simple fraction of 2^64
+FACTORS = 0xBF58476D1CE4E5B9 - 2**64, 0x94D049BB133111EB - 2**64
 
 
 def keeps(dynamic: Tensor, share: float | Tensor, seed: int, step: int | Tensor) -> Tensor:
     """[N] bool: those that step ``step`` keeps. Each that is not ``dynamic`` [N] is left out with probability ``share``. It depends only
     on the numbers given, so that a resumed training leaves out the same. ``share`` and ``step`` may be tensors [] on the device of
     ``dynamic``, which a CUDA graph reads anew in each replay."""
-    row = torch.arange(len(dynamic), device=dynamic.device)
-    drawn = _mixed(_mixed(row + _times_round(step)) + _times_round(seed)) & (2**24 - 1)
-    return (drawn >= 2**24 * share) | dynamic
+    device = dynamic.device
+    # Filled in, not copied there, for which the host would wait.
+    numbers = [n if isinstance(n, Tensor) else torch.full((), n, dtype=torch.int64, device=device) for n in (step, seed)]
+    drawn = torch.arange(len(dynamic), device=device).mul_(ROUND).add_(_mixed(numbers[0] * ROUND + _mixed(numbers[1])))
+    drawn = drawn.bitwise_xor_((drawn >> 32).bitwise_and_(2**32 - 1)).mul_(FACTORS[0]) >> 40  # one round of `_mixed` will do
+    return (drawn.bitwise_and_(2**24 - 1) >= 2**24 * share) | dynamic
 
 
-def _times_round(number: int | Tensor) -> int | Tensor:
-    """``number`` times `ROUND`, of 64 bits."""
-    return number * ROUND if isinstance(number, Tensor) else (number * ROUND + 2**63) % 2**64 - 2**63
-
-
-def _mixed(numbers: Tensor) -> Tensor:
-    """``numbers`` int64, scrambled: any bit that changes changes each other one half of the time (Stafford 2011, "Better bit mixing")."""
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9 - 2**64), (27, 0x94D049BB133111EB - 2**64), (31, 1)):
-        numbers = (numbers ^ (numbers >> shift & (2 ** (64 - shift) - 1))) * factor
-    return numbers
+def _mixed(number: Tensor) -> Tensor:
+    """``number`` int64, scrambled: any bit that changes changes each other one half of the time (Stafford 2011, "Better bit mixing")."""
+    for shift, factor in zip((30, 27, 31), (*FACTORS, 1)):
+        number = (number ^ (number >> shift & (2 ** (64 - shift) - 1))) * factor
+    return number
 
 
 def thinned(gaussians: Gaussians, dynamic: Tensor, share: float | Tensor, keep: Tensor | None = None) -> Gaussians:
