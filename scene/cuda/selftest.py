@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from ...rasterizer.cuda import selftest
-from ...rasterizer.cuda.programs import backproject_convexes, needed, project_convexes
+from ...rasterizer.cuda.programs import backproject_convexes, backproject_gaussians, needed, project_convexes
 from ...rasterizer.cuda.runtime import Program, warm_up
 from ..model import Model
 from ..motion.field import DeformationField
@@ -57,6 +57,8 @@ def programs_used() -> list[Program]:
     fading = needed(6, 1, 2, True, antialiased=True), needed(6, -1, 2, antialiased=True)
     found = {one for some in (*plain, *fading) for one in some}
     found -= {project_convexes(6, 1), backproject_convexes(6, 1, False)}  # there, convexes have colours of their own
+    # Of flow, only the extras have gradients.
+    found -= {backproject_gaussians(-1, False), backproject_gaussians(-1, False, True), backproject_convexes(6, -1, False, True)}
     features = {"field": {"channels": 16, "levels": 2}, "field_backward": {"channels": 16, "levels": 2, "lines": 576}}
     features |= {name: {"links": 4, "hyper": 2} for name in ("nearest", "skinning")}
     features |= {name: {} for name in ("adam", "displace", "lives", "looks", "photometric", "smoothness")}
