@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Frame, rasterize
-from ..colour import CameraAffine
+from ..colour import CameraAffine, row_of
 from ..losses.appearance import appearance_loss
 from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
 from ..losses.measured_depth import MeasuredDepth
@@ -175,7 +175,7 @@ class Objective:
 
     def row(self, affine: CameraAffine | None, i: int) -> int | Tensor | None:
         """Row of ``affine`` in which frame ``i`` is recorded; None if there is none."""
-        return None if affine is None else affine.row(self.views.recorded_by(i))
+        return row_of(affine, self.views, i)
 
     def measured(self, i: int, height: int, width: int) -> tuple[Tensor | None, Tensor | None]:
         """Measured depth of frame ``i``, and where something moves in front of it; see `MeasuredDepth`."""

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from ....rasterizer import rasterize
+from ...colour import row_of
 from ...model import Model
 from ...primitives import ConvexSet, GaussianSet, PrimitiveSet
 from ...rotation import quats_to_matrices
@@ -60,8 +61,7 @@ def measure_responsibility(model: Model, views: Views, frames: list[int], move: 
     """Render ``frames`` and attribute their absolute error (mean over channels) to the primitives blended at each pixel."""
     sums = Sums.none(model)
     for i in frames:
-        row = None if model.affine is None else model.affine.row(views.recorded_by(i))
-        add_frame(sums, model, views, i, move, scale, row)
+        add_frame(sums, model, views, i, move, scale, row_of(model.affine, views, i))
     return responsibility(sums, len(frames), scale)
 
 

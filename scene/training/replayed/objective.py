@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ....rasterizer.rasterize import FAR_CAMERA
+from ...colour import row_of
 from ...cuda.graph import Graph, Recorded, Results
 from ...cuda.leaves import own_leaves
 from ...losses.depth_spread import BEGIN, EVERY
@@ -76,7 +77,7 @@ class ReplayedObjective:
         if not self._usable or not self._covers(model, step):
             return self.objective(model, i, step, phase, sh_degree)
         drawn = self.objective.drawn_of(i, phase.scale, step)
-        row = None if model.affine is None else model.affine.row(self.objective.views.recorded_by(i))
+        row = row_of(model.affine, self.objective.views, i)
         kind = self._kind(model, i, step, phase, sh_degree, drawn, row)
         if kind not in self._seen:
             self._seen.add(kind)

@@ -15,8 +15,6 @@ from ..drawn_tiles import Drawn
 if TYPE_CHECKING:
     from ..objective import Now, Objective
 
-CAMERA_SIZE = 9 + 16  # numbers of K and cam_from_world
-
 
 class Kind(NamedTuple):
     """What steps have in common if one graph will do for them. scale, move, sh_degree: of the phase. spread, prior, flow: whether these
@@ -26,21 +24,16 @@ class Kind(NamedTuple):
     scale: float
     move: bool
     sh_degree: int
-    spread: bool
-    prior: bool
-    flow: bool
-    edges: bool
-    target: bool
-    drawn: bool
-    measured: bool
-    recorded: bool
-    left_out: bool
-    smooth: bool
-
-    @classmethod
-    def plain(cls, scale: float, move: bool, recorded: bool) -> Kind:
-        """A render alone, without terms of a loss."""
-        return cls(scale, move, -1, False, False, False, False, False, False, False, recorded, False, False)
+    spread: bool = False
+    prior: bool = False
+    flow: bool = False
+    edges: bool = False
+    target: bool = False
+    drawn: bool = False
+    measured: bool = False
+    recorded: bool = False
+    left_out: bool = False
+    smooth: bool = False
 
 
 class OneView:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ...colour import row_of
 from ...cuda.graph import Graph, Recorded, Results
 from ...model import Model
 from ...views import Views
@@ -33,8 +34,8 @@ class ReplayedResponsibility:
         self._age, self._usable = 0, replayable(objective.views)
 
     def __call__(self, model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility:
-        rows = [None if model.affine is None else model.affine.row(views.recorded_by(i)) for i in frames]
-        kind = Kind.plain(scale, move, recorded=rows[0] is not None)
+        rows = [row_of(model.affine, views, i) for i in frames]
+        kind = Kind(scale, move, model.sh_degree, recorded=rows[0] is not None)
         covered = self._usable and model.replayable and all((row is None) == (rows[0] is None) for row in rows)
         if not covered or kind not in self._seen:
             self._seen.add(kind)
