@@ -7,6 +7,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from threading import RLock
 from typing import Literal, NamedTuple
 
 import cv2
@@ -76,6 +77,7 @@ class Views:
         default_factory=OrderedDict, repr=False
     )  # on `device`, unless that is the CPU
     _there_bytes: int = 0
+    _lock: RLock = field(default_factory=RLock, repr=False)  # of all of these: seeds at several times are coloured at once
 
     def moment(self, i: int) -> float:
         """Time of frame ``i`` in [0, 1]."""
@@ -141,13 +143,14 @@ class Views:
         if self.device == "cpu":
             return torch.from_numpy(self._image(i, scale, kind))
         key = (int(i), scale, kind)
-        if key not in self._there:
-            self._there[key] = torch.from_numpy(self._image(i, scale, kind)).to(self.device)
-            self._there_bytes += self._there[key].nbytes
-        self._there.move_to_end(key)
-        while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
-            self._there_bytes -= self._there.popitem(last=False)[1].nbytes
-        return self._there[key]
+        with self._lock:
+            if key not in self._there:
+                self._there[key] = torch.from_numpy(self._image(i, scale, kind)).to(self.device)
+                self._there_bytes += self._there[key].nbytes
+            self._there.move_to_end(key)
+            while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
+                self._there_bytes -= self._there.popitem(last=False)[1].nbytes
+            return self._there[key]
 
     def _tensor(self, i: int, scale: float, window: Window | None, kind: Kind) -> Tensor:
         there = self.stored(i, scale, kind)
@@ -172,19 +175,23 @@ class Views:
 
     def _image(self, i: int, scale: float, kind: Kind = "colour") -> np.ndarray:
         key = (int(i), scale, kind)
-        if key in self._images:
-            self._images.move_to_end(key)
-            return self._images[key]
+        with self._lock:
+            if key in self._images:
+                self._images.move_to_end(key)
+                return self._images[key]
         load = {"colour": self.load, "alpha": self.load_alpha, "kept": self.load_kept}[kind]
         assert load is not None
         image = load(int(i))
         if scale != 1.0:
             image = cv2.resize(image, self.size(scale), interpolation=cv2.INTER_AREA)
-        self._images[key] = np.require(image, requirements=["C", "W"])  # torch does not accept read-only memory
-        self._bytes += image.nbytes
-        while self._bytes > CACHE_BYTES and len(self._images) > 1:
-            self._bytes -= self._images.popitem(last=False)[1].nbytes
-        return self._images[key]
+        image = np.require(image, requirements=["C", "W"])  # torch does not accept read-only memory
+        with self._lock:
+            if key not in self._images:  # or another thread was faster
+                self._images[key] = image
+                self._bytes += image.nbytes
+            while self._bytes > CACHE_BYTES and len(self._images) > 1:
+                self._bytes -= self._images.popitem(last=False)[1].nbytes
+            return image
 
     def project(self, i: int, points: np.ndarray) -> Projected:
         """Where frame ``i``, at full size, shows ``points`` [P, 3] (world units). The result has, in order, the points that are farther

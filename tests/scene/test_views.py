@@ -1,4 +1,7 @@
-"""Posed frames as training sees them: where points of the world appear in a picture."""
+"""Posed frames as training sees them: where points of the world appear in a picture, and pictures that threads ask for at once."""
+
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -54,3 +57,17 @@ def test_what_is_behind_too_near_or_unknown_is_not_shown():
     found = views.project(0, points)
     assert found.point.tolist() == [0, 3, 6] and found.depth.tolist() == depth[[0, 3, 6]].tolist()
     assert [len(values) for values in views.project(0, np.zeros((0, 3)))] == [0, 0, 0, 0]
+
+
+def test_a_picture_that_two_threads_load_at_once_is_kept_once():
+    views, both = two_views(), Barrier(2, timeout=20)
+
+    def load(i: int) -> np.ndarray:
+        both.wait()
+        return np.full((HEIGHT, WIDTH, 3), i, np.uint8)
+
+    views.load = load
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(views.target, (1, 1)))
+    assert all(float(one.mean()) == pytest.approx(1 / 255) for one in found)
+    assert views._bytes == HEIGHT * WIDTH * 3 and len(views._images) == 1

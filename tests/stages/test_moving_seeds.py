@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from e4dgs.scene.seeds.hull import visual_hull
 from e4dgs.stages.seeding import moving
 from e4dgs.stages.seeding.depths import ANYWHERE
@@ -59,6 +60,17 @@ def test_before_a_rig_seeds_lie_on_the_ball_at_each_time(rig):
         distance = np.linalg.norm(seeds.points[row] - place(t), axis=1)
         assert row.sum() > 100 and np.median(distance) < 1.6 * RADIUS  # the hull of few cameras is larger than the ball
         assert np.median(seeds.velocities[row, 0]) == pytest.approx(speed, rel=0.25)
+
+
+def test_seeds_of_a_rig_do_not_depend_on_how_many_times_are_seeded_at_once(rig, monkeypatch):
+    flow, seen, _ = rig
+    found = []
+    for at_once in (1, 4):
+        monkeypatch.setattr(moving, "AT_ONCE", at_once)
+        monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
+        found.append(rig_seeds(flow, seen, lambda i: flow.moving(i) > 127, np.arange(TIMES), 2000, 0))
+    for one, several in zip(*found, strict=True):
+        assert np.array_equal(one, several)
 
 
 def test_before_a_rig_most_seeds_are_measured_and_the_rest_is_what_is_left_of_the_hull(rig, monkeypatch):
