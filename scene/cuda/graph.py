@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
@@ -22,6 +22,11 @@ class Recorded(Protocol):
     frames: list[Watched]
 
     def replay(self) -> None: ...
+
+
+def unchanged(now: Sequence[object], before: Sequence[object]) -> bool:
+    """Whether what a graph reads is still there: the same objects, and equal numbers, such as addresses."""
+    return len(now) == len(before) and all(a is b or (isinstance(a, int) and a == b) for a, b in zip(now, before))
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from torch import Tensor
 from ...rasterizer import Camera, Frame
 from ...rasterizer.rasterize import FAR_CAMERA
 from ...rasterizer.validate import check_camera
-from .graph import Graph
+from .graph import Graph, unchanged
 
 Draw = Callable[[Camera, float | Tensor, Tensor], Frame]
 FIELDS = ("color", "alpha", "depth", "extras", "visible_gaussians", "visible_convexes")
@@ -65,7 +65,7 @@ class Renders:
         if not self._usable or camera.K.device.type != "cpu" or far:
             return draw(camera, time, background)
         with self._one_at_a_time:
-            if len(memory) != len(self._memory) or not all(a is b or (isinstance(a, int) and a == b) for a, b in zip(memory, self._memory)):
+            if not unchanged(memory, self._memory):
                 self._known.clear()
                 self._memory = memory
             size = camera.width, camera.height, camera.near

@@ -103,7 +103,8 @@ class ReplayedObjective:
                 self._usable = False
                 self._say(f"steps are not replayed as CUDA graphs: {str(cause).splitlines()[0]}")
                 return self.objective(model, i, step, phase, sh_degree)
-        known.view.show(i, step, drawn, row)
+        else:
+            known.view.show(i, step, drawn, row)
         known.graph.replay()
         known.replays += 1
         return self._judged(known)

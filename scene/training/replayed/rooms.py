@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ...cuda.graph import unchanged
 from ...model import Model
 from ...primitives import PrimitiveSet
 from .room import Room
@@ -30,9 +31,8 @@ class Rooms:
         links = tuple(None if model.field is None else model.links(s) for s in sets)
         taken = *sets, *(s.dynamic for s in sets), *(s.dynamic._version for s in sets), *map(_place, links)
         modules = model.field, model.affine
-        same = len(taken) == len(self._taken) and all(a is b or (isinstance(a, int) and a == b) for a, b in zip(taken, self._taken))
-        same_modules = len(self._modules) > 0 and all(a is b for a, b in zip(modules, self._modules))
-        if same and same_modules:
+        same_modules = unchanged(modules, self._modules)
+        if same_modules and unchanged(taken, self._taken):
             return
         indices = tuple(model.moving(s) for s in sets)
         fits = len(self._rooms) == len(sets) and all(map(Room.fits, self._rooms, sets, indices, links))
