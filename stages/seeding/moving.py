@@ -26,10 +26,11 @@ from .objects import follow_objects
 from .scene_flow import next_positions
 
 KEYS = 24  # least number of times at which seeds are placed
-APART = 8  # frames; if these times would lie farther apart, more are used,
-WAY = 0.014  # of the image's width; for rigs also if moving pixels would move farther between them,
+APART = 8  # frames; if these times of a rig would lie farther apart, more are used,
+WAY = 0.014  # of the image's width; also if moving pixels would move farther between them,
 SLOWER = 75  # percent of the moving pixels, that is: the others are faster
 LEAST_AT_ONCE = 250  # seeds; so many remain for each time of a rig that has more than `KEYS`
+APART_ALONE = 3  # frames, the same for one camera, whose own motion is in the flow, so that it does not tell how fast things move
 PAIRS = 60  # of frames in which the speed is measured
 FEWEST_FRAMES = 3  # least number of frames of a camera for a path, and of cameras that see a time for a hull
 HULL = 20_000  # points of a visual hull
@@ -47,7 +48,7 @@ class MovingSeeds(NamedTuple):
     time: np.ndarray
 
 
-def key_times(times: np.ndarray, apart: float = APART, most: int | None = None) -> np.ndarray:
+def key_times(times: np.ndarray, apart: float, most: int | None = None) -> np.ndarray:
     """Indices into ``times`` [T] of the key times, at which seeds are placed: evenly spread, including the first and the last; about
     ``apart`` frames from one another, but at least `KEYS` and not more than ``most``."""
     count = max(KEYS, int(len(times) / apart))
@@ -145,7 +146,7 @@ def camera_seeds(
         if not known:
             continue
         usual = float(np.median(known))
-        rows = key_times(views.time[frames])
+        rows = key_times(views.time[frames], APART_ALONE)
         area = sum(int(chain.mask(k).sum()) for k in rows)
         stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(most, 1)))))
         for k in rows:

@@ -8,6 +8,7 @@ from e4dgs.stages.seeding import moving
 from e4dgs.stages.seeding.depths import ANYWHERE
 from e4dgs.stages.seeding.moving import (
     APART,
+    APART_ALONE,
     HULL,
     KEYS,
     LEAST_AT_ONCE,
@@ -44,6 +45,13 @@ def test_before_one_camera_seeds_lie_on_the_mask_and_move_with_it(tmp_path):
     expected = CAMERA + scale * (SQUARE - CAMERA)
     assert np.median(seeds.velocities[:, 0]) == pytest.approx(expected, rel=0.1)
     assert np.abs(seeds.velocities[:, 1:]).max() < 0.1
+
+
+def test_before_one_camera_seeds_lie_at_about_every_third_frame(tmp_path, monkeypatch):
+    monkeypatch.setattr(moving, "KEYS", 2)
+    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 3000)
+    assert seeds is not None and np.allclose(np.unique(seeds.time) * (FRAMES - 1), [0, 4, 8])
+    assert APART_ALONE == FRAMES // 3
 
 
 def test_before_one_camera_nothing_hidden_means_no_seeds(tmp_path):
@@ -105,7 +113,7 @@ def test_before_a_rig_without_masks_there_are_no_seeds(rig):
     ("count", "expected"), [(1, 1), (KEYS, KEYS), (KEYS + 1, KEYS), (APART * KEYS, KEYS), (APART * KEYS + APART, KEYS + 1)]
 )
 def test_key_times_reach_from_first_to_last(count, expected):
-    rows = key_times(np.linspace(0, 1, count))
+    rows = key_times(np.linspace(0, 1, count), APART)
     assert len(rows) == expected and rows[0] == 0 and rows[-1] == count - 1
 
 
