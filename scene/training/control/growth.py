@@ -80,7 +80,13 @@ class DensityControl:
         room = min(self._most(phase) - alive, MOST_FOR_ONE * self.budget - len(model.gaussians))
         if room <= 0:
             return
-        error = torch.where(bound_to_rigid_parts(model), measured.error_gaussians, 0.0) if rigid_parts_alone else measured.error_gaussians
+        error = measured.error_gaussians
+        if not self.curriculum.several:
+            # Half way between the mean error in the views of a life and that in all views. By the former, brief lives, whose few views are
+            # noisy, took nearly all that one moving camera may have, and what is static around them stayed blurred.
+            error = error * measured.life_gaussians.sqrt()
+        if rigid_parts_alone:
+            error = torch.where(bound_to_rigid_parts(model), error, 0.0)
         rounds_left = max(1, round((self.grow_until - progress) * self.total / self.every))
         wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
         chosen = choose_to_split(model.gaussians, error, min(room, wanted))
