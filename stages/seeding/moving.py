@@ -27,10 +27,10 @@ from .scene_flow import next_positions
 
 KEYS = 24  # least number of times at which seeds are placed
 APART = 8  # frames; if these times of a rig would lie farther apart, more are used,
-WAY = 0.014  # of the image's width; also if moving pixels would move farther between them,
+WAY = 0.014  # of the image's width; also if moving pixels would move farther between them
+APART_ALONE = 3  # frames, about the most between these times of one camera: its own motion is in the flow, which thus tells no speeds
 SLOWER = 75  # percent of the moving pixels, that is: the others are faster
 LEAST_AT_ONCE = 250  # seeds; so many remain for each time of a rig that has more than `KEYS`
-APART_ALONE = 3  # frames, the same for one camera, whose own motion is in the flow, so that it does not tell how fast things move
 PAIRS = 60  # of frames in which the speed is measured
 FEWEST_FRAMES = 3  # least number of frames of a camera for a path, and of cameras that see a time for a hull
 HULL = 20_000  # points of a visual hull

@@ -83,7 +83,7 @@ class DensityControl:
         error = measured.error_gaussians
         if not self.curriculum.several:
             # Half way between the mean error in the views of a life and that in all views. By the former, brief lives, whose few views are
-            # noisy, took nearly all that one moving camera may have, and what is static around them stayed blurred.
+            # noisy, took nearly all where a single camera moves, and what is static around them stayed blurred.
             error = error * measured.life_gaussians.sqrt()
         if rigid_parts_alone:
             error = torch.where(bound_to_rigid_parts(model), error, 0.0)
