@@ -1,10 +1,11 @@
-"""Which images are matched with which."""
+"""Which images are matched with which, and whether they are enlarged for features."""
 
 from __future__ import annotations
 
 EXHAUSTIVE_LIMIT = 40  # images; 780 pairs
-OVERLAP = 10  # following images that each image is matched with, besides those at distances of powers of two up to LONGEST
+OVERLAP = 4  # following images that each image is matched with, besides those at distances of powers of two up to LONGEST
 LONGEST = 64
+SMALL = 1200  # px; frames whose longer side is shorter are enlarged for features
 KEYFRAMES = 24  # images spread over a sequence that are all matched with one another, which closes loops without a vocabulary tree
 
 
@@ -25,3 +26,12 @@ def image_pairs(matcher: str, images: int, overlap: int = OVERLAP) -> list[tuple
     keys = range(0, images, stride)
     pairs |= {(a, b) for a in keys for b in keys if a < b}
     return sorted(pairs)
+
+
+def enlarged(width: int, height: int, static: bool) -> bool:
+    """Whether pictures are enlarged to twice their size for features.
+
+    In an enlarged picture, features are more and lie more exactly. A frame of a large video has enough of them, and to enlarge it would
+    take most of the time (vision/DESIGN.md).
+    """
+    return static or max(width, height) < SMALL

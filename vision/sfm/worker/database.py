@@ -5,17 +5,23 @@ Only the worker process imports this module, since it imports pycolmap.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pycolmap
 
 from ....pipeline import thread_count
+from ..pairs import enlarged
 
 Report = Callable[[str, int, int], None]  # phase, done, total
 
 EXTRACT_CHUNK = 8  # images per call; a killed run loses at most this many
 MATCH_CHUNK = 64  # pairs per call
+ENLARGED, AS_IT_IS = -1, 0  # SIFT's first octave: pictures at twice their size, or as they are
+LOOKED = 3  # images whose features are counted to decide between the two
+FEW = 2000  # features; images with fewer are enlarged whatever their size
 
 
 def write_cameras(path: Path, cameras: Sequence[pycolmap.Camera]) -> list[int]:
@@ -27,15 +33,22 @@ def write_cameras(path: Path, cameras: Sequence[pycolmap.Camera]) -> list[int]:
 
 
 def extract(
-    path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int], max_features: int, report: Report, masks: str | None = None
+    path: Path,
+    root: Path,
+    names: Sequence[str],
+    camera_ids: Sequence[int],
+    max_features: int,
+    report: Report,
+    masks: str | None = None,
+    first_octave: int = ENLARGED,
 ) -> None:
     """Extracts SIFT features of every image; `camera_ids[i]` is the camera of `names[i]`. Images that have features are skipped. masks: a
-    folder; if it has NAME.png, the image NAME gets no features where that is black."""
+    folder; if it has NAME.png, the image NAME gets no features where that is black. first_octave: `ENLARGED` or `AS_IT_IS`."""
     _register(path, root, names, camera_ids)
     with pycolmap.Database.open(path) as database:
         have = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
     options = pycolmap.FeatureExtractionOptions()
-    options.sift.max_num_features, options.num_threads = max_features, thread_count()
+    options.sift.max_num_features, options.sift.first_octave, options.num_threads = max_features, first_octave, thread_count()
     done = len(have)
     report("features", done, len(names))
     for camera in sorted(set(camera_ids)):
@@ -49,6 +62,24 @@ def extract(
             pycolmap.extract_features(path, root, chunk, pycolmap.CameraMode.SINGLE, reader, options)
             done += len(chunk)
             report("features", done, len(names))
+
+
+def first_octave(root: Path, names: Sequence[str], cameras: Sequence[pycolmap.Camera], static: bool) -> int:
+    """`ENLARGED` if the images `names` in `root` are small or have few features as they are, else `AS_IT_IS`.
+
+    cameras: one of each lens. static: the capture is photos of a static scene, which are few and are always enlarged.
+    """
+    if any(enlarged(camera.width, camera.height, static) for camera in cameras):
+        return ENLARGED
+    looked = [names[i] for i in np.unique(np.linspace(0, len(names) - 1, LOOKED).astype(int))]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "looked.db"
+        own = write_cameras(path, [pycolmap.infer_camera_from_image(root / name) for name in looked])
+        extract(path, root, looked, own, FEW, lambda *_: None, first_octave=AS_IT_IS)
+        ids = image_ids(path, looked)
+        with pycolmap.Database.open(path) as database:
+            found = [database.num_keypoints_for_image(i) for i in ids]
+    return ENLARGED if np.median(found) < FEW else AS_IT_IS
 
 
 def _register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int]) -> None:

@@ -43,7 +43,8 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
     distinct = sorted(set(groups))
     cameras = [first_camera(root / names[groups.index(g)], request) for g in distinct]
     ids = dict(zip(distinct, db.write_cameras(path, cameras), strict=True))
-    db.extract(path, root, names, [ids[g] for g in groups], int(request["max_features"]), report, request.get("keep"))
+    octave = db.first_octave(root, names, cameras, bool(request["static"]))
+    db.extract(path, root, names, [ids[g] for g in groups], int(request["max_features"]), report, request.get("keep"), octave)
     db.match(path, names, [(a, b) for a, b in request["pairs"]], seed, True, report)
     return map_database(path, request, report)
 
