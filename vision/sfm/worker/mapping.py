@@ -10,7 +10,7 @@ from typing import Any
 import pycolmap
 
 from .database import Report
-from .refine import lens_of
+from .refine import TOLERANCE, lens_of
 
 ENOUGH = 0.5  # of the images; a smaller model may have started from the wrong pair, so another first angle is tried
 MOST_MODELS = 4  # separate models that are started; if there are more, none is useful, and each takes minutes
@@ -88,6 +88,8 @@ def _options(request: dict[str, Any], fixed_lens: bool) -> pycolmap.IncrementalP
     # A full adjustment each time frames or points grow by 30 % is as accurate as one each 10 %, and adjustments take most of the time.
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
     options.ba_global_max_refinements = 3
+    # COLMAP's own tolerance is zero, so most iterations change nothing.
+    options.ba_global_function_tolerance = TOLERANCE
     options.max_num_models = MOST_MODELS
     options.min_model_size = min(options.min_model_size, max(2, len(request["names"]) // 2))
     if fixed_lens:
