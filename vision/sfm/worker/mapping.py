@@ -88,7 +88,7 @@ def _options(request: dict[str, Any], fixed_lens: bool) -> pycolmap.IncrementalP
     # A full adjustment each time frames or points grow by 30 % is as accurate as one each 10 %, and adjustments take most of the time.
     options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
     options.ba_global_max_refinements = 3
-    # COLMAP's own tolerance is zero, so most iterations change nothing.
+    # COLMAP's own tolerance is zero: it goes on when nothing changes any more.
     options.ba_global_function_tolerance = TOLERANCE
     options.max_num_models = MOST_MODELS
     options.min_model_size = min(options.min_model_size, max(2, len(request["names"]) // 2))
