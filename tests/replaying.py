@@ -8,7 +8,8 @@ from e4dgs.scene.losses.measured_depth import MeasuredDepth
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.motion.rigid_parts import RigidParts
 from e4dgs.scene.primitives import ConvexSet
-from e4dgs.scene.training.control.density import measure_responsibility, split_along_longest_axis
+from e4dgs.scene.training.control.density import measure_responsibility
+from e4dgs.scene.training.control.splits import split
 from e4dgs.scene.training.drawn_tiles import DrawnTiles
 from e4dgs.scene.training.recipe import FREE, NODES
 from e4dgs.scene.training.schedule import Phase
@@ -122,7 +123,7 @@ def agree_in_other_numbers(trainer):
     captures = trainer.replayed.captures
     before = trainer.model.gaussians
     some = torch.arange(10, device=before.device)
-    trainer.learned.replace(*split_along_longest_axis(before, some), 100)
+    trainer.learned.replace(*split(before, some), 100)
     agree(trainer, steps)
     assert len(trainer.model.gaussians) == len(before) + 10
     keep = torch.arange(len(before) - 5, device=before.device)
@@ -147,5 +148,5 @@ def agree_on_responsibility(trainer):
             assert torch.allclose(there, value, rtol=1e-4, atol=1e-6), (name, scale, some)
         if some:
             chosen = torch.arange(some, device=model.device)
-            trainer.learned.replace(*split_along_longest_axis(model.gaussians, chosen), 100)
+            trainer.learned.replace(*split(model.gaussians, chosen), 100)
     assert len(measure._frames) == 2 and not trainer.log.events

@@ -28,7 +28,7 @@ def split_first(error_of_brief: float, several: bool) -> int:
         model=Model(gaussians, ConvexSet.empty(6, 0), FreeMotion(9), 0), replace=lambda made, rows, step: replaced.append(rows)
     )
     none, phase = torch.zeros(0), Phase("deformation", STEPS)
-    found = Responsibility(torch.ones(2), none, torch.tensor([error_of_brief, 1.0]), none, torch.tensor([LIFE, 1.0]), none)
+    found = Responsibility(torch.ones(2), none, torch.tensor([error_of_brief, 1.0]), none, torch.tensor([LIFE, 1.0]), none, torch.zeros(2))
     control = DensityControl(
         learned,
         views=SimpleNamespace(),

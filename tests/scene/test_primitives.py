@@ -6,7 +6,8 @@ import torch
 from e4dgs.scene.fibonacci import fibonacci_sphere, neighbour_radius
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
-from e4dgs.scene.training.control.density import choose_to_split, keep_small, split_along_longest_axis, survivors
+from e4dgs.scene.training.control.density import keep_small, survivors
+from e4dgs.scene.training.control.splits import choose_to_split, split
 from e4dgs.scene.training.optimiser import RowAdam
 from e4dgs.scene.training.rates import exponential
 
@@ -79,7 +80,7 @@ def test_split_keeps_the_centre_and_shrinks_the_longest_axis():
     g = gaussians(4)
     with torch.no_grad():
         g.log_scales[2] = torch.tensor([-1.0, 0.5, -2.0])
-    new, source = split_along_longest_axis(g, torch.tensor([2]))
+    new, source = split(g, torch.tensor([2]))
     assert source.tolist() == [0, 1, 3, -1, -1]
     children = new.means[3:].detach()
     assert torch.allclose(children.mean(0), g.means[2].detach(), atol=1e-6)

@@ -4,7 +4,7 @@ CUDA graphs that computes again what was captured."""
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.training.control.density import split_along_longest_axis
+from e4dgs.scene.training.control.splits import split
 from e4dgs.scene.training.replayed import room
 from e4dgs.scene.training.replayed.objective import ReplayedObjective
 from e4dgs.scene.training.replayed.responsibility import ReplayedResponsibility
@@ -54,10 +54,10 @@ def test_more_than_there_is_room_for_is_captured_again(monkeypatch):
     agree(trainer, range(61, 80))
     captures = trainer.replayed.captures
     gaussians = trainer.model.gaussians
-    trainer.learned.replace(*split_along_longest_axis(gaussians, torch.arange(3)), 100)
+    trainer.learned.replace(*split(gaussians, torch.arange(3)), 100)
     agree(trainer, range(61, 80))
     assert trainer.replayed.captures == captures, "3 more leave one row that holds nothing"
-    trainer.learned.replace(*split_along_longest_axis(trainer.model.gaussians, torch.arange(1)), 101)
+    trainer.learned.replace(*split(trainer.model.gaussians, torch.arange(1)), 101)
     agree(trainer, range(61, 80))
     assert trainer.replayed.captures == 2 * captures
 

@@ -7,15 +7,17 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from ...motion.free import FreeMotion
 from ...settings import TrainingSettings
 from ...views import Views
 from ..curriculum import Curriculum
 from ..recipe import Recipe
 from ..schedule import Phase
 from ..turning import bound_to_rigid_parts
-from .density import Measure, choose_to_split, measure_responsibility, split_along_longest_axis, survivors
+from .density import Measure, Responsibility, measure_responsibility, survivors
 from .hidden import seen_share
 from .learned_model import LearnedModel
+from .splits import choose_to_split, split
 
 FIRST_ROUND = 200  # no round before this step
 DENSIFY_EVERY = 100
@@ -23,6 +25,7 @@ PROBE_VIEWS, FINAL_VIEWS = 16, 120  # views whose error decides where to grow; v
 MOST_FOR_ONE = 4  # maximum ratio of all Gaussians to the budget, which limits those present at one time
 SMALL_SHARE = 0.6  # of the budget, while a rig trains on small images: its cameras together see more than one image shows
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot distinguish more Gaussians
+IN_TIME_FROM, IN_TIME = 0.2, 0.2  # from this share of training on, a Gaussian is split in time if more of its error than this changes sign
 
 
 class DensityControl:
@@ -90,7 +93,15 @@ class DensityControl:
         rounds_left = max(1, round((self.grow_until - progress) * self.total / self.every))
         wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
         chosen = choose_to_split(model.gaussians, error, min(room, wanted))
-        self.learned.replace(*split_along_longest_axis(model.gaussians, chosen), step)
+        in_time = self._changing(measured, progress)[chosen]
+        times = model.field.times if isinstance(model.field, FreeMotion) else 1
+        self.learned.replace(*split(model.gaussians, chosen[~in_time], chosen[in_time], times), step)
+
+    def _changing(self, measured: Responsibility, progress: float) -> Tensor:
+        """[N] bool, Gaussians that should look different at some times of their lives: no split in space can mend that. None in a rig,
+        where views of one time differ as well, so that the measured share says less."""
+        changing = measured.varying_gaussians > IN_TIME
+        return changing if progress > IN_TIME_FROM and not self.curriculum.several else torch.zeros_like(changing)
 
     def _most(self, phase: Phase) -> int:
         """The maximum number of Gaussians that the images of ``phase`` allow."""
