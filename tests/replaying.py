@@ -145,7 +145,8 @@ def agree_on_responsibility(trainer):
         for name, value in vars(want).items():
             there = getattr(got, name)
             assert there.shape == value.shape and torch.equal(torch.isinf(there), torch.isinf(value)), name
-            assert torch.allclose(there, value, rtol=1e-4, atol=1e-6), (name, scale, some)
+            atol = 1e-4 if name == "varying_gaussians" else 1e-6  # the former is a difference of sums that may be nearly equal
+            assert torch.allclose(there, value, rtol=1e-4, atol=atol), (name, scale, some)
         if some:
             chosen = torch.arange(some, device=model.device)
             trainer.learned.replace(*split(model.gaussians, chosen), 100)
