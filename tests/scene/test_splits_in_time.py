@@ -1,4 +1,4 @@
-"""A Gaussian that stays, where the images change: it is split into two lives."""
+"""A Gaussian that is too bright at some times and too dark at others: it is split into two lives."""
 
 from types import SimpleNamespace
 
@@ -84,12 +84,14 @@ def test_the_halves_of_a_life_stay_on_its_course():
         parent.spins[:] = torch.tensor([0.0, 0.3, 0.1])
     (early, late), motion = into_lives(parent, times=40), FreeMotion(40)
     assert early.times.item() < 4 < late.times.item() and early.log_spans.item() < parent.log_spans.item()
+    both = GaussianSet.joined([early, late])
+    assert present(both, 4.0) == pytest.approx(present(parent, 4.0), abs=0.02)
     for frame in (2.0, 4.0, 7.0):
         place, turned, _ = motion.alive(parent, frame / 39)
         for half in (early, late):
             there, there_turned, _ = motion.alive(half, frame / 39)
             assert torch.allclose(there, place, atol=1e-5) and torch.allclose(there_turned, turned, atol=1e-5)
-        assert present(GaussianSet.joined([early, late]), frame) == pytest.approx(present(parent, frame), abs=0.21)
+        assert present(both, frame) == pytest.approx(present(parent, frame), abs=0.21)
 
 
 def round_of(share: float, step: int = 700, dynamic: bool = False, several: bool = False) -> GaussianSet:
