@@ -25,7 +25,7 @@ PROBE_VIEWS, FINAL_VIEWS = 16, 120  # views whose error decides where to grow; v
 MOST_FOR_ONE = 4  # maximum ratio of all Gaussians to the budget, which limits those present at one time
 SMALL_SHARE = 0.6  # of the budget, while a rig trains on small images: its cameras together see more than one image shows
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot distinguish more Gaussians
-IN_TIME_FROM, IN_TIME = 0.2, 0.2  # from this share of training on, a Gaussian is split in time if more of its error than this changes sign
+IN_TIME_FROM, IN_TIME = 0.2, 0.1  # from this share of training on, a Gaussian is split in time if more of its error than this changes sign
 
 
 class DensityControl:
