@@ -19,7 +19,7 @@ from .facts import Facts
 
 
 class FramesSettings(Settings):
-    """How the capture is read. The names match the arguments of `captures.recognise`."""
+    """How the capture is read. All names but ``watermark`` match the arguments of `captures.recognise`."""
 
     format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "images", "video", "videos"] | None = Field(
         None, description="format of the capture; recognised from the files if it is not given"
@@ -40,11 +40,12 @@ class FramesSettings(Settings):
         "auto",
         description="how the clocks of several videos are aligned; auto: by sound if that is clear for all of them, else by first frames",
     )
+    watermark: bool = Field(True, description="ignore what stands still in the pictures of a camera that moves, such as a logo")
 
 
 def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None = None) -> Capture:
     """`captures.recognise` with these settings. heard: folder that caches the sound envelopes of long videos. Raises `CaptureError`."""
-    return recognise(path, **settings.model_dump(), heard=heard)
+    return recognise(path, **settings.model_dump(exclude={"watermark"}), heard=heard)
 
 
 class Frames(Stage):

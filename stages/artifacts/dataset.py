@@ -46,7 +46,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
         load=frames.composited,
         background=BACKGROUNDS[frames.background] if model is None else model.background,
         load_alpha=(lambda i: np.ascontiguousarray(frames.image(i)[..., 3])) if frames.alpha else None,
-        load_kept=None if frames.keep_files is None else kept_pixels(frames),
+        load_kept=kept_pixels(frames) if frames.masked else None,
         load_moving=stored.moving if stored is not None and stored.has_moving and stored.has_ever_moving else None,
         stored_edges=stored.edges if stored is not None and stored.has_edges else None,
         recorder=np.arange(len(frames.time)) if are_photos(frames) else None,
@@ -56,7 +56,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
 
 
 def kept_pixels(frames: FrameSet) -> Callable[[int], np.ndarray]:
-    """A function that returns a frame's mask, uint8 [H, W]: 255 where pixels count, 0 where the capture's masks exclude them."""
+    """A function that returns a frame's mask, uint8 [H, W]: 255 where pixels count, 0 where a mask excludes them."""
 
     def of_frame(i: int) -> np.ndarray:
         kept = frames.kept(i)

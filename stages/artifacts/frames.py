@@ -54,6 +54,7 @@ class StoredFrames:
     lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the distorted pictures; None if equal to K
     fisheye: np.ndarray | None = None  # [F] uint8, 1: OpenCV's fisheye model; None if no lens is a fisheye
     crop: np.ndarray | None = None  # [F, 4] int32 px: left, top, width, height of the part shown of each; None if all have one size
+    watermark: np.ndarray | None = None  # [H, W] uint8, 255: a watermark of all pictures, which are distorted here; None if there is none
     points: np.ndarray | None = None  # [P, 3] float64, world units
     point_colors: np.ndarray | None = None  # [P, 3] uint8; present if points are
     files: Sequence[str] | None = None  # [F], relative to the capture; None if pictures are decoded from videos
@@ -82,6 +83,8 @@ class StoredFrames:
             out.write("fisheye", self.fisheye, doc="1: the lens is OpenCV's fisheye model")
         if self.crop is not None:
             out.write("crop", self.crop, unit="px", doc="left, top, width, height of the part of each stored picture that is shown")
+        if self.watermark is not None:
+            out.write("watermark", self.watermark, doc="255: stands still in all pictures, such as a logo, and is ignored")
         if self.points is not None and self.point_colors is not None:
             out.write("points", self.points, unit="world", doc="points of the capture's files")
             out.write("point_colors", self.point_colors, doc="RGB of points")
@@ -112,6 +115,7 @@ class StoredFrames:
             lens_K=there("lens_K"),
             fisheye=there("fisheye"),
             crop=there("crop"),
+            watermark=there("watermark"),
             points=there("points"),
             point_colors=there("point_colors"),
             files=attrs.get("files"),

@@ -28,6 +28,8 @@ class FrameSet:
     cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
     every_time: every so many-th time trains, and the pictures of the same cameras at the other times are test; 1 if all times train.
+    watermark: [H,W] uint8, 255 where something stands still in all distorted pictures, such as a logo; None if nothing does.
+    masked: whether some pixels do not count, so that `kept` may return a mask.
     files, upright: the image files, and whether they are rotated as their EXIF data ask; crop [F,4] px, or None if all pictures are shown
     whole.
     fixed_cameras: several cameras that do not move, according to the files or structure from motion.
@@ -45,6 +47,8 @@ class FrameSet:
         self.names, self.files = stored.names, stored.files
         self.mask_files, self.keep_files = stored.mask_files, stored.keep_files
         self.keep_turns = stored.keep_turns or [1] * len(self.names)
+        self.watermark = stored.watermark
+        self.masked = self.keep_files is not None or self.watermark is not None
         self.K_hint = stored.K_hint
         self.camera, self.time, self.seconds = stored.camera, stored.time, stored.seconds
         self.split, self.next, self.crop = stored.split, stored.next, stored.crop
@@ -111,14 +115,19 @@ class FrameSet:
         return None if name is None else self._fitted(i, pictures.read_mask(self.root, name))
 
     def kept(self, i: int) -> np.ndarray | None:
-        """Pixels of frame i that count, bool [H,W], undistorted like the image; None if the capture has no mask, so that all count. A pixel
-        that is partly excluded does not count."""
+        """Pixels of frame i that count, bool [H,W], undistorted like the image; None if all do, since it has no mask and no watermark. A
+        pixel that is partly excluded does not count."""
         name = self.keep_files[i] if self.keep_files is not None else None
-        return None if name is None else self._fitted(i, pictures.read_keep(self.root, name, self.keep_turns[i])) >= WHOLLY
+        masks = [] if name is None else [self._fitted(i, pictures.read_keep(self.root, name, self.keep_turns[i]))]
+        if self.watermark is not None:
+            masks.append(self._undistorted(i, 255 - self.watermark))
+        return None if not masks else np.asarray(np.logical_and.reduce([mask >= WHOLLY for mask in masks]))
 
     def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
         """A mask of frame i, scaled, cropped and undistorted like its image."""
-        mask = pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i])
+        return self._undistorted(i, pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i]))
+
+    def _undistorted(self, i: int, mask: np.ndarray) -> np.ndarray:
         maps = self.undistortion(i)
         return mask if maps is None else pictures.undistort(mask, maps)
 

@@ -11,20 +11,22 @@ from ..captures import Capture
 from ..facts import Facts
 from .pictures import check_pictures
 from .videos import decode_videos
+from .watermark import watermark_of
 
 
 def decode_capture(capture: Capture, ctx: Context) -> None:
     """Decodes videos into the artifact. Image files are decoded only to check that they are intact."""
     for note in capture.notes:
         ctx.log(note)
+    decoded = None
     if capture.images is None:
-        decode_videos(capture, ctx)
+        decoded = decode_videos(capture, ctx)
     else:
         check_pictures(capture, ctx)
-    _write(capture, ctx)
+    _write(capture, ctx, watermark_of(capture, ctx, decoded))
 
 
-def _write(capture: Capture, ctx: Context) -> None:
+def _write(capture: Capture, ctx: Context, watermark: np.ndarray | None) -> None:
     """Writes the metadata of every frame."""
     K = None
     if capture.K is not None and capture.distortion is not None:
@@ -44,6 +46,7 @@ def _write(capture: Capture, ctx: Context) -> None:
         lens_K=capture.K if K is not None and (K != capture.K).any() else None,
         fisheye=None if K is None else capture.fisheye,
         crop=capture.crop,
+        watermark=watermark,
         points=capture.points,
         point_colors=capture.point_colors,
         files=capture.images,

@@ -22,8 +22,9 @@ def video_parts(capture: Capture, given: Given) -> list[Any]:
     return [[given.digests[v.file], list(v.taken), v.total, *size, crop] for v, crop in zip(capture.videos, crops, strict=True)]
 
 
-def decode_videos(capture: Capture, ctx: Context) -> None:
-    """Writes the pictures of every video, and which rows belong to which video, so that later results can reuse them."""
+def decode_videos(capture: Capture, ctx: Context) -> zarr.Array:
+    """Writes the pictures of every video, and which rows belong to which video, so that later results can reuse them. Returns the pictures,
+    [F, H, W, 3] uint8."""
     facts = Facts.of(capture.facts)
     images = create_images(ctx.out, facts.frames, facts.height, facts.width)
     taken = 0
@@ -40,6 +41,7 @@ def decode_videos(capture: Capture, ctx: Context) -> None:
     if taken:
         ctx.log(f"{taken} of {len(capture.videos)} cameras as decoded before")
     write_videos(ctx.out, [(video.start, len(video.taken)) for video in capture.videos])
+    return images
 
 
 def _taken_over(ctx: Context, number: int, video: Video, images: zarr.Array) -> bool:

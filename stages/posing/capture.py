@@ -36,7 +36,7 @@ def pose_capture(ctx: Context) -> None:
         "names": [] if several else write_images(ctx, frames),
         "cameras": lens_groups(frames),
         "K_hint": None if hint is None else np.asarray(hint, np.float64).reshape(3, 3).tolist(),
-        "keep": None if frames.keep_files is None else str(write_masks(ctx, frames)),
+        "keep": str(write_masks(ctx, frames)) if frames.masked else None,
         "width": frames.width,
         "height": frames.height,
         "camera_model": settings.camera_model,

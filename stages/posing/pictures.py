@@ -41,7 +41,7 @@ def write_images(ctx: Context, frames: FrameSet) -> list[str]:
     folder = picture_folder(ctx)
     names: list[str] = []
     # COLMAP reads files as they are stored: it does not rotate, crop or composite them. Masks need pictures of the frames' size.
-    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None and frames.keep_files is None
+    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None and not frames.masked
     with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):
             suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
