@@ -48,7 +48,7 @@ def evaluate(ctx: Context) -> None:
                 bar.advance(1, f"{rows[-1]['psnr']:.1f} dB")
             for i in worst_and_others(rows, ctx.settings.max_views) if split in views else ():
                 row, frame, truth = judge.view(i)
-                book.add_view(split, frames.names[i], float(frames.time[i]), truth, frame, row)
+                book.add_view(split, frames.names[i], float(frames.time[i]), truth, frame, row, judge.kept(i))
             splits[split] = {**means(rows), **lpips_facts, "frames": len(rows), "per_view": rows}
             if lpips is not None:
                 splits[split].pop("lpips_reason", None)

@@ -55,7 +55,7 @@ class Judge:
         picture = self.frames.composited(i)
         truth = picture.astype(np.float64) / 255.0
         color, frame = self.render(i)
-        kept = self._kept(i)
+        kept = self.kept(i)
         if kept is not None:  # since windows of metrics reach into pixels that do not count
             color = np.where(kept[..., None], color, truth).astype(np.float32)
         row: dict[str, Any] = {
@@ -88,7 +88,7 @@ class Judge:
         if not median.size:
             return {"psnr_moving": None, "psnr_static": None}
         moving = cv2.dilate((np.abs(truth - median).max(-1) > MOVING_DIFFERENCE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        kept = self._kept(i)
+        kept = self.kept(i)
         both = {"psnr_moving": moving, "psnr_static": ~moving}
         both = both if kept is None else {name: mask & kept for name, mask in both.items()}
         return {name: psnr(color, truth, mask) if mask.any() else None for name, mask in both.items()}
@@ -102,14 +102,14 @@ class Judge:
         other = OTHER[self.frames.background]
         behind = 1.0 if other == "white" else -1.0
         on_other = (frame.color.numpy() + behind * (1 - frame.alpha.numpy()[..., None])).clip(0, 1)
-        kept = self._kept(i)
+        kept = self.kept(i)
         filled = filled if kept is None else filled & kept
         return {
             "psnr_foreground": psnr(color, truth, filled) if filled.any() else None,
             "psnr_other_background": psnr(on_other, composite(picture, other) / 255.0, kept),
         }
 
-    def _kept(self, i: int) -> np.ndarray | None:
+    def kept(self, i: int) -> np.ndarray | None:
         """[H, W] bool, the pixels of frame i that are measured; None for all, also if the mask leaves no pixel."""
         kept = self.frames.kept(i)
         return kept if kept is not None and kept.any() else None

@@ -27,14 +27,17 @@ class PictureBook:
         """``picture``: uint8 [H, W, 3] RGB, scaled down to a longest side of ``size`` px."""
         self.stored.files[name] = encode_png(scaled(picture, size))
 
-    def add_view(self, split: str, name: str, time: float, truth: np.ndarray, frame: Frame, row: dict[str, Any]) -> None:
-        """Adds the ground truth ``truth``, uint8 [H, W, 3], the render, their difference, the edges of both, and the depth."""
+    def add_view(
+        self, split: str, name: str, time: float, truth: np.ndarray, frame: Frame, row: dict[str, Any], kept: np.ndarray | None = None
+    ) -> None:
+        """Adds the ground truth ``truth``, uint8 [H, W, 3], the render, their difference where it is measured (``kept`` [H, W] bool, None:
+        everywhere), the edges of both, and the depth."""
         color = frame.color.clamp(0, 1).numpy()
         stem = f"{split}/{row['frame']}"
         shown = [scaled(picture, self.size) for picture in (truth, to_bytes(color))]
         self.add(f"{stem}/truth", shown[0], self.size)
         self.add(f"{stem}/render", shown[1], self.size)
-        self.add(f"{stem}/error", error_picture(color, truth), self.size)
+        self.add(f"{stem}/error", error_picture(color, truth, kept), self.size)
         self.add(f"{stem}/edges", edges_picture(shown[1], shown[0]), self.size)
         self.add(f"{stem}/depth", depth_picture(frame.depth.numpy(), frame.alpha.numpy()), self.size)
         self.stored.views.append({"stem": stem, "split": split, "name": name, "time": time, "psnr": row["psnr"], "ssim": row["ssim"]})
@@ -62,9 +65,11 @@ def to_bytes(color: np.ndarray) -> np.ndarray:
     return np.rint(np.clip(color, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def error_picture(color: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Mean absolute difference over channels, times `ERROR_GAIN`, as colours from dark to bright: uint8 [H, W, 3] RGB."""
+def error_picture(color: np.ndarray, truth: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
+    """Mean absolute difference over channels, times `ERROR_GAIN`, as colours from dark to bright: uint8 [H, W, 3] RGB. It is zero where not
+    ``kept`` [H, W] bool."""
     error = np.abs(color - truth.astype(np.float32) / 255.0).mean(-1)
+    error = error if kept is None else np.where(kept, error, 0.0)
     scaled = to_bytes(ERROR_GAIN * error)
     return np.ascontiguousarray(cv2.applyColorMap(scaled, cv2.COLORMAP_INFERNO)[..., ::-1])
 

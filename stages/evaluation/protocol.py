@@ -45,6 +45,10 @@ def protocol(
         "motion (Farneback), where it is above 0.5 px; flow: tOF in px",
         "notes": list(notes),
     }
+    if frames.watermark is not None:
+        result["watermark"] = (
+            f"{float((frames.watermark > 0).mean()):.2%} of each picture stands still while the camera moves and is left out"
+        )
     if frames.every_time > 1:
         result["times"] = (
             f"frames.every_time={frames.every_time}; test: training cameras at the times left out; val: what the files hold out"

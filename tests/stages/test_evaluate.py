@@ -364,6 +364,9 @@ def test_error_and_depth_pictures():
     color[4:] = 0.3
     error = error_picture(color, truth).astype(int).sum(-1)
     assert error[0, 0] < 20 < error[7, 7]
+    kept = np.ones((8, 8), bool)
+    kept[7] = False
+    assert (error_picture(color, truth, kept).astype(int).sum(-1)[7] == error[0, 0]).all(), "pixels that are not measured have no error"
     depth = np.full((8, 8), 2.0)
     depth[:, 4:] = 6.0
     alpha = np.ones((8, 8))
