@@ -48,14 +48,14 @@ def find_watermark(pictures: Sequence[np.ndarray]) -> np.ndarray | None:
         found[rows, columns] = 1
     if not 0 < found.mean() <= LARGEST:
         return None
-    return cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    return np.asarray(cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
 
 
 def _gradient(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Gradient of the picture's grey levels at ``size`` (width, height), int8 [h, w, 2], levels per px."""
     grey = cv2.cvtColor(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(np.float32)
-    grey = cv2.GaussianBlur(grey, (0, 0), BLUR)
-    both = [cv2.Sobel(grey, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1))]  # the kernel's weights sum to 8 on either side
+    smooth = cv2.GaussianBlur(grey, (0, 0), BLUR)
+    both = [cv2.Sobel(smooth, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1))]  # the kernel's weights sum to 8 on either side
     return np.stack([np.rint(one.clip(-127, 127)) for one in both], -1).astype(np.int8)
 
 
@@ -76,7 +76,7 @@ def _find_edges(gradients: np.ndarray) -> _Edges:
     steady, faint = np.zeros(shape[:2], bool), np.zeros(shape[:2], bool)
     for one in gradients.astype(np.float32):
         mean += one / len(gradients)
-        count += np.count_nonzero(np.square(one).sum(-1) >= EDGE**2)
+        count += int(np.count_nonzero(np.square(one).sum(-1) >= EDGE**2))
     rows, columns = np.nonzero(np.linalg.norm(mean, axis=-1) >= 0.5 * FAINT_EDGE)  # the others are not steady, and a mean is quick
     for start in range(0, len(rows), BATCH):
         at = rows[start : start + BATCH], columns[start : start + BATCH]
@@ -96,7 +96,7 @@ def _boxes(edges: _Edges) -> Iterator[tuple[slice, slice]]:
     count, label, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(joined[reach:-reach, reach:-reach]))
     for group in range(1, count):
         left, top, across, down, _ = (int(v) for v in stats[group])
-        box = tuple(slice(max(first - MARGIN, 0), first + extent + MARGIN) for first, extent in ((top, down), (left, across)))
+        box = slice(max(top - MARGIN, 0), top + down + MARGIN), slice(max(left - MARGIN, 0), left + across + MARGIN)
         near = [part.stop <= BORDER * side or part.start >= (1 - BORDER) * side for part, side in zip(box, label.shape, strict=True)]
         mine = edges.gradient[(label == group) & edges.steady]
         low, high = np.linalg.eigvalsh(mine.T @ mine)
