@@ -33,7 +33,7 @@ def watermark_of(capture: Capture, ctx: Context, decoded: zarr.Array | None) -> 
         assert capture.images is not None
         return resize(read_picture(capture.root, capture.images[i], facts.upright), facts.width, facts.height)
 
-    found = find_watermark([picture(i) for i in chosen])
+    found = find_watermark(picture(i) for i in chosen)
     if found is None:
         return None
     ctx.log(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import cv2
@@ -29,21 +29,22 @@ def sampled(count: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(0, count - 1, PICTURES).round())] if count >= LEAST_PICTURES else []
 
 
-def find_watermark(pictures: Sequence[np.ndarray]) -> np.ndarray | None:
-    """[H, W] bool, the boxes of the watermarks in ``pictures``, uint8 [H, W, 3] RGB of one camera. None if there are none, or if it cannot
-    be told because the camera hardly moves.
+def find_watermark(pictures: Iterable[np.ndarray]) -> np.ndarray | None:
+    """[H, W] bool, the boxes of the watermarks in ``pictures``, uint8 [H, W, 3] RGB of one camera, one of which is needed at a
+    time. None if there are none, or if it cannot be told: the pictures are too few, or the camera hardly moves.
 
     A watermark is a small group of edges near the border, in more than one direction, whose gradients are the same in nearly all pictures.
     """
-    if len(pictures) < LEAST_PICTURES:
+    gradients, height, width = [], 0, 0
+    for picture in pictures:
+        height, width = picture.shape[:2]
+        gradients.append(_gradient(picture))
+    if len(gradients) < LEAST_PICTURES:
         return None
-    height, width = pictures[0].shape[:2]
-    scale = min(1.0, LONGEST / max(height, width))
-    size = max(1, round(scale * width)), max(1, round(scale * height))
-    edges = _find_edges(np.stack([_gradient(picture, size) for picture in pictures]))
+    edges = _find_edges(np.stack(gradients))
     if edges.share > STILL:
         return None
-    found = np.zeros(size[::-1], np.uint8)
+    found = np.zeros(edges.steady.shape, np.uint8)
     for rows, columns in _boxes(edges):
         found[rows, columns] = 1
     if not 0 < found.mean() <= LARGEST:
@@ -51,8 +52,11 @@ def find_watermark(pictures: Sequence[np.ndarray]) -> np.ndarray | None:
     return np.asarray(cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
 
 
-def _gradient(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Gradient of the picture's grey levels at ``size`` (width, height), int8 [h, w, 2], levels per px."""
+def _gradient(picture: np.ndarray) -> np.ndarray:
+    """Gradient of the picture's grey levels, int8 [h, w, 2], levels per px, after scaling it down to at most `LONGEST`."""
+    height, width = picture.shape[:2]
+    scale = min(1.0, LONGEST / max(height, width))
+    size = max(1, round(scale * width)), max(1, round(scale * height))
     grey = cv2.cvtColor(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(np.float32)
     smooth = cv2.GaussianBlur(grey, (0, 0), BLUR)
     both = [cv2.Sobel(smooth, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1))]  # the kernel's weights sum to 8 on either side
@@ -74,9 +78,9 @@ def _find_edges(gradients: np.ndarray) -> _Edges:
     shape = gradients.shape[1:]
     median, mean, count = np.zeros(shape, np.float32), np.zeros(shape, np.float32), 0
     steady, faint = np.zeros(shape[:2], bool), np.zeros(shape[:2], bool)
-    for one in gradients.astype(np.float32):
-        mean += one / len(gradients)
-        count += int(np.count_nonzero(np.square(one).sum(-1) >= EDGE**2))
+    for one in gradients:
+        mean += one / np.float32(len(gradients))
+        count += int(np.count_nonzero(np.square(one, dtype=np.float32).sum(-1) >= EDGE**2))
     rows, columns = np.nonzero(np.linalg.norm(mean, axis=-1) >= 0.5 * FAINT_EDGE)  # the others are not steady, and a mean is quick
     for start in range(0, len(rows), BATCH):
         at = rows[start : start + BATCH], columns[start : start + BATCH]
