@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
+from functools import cache
 from typing import Any, Literal, TypeVar
 
 import torch
@@ -17,6 +18,7 @@ Owner = TypeVar("Owner", Camera, Gaussians, Convexes)
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
 POINTS = (3, 8)
+FLOATS = (torch.float32, torch.float64)
 FAR_CAMERA = 1e3  # world units; beyond this, float32 coordinates are off by more than a hundredth of a pixel, so the scene is recentred
 
 
@@ -119,9 +121,10 @@ def _check(name: str, value: object, shape: tuple[int | None, ...], device: torc
     """Raise unless the value is a float32 or float64 tensor of this shape (None: any length) on this device (None: any)."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
-    if value.dtype not in (torch.float32, torch.float64):
+    if value.dtype not in FLOATS:
         raise TypeError(f"{name} must be float32 or float64, got {value.dtype}")
-    if value.dim() != len(shape) or any(want is not None and got != want for got, want in zip(value.shape, shape)):
+    given = value.shape
+    if given != shape and (len(given) != len(shape) or any(want is not None and got != want for got, want in zip(given, shape))):
         wanted = ", ".join("*" if n is None else str(n) for n in shape)
         raise ValueError(f"{name} must have shape [{wanted}], got {list(value.shape)}")
     if device is not None and value.device != device:
@@ -155,11 +158,10 @@ def _device_of(camera: Camera, gaussians: Gaussians | None, convexes: Convexes |
 
 
 def _check_device(owner: Gaussians | Convexes, device: torch.device) -> None:
-    for field in fields(owner):
-        value = getattr(owner, field.name)
+    for name, value in vars(owner).items():
         if value is not None and value.device != device:
             kind = type(owner).__name__.lower()
-            raise ValueError(f"{kind}.{field.name} is on {value.device}, but camera.K is on {device}; all tensors must be on one device")
+            raise ValueError(f"{kind}.{name} is on {value.device}, but camera.K is on {device}; all tensors must be on one device")
 
 
 def _check_gaussians(gaussians: Gaussians) -> None:
@@ -208,20 +210,24 @@ def _pad_extras(gaussians: Gaussians, convexes: Convexes) -> tuple[Gaussians, Co
         return gaussians, convexes
     width = ours.shape[1] if ours is not None else theirs.shape[1] if theirs is not None else 0
     if ours is None:
-        gaussians = replace(gaussians, extras=gaussians.means.new_zeros(gaussians.means.shape[0], width))
+        gaussians = Gaussians(**vars(gaussians) | {"extras": gaussians.means.new_zeros(gaussians.means.shape[0], width)})
     if theirs is None:
-        convexes = replace(convexes, extras=convexes.points.new_zeros(convexes.points.shape[0], width))
+        convexes = Convexes(**vars(convexes) | {"extras": convexes.points.new_zeros(convexes.points.shape[0], width)})
     return gaussians, convexes
 
 
+@cache  # a frame of few primitives takes hardly longer than this
 def _no_gaussians(dtype: torch.dtype, device: torch.device) -> Gaussians:
-    none = torch.zeros(0, dtype=dtype, device=device)
-    return Gaussians(none.view(0, 3), none.view(0, 4), none.view(0, 3), none, colors=none.view(0, 3))
+    with torch.inference_mode(False):  # a later frame may need gradients
+        none = torch.zeros(0, dtype=dtype, device=device)
+        return Gaussians(none.view(0, 3), none.view(0, 4), none.view(0, 3), none, colors=none.view(0, 3))
 
 
+@cache
 def _no_convexes(dtype: torch.dtype, device: torch.device) -> Convexes:
-    none = torch.zeros(0, dtype=dtype, device=device)
-    return Convexes(none.view(0, POINTS[0], 3), none, none, none, colors=none.view(0, 3))
+    with torch.inference_mode(False):
+        none = torch.zeros(0, dtype=dtype, device=device)
+        return Convexes(none.view(0, POINTS[0], 3), none, none, none, colors=none.view(0, 3))
 
 
 def _cast(owner: Owner, dtype: torch.dtype) -> Owner:

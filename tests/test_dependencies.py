@@ -19,7 +19,6 @@ EXTRAS = {extra: [Requirement(line) for line in lines] for extra, lines in PROJE
 DEV = EXTRAS.pop("dev")
 MODULES = {  # what a distribution is imported as, where that is not its own name
     "cuda-bindings": "cuda.bindings",
-    "cuda-core": "cuda.core",
     "cuda-pathfinder": "cuda.pathfinder",
     "open3d-cpu": "open3d",
     "opencv-contrib-python-headless": "cv2",

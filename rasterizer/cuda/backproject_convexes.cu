@@ -7,13 +7,14 @@
 
 using namespace e4dgs;
 
-// sums: see kConvexSums. Gradients may be null; every row of the others is written. camera_rows [blocks, 16].
+// sums, records: of each slot; see kConvexSums. Gradients may be null; every row of the others is written. camera_rows [blocks, 16].
 extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
     backproject_convexes(const double* camera, int width, int height, int n, const float* points, const float* taus, const float* kappas,
-                         const float* opacities, const float* looks, const ConvexRecord* records, const uint8* visible, const float* sums, float* dpoints,
+                         const float* opacities, const float* looks, const ConvexRecord* records, const int* slots, const uint8* visible, const float* sums, float* dpoints,
                          float* dtaus, float* dkappas, float* dopacities, float* dlooks, double* camera_rows) {
     const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
-    const bool blended = i < n && visible[i];
+    const int slot = i < n && visible[i] ? slots[i] : -1;
+    const bool blended = slot >= 0;
     if (i < n && !blended) {
         write_zeros(dpoints, i, 3 * POINTS), write_zeros(dtaus, i, 1), write_zeros(dkappas, i, 1), write_zeros(dopacities, i, 1);
         write_zeros(dlooks, i, kLooks);
@@ -21,7 +22,7 @@ extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
     CameraPart part = no_camera_part();
     if (blended) {
         const Camera<double> cam = camera_of(camera, width, height);
-        const float *corners = points + 3 * POINTS * int64(i), *sum = sums + kConvexSums * int64(i);
+        const float *corners = points + 3 * POINTS * int64(i), *sum = sums + kConvexSums * int64(slot);
         ConvexView<double> view;
         see_convex(cam, corners, view);
         const double tau = taus[i], drho = -kLn2 * sum[5];  // E = 2^(rho lse), alpha = opacity / (1 + E)
@@ -41,7 +42,7 @@ extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
             gA[e] = -kLn2 * rho * edge[0], gB[e] = -kLn2 * rho * edge[1], gC[e] = -kLn2 * rho * edge[2];
         }
         for (double& d : out) d = 0.0;
-        project_convex_backward<bool(ANTIALIASED)>(cam, view, corners, tau, kappa, records[i].x0, records[i].y0, gA, gB, gC, drho, -kLn2 * sum[6], dz,
+        project_convex_backward<bool(ANTIALIASED)>(cam, view, corners, tau, kappa, records[slot].x0, records[slot].y0, gA, gB, gC, drho, -kLn2 * sum[6], dz,
                                                    darea, dperimeter, out, dtau, dkappa, part);
 #if ANTIALIASED
         dkappa = dsharp;

@@ -8,13 +8,14 @@
 
 using namespace e4dgs;
 
-// sums: see kGaussianSums. Gradients may be null; every row of the others is written. camera_rows [blocks, 16].
+// sums, records: of each slot; see kGaussianSums. Gradients may be null; every row of the others is written. camera_rows [blocks, 16].
 extern "C" __global__ void __launch_bounds__(kBackThreads)
     backproject_gaussians(const double* camera, int width, int height, int n, const float* means, const float* quats, const float* scales,
-                          const float* opacities, const float* looks, const GaussianRecord* records, const uint8* visible, const float* sums, float* dmeans,
+                          const float* opacities, const float* looks, const GaussianRecord* records, const int* slots, const uint8* visible, const float* sums, float* dmeans,
                           float* dquats, float* dscales, float* dopacities, float* dlooks, double* camera_rows) {
     const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
-    const bool blended = i < n && visible[i];
+    const int slot = i < n && visible[i] ? slots[i] : -1;
+    const bool blended = slot >= 0;
     if (i < n && !blended) {
         write_zeros(dmeans, i, 3), write_zeros(dquats, i, 4), write_zeros(dscales, i, 3), write_zeros(dopacities, i, 1);
         write_zeros(dlooks, i, kLooks);
@@ -22,12 +23,12 @@ extern "C" __global__ void __launch_bounds__(kBackThreads)
     CameraPart part = no_camera_part();
     if (blended) {
         const Camera<double> cam = camera_of(camera, width, height);
-        const float *mean = means + 3 * int64(i), *quat = quats + 4 * int64(i), *scale = scales + 3 * int64(i), *sum = sums + kGaussianSums * int64(i);
+        const float *mean = means + 3 * int64(i), *quat = quats + 4 * int64(i), *scale = scales + 3 * int64(i), *sum = sums + kGaussianSums * int64(slot);
         GaussianView<double> view;
         project_gaussian<bool(ANTIALIASED)>(cam, mean, quat, scale, view);
         double moments[5], dmean2[2], dcov[3], dcolor[3];
         for (int j = 0; j < 5; ++j) moments[j] = kLn2 * double(sum[5 + j]);  // alpha = 2^e
-        moments_backward(records[i].f, moments, dmean2, dcov);
+        moments_backward(records[slot].f, moments, dmean2, dcov);
         double dmean[3] = {0, 0, 0}, dquat[4] = {0, 0, 0, 0}, dscale[3] = {0, 0, 0};
         project_gaussian_backward<bool(ANTIALIASED)>(cam, view, mean, scale, dmean2, dcov, double(sum[3]), double(sum[4]), dmean, dquat, dscale, part);
         const double position[3] = {mean[0], mean[1], mean[2]};

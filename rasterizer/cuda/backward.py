@@ -57,11 +57,11 @@ def _gradients(inputs: Inputs, wanted: dict[str, bool]) -> dict[str, Tensor]:
 def _sums(
     launcher: Launcher, inputs: Inputs, state: State, images: dict[str, Tensor], grads: dict[str, Tensor | None], out: dict[str, Tensor]
 ) -> tuple[Tensor, Tensor]:
-    """Sums over the pixels for each primitive, [n, GAUSSIAN_SUMS] and [m, *]. Gradients of extras are written to `out`."""
-    n, m, device, pairs = inputs.n, inputs.m, inputs.device, state.entries.shape[0]
+    """Sums over the pixels for each slot, [*, GAUSSIAN_SUMS] and [*, *]. Gradients of extras are written to `out`."""
+    m, device, pairs, slots_in_all = inputs.m, inputs.device, state.entries.shape[0], len(state.ids)
     convex_sums = CONVEX_EDGES + 3 * inputs.points
-    gaussians = torch.zeros(n, GAUSSIAN_SUMS, dtype=torch.float32, device=device)
-    convexes = torch.zeros(m, convex_sums, dtype=torch.float32, device=device)
+    parts = [state.gaussians.shape[0] * GAUSSIAN_SUMS, state.convexes.shape[0] * convex_sums]
+    gaussians, convexes = torch.zeros(sum(parts), dtype=torch.float32, device=device).split(parts)
     if not pairs:
         return gaussians, convexes
     with_extras = inputs.channels > 0 and grads["extras"] is not None
@@ -76,9 +76,9 @@ def _sums(
         scene = (*primitives_of(inputs, state), c_int32(first), state.begins, state.entries, state.touched, *size, inputs.view.background)
         pixels = (state.transmittance, state.last, color, alpha, depth, grads["extras"], images["alpha"], images["depth"])
         launcher.launch(program, "blend_backward", inputs.tiles, 128, *scene, *pixels, *to, state.pair, slots)
-        if slots is not None:
-            blocks = -(-(n + m) * slots.shape[1] // 256)
-            lists = (c_int32(n + m), c_int32(n), state.order, state.ends, c_int64(pairs), slots)
+        if slots is not None and state.lists is not None:
+            blocks = -(-slots_in_all * slots.shape[1] // 256)
+            lists = (state.counts, state.ids, *state.lists, c_int64(pairs), slots)
             launcher.launch(program, "sum_slots", blocks, 256, *lists, c_int32(inputs.channels), c_int32(first), *to)
     return gaussians, convexes
 
@@ -100,12 +100,13 @@ def _backproject(
         looks, degree = looks_of(g)
         grads = [out.get(f"gaussians.{name}") for name in GAUSSIAN_GRADS]
         program = programs.backproject_gaussians(degree, camera, inputs.view.antialiased)
-        shape = (c_int32(n), g.means, g.quats, g.scales, g.opacities, looks, state.gaussians, state.visible, sums[0])
+        shape = (c_int32(n), g.means, g.quats, g.scales, g.opacities, looks, state.gaussians, state.slots, state.visible, sums[0])
         launcher.launch(program, "backproject_gaussians", blocks, THREADS, *view, *shape, *grads, rows if camera else None)
     if m:
         looks, degree = looks_of(c)
         grads = [out.get(f"convexes.{name}") for name in CONVEX_GRADS]
         program = programs.backproject_convexes(inputs.points, degree, camera, inputs.view.antialiased)
-        shape = (c_int32(m), c.points, c.tau, c.kappa, c.opacities, looks, state.convexes, state.visible[inputs.n :], sums[1])
+        of = (state.convexes, state.slots[inputs.n :], state.visible[inputs.n :], sums[1])
+        shape = (c_int32(m), c.points, c.tau, c.kappa, c.opacities, looks, *of)
         launcher.launch(program, "backproject_convexes", convex_blocks, THREADS, *view, *shape, *grads, rows[blocks:] if camera else None)
     return rows

@@ -80,12 +80,12 @@ __device__ __forceinline__ void add_layer(float* v, int lane, float* row) {
 using namespace e4dgs;
 
 // Gradients of images may be null, which counts as zero. alpha and depth: images of the frame, read if DEPTH is 1. touched: see
-// blend_forward. Without slots, the sums are added to gaussian_sums [n, kGaussianSums], convex_sums [m, kConvexSums] and dextras [*,
-// channels] atomically, in no fixed order. With slots [pairs, kSums], the sums of each (tile, primitive) pair are written to the row given
+// blend_forward. Without slots, the sums are added to gaussian_sums [kept, kGaussianSums], convex_sums [kept, kConvexSums] and dextras
+// [*, channels] atomically, in no fixed order. With slots [pairs, kSums], the sums of each (tile, primitive) pair are written to the row given
 // by `pair` [entries].
 extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
-    blend_backward(const GaussianRecord* gaussians, const ConvexRecord* convexes, const float* gaussian_extras, const float* convex_extras, int n_gaussians,
-                   int channels, int first_channel, const int* begins, const int* entries, const uint8* touched, int width, int height, const float* background,
+    blend_backward(const GaussianRecord* gaussians, const ConvexRecord* convexes, const int* ids, const float* gaussian_extras, const float* convex_extras,
+                   const int64* counts, int channels, int first_channel, const int* begins, const int* entries, const uint8* touched, int width, int height, const float* background,
                    const float* transmittance, const int* last, const float* grad_color, const float* grad_alpha, const float* grad_depth,
                    const float* grad_extra, const float* alpha, const float* depth, float* gaussian_sums, float* convex_sums, float* gaussian_dextras,
                    float* convex_dextras, const int* pair, float* slots) {
@@ -93,9 +93,10 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
     __shared__ float extras[kBatch][EXTRAS ? EXTRAS : 1];
     __shared__ float rows[kRegions][kBatch][kSums];
     __shared__ uint8 marks[kBatch];
-    __shared__ int ids[kBatch], lasts[kRegions];
+    __shared__ int listed[kBatch], lasts[kRegions];
 
-    const Primitives all = {gaussians, convexes, gaussian_extras, convex_extras, n_gaussians, channels, first_channel};
+    const int n_gaussians = int(counts[kKeptGaussians]);
+    const Primitives all = {gaussians, convexes, ids, gaussian_extras, convex_extras, n_gaussians, channels, first_channel};
     const int tile = int(blockIdx.x), tiles_x = (width + kTile - 1) / kTile, x0 = tile % tiles_x * kTile, y0 = tile / tiles_x * kTile;
     const int thread = int(threadIdx.x), lane = thread % 32, region = thread / 32;
     const int lane_x = region % 2 * kRegion + lane % kRegion, lane_y = region / 2 * kRegion + lane / kRegion;
@@ -142,7 +143,7 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
         if (thread < n) {
             const int at = begin + first + thread, id = entries[at];
             uint32 mark = touched[at];
-            ids[thread] = id;
+            listed[thread] = id;
             if (mark) {
                 mark |= gather(all, id, x0 + 0.5, y0 + 0.5, nearest, items[thread], extras[thread]) & kConvexMark;
 #if POINTS
@@ -234,11 +235,11 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
                 if (part < 2) sum += (part ? items[j][1].y : items[j][1].x) * sum_of(c - part + 2);
             }
 #endif
-            const int id = ids[j], index = convex ? id - n_gaussians : id;
+            const int id = listed[j], index = convex ? id - n_gaussians : id;
             if (slots)
                 slots[int64(pair[begin + first + j]) * kSums + c] = sum;
             else if (c >= kShapeSums)
-                atomicAdd((convex ? convex_dextras : gaussian_dextras) + int64(index) * channels + first_channel + (c - kShapeSums), sum);
+                atomicAdd((convex ? convex_dextras : gaussian_dextras) + int64(all.ids[id]) * channels + first_channel + (c - kShapeSums), sum);
             else
                 atomicAdd(convex ? convex_sums + int64(index) * kConvexSums + c : gaussian_sums + int64(index) * kGaussianSums + c, sum);
         }
@@ -248,12 +249,13 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
 // For deterministic sums: adds the slots of each primitive in the order of its pairs, in double. One thread per primitive and column;
 // order and ends as in write_pairs. Adds to the existing values, so that launches for more extras add to the same sums.
 extern "C" __global__ void __launch_bounds__(256)
-    sum_slots(int n, int n_gaussians, const int* order, const int64* ends, int64 room, const float* slots, int channels, int first_channel, float* gaussian_sums,
+    sum_slots(const int64* counts, const int* ids, const int* order, const int64* ends, int64 room, const float* slots, int channels, int first_channel, float* gaussian_sums,
               float* convex_sums, float* gaussian_dextras, float* convex_dextras) {
     const int64 k = int64(blockIdx.x) * blockDim.x + threadIdx.x;
     const int64 rank = k / kSums;
     const int c = int(k % kSums);
-    if (rank >= n) return;
+    if (rank >= counts[kKept]) return;
+    const int n_gaussians = int(counts[kKeptGaussians]);
     const int64 begin = rank ? ends[rank - 1] : 0, end = ends[rank] < room ? ends[rank] : room;
     const int id = order[rank];
     const bool convex = id >= n_gaussians;
@@ -262,6 +264,6 @@ extern "C" __global__ void __launch_bounds__(256)
     for (int64 at = begin; at < end; ++at) sum += double(slots[at * kSums + c]);
     const int index = convex ? id - n_gaussians : id;
     float* to = convex ? convex_sums + int64(index) * kConvexSums + c : gaussian_sums + int64(index) * kGaussianSums + c;
-    if (c >= kShapeSums) to = (convex ? convex_dextras : gaussian_dextras) + int64(index) * channels + first_channel + (c - kShapeSums);
+    if (c >= kShapeSums) to = (convex ? convex_dextras : gaussian_dextras) + int64(ids[id]) * channels + first_channel + (c - kShapeSums);
     *to = float(double(*to) + sum);
 }

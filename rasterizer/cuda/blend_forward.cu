@@ -29,18 +29,18 @@ struct Pixel {
 
 using namespace e4dgs;
 
-// begins [tiles + 1], entries [begins[tiles]]: the lists of the tiles. touched [entries] gets a bit for each region that blends the entry,
-// and visible [primitives] gets a 1. touched, transmittance and last may be null if no backward pass follows; color, alpha and depth may
+// begins [tiles + 1], entries [begins[tiles]]: the lists of the tiles, as slots. touched [entries] gets a bit for each region that blends the
+// entry, and visible [primitives], of which the convexes begin at first_convex, gets a 1. touched, transmittance and last may be null if no backward pass follows; color, alpha and depth may
 // be null if another launch wrote them. channels: number of all extras; this launch blends EXTRAS of them, starting at first_channel.
 extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
-    blend_forward(const GaussianRecord* gaussians, const ConvexRecord* convexes, const float* gaussian_extras, const float* convex_extras, int n_gaussians,
-                  int channels, int first_channel, const int* begins, const int* entries, int width, int height, const float* background, float* color,
-                  float* alpha, float* depth, float* extra, float* transmittance, int* last, uint8* touched, uint8* visible) {
+    blend_forward(const GaussianRecord* gaussians, const ConvexRecord* convexes, const int* ids, const float* gaussian_extras, const float* convex_extras,
+                  const int64* counts, int channels, int first_channel, const int* begins, const int* entries, int width, int height, const float* background, float* color,
+                  float* alpha, float* depth, float* extra, float* transmittance, int* last, uint8* touched, int first_convex, uint8* visible) {
     __shared__ float4 items[kBatch][kItemWords];
     __shared__ float extras[kBatch][EXTRAS ? EXTRAS : 1];
     __shared__ uint8 marks[kBatch], seen[kRegions][kBatch];
 
-    const Primitives all = {gaussians, convexes, gaussian_extras, convex_extras, n_gaussians, channels, first_channel};
+    const Primitives all = {gaussians, convexes, ids, gaussian_extras, convex_extras, int(counts[kKeptGaussians]), channels, first_channel};
     const int tile = int(blockIdx.x), tiles_x = (width + kTile - 1) / kTile, x0 = tile % tiles_x * kTile, y0 = tile / tiles_x * kTile;
     const int thread = int(threadIdx.x), lane = thread % 32, region = thread / 32;
     const int lane_x = region % 2 * kRegion + lane % kRegion, lane_y = region / 2 * kRegion + lane / kRegion;
@@ -124,7 +124,7 @@ extern "C" __global__ void __launch_bounds__(kBlendThreads, kResident)
             uint32 mask = 0;
             for (int r = 0; r < kRegions; ++r) mask |= uint32(seen[r][thread]) << r;
             if (mask && touched) touched[at + thread] = uint8(mask);
-            if (mask) visible[id] = 1;  // several tiles may write the same 1
+            if (mask) visible[ids[id] + (id < all.n_gaussians ? 0 : first_convex)] = 1;  // several tiles may write the same 1
         }
     }
 

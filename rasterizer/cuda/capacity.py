@@ -1,66 +1,92 @@
-"""Space for a frame's pairs, before their number is known."""
+"""Space for a frame's visible primitives and pairs, before their numbers are known."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from .state import Inputs
 
-SPARE = 1.25  # factor on what the last frames of this size took
-GRAPH_SPARE, GRAPH_ROOM = 1.5, 1024  # the same inside a CUDA graph, where pairs beyond the space are lost; and pairs in addition
-FORGET = 0.98  # of that number is left after a frame that took less
+SPARE, SPARE_PAIRS = 1.1, 1.25  # factors on the primitives and pairs that the last frames of this size took
+GRAPH_SPARE = 1.5  # the same inside a CUDA graph, where what is beyond the space is lost
+LIKELY_ROOM, GRAPH_ROOM = 1024, 1024  # and in addition
+FORGET = 0.98  # of what was taken is remembered after a frame that took less
 
-_TAKEN: dict[tuple[torch.device, int, int], float] = {}  # what the last frames of a size took
+
+class Room(NamedTuple):
+    """How many Gaussians, convexes, and pairs of a tile and a primitive there is space for. pairs: None if the number is unknown."""
+
+    gaussians: int
+    convexes: int
+    pairs: int | None
 
 
-def room_in_graph(inputs: Inputs) -> int | None:
-    """None outside of a capture. Inside one, where buffers are fixed and waiting for the device is not allowed, the number of pairs to
-    allocate: `GRAPH_SPARE` times what the last frames on this device and of this size took, plus `GRAPH_ROOM`.
+Key = tuple[torch.device, int, int]
+_TAKEN: dict[Key, tuple[float, float, float]] = {}  # what the last frames of a size took: Gaussians, convexes and pairs
+
+
+def room_in_graph(inputs: Inputs) -> Room | None:
+    """None outside of a capture. Inside one, where buffers are fixed and waiting for the device is not allowed, the space to allocate:
+    `GRAPH_SPARE` times what the last frames on this device and of this size took, plus `GRAPH_ROOM`.
 
     Raises RuntimeError inside a capture if there was no such frame.
     """
     if inputs.device.type != "cuda" or not torch.cuda.is_current_stream_capturing():
         return None
-    taken = _TAKEN.get((inputs.device, inputs.width, inputs.height))
+    taken = _TAKEN.get(_key(inputs))
     if taken is None:
         raise RuntimeError(
             f"a CUDA graph is being captured, and no frame of {inputs.width} x {inputs.height} was rendered on {inputs.device} "
             "before: render one first, from which the graph's buffers take their size"
         )
-    return int(GRAPH_SPARE * taken) + GRAPH_ROOM
+    return _room(inputs, taken, (GRAPH_SPARE, GRAPH_SPARE), GRAPH_ROOM)
 
 
-def likely_room(inputs: Inputs) -> int | None:
-    """The number of pairs that will probably do for the next frame on this device and of this size; None if there was none yet."""
-    taken = _TAKEN.get((inputs.device, inputs.width, inputs.height))
-    return None if taken is None else int(SPARE * taken) + 1024
+def likely_room(inputs: Inputs) -> Room:
+    """The space that will probably do for the next frame on this device and of this size; if there was none yet, all primitives', and None
+    for the pairs."""
+    taken = _TAKEN.get(_key(inputs))
+    return Room(inputs.n, inputs.m, None) if taken is None else _room(inputs, taken, (SPARE, SPARE_PAIRS), LIKELY_ROOM)
 
 
-def took(inputs: Inputs, pairs: int) -> None:
-    """Remember a frame's number of pairs."""
-    key = inputs.device, inputs.width, inputs.height
-    _TAKEN[key] = max(pairs, FORGET * _TAKEN.get(key, 0.0))
+def took(inputs: Inputs, used: Room) -> None:
+    """Remember what a frame took."""
+    _remember(_key(inputs), used, FORGET)
+
+
+def _key(inputs: Inputs) -> Key:
+    return inputs.device, inputs.width, inputs.height
+
+
+def _room(inputs: Inputs, taken: tuple[float, float, float], spare: tuple[float, float], more: int) -> Room:
+    gaussians, convexes = (int(spare[0] * number) + more for number in taken[:2])
+    return Room(min(gaussians, inputs.n), min(convexes, inputs.m), int(spare[1] * taken[2]) + more)
+
+
+def _remember(key: Key, used: tuple[float, ...], forget: float = 1.0) -> None:
+    gaussians, convexes, pairs = (max(now, forget * before) for now, before in zip(used, _TAKEN.get(key, (0.0, 0.0, 0.0))))
+    _TAKEN[key] = gaussians, convexes, pairs
 
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """A frame in a CUDA graph, which has ``room`` for pairs. most [1]: the most that a replay has had."""
+    """A frame in a CUDA graph, which has ``room``. most [3] int64: the most Gaussians, convexes and pairs that a replay has had."""
 
-    key: tuple[torch.device, int, int]
-    room: int
+    key: Key
+    room: Room
     most: Tensor
 
     def overflowed(self) -> bool:
-        """Whether a replay has left pairs out; then the next graph gets more room. Waits for the device."""
-        pairs = int(self.most)
-        if pairs <= self.room:
+        """Whether a replay has left primitives or pairs out; then the next graph gets more room. Waits for the device."""
+        most = self.most.tolist()
+        if all(number <= there for number, there in zip(most, self.room)):
             return False
-        _TAKEN[self.key] = max(pairs, _TAKEN.get(self.key, 0.0))
+        _remember(self.key, tuple(most))
         return True
 
 
@@ -73,17 +99,17 @@ def watching(device: torch.device) -> Iterator[list[Watched]]:
     """Inside, collects the frames that are captured on ``device``. Enter it before the capture begins, so that replays do not start
     again at 0."""
     frames: list[Watched] = []
-    _WATCHED.append((frames, torch.zeros(MOST_FRAMES, dtype=torch.int64, device=device)))
+    _WATCHED.append((frames, torch.zeros(MOST_FRAMES, len(Room._fields), dtype=torch.int64, device=device)))
     try:
         yield frames
     finally:
         _WATCHED.pop()
 
 
-def captured(inputs: Inputs, room: int, ends: Tensor) -> None:
-    """Tell who is `watching` of a frame in a capture, whose running sums of pairs are ``ends``."""
-    for frames, counts in _WATCHED:
-        if len(ends) and len(frames) < MOST_FRAMES:
-            most = counts[len(frames) : len(frames) + 1]
-            torch.maximum(most, ends[-1:], out=most)
-            frames.append(Watched((inputs.device, inputs.width, inputs.height), room, most))
+def captured(inputs: Inputs, room: Room, counts: Tensor) -> None:
+    """Tell who is `watching` of a frame in a capture, whose numbers of Gaussians, convexes and pairs are the first of ``counts``."""
+    for frames, most_of_each in _WATCHED:
+        if len(frames) < MOST_FRAMES:
+            most = most_of_each[len(frames)]
+            torch.maximum(most, counts[: len(room)], out=most)
+            frames.append(Watched(_key(inputs), room, most))

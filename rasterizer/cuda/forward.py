@@ -10,83 +10,114 @@ from torch import Tensor
 
 from . import capacity, programs
 from .runtime import Launcher, Program, read_later
-from .sort import sort
+from .sort import sort, space
 from .state import Inputs, State, looks_of
 
-THREADS = 128  # threads per block in the kernels that use one thread per primitive
+THREADS = 128  # threads per block in the kernels that use one thread per primitive; kProjectThreads in kept.cuh
 COUNT_THREADS = 256  # kCountThreads in tiles.cu
 MOST_PAIRS = 2**31 - 1
+COUNTS, KEPT = 6, 4  # numbers in State.counts, padded, and which of them is kKept in records.cuh
 
 
 def forward(launcher: Launcher, inputs: Inputs, keep: bool, deterministic: bool) -> tuple[dict[str, Tensor], State]:
     """The images (color, alpha, depth, extras) and the state. With `keep`, the state contains what `backward` needs.
 
-    The lists of the tiles are made in the space that the last frames needed, and blended, before the host asks how much this frame needs:
-    so the GPU has work while the host waits. If it was too little, lists and images are made again. Inside a CUDA graph, pairs of a tile
-    and a primitive beyond the space, which are the furthest away, are left out.
+    Primitives are kept, and the tiles' lists made, in the space that the last frames needed, and blended, before the host asks how much
+    this frame needs: so the GPU has work while the host waits. What had too little is made again. Inside a CUDA graph, what is beyond the
+    space is left out: primitives with the highest indices, and pairs of a tile and a primitive that are the furthest away.
 
     Raises MemoryError if there are more pairs than can be numbered, torch.OutOfMemoryError as torch does.
     """
-    sorted_ = _sort(launcher, inputs)
     room = capacity.room_in_graph(inputs)
     if room is not None:
-        capacity.captured(inputs, room, sorted_.ends)
-        state = _lists(launcher, inputs, sorted_, deterministic, room)
+        kept = _keep(launcher, inputs, room)
+        capacity.captured(inputs, room, kept.counts)
+        state = _lists(launcher, inputs, kept, keep, deterministic, room.pairs)
         return _blend(launcher, inputs, state, keep), state
-    needed, room = read_later(sorted_.ends[-1:]) if inputs.n + inputs.m else lambda: 0, capacity.likely_room(inputs)
-    if room is not None:
-        state = _lists(launcher, inputs, sorted_, deterministic, min(room, MOST_PAIRS))
-        images = _blend(launcher, inputs, state, keep)
-    pairs = needed()
-    if pairs > MOST_PAIRS:
-        raise MemoryError(
-            f"{inputs.n + inputs.m} primitives cover {pairs:.3g} pairs of a tile and a primitive in this {inputs.width} x {inputs.height} "
-            f"image, more than the {MOST_PAIRS} that can be numbered; render fewer or smaller primitives, or a smaller image"
-        )
-    capacity.took(inputs, pairs)
-    if room is None or pairs > room:
-        state = _lists(launcher, inputs, sorted_, deterministic, pairs)
-        images = _blend(launcher, inputs, state, keep)
-    return images, state
+    room = capacity.likely_room(inputs)
+    kept = None
+    while True:
+        if kept is None:
+            kept = _keep(launcher, inputs, room)
+            taken = read_later(kept.counts[: len(room)])
+        if room.pairs is not None:
+            state = _lists(launcher, inputs, kept, keep, deterministic, min(room.pairs, MOST_PAIRS))
+            images = _blend(launcher, inputs, state, keep)
+        used = capacity.Room(*taken())
+        if used.pairs > MOST_PAIRS:
+            raise MemoryError(
+                f"{inputs.n + inputs.m} primitives cover {used.pairs:.3g} pairs of a tile and a primitive in this "
+                f"{inputs.width} x {inputs.height} image, more than the {MOST_PAIRS} that can be numbered; render fewer or smaller "
+                "primitives, or a smaller image"
+            )
+        if used.gaussians > room.gaussians or used.convexes > room.convexes:
+            kept, room = None, used._replace(pairs=None)  # of the pairs, only those of the primitives that were kept have been counted
+            continue
+        capacity.took(inputs, used)
+        if room.pairs is not None and used.pairs <= room.pairs:
+            return images, state
+        room = used
 
 
-class _Sorted(NamedTuple):
-    """The projected primitives from front to back; see `State`."""
+class _Kept(NamedTuple):
+    """The projected primitives from front to back; see `State`, whose first five fields these are, too."""
 
     gaussians: Tensor
     convexes: Tensor
+    counts: Tensor
+    ids: Tensor
+    slots: Tensor
     boxes: Tensor
     order: Tensor
     ends: Tensor
+    visible: Tensor
 
 
-def _sort(launcher: Launcher, inputs: Inputs) -> _Sorted:
-    n, m, device = inputs.n, inputs.m, inputs.device
-    records = torch.empty(n, 64, dtype=torch.uint8, device=device)
+def _keep(launcher: Launcher, inputs: Inputs, room: capacity.Room) -> _Kept:
+    """Projects all primitives, and sorts those that may be visible by depth."""
+    total, device = room.gaussians + room.convexes, inputs.device
     record_bytes = -(-(48 + 24 * inputs.points) // 16) * 16
-    convex_records = torch.empty(m, record_bytes, dtype=torch.uint8, device=device)
-    depth = torch.empty(n + m, dtype=torch.float64, device=device)
-    boxes = torch.empty(n + m, 4, dtype=torch.int16, device=device)
-    _project(launcher, inputs, records, convex_records, depth, boxes)
-    _, order = sort(launcher, depth.view(torch.int64), keep_keys=False)
-    del depth
-    ends = torch.empty(n + m, dtype=torch.int64, device=device)
-    blocks = -(-(n + m) // COUNT_THREADS)
-    workspace = torch.zeros(1 + blocks, dtype=torch.int64, device=device)
-    common = _shapes(inputs, records, convex_records, boxes)
-    launcher.launch(_tiles(inputs), "count_tiles", blocks, COUNT_THREADS, *common, order, ends, workspace)
-    return _Sorted(records, convex_records, boxes, order, ends)
+    records = torch.empty(room.gaussians, 64, dtype=torch.uint8, device=device)
+    convex_records = torch.empty(room.convexes, record_bytes, dtype=torch.uint8, device=device)
+    depth = torch.empty(total, dtype=torch.float64, device=device)
+    boxes = torch.empty(total, 4, dtype=torch.int16, device=device)
+    ids = torch.empty(total, dtype=torch.int32, device=device)
+    slots = torch.empty(inputs.n + inputs.m, dtype=torch.int32, device=device)
+    visible = torch.empty(inputs.n + inputs.m, dtype=torch.uint8, device=device)
+    blocks, count_blocks = [-(-number // THREADS) for number in (inputs.n, inputs.m)], -(-total // COUNT_THREADS)
+    # All that starts at zero, which a single launch fills.
+    parts = (COUNTS, 1 + blocks[0], 1 + blocks[1], space(total), 1 + count_blocks)
+    counts, *work, to_sort, to_count = torch.zeros(sum(parts), dtype=torch.int64, device=device).split(parts)
+    out = (ids, depth, boxes)
+    g, c, n = inputs.gaussians, inputs.convexes, inputs.n
+    view = (inputs.view.camera, c_int32(inputs.width), c_int32(inputs.height))
+    channels, antialiased = c_int32(inputs.channels), inputs.view.antialiased
+    if n:
+        looks, degree = looks_of(g)
+        shape = (c_int32(n), g.means, g.quats, g.scales, g.opacities, looks, inputs.extras(g), channels)
+        to = (c_int32(room.gaussians), work[0], counts, slots, *out, visible, records)
+        launcher.launch(programs.project_gaussians(degree, antialiased), "project_gaussians", blocks[0], THREADS, *view, *shape, *to)
+    if inputs.m:
+        looks, degree = looks_of(c)
+        shape = (c_int32(inputs.m), c.points, c.tau, c.kappa, c.opacities, looks, inputs.extras(c), channels)
+        to = (c_int32(room.convexes), work[1], counts, slots[n:], *out, visible[n:], convex_records)
+        program = programs.project_convexes(inputs.points, degree, antialiased)
+        launcher.launch(program, "project_convexes", blocks[1], THREADS, *view, *shape, *to)
+    _, order = sort(launcher, depth.view(torch.int64), keep_keys=False, number=counts[KEPT:], workspace=to_sort)
+    ends = torch.empty(total, dtype=torch.int64, device=device)
+    kept = _Kept(records, convex_records, counts, ids, slots, boxes, order, ends, visible)
+    launcher.launch(_tiles(inputs), "count_tiles", count_blocks, COUNT_THREADS, *_shapes(inputs, kept), ends, to_count)
+    return kept
 
 
-def _lists(launcher: Launcher, inputs: Inputs, sorted_: _Sorted, deterministic: bool, room: int) -> State:
+def _lists(launcher: Launcher, inputs: Inputs, kept: _Kept, keep: bool, deterministic: bool, room: int) -> State:
     """The lists of the tiles, with space for ``room`` pairs. Pairs beyond it are left out."""
-    device, total = inputs.device, inputs.n + inputs.m
+    device, total = inputs.device, len(kept.order)
     room = room if total else 0  # no thread would fill it
     keys = torch.empty(room, dtype=torch.int16 if inputs.tiles < programs.SHORT_KEYS else torch.int32, device=device)
     primitives = torch.empty(room, dtype=torch.int32, device=device)
-    common = (*_shapes(inputs, sorted_.gaussians, sorted_.convexes, sorted_.boxes), sorted_.order)
-    out = (sorted_.ends, c_int64(room), keys, primitives)
-    launcher.launch(_tiles(inputs), "write_pairs", -(-total // THREADS), THREADS, *common, *out)
+    out = (kept.ends, c_int64(room), keys, primitives)
+    launcher.launch(_tiles(inputs), "write_pairs", -(-total // THREADS), THREADS, *_shapes(inputs, kept), *out)
     pair = None
     if deterministic:
         sorted_keys, pair = sort(launcher, keys)
@@ -94,35 +125,20 @@ def _lists(launcher: Launcher, inputs: Inputs, sorted_: _Sorted, deterministic: 
     else:
         sorted_keys, entries = sort(launcher, keys, primitives)
     begins = torch.empty(inputs.tiles + 1, dtype=torch.int32, device=device)
-    launcher.launch(_tiles(inputs), "find_tiles", -(-(room + 1) // 256), 256, c_int64(room), sorted_keys, c_int32(inputs.tiles), begins)
-    visible = torch.zeros(total, dtype=torch.uint8, device=device)
-    return State(*sorted_, begins, entries, pair, visible)
+    touched = torch.empty(room, dtype=torch.uint8, device=device) if keep else None
+    tiles = (c_int64(room), sorted_keys, c_int32(inputs.tiles), begins, touched)
+    launcher.launch(_tiles(inputs), "find_tiles", -(-(room + 1) // 256), 256, *tiles)
+    lists = (kept.order, kept.ends) if deterministic else None
+    return State(*kept[:5], begins, entries, pair, lists, kept.visible, touched)
 
 
 def _tiles(inputs: Inputs) -> Program:
     return programs.tiles(inputs.points, 16 if inputs.tiles < programs.SHORT_KEYS else 32)
 
 
-def _shapes(inputs: Inputs, records: Tensor, convex_records: Tensor, boxes: Tensor) -> tuple[Any, ...]:
+def _shapes(inputs: Inputs, kept: _Kept) -> tuple[Any, ...]:
     size = c_int32(inputs.width), c_int32(inputs.height)
-    return c_int32(inputs.n + inputs.m), c_int32(inputs.n), records, convex_records, boxes, *size, inputs.view.drawn
-
-
-def _project(launcher: Launcher, inputs: Inputs, records: Tensor, convex_records: Tensor, depth: Tensor, boxes: Tensor) -> None:
-    g, c, n, m = inputs.gaussians, inputs.convexes, inputs.n, inputs.m
-    view = (inputs.view.camera, c_int32(inputs.width), c_int32(inputs.height))
-    channels = c_int32(inputs.channels)
-    if n:
-        looks, degree = looks_of(g)
-        shape = (g.means, g.quats, g.scales, g.opacities, looks, inputs.extras(g), channels)
-        program = programs.project_gaussians(degree, inputs.view.antialiased)
-        launcher.launch(program, "project_gaussians", -(-n // THREADS), THREADS, *view, c_int32(n), *shape, records, depth, boxes)
-    if m:
-        looks, degree = looks_of(c)
-        shape = (c.points, c.tau, c.kappa, c.opacities, looks, inputs.extras(c), channels)
-        program = programs.project_convexes(inputs.points, degree, inputs.view.antialiased)
-        out = (convex_records, depth[n:], boxes[n:])
-        launcher.launch(program, "project_convexes", -(-m // THREADS), THREADS, *view, c_int32(m), *shape, *out)
+    return kept.counts, kept.gaussians, kept.convexes, kept.boxes, *size, inputs.view.drawn, kept.order
 
 
 def _blend(launcher: Launcher, inputs: Inputs, state: State, keep: bool) -> dict[str, Tensor]:
@@ -130,7 +146,6 @@ def _blend(launcher: Launcher, inputs: Inputs, state: State, keep: bool) -> dict
     shapes = {"color": (height, width, 3), "alpha": (height, width), "depth": (height, width), "extras": (height, width, channels)}
     images = {name: torch.empty(shape, dtype=torch.float32, device=device) for name, shape in shapes.items()}
     if keep:
-        state.touched = torch.zeros(state.entries.shape[0], dtype=torch.uint8, device=device)
         state.transmittance = torch.empty(height, width, dtype=torch.float32, device=device)
         state.last = torch.empty(height, width, dtype=torch.int32, device=device)
     for first in range(0, max(channels, 1), programs.CHANNELS):
@@ -138,7 +153,7 @@ def _blend(launcher: Launcher, inputs: Inputs, state: State, keep: bool) -> dict
         own = (images["color"], images["alpha"], images["depth"]) if first == 0 else (None, None, None)
         kept = (state.transmittance, state.last, state.touched) if first == 0 else (None, None, None)
         scene = (*primitives_of(inputs, state), c_int32(first), state.begins, state.entries)
-        out = (*own, images["extras"] if channels else None, *kept, state.visible)
+        out = (*own, images["extras"] if channels else None, *kept, c_int32(inputs.n), state.visible)
         program = programs.blend_forward(inputs.points, some)
         size = (c_int32(width), c_int32(height), inputs.view.background)
         launcher.launch(program, "blend_forward", inputs.tiles, 128, *scene, *size, *out)
@@ -148,4 +163,4 @@ def _blend(launcher: Launcher, inputs: Inputs, state: State, keep: bool) -> dict
 def primitives_of(inputs: Inputs, state: State) -> tuple[Tensor | c_int32 | None, ...]:
     """The primitives' arguments that both blending kernels share."""
     extras = inputs.extras(inputs.gaussians), inputs.extras(inputs.convexes)
-    return state.gaussians, state.convexes, *extras, c_int32(inputs.n), c_int32(inputs.channels)
+    return state.gaussians, state.convexes, state.ids, *extras, state.counts, c_int32(inputs.channels)

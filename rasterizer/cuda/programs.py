@@ -12,9 +12,8 @@ CHANNELS = 8  # extras that one launch blends; more extras need more launches
 SHORT_KEYS = 2**15 - 1  # with fewer tiles than this, tile numbers have 16 bits and sorting takes half the time
 
 
-@cache
 def program(name: str, **features: int) -> Program:
-    """The program of the .cu file with this name in this folder, with these features. Returns the same object each time."""
+    """The program of the .cu file with this name in this folder, with these features."""
     return Program(HERE / f"{name}.cu", tuple(sorted((key.upper(), value) for key, value in features.items())))
 
 
@@ -23,37 +22,45 @@ def _mode(antialiased: bool) -> dict[str, int]:
     return {"antialiased": 1} if antialiased else {}
 
 
+@cache
 def project_gaussians(degree: int, antialiased: bool = False) -> Program:
     """degree: degree of the SH, -1 if colours are given directly."""
     return program("project_gaussians", sh_degree=degree, **_mode(antialiased))
 
 
+@cache
 def project_convexes(points: int, degree: int, antialiased: bool = False) -> Program:
     return program("project_convexes", points=points, sh_degree=degree, **_mode(antialiased))
 
 
+@cache
 def tiles(points: int, key_bits: int) -> Program:
     """points: number of points of each convex, 0 if there are no convexes."""
     return program("tiles", points=points, key_bits=key_bits)
 
 
+@cache
 def sort(key_bytes: int) -> Program:
     """key_bytes: 2, 4 or 8."""
     return program("sort", key_bytes=key_bytes)
 
 
+@cache
 def blend_forward(points: int, extras: int) -> Program:
     return program("blend_forward", points=points, extras=extras)
 
 
+@cache
 def blend_backward(points: int, extras: int, depth: bool) -> Program:
     return program("blend_backward", points=points, extras=extras, depth=int(depth))
 
 
+@cache
 def backproject_gaussians(degree: int, camera: bool, antialiased: bool = False) -> Program:
     return program("backproject_gaussians", sh_degree=degree, camera=int(camera), **_mode(antialiased))
 
 
+@cache
 def backproject_convexes(points: int, degree: int, camera: bool, antialiased: bool = False) -> Program:
     return program("backproject_convexes", points=points, sh_degree=degree, camera=int(camera), **_mode(antialiased))
 

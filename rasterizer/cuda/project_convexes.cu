@@ -1,8 +1,8 @@
-// Converts convexes to records, one thread per convex, in double: cull, project, hull, colour. A convex with a bad value is culled here
-// and does not affect any other. Features: POINTS, SH_DEGREE (-1: colors), ANTIALIASED.
+// Converts convexes to records, one thread per convex, in double: cull, project, hull, colour. Those that are left are stored without gaps. A
+// convex with a bad value is culled here and does not affect any other. Features: POINTS, SH_DEGREE (-1: colors), ANTIALIASED.
 #include "convex_hull.cuh"
 #include "inputs.cuh"
-#include "records.cuh"
+#include "kept.cuh"
 
 namespace e4dgs {
 
@@ -81,21 +81,28 @@ __device__ inline bool project(const ConvexInputs& in, const Camera<double>& cam
 
 using namespace e4dgs;
 
-// depth [n]: z of the centroid, infinite if culled. boxes [n]: empty if culled.
 // Blocks that should fit on a multiprocessor at once. Left to itself (0), the compiler spills a few registers of the antialiased mode to fit
 // a third one.
 constexpr int kFitting = ANTIALIASED ? 2 : 0;
 
-extern "C" __global__ void __launch_bounds__(128, kFitting)
+// See `Slots`; depth is the centroid's. records [room]. The Gaussians have been projected before.
+extern "C" __global__ void __launch_bounds__(kProjectThreads, kFitting)
     project_convexes(const double* camera, int width, int height, int n, const float* points, const float* tau, const float* kappa, const float* opacities,
-                     const float* looks, const float* extras, int channels, ConvexRecord* records, double* depth, TileBox* boxes) {
-    const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
-    if (i >= n) return;
+                     const float* looks, const float* extras, int channels, int room, uint64* workspace, int64* counts, int* slots, int* ids, double* depth,
+                     TileBox* boxes, uint8* visible, ConvexRecord* records) {
+    __shared__ ConvexRecord made[kProjectThreads];
+    const Slots all = {n, room, workspace, slots, ids, depth, boxes, visible};
+    const int64 block = all.take_block(), i = block * kProjectThreads + threadIdx.x, first = counts[kKeptGaussians];
     const Camera<double> cam = camera_of(camera, width, height);
     const ConvexInputs in = {points, tau, kappa, opacities, looks, extras, channels};
-    TileBox box = {0, 0, 0, 0};
+    TileBox box;
     double z;
-    const bool there = project(in, cam, i, records[i], box, z);
-    depth[i] = there ? z : culled_depth();
-    boxes[i] = there ? box : TileBox{0, 0, 0, 0};
+    const bool there = i < n && project(in, cam, i, made[threadIdx.x], box, z);
+    int64 seen;
+    const int slot = all.take(block, i, first, there, box, z, seen);
+    if (slot >= 0) records[slot] = made[threadIdx.x];
+    if (all.ends(block)) {
+        counts[kSeenConvexes] = seen;
+        counts[kKept] = first + (seen < room ? seen : room);
+    }
 }

@@ -1,7 +1,7 @@
-// Converts Gaussians to records, one thread per Gaussian, in double: cull, project, colour. A Gaussian with a bad value is culled here and
-// does not affect any other. Features: SH_DEGREE (-1: colors), ANTIALIASED.
+// Converts Gaussians to records, one thread per Gaussian, in double: cull, project, colour. Those that are left are stored without gaps. A
+// Gaussian with a bad value is culled here and does not affect any other. Features: SH_DEGREE (-1: colors), ANTIALIASED.
 #include "inputs.cuh"
-#include "records.cuh"
+#include "kept.cuh"
 //
 #include "gaussian.h"
 
@@ -54,19 +54,24 @@ __device__ inline bool project(const GaussianInputs& in, const Camera<double>& c
 
 using namespace e4dgs;
 
-// depth [n]: z, infinite if culled. boxes [n]: empty if culled.
-extern "C" __global__ void __launch_bounds__(128)
+// See `Slots`. records [room].
+extern "C" __global__ void __launch_bounds__(kProjectThreads)
     project_gaussians(const double* camera, int width, int height, int n, const float* means, const float* quats, const float* scales,
-                      const float* opacities, const float* looks, const float* extras, int channels, GaussianRecord* records, double* depth, TileBox* boxes) {
-    const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
-    if (i >= n) return;
+                      const float* opacities, const float* looks, const float* extras, int channels, int room, uint64* workspace, int64* counts, int* slots,
+                      int* ids, double* depth, TileBox* boxes, uint8* visible, GaussianRecord* records) {
+    const Slots all = {n, room, workspace, slots, ids, depth, boxes, visible};
+    const int64 block = all.take_block(), i = block * kProjectThreads + threadIdx.x;
     const Camera<double> cam = camera_of(camera, width, height);
     const GaussianInputs in = {means, quats, scales, opacities, looks, extras, channels};
     GaussianRecord record;
-    TileBox box = {0, 0, 0, 0};
+    TileBox box;
     double z;
-    const bool there = project(in, cam, i, record, box, z);
-    if (there) records[i] = record;
-    depth[i] = there ? z : culled_depth();
-    boxes[i] = box;
+    const bool there = i < n && project(in, cam, i, record, box, z);
+    int64 seen;
+    const int slot = all.take(block, i, 0, there, box, z, seen);
+    if (slot >= 0) records[slot] = record;
+    if (all.ends(block)) {
+        counts[kSeenGaussians] = seen;
+        counts[kKeptGaussians] = counts[kKept] = seen < room ? seen : room;
+    }
 }

@@ -10,8 +10,9 @@ namespace e4dgs {
 
 constexpr double kSlack = 1e-4;  // supports are enlarged by this much (in exponents), so that rounding never cuts a visible pixel
 
-// The depth of culled primitives: behind everything.
-__device__ inline double culled_depth() { return __longlong_as_double(0x7ff0000000000000ll); }
+// What a frame has, counted on the device: the Gaussians and convexes that may be visible, the pairs of a tile and a primitive, and the
+// Gaussians and primitives (Gaussians first) that are kept, which are fewer if there was too little room.
+enum Count { kSeenGaussians, kSeenConvexes, kPairs, kKeptGaussians, kKept, kCounts };
 
 // One projected Gaussian: two 32-byte sectors. alpha = 2^(exponent - u^2 - v^2), see exponent_factor().
 struct alignas(64) GaussianRecord {
@@ -39,7 +40,7 @@ struct alignas(16) ConvexRecord {
 struct ConvexRecord {};
 #endif
 
-// The tiles that a primitive's bounding box overlaps; x1 and y1 are exclusive. All 0 if the primitive is culled.
+// The tiles that a primitive's bounding box overlaps; x1 and y1 are exclusive.
 struct alignas(8) TileBox {
     uint16 x0, x1, y0, y1;
 };

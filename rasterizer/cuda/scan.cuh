@@ -58,4 +58,21 @@ __device__ inline int64 sum_of_earlier(const uint64* words, int64 block) {
     return before;
 }
 
+// The sum of `value` over all threads of the grid before this one, in the order of the blocks' numbers. words [blocks] is zero at first.
+// shared [THREADS / 32 + 2] is theirs; afterwards its last two are the sum over the earlier blocks and over this one.
+template <int THREADS>
+__device__ inline int64 sum_before_in_grid(int64 value, int64 block, uint64* words, int64* shared) {
+    int64 &earlier = shared[THREADS / 32], &own = shared[THREADS / 32 + 1];
+    const int64 before = sum_before<THREADS>(value, shared);
+    if (threadIdx.x == THREADS - 1) own = before + value;
+    __syncthreads();
+    if (threadIdx.x < 32) {
+        if (threadIdx.x == 0 && block) atomicExch(words + block, tagged(uint64(own), 1));
+        const int64 sum = sum_of_earlier(words, block);
+        if (threadIdx.x == 0) atomicExch(words + block, tagged(uint64(sum + own), 2)), earlier = sum;
+    }
+    __syncthreads();
+    return earlier + before;
+}
+
 }  // namespace e4dgs

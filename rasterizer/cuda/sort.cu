@@ -31,10 +31,11 @@ __device__ inline int digit_of(Key key, int pass) { return int(key >> (kBits * p
 
 using namespace e4dgs;
 
-// Counts the digits of all passes. keys [n].
-extern "C" __global__ void __launch_bounds__(kSortThreads) count_digits(int64 n, const Key* keys, uint64* workspace) {
+// Counts the digits of all passes. keys [room], of which the first `number` are sorted; null: all.
+extern "C" __global__ void __launch_bounds__(kSortThreads) count_digits(int64 room, const int64* number, const Key* keys, uint64* workspace) {
     __shared__ uint32 counts[kPasses][kBins];
     const int thread = int(threadIdx.x);
+    const int64 n = number ? *number : room;
     for (int pass = 0; pass < kPasses; ++pass) counts[pass][thread] = 0;
     __syncthreads();
     for (int64 i = int64(blockIdx.x) * kSortThreads + thread; i < n; i += int64(gridDim.x) * kSortThreads) {
@@ -46,16 +47,18 @@ extern "C" __global__ void __launch_bounds__(kSortThreads) count_digits(int64 n,
         if (counts[pass][thread]) atomicAdd(workspace + kCounts + pass * kBins + thread, uint64(counts[pass][thread]));
 }
 
-// Sorts by one digit. keys, values [n]; values_in may be null: then a key's value is its index. keys_out may be null.
+// Sorts by one digit. keys, values [room], of which the first `number` are sorted; values_in may be null: then a key's value is its index.
+// keys_out may be null.
 extern "C" __global__ void __launch_bounds__(kSortThreads, 3)
-    sort_digit(int64 n, int pass, const Key* keys_in, const int* values_in, Key* keys_out, int* values_out, uint64* workspace) {
+    sort_digit(int64 room, const int64* number, int pass, const Key* keys_in, const int* values_in, Key* keys_out, int* values_out, uint64* workspace) {
     __shared__ int warp_counts[kSortWarps][kBins];
     __shared__ Key keys[kBlockKeys];
     __shared__ int values[kBlockKeys];
-    __shared__ int64 shift[kBins], scratch[kSortWarps], number;
+    __shared__ int64 shift[kBins], scratch[kSortWarps], own_number;
 
     const int thread = int(threadIdx.x), lane = thread % 32, warp = thread / 32;
-    const int64 block = take_number(workspace + pass, &number), first = block * kBlockKeys;
+    const int64 block = take_number(workspace + pass, &own_number), first = block * kBlockKeys, n = number ? *number : room;
+    if (first >= n) return;  // nobody waits for this block
     const int here = n - first < kBlockKeys ? int(n - first) : kBlockKeys;
     for (int w = 0; w < kSortWarps; ++w) warp_counts[w][thread] = 0;
     __syncthreads();

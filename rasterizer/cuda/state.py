@@ -72,22 +72,26 @@ class Inputs:
 class State:
     """touched, transmittance and last are None if no backward pass follows.
 
-    gaussians [n, 64], convexes [m, *] uint8: records. boxes [n + m, 4] int16.
-    order [n + m] int32: primitives from front to back; ends [n + m] int64: running sums of their numbers of pairs.
-    begins [tiles + 1] int32, entries [pairs] int32: the lists of the tiles.
-    pair [pairs] int32: the index of each entry's pair in order of depth; None unless sums must be deterministic.
+    Each primitive that may be visible has a slot: the Gaussians first, then the convexes, in the order of their indices.
+
+    gaussians [*, 64], convexes [*, *] uint8: the records of each kind. counts [*] int64: see `Count` in records.cuh.
+    ids [slots] int32: each slot's primitive; slots [n + m] int32: each primitive's slot among those of its kind, -1 if it has none.
+    begins [tiles + 1] int32, entries [pairs] int32: the lists of the tiles, as slots.
+    pair [pairs] int32: the index of each entry's pair in order of depth, and lists: order [slots] int32, the slots from front to back, and
+    ends [slots] int64, running sums of their numbers of pairs. Both are None unless sums must be deterministic.
     visible [n + m] uint8. touched [pairs] uint8: one bit for each region of the tile that blends the entry.
     transmittance [H, W] float32: behind each pixel's last layer; last [H, W] int32: each pixel's last entry.
     """
 
     gaussians: Tensor
     convexes: Tensor
-    boxes: Tensor
-    order: Tensor
-    ends: Tensor
+    counts: Tensor
+    ids: Tensor
+    slots: Tensor
     begins: Tensor
     entries: Tensor
     pair: Tensor | None
+    lists: tuple[Tensor, Tensor] | None
     visible: Tensor
     touched: Tensor | None = None
     transmittance: Tensor | None = None

@@ -20,7 +20,8 @@ constexpr uint32 kConvexMark = 0x80;  // set in addition to the bits of the regi
 struct Primitives {
     const GaussianRecord* gaussians;
     const ConvexRecord* convexes;
-    const float *gaussian_extras, *convex_extras;  // [n, channels]; null counts as zeros
+    const int* ids;                                // of each slot, the primitive, whose extras these are:
+    const float *gaussian_extras, *convex_extras;  // [*, channels]; null counts as zeros
     int n_gaussians, channels, first_channel;
 };
 
@@ -85,12 +86,15 @@ __device__ inline uint32 gather_convex(const ConvexRecord& r, double ox, double 
 }
 #endif
 
-// Returns the regions that primitive `id` may touch, with kConvexMark set for a convex. Writes its item and its extras [EXTRAS].
+// Returns the regions that the primitive of slot `id` may touch, with kConvexMark set for a convex. Writes its item and its extras [EXTRAS].
 __device__ inline uint32 gather(const Primitives& all, int id, double ox, double oy, float nearest, float4* item, float* extras) {
     const bool convex = id >= all.n_gaussians;
     const int index = convex ? id - all.n_gaussians : id;
-    const float* of = convex ? all.convex_extras : all.gaussian_extras;
-    for (int e = 0; e < EXTRAS; ++e) extras[e] = of ? of[int64(index) * all.channels + all.first_channel + e] : 0.0f;
+    [[maybe_unused]] const float* of = convex ? all.convex_extras : all.gaussian_extras;
+    if constexpr (EXTRAS > 0) {
+        const int64 row = int64(all.ids[id]) * all.channels + all.first_channel;
+        for (int e = 0; e < EXTRAS; ++e) extras[e] = of ? of[row + e] : 0.0f;
+    }
 #if POINTS
     if (convex) return gather_convex(all.convexes[index], ox, oy, nearest, item);
 #endif

@@ -118,50 +118,43 @@ __device__ __noinline__ int tiles_of(const GaussianRecord* gaussians, const Conv
 
 using namespace e4dgs;
 
-// order [n]: primitives from front to back. ends [n]: inclusive running sums of how many tiles each of them may touch. workspace [1 + blocks]
-// is zero at first.
+// counts: see `Count`. order [kept]: primitives from front to back. ends [kept]: inclusive running sums of how many tiles each of them may
+// touch. workspace [1 + blocks] is zero at first.
 extern "C" __global__ void __launch_bounds__(kCountThreads, 4)
-    count_tiles(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
+    count_tiles(int64* counts, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
                 const unsigned char* drawn, const int* order, int64* ends, uint64* workspace) {
-    __shared__ int64 number, scratch[kCountThreads / 32], total, earlier;
-    const int64 block = take_number(workspace, &number), rank = block * kCountThreads + threadIdx.x;
+    __shared__ int64 number, shared[kCountThreads / 32 + 2];
+    const int64 block = take_number(workspace, &number), rank = block * kCountThreads + threadIdx.x, n = counts[kKept];
     int64 count = 0;
     if (rank < n) {
         const int id = order[rank];
-        count = tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, drawn, nullptr, 0);
+        count = tiles_of(gaussians, convexes, int(counts[kKeptGaussians]), id, boxes[id], width, height, drawn, nullptr, 0);
     }
-    const int64 before = sum_before<kCountThreads>(count, scratch);
-    if (threadIdx.x == kCountThreads - 1) total = before + count;
-    __syncthreads();
-    if (threadIdx.x < 32) {
-        uint64* const words = workspace + 1;
-        if (threadIdx.x == 0 && block) atomicExch(words + block, tagged(uint64(total), 1));
-        const int64 sum = sum_of_earlier(words, block);
-        if (threadIdx.x == 0) atomicExch(words + block, tagged(uint64(sum + total), 2)), earlier = sum;
-    }
-    __syncthreads();
-    if (rank < n) ends[rank] = earlier + before + count;
+    const int64 before = sum_before_in_grid<kCountThreads>(count, block, workspace + 1, shared);
+    if (rank < n) ends[rank] = before + count;
+    if (block == gridDim.x - 1 && threadIdx.x == kCountThreads - 1) counts[kPairs] = before + count;
 }
 
 // order and ends as in count_tiles. Pairs beyond `room` are left out; if there are fewer, the rest belongs to no tile.
 extern "C" __global__ void __launch_bounds__(128, 7)
-    write_pairs(int n, int n_gaussians, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
+    write_pairs(const int64* counts, const GaussianRecord* gaussians, const ConvexRecord* convexes, const TileBox* boxes, int width, int height,
                 const unsigned char* drawn, const int* order, const int64* ends, int64 room, Key* tiles, int* primitives) {
-    const int rank = int(blockIdx.x * blockDim.x + threadIdx.x);
-    if (rank >= n) return;
+    const int64 rank = int64(blockIdx.x) * blockDim.x + threadIdx.x, n = counts[kKept];
     const int nowhere = (width + kTile - 1) / kTile * ((height + kTile - 1) / kTile);  // sorts behind all tiles
-    for (int64 k = ends[n - 1] + rank; k < room; k += n) tiles[k] = Key(nowhere), primitives[k] = 0;
+    for (int64 k = counts[kPairs] + rank; k < room; k += int64(gridDim.x) * blockDim.x) tiles[k] = Key(nowhere), primitives[k] = 0;
+    if (rank >= n) return;
     const int64 begin = rank ? ends[rank - 1] : 0, end = ends[rank] < room ? ends[rank] : room;
     if (begin >= end) return;
     const int id = order[rank], count = int(end - begin);
-    tiles_of(gaussians, convexes, n_gaussians, id, boxes[id], width, height, drawn, tiles + begin, count);
+    tiles_of(gaussians, convexes, int(counts[kKeptGaussians]), id, boxes[id], width, height, drawn, tiles + begin, count);
     for (int k = 0; k < count; ++k) primitives[begin + k] = id;
 }
 
-// sorted [n]: tiles of all pairs, ascending. Every element of begins [tiles + 1] is written.
-extern "C" __global__ void __launch_bounds__(256) find_tiles(int64 n, const Key* sorted, int tiles, int* begins) {
+// sorted [n]: tiles of all pairs, ascending. Every element of begins [tiles + 1] is written, and touched [n], which may be null, is set to 0.
+extern "C" __global__ void __launch_bounds__(256) find_tiles(int64 n, const Key* sorted, int tiles, int* begins, uint8* touched) {
     const int64 i = int64(blockIdx.x) * blockDim.x + threadIdx.x;
     if (i > n) return;
+    if (touched && i < n) touched[i] = 0;
     const int from = i ? sorted[i - 1] + 1 : 0, to = i < n ? sorted[i] : tiles;
     for (int tile = from; tile <= to; ++tile) begins[tile] = int(i);
 }

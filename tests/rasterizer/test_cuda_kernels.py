@@ -10,6 +10,7 @@ import torch
 from e4dgs.rasterizer import Frame, cuda_backend, rasterize
 from e4dgs.rasterizer.cuda import capacity, selftest
 from e4dgs.rasterizer.cuda import forward as passes
+from e4dgs.rasterizer.cuda.capacity import Room
 from e4dgs.rasterizer.cuda.forward import forward
 from e4dgs.rasterizer.cuda.runtime import launching
 from simt import CHECKED, RACES, Emulator
@@ -118,14 +119,14 @@ def test_a_tile_s_list_of_several_batches() -> None:
 def test_room_for_more_pairs_than_there_are_changes_nothing_and_for_fewer_drops_the_furthest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Inside a CUDA graph the number of pairs is fixed beforehand (`capacity.room_in_graph`)."""
     scene, weights = some_scene(convexes=0, extras=None)
-    taken: list[int] = []
-    monkeypatch.setattr(capacity, "took", lambda inputs, pairs: taken.append(pairs))
-    monkeypatch.setattr(capacity, "likely_room", lambda inputs: None)
+    taken: list[Room] = []
+    monkeypatch.setattr(capacity, "took", lambda inputs, used: taken.append(used))
+    monkeypatch.setattr(capacity, "likely_room", lambda inputs: Room(inputs.n, inputs.m, None))
     with launching("cpu", Emulator()):
         exact, exact_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
-        monkeypatch.setattr(capacity, "room_in_graph", lambda inputs: taken[0] + 777)
+        monkeypatch.setattr(capacity, "room_in_graph", lambda inputs: Room(inputs.n, inputs.m, taken[0].pairs + 777))
         roomy, roomy_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
-        monkeypatch.setattr(capacity, "room_in_graph", lambda inputs: taken[0] // 2)
+        monkeypatch.setattr(capacity, "room_in_graph", lambda inputs: Room(inputs.n, inputs.m, taken[0].pairs // 2))
         short = scene.render("cuda")
         with deterministic():
             gradients(scene, "cuda", weights)
@@ -136,43 +137,127 @@ def test_room_for_more_pairs_than_there_are_changes_nothing_and_for_fewer_drops_
 
 
 @needs_compiler
-@pytest.mark.parametrize("likely", [0, 1, 10_000], ids=["no room", "room for one", "more than enough"])
-def test_a_frame_that_takes_more_than_the_last_ones_is_made_again(monkeypatch: pytest.MonkeyPatch, likely: int) -> None:
+def test_in_a_graph_room_for_fewer_primitives_leaves_out_the_last_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, weights = some_scene()
-    taken: list[int] = []
+    assert scene.gaussians is not None and scene.convexes is not None
+    first = Room(7, 3, 10_000)
+    monkeypatch.setattr(capacity, "room_in_graph", lambda inputs: first)
+    with launching("cpu", Emulator(flags=CHECKED)):
+        short, found = scene.render("cuda"), gradients(scene, "cuda", weights)
+        with deterministic():
+            gradients(scene, "cuda", weights)
+    seen_gaussians, seen_convexes = (int(visible.nonzero().max()) + 1 for visible in (short.visible_gaussians, short.visible_convexes))
+    assert 7 <= seen_gaussians < 40 and 3 <= seen_convexes < 20
+    few = {f"gaussians.{name}": value[:seen_gaussians] for name, value in vars(scene.gaussians).items() if value is not None}
+    few |= {f"convexes.{name}": value[:seen_convexes] for name, value in vars(scene.convexes).items() if value is not None}
+    alone = scene.having(few)
     with launching("cpu", Emulator()):
-        monkeypatch.setattr(capacity, "likely_room", lambda inputs: None)
+        want, wanted = alone.render("cuda"), gradients(alone, "cuda", weights)
+    assert all(torch.equal(getattr(short, name), getattr(want, name)) for name in OUTPUTS)
+    for name, value in wanted.items():
+        if "." in name:
+            assert torch.equal(found[name][: len(value)], value) and not found[name][len(value) :].any(), name
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "likely",
+    [Room(0, 0, 0), Room(40, 20, 1), Room(5, 20, 10_000), Room(40, 2, 10_000), Room(40, 20, 10_000)],
+    ids=["no room", "for one pair", "for few Gaussians", "for few convexes", "more than enough"],
+)
+def test_a_frame_that_takes_more_than_the_last_ones_is_made_again(monkeypatch: pytest.MonkeyPatch, likely: Room) -> None:
+    scene, weights = some_scene()
+    taken: list[Room] = []
+    with launching("cpu", Emulator()):
+        monkeypatch.setattr(capacity, "likely_room", lambda inputs: Room(inputs.n, inputs.m, None))
         exact, exact_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
         monkeypatch.setattr(capacity, "likely_room", lambda inputs: likely)
-        monkeypatch.setattr(capacity, "took", lambda inputs, pairs: taken.append(pairs))
+        monkeypatch.setattr(capacity, "took", lambda inputs, used: taken.append(used))
         guessed, guessed_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
-    assert 1 < taken[0] < 10_000 and len(set(taken)) == 1
+    assert taken[0].pairs is not None and 1 < taken[0].pairs < 10_000 and len(set(taken)) == 1
     assert all(torch.equal(getattr(exact, name), getattr(guessed, name)) for name in OUTPUTS)
     assert all(torch.equal(value, guessed_gradients[name]) for name, value in exact_gradients.items())
 
 
-def test_room_follows_the_last_frames_and_never_forgets_the_largest() -> None:
-    class Inputs:
-        device, width, height = torch.device("cpu"), 4321, 76
+@needs_compiler
+def test_what_the_view_does_not_show_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame takes the memory of what it shows, from the second frame of a size on, and culled primitives change nothing."""
+    scene, weights = some_scene(convexes=0, extras=None)
+    assert scene.gaussians is not None
+    behind = {f"gaussians.{name}": torch.cat([v, v, v]) for name, v in vars(scene.gaussians).items() if v is not None}
+    away = scene.gaussians.means + torch.tensor([1e4, 0.0, 0.0])
+    crowd = scene.having(behind | {"gaussians.means": torch.cat([away, scene.gaussians.means, away])})
+    monkeypatch.setattr(capacity, "_TAKEN", {})
+    monkeypatch.setattr(capacity, "LIKELY_ROOM", 0)
+    states = []
 
-    assert capacity.likely_room(Inputs()) is None  # type: ignore[arg-type]
-    for pairs, room in ((1000, 1250 + 1024), (10, 1225 + 1024), (2000, 2500 + 1024)):
-        capacity.took(Inputs(), pairs)  # type: ignore[arg-type]
-        assert capacity.likely_room(Inputs()) == room  # type: ignore[arg-type]
+    def noting(*given: Any) -> Any:
+        images, state = forward(*given)
+        states.append(state)
+        return images, state
+
+    monkeypatch.setattr(cuda_backend, "forward", noting)
+    with launching("cpu", Emulator()):
+        alone, wanted = scene.render("cuda"), gradients(scene, "cuda", weights)
+        shown = int((states[-1].slots >= 0).sum())
+        frame, found = crowd.render("cuda"), gradients(crowd, "cuda", weights)
+    assert 0 < shown <= 40 and len(states[-1].ids) == len(states[-1].gaussians) <= 1.1 * shown
+    assert (states[-1].slots >= 0).nonzero().flatten().tolist() == (states[-1].ids[:shown]).tolist()
+    assert all(torch.equal(getattr(frame, name), getattr(alone, name)) for name in OUTPUTS)
+    for name, value in wanted.items():
+        if "." in name:
+            assert torch.equal(found[name][40:80], value) and not found[name][:40].any() and not found[name][80:].any(), name
+
+
+class SomeInputs:
+    n, m, width, height = 100, 7, 4321, 76
+
+    def __init__(self, device: str) -> None:
+        self.device = torch.device(device)
+
+
+def test_room_follows_the_last_frames_and_never_forgets_the_largest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capacity, "_TAKEN", {})
+    inputs: Any = SomeInputs("cpu")
+    assert capacity.likely_room(inputs) == Room(100, 7, None)
+    monkeypatch.setattr(capacity, "LIKELY_ROOM", 1)
+    for pairs, room in ((1000, 1250), (10, 1225), (2000, 2500)):
+        capacity.took(inputs, Room(40, 6, pairs))
+        assert capacity.likely_room(inputs) == Room(45, 7, room + 1)
 
 
 def test_a_capture_without_a_frame_before_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Inputs:
-        device, width, height = torch.device("cuda", 0), 12345, 67
-
+    monkeypatch.setattr(capacity, "_TAKEN", {})
+    inputs: Any = SomeInputs("cuda:0")
     monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
-    with pytest.raises(RuntimeError, match=r"no frame of 12345 x 67 was rendered on cuda:0 before: render one first"):
-        capacity.room_in_graph(Inputs())  # type: ignore[arg-type]
-    capacity.took(Inputs(), 1000)  # type: ignore[arg-type]
-    capacity.took(Inputs(), 10)  # type: ignore[arg-type]
-    assert capacity.room_in_graph(Inputs()) == 1470 + 1024  # type: ignore[arg-type]
+    with pytest.raises(RuntimeError, match=r"no frame of 4321 x 76 was rendered on cuda:0 before: render one first"):
+        capacity.room_in_graph(inputs)
+    capacity.took(inputs, Room(50, 7, 1000))
+    capacity.took(inputs, Room(1, 7, 10))
+    assert capacity.room_in_graph(inputs) == Room(100, 7, 1470 + 1024)
+    monkeypatch.setattr(capacity, "GRAPH_ROOM", 0)
+    assert capacity.room_in_graph(inputs) == Room(73, 7, 1470)
     monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: False)
-    assert capacity.room_in_graph(Inputs()) is None  # type: ignore[arg-type]
+    assert capacity.room_in_graph(inputs) is None
+
+
+@pytest.mark.parametrize("beyond", range(3), ids=["Gaussians", "convexes", "pairs"])
+def test_a_replay_that_left_something_out_is_noticed_and_the_next_graph_has_room(monkeypatch: pytest.MonkeyPatch, beyond: int) -> None:
+    monkeypatch.setattr(capacity, "_TAKEN", {})
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
+    inputs: Any = SomeInputs("cuda:0")
+    inputs.n, inputs.m = 10_000, 10_000
+    capacity.took(inputs, Room(20, 20, 20))
+    room = capacity.room_in_graph(inputs)
+    assert room is not None
+    counts = torch.tensor([*room, 0])
+    with capacity.watching(torch.device("cpu")) as frames:
+        capacity.captured(inputs, room, counts)
+    assert not frames[0].overflowed(), "exactly full is not too full"
+    frames[0].most[beyond] += 1
+    assert frames[0].overflowed()
+    again = capacity.room_in_graph(inputs)
+    assert again is not None and again[beyond] == int(1.5 * (room[beyond] + 1)) + 1024
 
 
 def test_out_of_memory_names_what_to_lower_and_the_next_frame_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Launches, against a stand-in for cuda.core that notes what it is given: without a GPU, what reaches the driver's door can be held.
+"""Launches, against a stand-in for the driver that notes what it is given: without a GPU, what reaches the driver's door can be held.
 
 Tensors of the CPU are passed off as the device's; streams, devices and contexts are numbers.
 """
@@ -34,45 +34,61 @@ def on_device(*shape: int) -> OnDevice:
 
 
 class Driver:
-    """What the stand-in is told, and the current device and stream of the thread."""
+    """What the stand-in is told, and the current device and stream of the thread. It takes the place of `cuda.bindings.driver`."""
 
     def __init__(self) -> None:
         self.launches: list[tuple] = []
-        self.loaded: list[tuple] = []
-        self.contexts: list[tuple[str, int]] = []
-        self.device, self.stream, self.capturing, self.error = 1, 0, False, ""
+        self.loaded: list[bytes] = []
+        self.contexts: list[tuple[str, str]] = []
+        self.kernels: list[tuple[bytes, str]] = []  # an address counts from 1
+        self.device, self.stream, self.capturing, self.status = 1, 0, False, 0
+
+    CUresult = int
+
+    def cuInit(self, flags):
+        return (0,)
+
+    def cuDevicePrimaryCtxRetain(self, index):
+        return 0, f"context {index}"
+
+    def cuCtxSetCurrent(self, context):
+        self.contexts.append((threading.current_thread().name, context))
+        return (0,)
+
+    def cuLibraryLoadData(self, code, *options):
+        self.loaded.append(code)
+        return (200, None) if b"broken" in code else (0, code)
+
+    def cuLibraryGetKernel(self, library, name):
+        if name == b"absent":
+            return 500, None
+        self.kernels.append((library, name.decode()))
+        return 0, len(self.kernels)
+
+    def cuGetErrorName(self, error):
+        return 0, {200: b"CUDA_ERROR_INVALID_IMAGE", 500: b"CUDA_ERROR_NOT_FOUND", 700: b"CUDA_ERROR_ILLEGAL_ADDRESS"}[error]
+
+    def cuGetErrorString(self, error):
+        return 0, b"in words"
+
+    def launch(self, address, blocks, threads, stream, device, arguments):
+        """As `_cpu.launch`."""
+        if any(self.is_wrong(argument, device) for argument in arguments):
+            return -1
+        if self.status == 0:
+            self.launches.append((self.kernels[address - 1], blocks, threads, stream, device, arguments))
+        return self.status
+
+    @staticmethod
+    def is_wrong(argument, device):
+        if isinstance(argument, torch.Tensor):
+            return argument.get_device() != device or not argument.is_contiguous()
+        return argument is not None and type(argument) not in cuda_launcher.SCALARS
 
 
 @pytest.fixture
 def driver(monkeypatch):
     driver = Driver()
-
-    class ObjectCode:
-        def __init__(self, code, form):
-            self.code = code
-            driver.loaded.append((code, form))
-
-        from_cubin = classmethod(lambda cls, code, name="": cls(code, "cubin"))
-        from_ptx = classmethod(lambda cls, code, name="": cls(code, "ptx"))
-
-        def get_kernel(self, name):
-            if name == "absent":
-                raise RuntimeError("CUDA_ERROR_NOT_FOUND")
-            return self.code, name
-
-    class Device:
-        def __init__(self, index):
-            self.index = index
-
-        def set_current(self):
-            driver.contexts.append((threading.current_thread().name, self.index))
-
-    monkeypatch.setattr(cuda_launcher, "_cpu", types.SimpleNamespace(can_launch=lambda *types: False))
-
-    def launch(stream, config, kernel, *arguments):
-        if driver.error:
-            raise ValueError(driver.error)
-        driver.launches.append((stream, config, kernel, arguments, driver.device))
 
     @contextmanager
     def device(index):
@@ -80,16 +96,16 @@ def driver(monkeypatch):
         yield
         driver.device = before
 
-    core = types.ModuleType("cuda.core")
-    core.ObjectCode, core.Device, core.launch = ObjectCode, Device, launch
-    core.LaunchConfig = lambda grid, block: ("config", grid, block)
-    core.Stream = types.SimpleNamespace(from_handle=lambda handle: ("stream", handle))
-    monkeypatch.setitem(sys.modules, "cuda.core", core)
+    bindings = types.ModuleType("cuda.bindings")
+    bindings.driver = driver
+    monkeypatch.setitem(sys.modules, "cuda.bindings", bindings)
+    monkeypatch.setattr(cuda_launcher, "_cpu", types.SimpleNamespace(can_launch=lambda *types: True, launch=driver.launch))
+    monkeypatch.setattr(cuda_launcher, "_current_device", lambda: driver.device)
+    monkeypatch.setattr(cuda_launcher, "_current_stream", lambda index: driver.stream)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda index: (9, 0))
-    monkeypatch.setattr(torch.cuda, "current_device", lambda: driver.device)
     monkeypatch.setattr(torch.cuda, "device", device)
-    monkeypatch.setattr(torch.cuda, "current_stream", lambda index: types.SimpleNamespace(cuda_stream=driver.stream))
     monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: driver.capturing)
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: driver.device)
     monkeypatch.setattr(cuda_launcher, "_LIBRARIES", {})
     monkeypatch.setattr(cuda_launcher, "_THREAD", cuda_launcher._Thread())
     used = {"forward": Resources(32, 0, 0, 0)}
@@ -104,38 +120,37 @@ def cuda(driver):
 
 def test_a_launch_gives_stream_shape_and_arguments_in_order(driver, cuda):
     driver.stream = 12345
-    a, b = on_device(3), on_device(2, 2)
-    n, x = ctypes.c_int32(7), ctypes.c_float(0.5)
-    cuda.launch(PROGRAM, "forward", 40, 128, a, None, n, b, x)
-    kernel = (b"blend.cu POINTS=6 sm_90", "forward")
-    assert driver.launches == [(("stream", 12345), ("config", 40, 128), kernel, (a.data_ptr(), 0, 7, b.data_ptr(), x), 1)]
+    arguments = on_device(3), None, ctypes.c_int32(7), on_device(2, 2), ctypes.c_float(0.5)
+    cuda.launch(PROGRAM, "forward", 40, 128, *arguments)
+    assert driver.launches == [((b"blend.cu POINTS=6 sm_90", "forward"), 40, 128, 12345, 1, arguments)]
 
 
 def test_a_program_is_loaded_once_for_all_its_kernels_and_launches(driver, cuda):
     for kernel in ("forward", "backward", "forward"):
         cuda.launch(PROGRAM, kernel, 1, 32)
     CudaLauncher(torch.device("cuda", 0)).launch(PROGRAM, "forward", 1, 32)  # another device of the same architecture
-    assert driver.loaded == [(b"blend.cu POINTS=6 sm_90", "cubin")] and len(driver.launches) == 4
+    assert driver.loaded == [b"blend.cu POINTS=6 sm_90"] and len(driver.launches) == 4
     cuda.launch(Program(PROGRAM.source, (("POINTS", 8),)), "forward", 1, 32)
     assert len(driver.loaded) == 2
 
 
-def test_ptx_is_loaded_as_ptx(driver, cuda, monkeypatch):
+def test_ptx_is_loaded_with_a_zero_at_its_end(driver, cuda, monkeypatch):
     monkeypatch.setattr(cache, "compiled", lambda program, arch: Compiled(b"text", "ptx", {}))
     cuda.launch(PROGRAM, "forward", 1, 32)
-    assert driver.loaded == [(b"text", "ptx")]
+    assert driver.loaded == [b"text\0"]
 
 
 def test_the_current_stream_is_asked_for_at_every_launch(driver, cuda):
     for driver.stream in (0, 5, 0):
         cuda.launch(PROGRAM, "forward", 1, 32)
-    assert [launch[0] for launch in driver.launches] == [("stream", 0), ("stream", 5), ("stream", 0)]
+    assert [launch[3] for launch in driver.launches] == [0, 5, 0]
 
 
 def test_the_launchers_device_is_current_while_it_launches_and_only_then(driver, cuda):
-    driver.device = 0
+    driver.device, launch, seen = 0, driver.launch, []
+    cuda_launcher._cpu.launch = lambda *given: seen.append(driver.device) or launch(*given)
     cuda.launch(PROGRAM, "forward", 1, 32)
-    assert driver.launches[0][4] == 1 and driver.device == 0
+    assert seen == [1] and driver.device == 0 and len(driver.launches) == 1
 
 
 def test_every_thread_gets_a_context_once(driver, cuda):
@@ -147,7 +162,7 @@ def test_every_thread_gets_a_context_once(driver, cuda):
     thread = threading.Thread(target=twice, name="autograd")
     thread.start()
     thread.join()
-    assert driver.contexts == [(threading.current_thread().name, 1), ("autograd", 1)] and len(driver.launches) == 4
+    assert driver.contexts == [(threading.current_thread().name, "context 1"), ("autograd", "context 1")] and len(driver.launches) == 4
 
 
 def test_no_blocks_no_launch_and_too_many_are_refused(driver, cuda):
@@ -176,14 +191,21 @@ def test_arguments_are_checked(driver, cuda, argument, error, message):
     assert driver.launches == []
 
 
-def test_errors_name_kernel_program_and_shape(driver, cuda):
-    driver.error = "CUDA_ERROR_ILLEGAL_ADDRESS"
+def test_errors_name_kernel_program_and_shape(driver, cuda, monkeypatch):
+    driver.status = 700
     with pytest.raises(
-        RuntimeError, match=r"forward of blend.cu POINTS=6 .* cuda:1 \(grid 3, block 64\): CUDA_ERROR_ILLEGAL.*LAUNCH_BLOCKING=1"
+        RuntimeError, match=r"forward of blend.cu POINTS=6 .* cuda:1 \(grid 3, block 64\): CUDA_ERROR_ILLEGAL.*in words.*LAUNCH_BLOCKING=1"
     ):
         cuda.launch(PROGRAM, "forward", 3, 64)
-    with pytest.raises(RuntimeError, match=r"absent of blend.cu POINTS=6 could not be loaded .*NOT_FOUND; the program has forward"):
+    driver.status = 12345  # which the bindings do not know
+    with pytest.raises(RuntimeError, match="error 12345"):
+        cuda.launch(PROGRAM, "forward", 3, 64)
+    with pytest.raises(RuntimeError, match=r"could not load kernel absent of blend.cu POINTS=6 .*; the program has forward: .*NOT_FOUND"):
         cuda.launch(PROGRAM, "absent", 3, 64)
+    monkeypatch.setattr(cache, "compiled", lambda program, arch: Compiled(b"broken", "cubin", {}))
+    with pytest.raises(RuntimeError, match=r"could not load kernel forward of tiles.cu on cuda:1.*INVALID_IMAGE"):
+        cuda.launch(Program(Path("tiles.cu")), "forward", 3, 64)
+    assert all(program.source.name != "tiles.cu" for program, _ in cuda_launcher._LIBRARIES), "the next launch tries again"
 
 
 def test_nothing_is_loaded_inside_a_graph_capture(driver, cuda):
@@ -194,34 +216,19 @@ def test_nothing_is_loaded_inside_a_graph_capture(driver, cuda):
         cuda.launch(PROGRAM, "backward", 1, 32)
 
 
-def test_shapes_do_not_pile_up(driver, cuda, monkeypatch):
-    monkeypatch.setattr(cuda_launcher, "KEPT", 5)
-    for blocks in range(1, 40):
-        cuda.launch(PROGRAM, "forward", blocks, 32)
-    assert len(cuda._configs) <= 5 and [launch[1][1] for launch in driver.launches] == [*range(1, 40)]
-
-
-def test_the_real_cuda_core_takes_what_is_passed():
-    core = pytest.importorskip("cuda.core")
-    assert core.LaunchConfig(grid=40, block=128).grid == (40, 1, 1) and core.LaunchConfig(grid=40, block=128).block == (128, 1, 1)
-    assert core.Stream.from_handle(0).__cuda_stream__() == (0, 0)  # torch's default stream
-    assert all(hasattr(core.ObjectCode, name) for name in ("from_cubin", "from_ptx", "get_kernel"))
-    assert hasattr(core.Device, "set_current") and callable(core.launch)
-
-
-def test_the_driver_finds_every_scalar_in_the_parameters_width(cuda):
-    """cuda-core's own list of parameters, read as the driver does: so many bytes at each address as the kernel's parameter has."""
-    pytest.importorskip("cuda.core._kernel_arg_handler")
-    from cuda.core._kernel_arg_handler import ParamHolder
-
-    whole = {kind: (1,) if kind is ctypes.c_bool else (-1, 0, 1, -(2**62), 2**62 + 3) for kind in cuda_launcher.SCALARS}
-    given = [kind(value) for kind, values in whole.items() for value in values] + [ctypes.c_uint64(2**64 - 1), ctypes.c_float(0.1)]
-    tensor = on_device(3)
-    values = cuda._values("forward", (None, tensor, *given))
-    holder = ParamHolder(tuple(values))
-    addresses = ctypes.cast(holder.ptr, ctypes.POINTER(ctypes.c_void_p))
-    for place, want in enumerate([ctypes.c_int64(0), ctypes.c_int64(tensor.data_ptr()), *given]):
-        assert ctypes.cast(addresses[place], ctypes.POINTER(type(want)))[0] == want.value
+def test_the_real_bindings_have_what_is_called():
+    driver = pytest.importorskip("cuda.bindings.driver")
+    used = (
+        "cuInit",
+        "cuDevicePrimaryCtxRetain",
+        "cuCtxSetCurrent",
+        "cuLibraryLoadData",
+        "cuLibraryGetKernel",
+        "cuGetErrorName",
+        "cuGetErrorString",
+    )
+    assert all(callable(getattr(driver, name)) for name in used)
+    assert int(driver.CUresult(0)) == 0 and int(driver.CUkernel(12)) == 12
 
 
 def test_a_registered_launcher_stands_in_for_its_device():

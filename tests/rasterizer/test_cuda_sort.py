@@ -42,6 +42,14 @@ def test_equal_keys_keep_their_order_whatever_runs_first(width: int) -> None:
 
 
 @needs_compiler
+@pytest.mark.parametrize("number", [0, 1, BLOCK - 1, BLOCK, BLOCK + 3, 2 * BLOCK + 9])
+def test_as_many_keys_are_sorted_as_the_device_says(number: int) -> None:
+    keys = some_keys(8, 2 * BLOCK + 9)
+    _, values = sort(Emulator(), keys.clone(), keep_keys=False, number=torch.tensor([number]))
+    assert torch.equal(values[:number].long(), torch.sort(keys[:number], stable=True).indices)
+
+
+@needs_compiler
 def test_the_largest_keys_are_not_taken_for_the_end() -> None:
     """Threads without a key rank with the largest digit."""
     for kind in TYPES.values():

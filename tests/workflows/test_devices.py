@@ -15,10 +15,10 @@ def machine(monkeypatch, tmp_path):
     (tmp_path / "torch").mkdir()
     version = tmp_path / "torch" / "version.py"
     version.write_text("__version__ = '2.13.0+cu130'\ncuda: Optional[str] = '13.0'\n")
-    present = {"torch", "cuda.core", "cuda.bindings.nvrtc", "nvidia.cu13"}
+    present = {"torch", "cuda.bindings.nvrtc", "nvidia.cu13"}
 
     def find_spec(name):
-        if name == "cuda.core" and "cuda" not in {found.split(".")[0] for found in present}:
+        if name == "cuda.bindings.nvrtc" and "cuda" not in {found.split(".")[0] for found in present}:
             raise ModuleNotFoundError("No module named 'cuda'")  # as the real one does
         return types.SimpleNamespace(origin=str(tmp_path / "torch" / "__init__.py")) if name in present else None
 
@@ -105,9 +105,7 @@ def test_a_selftest_that_does_not_end_is_no_proof(machine, monkeypatch, tmp_path
     ("absent", "reason"),
     [
         ({"torch"}, "torch is not installed"),
-        ({"cuda.core"}, "cuda-core is not installed; install e4dgs[cuda13], or e4dgs[cuda12] where"),
-        ({"cuda.core", "cuda.bindings.nvrtc"}, "cuda-core is not installed; install e4dgs[cuda13]"),
-        ({"cuda.bindings.nvrtc"}, "cuda-bindings is not installed; install e4dgs[cuda13]"),
+        ({"cuda.bindings.nvrtc"}, "cuda-bindings is not installed; install e4dgs[cuda13], or e4dgs[cuda12] where"),
         ({"nvidia.cu13"}, "NVRTC, which compiles the kernels, was not found; install e4dgs[cuda13]"),
     ],
 )
@@ -119,7 +117,7 @@ def test_what_is_missing_is_named(machine, absent, reason):
 @pytest.mark.parametrize("line", ["cuda: Optional[str] = None", "cuda = None"])
 def test_a_torch_without_cuda_is_named_first(machine, line):
     machine.version.write_text(line + "\nhip = None\n")
-    machine.present -= {"cuda.core"}
+    machine.present -= {"cuda.bindings.nvrtc"}
     assert why_not_cuda() == "the installed torch was built without CUDA"
 
 

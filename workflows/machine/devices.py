@@ -46,9 +46,8 @@ def why_not_cuda() -> str | None:
     version = (Path(spec.origin).parent / "version.py").read_text()
     if not re.search(r"^cuda\b[^=]*= *['\"]", version, re.MULTILINE):
         return "the installed torch was built without CUDA"
-    for module, package in (("cuda.core", "cuda-core"), ("cuda.bindings.nvrtc", "cuda-bindings")):
-        if not _is_there(module):
-            return f"{package} is not installed; {EXTRAS}"
+    if not _is_there("cuda.bindings.nvrtc"):
+        return f"cuda-bindings is not installed; {EXTRAS}"
     if not _nvrtc_is_there():
         return f"NVRTC, which compiles the kernels, was not found; {EXTRAS}"
     try:

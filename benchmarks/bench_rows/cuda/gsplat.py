@@ -1,4 +1,4 @@
-"""Our rasterizer beside gsplat's, on its own scene, in one run: time and memory."""
+"""Our rasterizer beside gsplat's, on its own scene, in one run: time, what of it the GPU is busy, and memory."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import torch
 from e4dgs.rasterizer.reference.scene import Scene
-from e4dgs.workflows.bench.cuda.gpu import CALLS, both_on_gpu, ending, gpu_name, need_gpu, on_gpu, peak_mib
+from e4dgs.workflows.bench.cuda.gpu import CALLS, both_on_gpu, ending, gpu_name, gpu_times, need_gpu, on_gpu, peak_mib
 from e4dgs.workflows.bench.render import forward
 from e4dgs.workflows.bench.rows import Bench, Check, Measured
 from e4dgs.workflows.bench.scenes import garden
@@ -33,6 +33,7 @@ def measure(bench: Bench) -> Measured:
                 runs |= {"gsplat forward": forward(scene, peer), "gsplat both": both_on_gpu(scene, peer)}
             times = interleaved(bench, {key: ending(run) for key, run in runs.items()})
             memory = {key: peak_mib(run) for key, run in runs.items()}
+            busy = {key: 1e3 * sum(gpu_times(run).values()) for key, run in runs.items()}
             for part, bar in FASTER.items():
                 checks.append(Check(f"{what}, {part}: ours", 1e3 * times[f"ours {part}"].median / CALLS, unit="ms"))
                 if there:
@@ -41,14 +42,18 @@ def measure(bench: Bench) -> Measured:
             if there:
                 share = memory["ours both"] / memory["gsplat both"]
                 checks.append(Check(f"{what}: our memory over gsplat's, forward + backward", share, 1.0))
-            table += [(what, key, f"{1e3 * times[key].median / CALLS:.3f}", f"{memory[key]:.0f}") for key in runs]
-            numbers[what] = {"times": {k: t.json() for k, t in times.items()}, "mib": memory}
+            table += [(what, key, f"{1e3 * times[key].median / CALLS:.3f}", f"{busy[key]:.3f}", f"{memory[key]:.0f}") for key in runs]
+            numbers[what] = {"times": {k: t.json() for k, t in times.items()}, "gpu_ms": busy, "mib": memory}
             bench.tick(what)
     rival = (
         f"gsplat {metadata.version('gsplat')}" if there else "gsplat is not installed, so nothing is compared (pip install gsplat==1.5.3)"
     )
     return Measured(
-        f"{name}; {rival}; {gpu_name()}; ten calls a run", checks, numbers, columns=("scene", "", "median ms a call", "MiB"), table=table
+        f"{name}; {rival}; {gpu_name()}; ten calls a run",
+        checks,
+        numbers,
+        columns=("scene", "", "median ms a call", "ms of the GPU", "MiB"),
+        table=table,
     )
 
 

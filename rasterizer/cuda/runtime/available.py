@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from . import cache
-from .compiler import INSTALL, architectures, compile_cubin, load_nvrtc, nvrtc_version, target_of
+from .compiler import architectures, compile_cubin, load_nvrtc, nvrtc_version, target_of
 from .program import Program
 
 OLDEST = (7, 5)  # the oldest compute capability that CUDA 13 still compiles for
@@ -56,10 +56,6 @@ def _problem(index: int) -> str | None:
 
     if torch.version.cuda is None:
         return "the installed torch was built without CUDA; install one with it (https://pytorch.org/get-started/locally)"
-    try:
-        import cuda.core  # noqa: F401
-    except ImportError as error:
-        return f"cuda-core cannot be imported ({_first_line(error)}); {INSTALL}"
     try:
         load_nvrtc()
     except RuntimeError as error:

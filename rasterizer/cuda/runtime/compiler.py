@@ -1,7 +1,6 @@
 """Compiles kernels to machine code with NVRTC.
 
-Uses only the `nvrtc` module of cuda-bindings, which needs no driver. `cuda.core.Program.compile` asks the driver for its version, so it
-could not compile on machines without a GPU (CI, a build host).
+Uses only the `nvrtc` module of cuda-bindings, which needs no driver: so machines without a GPU (CI, a build host) compile, too.
 """
 
 from __future__ import annotations

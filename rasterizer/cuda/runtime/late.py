@@ -1,4 +1,4 @@
-"""Reads a number from the device without waiting for the work that is queued after it."""
+"""Reads numbers from the device without waiting for the work that is queued after them."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ import torch
 from torch import Tensor
 
 
-def read_later(value: Tensor) -> Callable[[], int]:
-    """Queue a copy of ``value``, an integer tensor of one element, to the CPU. The function returned waits for that copy alone."""
-    if value.device.type != "cuda":
-        return lambda: int(value)
-    copy = value.to("cpu", non_blocking=True)
+def read_later(values: Tensor) -> Callable[[], list[int]]:
+    """Queue a copy of ``values``, integers [n], to the CPU. The function returned waits for that copy alone."""
+    if values.device.type != "cuda":
+        return values.tolist
+    copy = values.to("cpu", non_blocking=True)
     arrived = torch.cuda.Event()
-    arrived.record(torch.cuda.current_stream(value.device))
+    arrived.record(torch.cuda.current_stream(values.device))
 
-    def read() -> int:
+    def read() -> list[int]:
         arrived.synchronize()
-        return int(copy)
+        found: list[int] = copy.tolist()
+        return found
 
     return read

@@ -25,6 +25,12 @@ class Program:
     defines: tuple[tuple[str, int], ...] = ()
     includes: tuple[Path, ...] = INCLUDES
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_hash", hash((self.source, self.defines, self.includes)))
+
+    def __hash__(self) -> int:  # asked for by every launch
+        return int(vars(self)["_hash"])
+
     def __str__(self) -> str:
         return " ".join([self.source.name, *(f"{name}={value}" for name, value in sorted(self.defines))])
 
