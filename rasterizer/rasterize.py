@@ -76,12 +76,12 @@ def rasterize(
     if validate:
         check_values(gaussians)
         check_values(convexes)
-    gaussians, convexes = _pad_extras(gaussians, convexes)
-
     if capturing:
         _check_capture(camera, background, tiles)
     if backend == "auto":
         backend = "cuda" if device.type == "cuda" else "cpu"
+    if backend != "cuda" or gaussians.extras is not None or convexes.extras is not None:  # these kernels need no extras of width 0
+        gaussians, convexes = _pad_extras(gaussians, convexes)
     if backend == "reference":
         from .reference import rasterize_reference
 

@@ -20,6 +20,7 @@ constexpr int kBits = 8, kBins = 1 << kBits, kPasses = int(sizeof(Key));
 constexpr int kSortThreads = kBins, kSortWarps = kSortThreads / 32;  // a thread for each bin
 constexpr int kItems = 8;  // keys of a thread; ITEMS in sort.py
 constexpr int kBlockKeys = kSortThreads * kItems;
+constexpr int kAtOnce = 4;  // earlier blocks whose counts are read at a time, because one read after another takes longer than the sorting
 
 // The layout of the workspace, which is zero at first: each pass's counter of blocks and its counts of digits; then, for each block, a
 // published number for each digit.
@@ -99,11 +100,18 @@ extern "C" __global__ void __launch_bounds__(kSortThreads, 3)
     uint64* const words = workspace + kPublished + thread;
     atomicExch(words + block * kBins, tagged(uint64(total), block ? local : whole));
     int64 before = 0;
-    for (int64 other = block - 1; other >= 0; --other) {
-        uint64 word = published(words + other * kBins);
-        while (tag_of(word) < local) word = published(words + other * kBins);
-        before += int64(value_of(word));
-        if (tag_of(word) == whole) break;
+    bool found = block == 0;
+    for (int64 nearest = block - 1; !found; nearest -= kAtOnce) {
+        uint64 word[kAtOnce];
+#pragma unroll
+        for (int j = 0; j < kAtOnce; ++j) word[j] = nearest - j >= 0 ? published(words + (nearest - j) * kBins) : tagged(0, whole);
+#pragma unroll
+        for (int j = 0; j < kAtOnce; ++j) {
+            if (found) continue;
+            while (tag_of(word[j]) < local) word[j] = published(words + (nearest - j) * kBins);
+            before += int64(value_of(word[j]));
+            found = tag_of(word[j]) == whole;
+        }
     }
     if (block) atomicExch(words + block * kBins, tagged(uint64(before + total), whole));
     shift[thread] = sum_before<kSortThreads>(int64(workspace[kCounts + pass * kBins + thread]), scratch) + before - start;

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..types import TILE, Camera, Convexes, Gaussians
+from .runtime import current_stream
 
 CAMERA_NUMBERS = 17  # fx fy cx cy, R, t, near
 
@@ -99,19 +100,37 @@ class State:
 
 
 def view_on(device: torch.device, camera: Camera, background: Tensor, antialiased: bool, tiles: Tensor | None) -> View:
-    """The view through ``camera``, computed without waiting for ``device``. Camera and background on the CPU travel in one copy."""
+    """The view through ``camera``, computed without waiting for ``device``. Camera and background on the CPU travel in one copy, which is
+    kept for the next frames."""
     with torch.no_grad():
         if camera.K.device.type == "cpu" and background.device.type == "cpu":
-            K, pose = camera.K.tolist(), camera.cam_from_world.tolist()[:3]
-            numbers = [K[0][0], K[1][1], K[0][2], K[1][2], *(x for row in pose for x in row[:3]), *(row[3] for row in pose), camera.near]
-            packed = bytearray(struct.pack(f"{CAMERA_NUMBERS}d3f", *numbers, *background.to(torch.float32).tolist()))
-            there = torch.frombuffer(packed, dtype=torch.uint8).to(device, non_blocking=True)
-            own, behind = there[: 8 * CAMERA_NUMBERS].view(torch.float64), there[8 * CAMERA_NUMBERS :].view(torch.float32)
+            own, behind = _there(device, camera, background)
         else:
             own = _numbers(camera).to(device, non_blocking=True)
             behind = background.to(device, torch.float32, non_blocking=True).contiguous()
         drawn = None if tiles is None else tiles.to(device, torch.uint8, non_blocking=True).contiguous()
     return View(own, behind, camera.width, camera.height, antialiased, drawn)
+
+
+_THERE: dict[tuple[torch.device, int, bytes], tuple[Tensor, Tensor]] = {}  # of the last views: `View.camera` and `View.background`
+MOST_THERE = 1024
+
+
+def _there(device: torch.device, camera: Camera, background: Tensor) -> tuple[Tensor, Tensor]:
+    """`View.camera` and `View.background` on ``device``, copied on the current stream if they are not there yet."""
+    K, pose = camera.K.tolist(), camera.cam_from_world.tolist()[:3]
+    numbers = [K[0][0], K[1][1], K[0][2], K[1][2], *(x for row in pose for x in row[:3]), *(row[3] for row in pose), camera.near]
+    packed = struct.pack(f"{CAMERA_NUMBERS}d3f", *numbers, *background.to(torch.float32).tolist())
+    stream = current_stream(device.index) if device.type == "cuda" else 0
+    found = _THERE.get((device, stream, packed))
+    if found is None:
+        if len(_THERE) >= MOST_THERE:
+            _THERE.clear()
+        with torch.inference_mode(False):
+            there = torch.frombuffer(bytearray(packed), dtype=torch.uint8).to(device, non_blocking=True)
+            found = there[: 8 * CAMERA_NUMBERS].view(torch.float64), there[8 * CAMERA_NUMBERS :].view(torch.float32)
+        _THERE[device, stream, packed] = found
+    return found
 
 
 def _numbers(camera: Camera) -> Tensor:

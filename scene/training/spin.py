@@ -32,6 +32,7 @@ FASTEST = 22.0  # degrees a frame
 WINDOW = 6  # frames to either side over which the first search expects one colour
 ACCEPT = 0.8  # the variance of colours must fall below this share of that without turning, in windows and over the capture
 MIN_FRAMES = 4 * WINDOW
+ON_CPU, ON_GPU = 4000, 40_000  # turns and frames that are judged at a time; a GPU waits for the host with fewer
 
 
 @dataclass(frozen=True)
@@ -125,32 +126,39 @@ class SpinSearch:
         sigma = BLUR * SURFACE * PATCH / 4.5
         return torch.from_numpy(cv2.GaussianBlur(patch, (0, 0), sigma)).permute(2, 0, 1)
 
-    def variance(self, omega: Tensor, offset: Tensor, first: int, last: int, directions: int = DIRECTIONS) -> Tensor:
-        """[C] mean over the sphere of the variance of the colours that frames ``first`` to ``last`` see, for C turns ``omega`` [C, 3] in
-        rad a frame about the path moved by ``offset`` [3]. directions: number of places on the sphere, one of the two constants."""
-        f = torch.arange(first, last + 1, device=self.device)
-        turns = rotation_vectors((f - 0.5 * (first + last))[None, :, None] * omega[:, None])
-        normal = torch.einsum("cfij,nj->cfni", turns, self.directions[directions])
-        centre = self.path[f] + offset
-        towards = F.normalize(self.centres[f] - centre, dim=1)
-        facing = ((normal * towards[None, :, None]).sum(-1) - 0.25).clamp(min=0) ** 2
-        cam = torch.einsum("fij,cfnj->cfni", self.cam_from_world[f, :3, :3], centre[None, :, None] + self.surface * normal)
-        cam = cam + self.cam_from_world[f, :3, 3][None, :, None]
-        focal = torch.stack([self.K[f, 0, 0], self.K[f, 1, 1]], 1)[None, :, None]
-        pixel = focal * cam[..., :2] / cam[..., 2:].clamp(min=1e-6) + self.K[f, :2, 2][None, :, None]
-        grid = (pixel - self.pixels[f][None, :, None]) / self.half[f][None, :, None, None]
-        seen = F.grid_sample(self.patches[f], grid.transpose(0, 1), align_corners=False, padding_mode="border").permute(2, 0, 3, 1)
-        weight, total = facing.sum(1), facing.sum((1, 2)).clamp(min=1e-6)
-        mean_square = (facing * seen.square().sum(-1)).sum(1)
-        square_mean = (facing[..., None] * seen).sum(1).square().sum(-1) / weight.clamp(min=1e-4)
-        return (mean_square - square_mean).sum(1) / total
+    def variance(self, omega: Tensor, offset: Tensor, windows: Tensor, directions: int = DIRECTIONS) -> Tensor:
+        """[C, W] mean over the sphere of the variance of the colours that the frames of each of ``windows`` [W, L] see (-1: no frame), for
+        C turns ``omega`` [C, 3] in rad a frame about the path moved by ``offset`` [C or 1, 3]. directions: number of places on the
+        sphere, one of the two constants."""
+        f, inside = windows.clamp(min=0), windows >= 0
+        middle = 0.5 * (f[:, :1] + windows.amax(1, keepdim=True))
+        turns = rotation_vectors((f - middle)[..., None] * omega[:, None, None])
+        normal = torch.einsum("cwfij,nj->cwfni", turns, self.directions[directions])
+        centre = self.path[f] + offset[:, None, None]
+        towards = F.normalize(self.centres[f] - centre, dim=-1)
+        facing = ((normal * towards[..., None, :]).sum(-1) - 0.25).clamp(min=0) ** 2 * inside[..., None]
+        pose = self.cam_from_world[f]
+        cam = torch.einsum("wfij,cwfnj->cwfni", pose[..., :3, :3], centre[..., None, :] + self.surface * normal) + pose[..., None, :3, 3]
+        focal = torch.stack([self.K[f, 0, 0], self.K[f, 1, 1]], -1)[..., None, :]
+        pixel = focal * cam[..., :2] / cam[..., 2:].clamp(min=1e-6) + self.K[f, :2, 2][..., None, :]
+        grid = (pixel - self.pixels[f][..., None, :]) / self.half[f][..., None, None]
+        flat = grid.permute(1, 2, 0, 3, 4).flatten(0, 1)
+        seen = F.grid_sample(self.patches[f.flatten()], flat, align_corners=False, padding_mode="border")
+        seen = seen.unflatten(0, windows.shape).permute(3, 0, 1, 4, 2)
+        weight, total = facing.sum(2), facing.sum((2, 3)).clamp(min=1e-6)
+        mean_square = (facing * seen.square().sum(-1)).sum(2)
+        square_mean = (facing[..., None] * seen).sum(2).square().sum(-1) / weight.clamp(min=1e-4)
+        return (mean_square - square_mean).sum(2) / total
 
     def over_windows(self, omega: Tensor, offset: Tensor, half: int, directions: int = DIRECTIONS) -> Tensor:
-        """[C] mean of `variance` over windows of ``half`` frames to either side that tile the sequence."""
-        last = self.count - 1
-        windows = [(start, min(start + 2 * half, last)) for start in range(0, max(last - half, 1), 2 * half + 1)]
-        size = max(1, 4000 // (2 * half + 1))
-        return torch.cat([sum(self.variance(o, offset, *w, directions) for w in windows) / len(windows) for o in omega.split(size)])  # type: ignore[misc]
+        """[C] mean of `variance` over windows of ``half`` frames to either side that tile the sequence. offset: [C, 3], or [3] for all."""
+        last, length = self.count - 1, 2 * half + 1
+        starts = torch.arange(0, max(last - half, 1), length, device=self.device)
+        windows = starts[:, None] + torch.arange(length, device=self.device)
+        windows = torch.where(windows <= last, windows, -1)
+        size = max(1, (ON_GPU if self.device.type == "cuda" else ON_CPU) // windows.numel())
+        parts = zip(omega.split(size), offset.expand(len(omega), 3).split(size))
+        return torch.cat([self.variance(turns, shifts, windows, directions).mean(1) for turns, shifts in parts])
 
     def find(self) -> Spin | None:
         """The turn that explains the colours best, or None if none is much better than no turn."""
@@ -186,19 +194,23 @@ class SpinSearch:
 
     def _descend(self, omega: Tensor, offset: Tensor, half: int = WINDOW, steps: int = 40) -> tuple[Tensor, Tensor]:
         """The best of ``omega`` [C, 3] after gradient steps on each together with its own offset: ([1, 3], [3])."""
-        best = (float("inf"), omega[:1], offset)
         rate = 10 * np.pi / 180 / half
-        for start in omega:
-            turn, shift = start[None].clone().requires_grad_(), (offset / self.radius).clone().requires_grad_()
-            adam = torch.optim.Adam([{"params": [turn], "lr": rate / 10}, {"params": [shift], "lr": 0.02}])
-            for _ in range(steps):
-                value = self.over_windows(turn, shift * self.radius, half).sum()
-                if value.item() < best[0]:
-                    best = (value.item(), turn.detach().clone(), (shift * self.radius).detach().clone())
-                adam.zero_grad()
-                value.backward()
-                adam.step()
-        return best[1], best[2]
+        turns = omega.clone().requires_grad_()
+        shifts = (offset / self.radius).repeat(len(omega), 1).requires_grad_()
+        adam = torch.optim.Adam([{"params": [turns], "lr": rate / 10}, {"params": [shifts], "lr": 0.02}])
+        best, best_turns, best_shifts = torch.full((len(omega),), torch.inf, device=self.device), turns.detach(), shifts.detach()
+        for _ in range(steps):
+            values = self.over_windows(turns, shifts * self.radius, half)
+            with torch.no_grad():
+                better = values < best
+                best = torch.where(better, values, best)
+                best_turns = torch.where(better[:, None], turns, best_turns)
+                best_shifts = torch.where(better[:, None], shifts, best_shifts)
+            adam.zero_grad()
+            values.sum().backward()
+            adam.step()
+        first = int(best.argmin())
+        return best_turns[first][None], best_shifts[first] * self.radius
 
 
 def lattice(reach: float, steps: int) -> Tensor:

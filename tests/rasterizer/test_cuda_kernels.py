@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 from e4dgs.rasterizer import Frame, cuda_backend, rasterize
-from e4dgs.rasterizer.cuda import capacity, selftest
+from e4dgs.rasterizer.cuda import capacity, selftest, state
 from e4dgs.rasterizer.cuda import forward as passes
 from e4dgs.rasterizer.cuda.capacity import Room
 from e4dgs.rasterizer.cuda.forward import forward
@@ -274,6 +274,24 @@ def test_out_of_memory_names_what_to_lower_and_the_next_frame_is_fine(monkeypatc
             scene.render("cuda")
         monkeypatch.setattr(cuda_backend, "forward", forward)
         assert isinstance(scene.render("cuda"), Frame)
+
+
+@needs_compiler
+def test_views_that_were_copied_before_are_told_apart_by_their_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A camera on the CPU is copied once, as long as its numbers stay the same."""
+    scene, _ = some_scene(extras=None)
+    monkeypatch.setattr(state, "_THERE", {})
+    monkeypatch.setattr(state, "MOST_THERE", 2)
+    with launching("cpu", Emulator()), torch.no_grad():
+        first = scene.render("cuda")
+        assert torch.equal(scene.render("cuda").color, first.color) and len(state._THERE) == 1
+        scene.camera.K[0, 0] *= 1.5
+        wide = scene.render("cuda")
+        scene.background += 0.5
+        bright = scene.render("cuda")
+        assert len(state._THERE) == 1, "two are the most, and then it begins anew"
+    assert not torch.equal(wide.color, first.color) and not torch.equal(wide.color, bright.color)
+    assert float((wide.color - scene.render("cpu").color + 0.5 * (1 - wide.alpha[..., None])).abs().max()) < 1e-4
 
 
 @needs_compiler

@@ -101,7 +101,7 @@ def driver(monkeypatch):
     monkeypatch.setitem(sys.modules, "cuda.bindings", bindings)
     monkeypatch.setattr(cuda_launcher, "_cpu", types.SimpleNamespace(can_launch=lambda *types: True, launch=driver.launch))
     monkeypatch.setattr(cuda_launcher, "_current_device", lambda: driver.device)
-    monkeypatch.setattr(cuda_launcher, "_current_stream", lambda index: driver.stream)
+    monkeypatch.setattr(cuda_launcher, "current_stream", lambda index: driver.stream)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda index: (9, 0))
     monkeypatch.setattr(torch.cuda, "device", device)
     monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: driver.capturing)

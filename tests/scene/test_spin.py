@@ -117,6 +117,18 @@ def test_the_variance_is_lowest_at_the_true_turn_and_its_gradient_agrees_with_ce
     assert float((plus - minus) / 4e-3) == pytest.approx(float(omega.grad[0, 1]), rel=0.05)
 
 
+def test_frames_that_a_window_lacks_and_turns_beside_a_turn_change_nothing():
+    s = search(turning_ball(24, OMEGA))
+    omega = torch.tensor(OMEGA).float() + 0.05 * torch.arange(9.0).view(3, 3)
+    offset = 0.1 * torch.eye(3)
+    short, padded = torch.arange(5, 12)[None], torch.cat([torch.arange(5, 12), torch.tensor([-1, -1])])[None]
+    with torch.no_grad():
+        alone = torch.cat([s.variance(omega[i : i + 1], offset[i : i + 1], short) for i in range(3)])
+        assert torch.allclose(s.variance(omega, offset, padded), alone, rtol=1e-4)
+        both = s.variance(omega, offset, torch.cat([padded, torch.arange(9)[None]]))
+        assert torch.allclose(both, torch.cat([alone, s.variance(omega, offset, torch.arange(9)[None])], 1), rtol=1e-4)
+
+
 def test_rotation_vectors_agree_with_scipy_and_are_smooth_at_zero():
     v = np.random.default_rng(0).normal(size=(20, 3))
     assert np.allclose(rotation_vectors(torch.tensor(v)).numpy(), Rotation.from_rotvec(v).as_matrix(), atol=1e-6)

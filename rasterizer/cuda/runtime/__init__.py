@@ -9,5 +9,17 @@ from .available import describe, why_not
 from .late import read_later
 from .launcher import Launcher, launcher_for, launching, warm_up
 from .program import Program
+from .stream import current_stream
 
-__all__ = ["Argument", "Launcher", "Program", "describe", "launcher_for", "launching", "read_later", "warm_up", "why_not"]
+__all__ = [
+    "Argument",
+    "Launcher",
+    "Program",
+    "current_stream",
+    "describe",
+    "launcher_for",
+    "launching",
+    "read_later",
+    "warm_up",
+    "why_not",
+]

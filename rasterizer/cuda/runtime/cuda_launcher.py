@@ -15,6 +15,7 @@ from . import cache
 from .arguments import Argument, Scalar
 from .compiler import Compiled
 from .program import Program
+from .stream import current_stream
 
 MAX_BLOCKS = 2**31 - 1  # along the first axis of a grid
 SCALARS = frozenset(get_args(Scalar))
@@ -77,7 +78,7 @@ class CudaLauncher:
 
     def _run(self, program: Program, kernel: str, blocks: int, threads: int, arguments: tuple[Argument, ...]) -> None:
         address = self._kernels.get((program, kernel)) or self._load(program, kernel)
-        status = _cpu.launch(address, blocks, threads, _current_stream(self.index), self.index, arguments)
+        status = _cpu.launch(address, blocks, threads, current_stream(self.index), self.index, arguments)
         if status == 0:
             return
         self._check(kernel, arguments)
@@ -142,10 +143,4 @@ def _what(driver: Any, status: int) -> str:
     return f"{name.decode()} ({words.decode()})"
 
 
-def _stream_object(index: int) -> int:
-    return int(torch.cuda.current_stream(index).cuda_stream)
-
-
-# torch's own code and Triton ask like this, without making an object for the stream.
-_current_stream = getattr(torch._C, "_cuda_getCurrentRawStream", _stream_object)
 _current_device = getattr(torch._C, "_cuda_getDevice", torch.cuda.current_device)
