@@ -115,7 +115,10 @@ class Model:
         return named
 
     def in_rooms(self, rooms: Sequence[tuple[PrimitiveSet, Tensor, Tensor | None]]) -> Model:
-        """This model with other Gaussians and convexes, of which it is known which move and what links them to the motion."""
+        """This model with other Gaussians and convexes, of which it is known which move and what links them to the motion. A CUDA graph may
+        be captured of what it computes."""
+        if isinstance(self.field, ControlNodes):
+            self.field.remember()
         twin = Model(*(primitives for primitives, _, _ in rooms), *self._rest_of_it())  # type: ignore[arg-type]
         for primitives, index, link in rooms:
             twin._moved[primitives.KIND] = primitives.dynamic, primitives.dynamic._version, index

@@ -29,6 +29,11 @@ def unchanged(now: Sequence[object], before: Sequence[object]) -> bool:
     return len(now) == len(before) and all(a is b or (isinstance(a, int) and a == b) for a, b in zip(now, before))
 
 
+def in_capture(device: torch.device) -> bool:
+    """Whether what is computed on ``device`` now becomes part of a CUDA graph."""
+    return device.type == "cuda" and torch.cuda.is_current_stream_capturing()
+
+
 @contextmanager
 def capturing(graph: torch.cuda.CUDAGraph, pool: Any = None) -> Iterator[None]:
     """What is queued inside becomes ``graph``. What other threads do, such as a viewer that renders, does not end the capture; a graph that

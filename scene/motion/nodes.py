@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ..cuda.graph import in_capture
 from ..cuda.over_time import OverTime
 from ..primitives import HYPER
 from ..rotation import rotate
@@ -167,11 +168,19 @@ class ControlNodes(nn.Module):
         """[B, 33] encoded rest positions of the nodes, as the network takes them."""
         return self._once("place", lambda p: encode_places((p - self.centre) / self.extent))
 
+    def remember(self) -> None:
+        """Compute what depends only on the rest positions, before a CUDA graph is captured that reads it."""
+        self.graph(), self._place()
+
     def _once(self, name: str, of: Callable[[Tensor], Tensor]) -> Tensor:
         """Cache for values that depend only on the rest positions, which change only when the module is moved or loaded."""
-        if name not in self._known:
-            self._known[name] = of(self.positions)
-        return self._known[name]
+        known = self._known.get(name)
+        if known is None:
+            known = of(self.positions)
+            # What is computed in a capture lies in the graphs' memory, where replays of other graphs write.
+            if not in_capture(self.positions.device):
+                self._known[name] = known
+        return known
 
     def _apply(self, *args: Any, **kwargs: Any) -> ControlNodes:
         """Where torch moves a module or changes its type."""

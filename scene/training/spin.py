@@ -194,21 +194,24 @@ class SpinSearch:
 
     def _descend(self, omega: Tensor, offset: Tensor, half: int = WINDOW, steps: int = 40) -> tuple[Tensor, Tensor]:
         """The best of ``omega`` [C, 3] after gradient steps on each together with its own offset: ([1, 3], [3])."""
-        rate = 10 * np.pi / 180 / half
         turns = omega.clone().requires_grad_()
         shifts = (offset / self.radius).repeat(len(omega), 1).requires_grad_()
-        adam = torch.optim.Adam([{"params": [turns], "lr": rate / 10}, {"params": [shifts], "lr": 0.02}])
         best, best_turns, best_shifts = torch.full((len(omega),), torch.inf, device=self.device), turns.detach(), shifts.detach()
-        for _ in range(steps):
+        learned, rates = (turns, shifts), (np.pi / 180 / half, 0.02)
+        means, squares = ([torch.zeros_like(p, requires_grad=False) for p in learned] for _ in range(2))
+        for number in range(1, steps + 1):
             values = self.over_windows(turns, shifts * self.radius, half)
+            gradients = torch.autograd.grad(values.sum(), learned)
             with torch.no_grad():
                 better = values < best
                 best = torch.where(better, values, best)
                 best_turns = torch.where(better[:, None], turns, best_turns)
                 best_shifts = torch.where(better[:, None], shifts, best_shifts)
-            adam.zero_grad()
-            values.sum().backward()
-            adam.step()
+                # Adam. torch.optim's imports the compiler of torch on first use, which takes seconds.
+                for p, gradient, rate, mean, square in zip(learned, gradients, rates, means, squares):
+                    mean.lerp_(gradient, 0.1)
+                    square.lerp_(gradient.square(), 0.001)
+                    p -= rate / (1 - 0.9**number) * mean / ((square / (1 - 0.999**number)).sqrt() + 1e-8)
         first = int(best.argmin())
         return best_turns[first][None], best_shifts[first] * self.radius
 

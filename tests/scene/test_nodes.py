@@ -137,6 +137,19 @@ def test_what_is_kept_of_the_places_follows_a_state_that_is_loaded():
     assert torch.equal(nodes.at(0.4).shifts, other.at(0.4).shifts) and torch.equal(nodes.graph(), other.graph())
 
 
+def test_nothing_is_kept_that_a_cuda_graph_in_the_making_computes(monkeypatch):
+    """It would lie in memory that other graphs write to."""
+    nodes, other = moving(), moving()
+    monkeypatch.setattr("e4dgs.scene.motion.nodes.in_capture", lambda device: True)
+    strain, _ = nodes.priors(torch.zeros(0, 3), torch.zeros(0), 0.5, 0.1)
+    assert not nodes._known
+    monkeypatch.undo()
+    assert torch.equal(nodes.priors(torch.zeros(0, 3), torch.zeros(0), 0.5, 0.1)[0], strain)
+    model = Model(GaussianSet.from_points(rest(4).points.numpy(), np.full((4, 3), 0.5), 0), ConvexSet.empty(6, 0), other, 0)
+    model.in_rooms([(model.gaussians, torch.arange(4), None), (model.convexes, torch.arange(0), None)])
+    assert other._known.keys() == nodes._known.keys() == {"graph", "place"}
+
+
 def test_hyper_coordinates_part_what_touches():
     """Two nodes at one place, one of which moves: what lies with the other beside space stays."""
     nodes = ControlNodes(torch.tensor([[0.0, 0, 0], [0.0, 0, 1e-3]]), torch.zeros(3), 1.0, 1.0)
