@@ -179,11 +179,12 @@ class Views:
             if key in self._images:
                 self._images.move_to_end(key)
                 return self._images[key]
-        load = {"colour": self.load, "alpha": self.load_alpha, "kept": self.load_kept}[kind]
-        assert load is not None
-        image = load(int(i))
-        if scale != 1.0:
-            image = cv2.resize(image, self.size(scale), interpolation=cv2.INTER_AREA)
+        if scale == 1.0:
+            load = {"colour": self.load, "alpha": self.load_alpha, "kept": self.load_kept}[kind]
+            assert load is not None
+            image = load(int(i))
+        else:  # of the whole picture, which takes longer to decode than to keep
+            image = cv2.resize(self._image(i, 1.0, kind), self.size(scale), interpolation=cv2.INTER_AREA)
         image = np.require(image, requirements=["C", "W"])  # torch does not accept read-only memory
         with self._lock:
             if key not in self._images:  # or another thread was faster

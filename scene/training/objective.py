@@ -122,8 +122,7 @@ class Objective:
         window = None if step % WHOLE_EVERY == 0 else views.window(i, phase.scale)
         camera = views.rasterizer_camera(i, phase.scale, window)
         t, background = views.moment(i), views.backdrop()
-        if step % RELINK_EVERY == 0:
-            model.relink()
+        self.relink(model, step)
         drawn, now = self.drawn_of(i, phase.scale, step) if window is None else None, self.now(step)
         tiles = None if drawn is None else drawn.tiles
         whole = phase.move and self.motion_terms.flow_due(model, step, self.total)
@@ -164,6 +163,11 @@ class Objective:
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
         return Judged(loss, image_loss, frame.color, target, weight, recording, rows)
+
+    def relink(self, model: Model, step: int) -> None:
+        """Have ``model`` search again for the parts of the motion that carry each primitive, if step ``step`` is one that does."""
+        if step % RELINK_EVERY == 0:
+            model.relink()
 
     def now(self, step: int) -> Now:
         """What is special about step ``step``."""

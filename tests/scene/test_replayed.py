@@ -9,7 +9,7 @@ from e4dgs.scene.training.replayed import room
 from e4dgs.scene.training.replayed.objective import ReplayedObjective
 from e4dgs.scene.training.replayed.responsibility import ReplayedResponsibility
 from e4dgs.scene.training.replayed.rooms import Rooms
-from replaying import KINDS, PHASE, Again, agree, agree_in_other_numbers, agree_on_responsibility, begun
+from replaying import KINDS, PHASE, Again, agree, agree_in_other_numbers, agree_on_responsibility, begun, judged
 
 
 @pytest.fixture(autouse=True)
@@ -45,6 +45,18 @@ def test_steps_move_what_the_graphs_read():
         trainer.learned.optimiser.step(0.5, rows=judge.rows)
     agree(trainer, range(110, 120))
     assert trainer.replayed._rooms._rooms[0].held.means.data_ptr() == trainer.model.gaussians.means.data_ptr()
+
+
+def test_links_are_searched_again_for_replays_too():
+    trainer = begin("nodes")
+    agree(trainer, range(61, 101))
+    steps = trainer.replayed._steps.values()
+    captures, replays = trainer.replayed.captures, sum(step.replays for step in steps)
+    with torch.no_grad():
+        trainer.model.gaussians.means.mul_(-1)
+    got, want = judged(trainer, trainer.replayed, 100), judged(trainer, trainer.objective, 100)
+    assert (trainer.replayed.captures, sum(step.replays for step in steps)) == (captures, replays + 1)
+    assert all((got[name] - value).norm() <= 1e-4 * value.norm() + 1e-7 for name, value in want.items())
 
 
 def test_more_than_there_is_room_for_is_captured_again(monkeypatch):

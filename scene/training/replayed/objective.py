@@ -17,10 +17,9 @@ from ...cuda.leaves import own_leaves
 from ...losses.depth_spread import BEGIN, EVERY
 from ...losses.motion_terms import PRIOR_EVERY
 from ...model import Model
-from ...motion.nodes import ControlNodes
 from ...views import Views
 from ..drawn_tiles import Drawn
-from ..objective import RELINK_EVERY, Judged, Objective
+from ..objective import Judged, Objective
 from ..schedule import Phase
 from .of_one_view import OfOneView
 from .one_view import Kind, OneView
@@ -74,7 +73,7 @@ class ReplayedObjective:
         self._usable, self.captures = replayable(objective.views), 0
 
     def __call__(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int) -> Judged:
-        if not self._usable or not self._covers(model, step):
+        if not self._usable or not model.replayable:
             return self.objective(model, i, step, phase, sh_degree)
         drawn = self.objective.drawn_of(i, phase.scale, step)
         row = row_of(model.affine, self.objective.views, i)
@@ -82,6 +81,7 @@ class ReplayedObjective:
         if kind not in self._seen:
             self._seen.add(kind)
             return self.objective(model, i, step, phase, sh_degree)
+        self.objective.relink(model, step)
         self._rooms.hold(model)
         if self._rooms.age != self._age:
             self._age = self._rooms.age
@@ -108,12 +108,6 @@ class ReplayedObjective:
         known.graph.replay()
         known.replays += 1
         return self._judged(known)
-
-    def _covers(self, model: Model, step: int) -> bool:
-        """Whether nothing but the numbers and pictures of `OneView` changes between steps like this one."""
-        if isinstance(model.field, ControlNodes):
-            return step % RELINK_EVERY != 0
-        return model.replayable
 
     def _kind(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int, drawn: Drawn | None, row: int | None) -> Kind:
         o, now = self.objective, self.objective.now(step)

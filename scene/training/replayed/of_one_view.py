@@ -7,6 +7,7 @@ from copy import copy
 from torch import Tensor
 
 from ...colour import CameraAffine
+from ...model import Model
 from ..drawn_tiles import Drawn
 from ..objective import Now, Objective
 from .one_view import OneView
@@ -20,6 +21,9 @@ class OfOneView(Objective):
         self.view = self.views = view  # type: ignore[assignment]
         self.motion_terms = copy(objective.motion_terms)
         self.motion_terms.views, self.motion_terms.flow_target = view, view.flow_target  # type: ignore[assignment,method-assign]
+
+    def relink(self, model: Model, step: int) -> None:
+        """Not in the graph: the search comes before the replay, which finds the new links in the place of the old ones."""
 
     def now(self, step: int) -> Now:
         return self.view.now()
