@@ -7,6 +7,7 @@ import numpy as np
 from ...pipeline import Context, StageError
 from ...vision.sfm.coverage import cover
 from ...vision.sfm.pairs import choose, image_pairs
+from ...vision.sfm.pose_agreement import doubtful
 from ...vision.sfm.runner import WorkerError, finished, run_worker
 from ...vision.sfm.trouble import nothing_registered
 from ..artifacts.frameset import FrameSet
@@ -76,9 +77,10 @@ def pose_capture(ctx: Context) -> None:
     angle = float(np.median(arrays["angles"]))
     # If the camera only turns, a note already says so, and small angles need no further advice.
     judged = 90.0 if facts["turning"] else angle
+    unsure = np.zeros(len(frames), bool) if several else doubtful(arrays)
     if several:
         write_account(ctx.out, fixed_cameras=several.looks.all_fixed)
-    coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged)
+    coverage = cover(arrays["registered"], facts["features"], facts["parts"], matcher, mean_error, judged, unsure)
     ctx.log(f"{coverage.summary()}, mean reprojection error {mean_error:.2f} px, median {median_error:.2f} px")
     for sentence in facts["notes"]:
         ctx.log(sentence)

@@ -14,6 +14,7 @@ from ...vision.images.lenses import undistort_maps
 from ...vision.images.pictures import composite, resize, undistort
 from ...vision.moving.objects import moving_masks
 from ...vision.sequences import camera_sequences
+from ...vision.sfm.coverage import runs
 from ..artifacts.frameset import FrameSet
 
 SIZE = 320  # px, longest side at which flow and masks are computed; features need positions, not exact outlines
@@ -23,11 +24,18 @@ REACH = 6  # pictures on either side that are cached while their neighbours are 
 
 
 def lens_moving_masks(
-    frames: FrameSet, K: np.ndarray, cam_from_world: np.ndarray, distortion: np.ndarray, size: np.ndarray, advance: Callable[[], None]
+    frames: FrameSet,
+    K: np.ndarray,
+    cam_from_world: np.ndarray,
+    distortion: np.ndarray,
+    size: np.ndarray,
+    advance: Callable[[], None],
+    doubtful: np.ndarray | None = None,
 ) -> np.ndarray:
     """Masks of moving pixels in the pictures on which features were found (with lens distortion): bool [F, h, w], longest side `SIZE`.
 
     K [F, 3, 3] px and distortion [F, 4] fit pictures of `size` [F, 2] (width, height) px; cam_from_world [F, 4, 4]; NaN without a pose.
+    doubtful [F] bool: frames whose poses are not used, because they may follow what moves; there, flow alone tells what moves.
     DIS measures flow between frames in order of time; pairs without reliable flow are left out. Nothing is masked in frames
     without a pose, without neighbours that have one, or of cameras with fewer than `FEWEST` frames. `advance()` is called once per frame.
     """
@@ -41,10 +49,17 @@ def lens_moving_masks(
             lens = _Lens(small[mine], distortion[mine], width, height)
             picture = lru_cache(maxsize=2 * REACH)(lambda k, mine=mine, lens=lens: lens.pinhole(_small(frames, mine[k], width, height)))
             pairs = _Pairs(picture, len(mine) - 1)
-            found = moving_masks(picture, pairs, small[mine], cam_from_world[mine])
-            for k, mask in enumerate(found):
+            aside = np.zeros(len(mine), bool) if doubtful is None else doubtful[mine]
+            trusted = np.where(aside[:, None, None], np.nan, cam_from_world[mine])
+            for k, mask in enumerate(moving_masks(picture, pairs, small[mine], trusted)):
                 masks[mine[k]] = lens.seen(mask) > 0
-                advance()
+                if not aside[k]:
+                    advance()
+            for first, last in runs(aside):
+                only = range(first, last + 1)
+                for k, mask in zip(only, moving_masks(picture, pairs, only=only), strict=True):
+                    masks[mine[k]] = lens.seen(mask) > 0
+                    advance()
         else:
             for _ in mine:
                 advance()

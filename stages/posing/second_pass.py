@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...vision.sfm.coverage import frames_named
 from ...vision.sfm.masks import on_moving
-from ...vision.sfm.pose_agreement import Matches, agreement
+from ...vision.sfm.pose_agreement import Matches, agreement, doubtful
 from ...vision.sfm.runner import Progress, WorkerError, finished, run_worker
 from .moving_masks import FEWEST, lens_moving_masks
 
@@ -49,9 +50,10 @@ def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, firs
     """The better of two passes: `first`, the result of `run_worker(request, folder)`, and a second one without the features on moving
     objects.
 
-    Masks come from flow and the first pass's poses (`lens_moving_masks`). If no frame has a share of `LEAST` of its used features on them,
-    there is nothing to gain and no second pass: bundle adjustment tolerates that many outliers. If a second pass fails or is no better, the
-    first is kept. A killed run resumes where it stopped.
+    Masks come from flow and the first pass's poses (`lens_moving_masks`). Frames with doubtful poses get masks from flow alone: if the
+    poses follow a person, that person seems to stand still, and would mislead the second pass as well. If no frame has a share of `LEAST`
+    of its used features on masks, there is nothing to gain and no second pass: bundle adjustment tolerates that many outliers. If a second
+    pass fails or is no better, the first is kept. A killed run resumes where it stopped.
     """
     arrays, facts = first
     why = TURNS if facts.get("turning") else needless(frames, static, arrays["registered"])
@@ -62,6 +64,9 @@ def second_pass(frames: FrameSet, request: Mapping[str, Any], folder: Path, firs
     share, shares = moving_shares(masks, arrays)
     worst = int(shares.argmax())
     percent = f"{100 * share:.1f} % of the features used lie on moving objects, {100 * shares[worst]:.1f} % in frame {worst}"
+    aside = np.flatnonzero(doubtful(arrays))
+    if len(aside):
+        percent += f" (found without poses in {frames_named(aside.tolist())}, because the first pass explains few of the matches there)"
     if shares[worst] < LEAST:
         return Passes(arrays, facts, share, f"no second pass: {percent}, the most; {100 * LEAST:g} % would do no harm")
     request = {**request, "task": "reconstruct_masked", "first": str(folder), "masks": str(file)}
@@ -100,7 +105,7 @@ def choose_pass(first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray
 
 
 def _masks(frames: FrameSet, arrays: Mapping[str, np.ndarray], file: Path, bars: Progress) -> np.ndarray:
-    """Masks of moving pixels by the first pass's poses, cached in `file` together with the sizes of the pictures."""
+    """Masks of moving pixels by the first pass's poses where these can be trusted, cached in `file` with the sizes of the pictures."""
     if file.is_file():
         with np.load(file, allow_pickle=False) as kept:
             return np.asarray(kept["masks"])
@@ -112,7 +117,8 @@ def _masks(frames: FrameSet, arrays: Mapping[str, np.ndarray], file: Path, bars:
         bars("moving", done, len(frames))
 
     bars("moving", 0, len(frames))
-    masks = lens_moving_masks(frames, arrays["K"], arrays["cam_from_world"], arrays["distortion"], arrays["size"], advance)
+    K, poses, distortion, size = (arrays[name] for name in ("K", "cam_from_world", "distortion", "size"))
+    masks = lens_moving_masks(frames, K, poses, distortion, size, advance, doubtful(arrays))
     partial = file.with_name("partial.npz")
     np.savez_compressed(partial, allow_pickle=False, masks=masks, size=arrays["size"])
     partial.replace(file)

@@ -47,10 +47,17 @@ def frames_named(frames: Sequence[int]) -> str:
 
 
 def cover(
-    registered: np.ndarray, features: Sequence[int], parts: Sequence[int], matcher: str, error: float, angle: float = 90.0
+    registered: np.ndarray,
+    features: Sequence[int],
+    parts: Sequence[int],
+    matcher: str,
+    error: float,
+    angle: float = 90.0,
+    doubtful: np.ndarray | None = None,
 ) -> Coverage:
     """Coverage and advice. registered [F] bool; features: count in each image; parts: images in each separate part, disjoint, the one that
-    is kept first; error: mean reprojection error in px; angle: median angle in degrees between the outermost rays of a point."""
+    is kept first; error: mean reprojection error in px; angle: median angle in degrees between the outermost rays of a point;
+    doubtful [F] bool: frames whose poses explain few of the matches (`pose_agreement.doubtful`)."""
     missing = ~np.asarray(registered, bool)
     gaps = runs(missing)
     counts = np.asarray(features)
@@ -73,6 +80,12 @@ def cover(
             f"the images fell into {1 + len(rest)} parts that share too little ({', '.join(map(str, [parts[0], *rest][:5]))} images); "
             f"the first is kept, the {sum(rest)} images of the others are left out: add views between them or try "
             "--set poses.matcher=exhaustive"
+        )
+    if doubtful is not None and doubtful.any():
+        advice.append(
+            f"{frames_named(np.flatnonzero(doubtful).tolist())}: the poses are doubtful, because they explain far fewer matches than each "
+            "pair of frames does on its own; blur, or something that moves along with the camera, may have misled them. If the result "
+            "is bad there, take these frames out of the capture"
         )
     if angle < NARROW:
         advice.append(

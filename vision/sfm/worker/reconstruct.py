@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from ..pose_agreement import explained
 from ..sound import observe, purge
 from ..trouble import FIXED
 from ..turning.result import turning_arrays
@@ -18,7 +19,7 @@ from .masked_points import without_moving_points
 from .reclaim import reclaim
 from .refine import refine_or_keep
 from .result import result_arrays, used_features
-from .survey import survey, tell
+from .survey import free_pairs, survey, tell
 
 DATABASE = "database.db"  # in the request's folder
 DEFAULT_FOCAL = 1.2  # of the longer side; COLMAP's default for images without EXIF, refined by the bundle adjustment
@@ -30,9 +31,10 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
     Returns arrays `registered` [n] bool, `K` [n,3,3], `cam_from_world` [n,4,4] (NaN where not registered), `distortion` [n,4]
     (k1 k2 p1 p2), `size` [n,2] (width, height of the file), `points` [P,3], `colors` [P,3] uint8, `errors` [P] px, `tracks` [P]
     (views of each point), `angles` [P] degrees (between its outermost rays), `residuals` [R] px (reprojection error of every observation),
-    `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and position of every feature that was adjusted). None of them contains what no
-    camera can have seen (`purge`). Facts: `parts` (disjoint, see `parts`), `features` [n], `pairs` (facts of `Survey`), `turning` (whether
-    `turning/` found the cameras), `notes` (sentences about what was done).
+    `seen` [O] int32 and `seen_xy` [O,2] float32 px (image and position of every feature that was adjusted), `explained` [n] (of
+    `pose_agreement`; absent if the camera turns). None of them contains what no camera can have seen (`purge`). Facts: `parts` (disjoint,
+    see `parts`), `features` [n], `pairs` (facts of `Survey`), `turning` (whether `turning/` found the cameras), `notes` (sentences about
+    what was done).
     """
     folder, root, names = Path(request["folder"]), Path(request["root"]), list(request["names"])
     seed = int(request["seed"])
@@ -51,6 +53,13 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
 
 def map_database(path: Path, request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Cameras and points from the verified matches in a database; returns what `reconstruct` returns."""
+    arrays, facts = _map(path, request, report)
+    if not facts["turning"]:
+        arrays["explained"] = explained(free_pairs(path, request["names"], request["pairs"]), arrays)
+    return arrays, facts
+
+
+def _map(path: Path, request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     names = list(request["names"])
     found = survey(path, names, request["pairs"])
     facts: dict[str, Any] = {"features": found.features, "pairs": found.facts, "parts": [], "notes": [], "turning": False}

@@ -3,7 +3,7 @@ pycolmap."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 import pycolmap
 
 from ..coverage import frames_named
+from ..pose_agreement import FreePair
 from ..sound import Purged
 
 VERIFIED = 15  # inlier matches that a pair needs to count; the mapper's own limit
@@ -63,6 +64,22 @@ def survey(path: Path, names: Sequence[str], pairs: Sequence[Sequence[int]]) -> 
         "shift": float(np.percentile(shift, 90)) if shift else 0.0,
     }
     return Survey([len(place) for place in places], places, matches, facts)
+
+
+def free_pairs(path: Path, names: Sequence[str], pairs: Sequence[Sequence[int]]) -> Iterator[FreePair]:
+    """All matches of the verified pairs (indices into `names`), with the fundamental matrix that each pair has on its own, if any."""
+    with pycolmap.Database.open(path) as database:
+        ids = {image.name: image.image_id for image in database.read_all_images()}
+        places = [np.asarray(database.read_keypoints(ids[name]), np.float32)[:, :2] for name in names]
+        for a, b in sorted((int(a), int(b)) for a, b in pairs):
+            if not database.exists_two_view_geometry(ids[names[a]], ids[names[b]]):
+                continue
+            geometry = database.read_two_view_geometry(ids[names[a]], ids[names[b]])
+            if len(geometry.inlier_matches) < VERIFIED:
+                continue
+            own = None if geometry.F is None or not np.any(geometry.F) else np.asarray(geometry.F)
+            matches = np.asarray(database.read_matches(ids[names[a]], ids[names[b]])).astype(np.int64)
+            yield a, b, places[a][matches[:, 0]], places[b][matches[:, 1]], own
 
 
 def tell(
