@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -19,11 +19,11 @@ FORGET = 0.98  # of what was taken is remembered after a frame that took less
 
 
 class Room(NamedTuple):
-    """How many Gaussians, convexes, and pairs of a tile and a primitive there is space for. pairs: None if the number is unknown."""
+    """How many Gaussians, convexes, and pairs of a tile and a primitive there is space for, or are needed."""
 
     gaussians: int
     convexes: int
-    pairs: int | None
+    pairs: int
 
 
 Key = tuple[torch.device, int, int]
@@ -47,11 +47,10 @@ def room_in_graph(inputs: Inputs) -> Room | None:
     return _room(inputs, taken, (GRAPH_SPARE, GRAPH_SPARE), GRAPH_ROOM)
 
 
-def likely_room(inputs: Inputs) -> Room:
-    """The space that will probably do for the next frame on this device and of this size; if there was none yet, all primitives', and None
-    for the pairs."""
+def likely_room(inputs: Inputs) -> Room | None:
+    """The space that will probably do for the next frame on this device and of this size; None if there was none yet."""
     taken = _TAKEN.get(_key(inputs))
-    return Room(inputs.n, inputs.m, None) if taken is None else _room(inputs, taken, (SPARE, SPARE_PAIRS), LIKELY_ROOM)
+    return None if taken is None else _room(inputs, taken, (SPARE, SPARE_PAIRS), LIKELY_ROOM)
 
 
 def took(inputs: Inputs, used: Room) -> None:
@@ -68,7 +67,7 @@ def _room(inputs: Inputs, taken: tuple[float, float, float], spare: tuple[float,
     return Room(min(gaussians, inputs.n), min(convexes, inputs.m), int(spare[1] * taken[2]) + more)
 
 
-def _remember(key: Key, used: tuple[float, ...], forget: float = 1.0) -> None:
+def _remember(key: Key, used: Iterable[float], forget: float = 1.0) -> None:
     gaussians, convexes, pairs = (max(now, forget * before) for now, before in zip(used, _TAKEN.get(key, (0.0, 0.0, 0.0))))
     _TAKEN[key] = gaussians, convexes, pairs
 
@@ -86,7 +85,7 @@ class Watched:
         most = self.most.tolist()
         if all(number <= there for number, there in zip(most, self.room)):
             return False
-        _remember(self.key, tuple(most))
+        _remember(self.key, most)
         return True
 
 

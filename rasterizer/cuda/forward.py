@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from ctypes import c_int32, c_int64
 from typing import Any, NamedTuple
 
@@ -28,19 +29,17 @@ def forward(launcher: Launcher, inputs: Inputs, keep: bool, deterministic: bool)
 
     Raises MemoryError if there are more pairs than can be numbered, torch.OutOfMemoryError as torch does.
     """
-    room = capacity.room_in_graph(inputs)
-    if room is not None:
-        kept = _keep(launcher, inputs, room)
-        capacity.captured(inputs, room, kept.counts)
-        state = _lists(launcher, inputs, kept, keep, deterministic, room.pairs)
+    fixed = capacity.room_in_graph(inputs)
+    if fixed is not None:
+        kept = _keep(launcher, inputs, fixed)
+        capacity.captured(inputs, fixed, kept.counts)
+        state = _lists(launcher, inputs, kept, keep, deterministic, fixed.pairs)
         return _blend(launcher, inputs, state, keep), state
-    room = capacity.likely_room(inputs)
-    kept = None
+    likely = capacity.likely_room(inputs)
+    room, known = likely or capacity.Room(inputs.n, inputs.m, 0), likely is not None  # whether lists are made before the pairs are counted
+    kept, taken = _keep_and_count(launcher, inputs, room)
     while True:
-        if kept is None:
-            kept = _keep(launcher, inputs, room)
-            taken = read_later(kept.counts[: len(room)])
-        if room.pairs is not None:
+        if known:
             state = _lists(launcher, inputs, kept, keep, deterministic, min(room.pairs, MOST_PAIRS))
             images = _blend(launcher, inputs, state, keep)
         used = capacity.Room(*taken())
@@ -51,12 +50,13 @@ def forward(launcher: Launcher, inputs: Inputs, keep: bool, deterministic: bool)
                 "primitives, or a smaller image"
             )
         if used.gaussians > room.gaussians or used.convexes > room.convexes:
-            kept, room = None, used._replace(pairs=None)  # of the pairs, only those of the primitives that were kept have been counted
+            room, known = used, False  # of the pairs, only those of the primitives that were kept have been counted
+            kept, taken = _keep_and_count(launcher, inputs, room)
             continue
         capacity.took(inputs, used)
-        if room.pairs is not None and used.pairs <= room.pairs:
+        if known and used.pairs <= room.pairs:
             return images, state
-        room = used
+        room, known = used, True
 
 
 class _Kept(NamedTuple):
@@ -71,6 +71,12 @@ class _Kept(NamedTuple):
     order: Tensor
     ends: Tensor
     visible: Tensor
+
+
+def _keep_and_count(launcher: Launcher, inputs: Inputs, room: capacity.Room) -> tuple[_Kept, Callable[[], list[int]]]:
+    """`_keep`, and a function that waits for the numbers of Gaussians, convexes and pairs that the frame needs."""
+    kept = _keep(launcher, inputs, room)
+    return kept, read_later(kept.counts[: len(room)])
 
 
 def _keep(launcher: Launcher, inputs: Inputs, room: capacity.Room) -> _Kept:

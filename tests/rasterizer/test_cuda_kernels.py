@@ -121,7 +121,7 @@ def test_room_for_more_pairs_than_there_are_changes_nothing_and_for_fewer_drops_
     scene, weights = some_scene(convexes=0, extras=None)
     taken: list[Room] = []
     monkeypatch.setattr(capacity, "took", lambda inputs, used: taken.append(used))
-    monkeypatch.setattr(capacity, "likely_room", lambda inputs: Room(inputs.n, inputs.m, None))
+    monkeypatch.setattr(capacity, "likely_room", lambda inputs: None)
     with launching("cpu", Emulator()):
         exact, exact_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
         monkeypatch.setattr(capacity, "room_in_graph", lambda inputs: Room(inputs.n, inputs.m, taken[0].pairs + 777))
@@ -169,12 +169,12 @@ def test_a_frame_that_takes_more_than_the_last_ones_is_made_again(monkeypatch: p
     scene, weights = some_scene()
     taken: list[Room] = []
     with launching("cpu", Emulator()):
-        monkeypatch.setattr(capacity, "likely_room", lambda inputs: Room(inputs.n, inputs.m, None))
+        monkeypatch.setattr(capacity, "likely_room", lambda inputs: None)
         exact, exact_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
         monkeypatch.setattr(capacity, "likely_room", lambda inputs: likely)
         monkeypatch.setattr(capacity, "took", lambda inputs, used: taken.append(used))
         guessed, guessed_gradients = scene.render("cuda"), gradients(scene, "cuda", weights)
-    assert taken[0].pairs is not None and 1 < taken[0].pairs < 10_000 and len(set(taken)) == 1
+    assert 1 < taken[0].pairs < 10_000 and len(set(taken)) == 1
     assert all(torch.equal(getattr(exact, name), getattr(guessed, name)) for name in OUTPUTS)
     assert all(torch.equal(value, guessed_gradients[name]) for name, value in exact_gradients.items())
 
@@ -219,7 +219,7 @@ class SomeInputs:
 def test_room_follows_the_last_frames_and_never_forgets_the_largest(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capacity, "_TAKEN", {})
     inputs: Any = SomeInputs("cpu")
-    assert capacity.likely_room(inputs) == Room(100, 7, None)
+    assert capacity.likely_room(inputs) is None
     monkeypatch.setattr(capacity, "LIKELY_ROOM", 1)
     for pairs, room in ((1000, 1250), (10, 1225), (2000, 2500)):
         capacity.took(inputs, Room(40, 6, pairs))
