@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
 from unittest.mock import patch
 
 import torch
 from pretend_cuda import pretending_cuda
+from torch.autograd import DeviceType
 
 ANSWERS = {
     "memory_allocated": 0,
@@ -18,7 +21,16 @@ ANSWERS = {
 
 
 @contextmanager
+def profile(**asked: Any) -> Iterator[Any]:
+    """`torch.profiler.profile` of a kernel that takes a microsecond, and of something on the CPU that does not count."""
+    kinds = {"blend_forward": DeviceType.CUDA, "aten::empty": DeviceType.CPU}
+    events = [SimpleNamespace(key=key, device_type=kind, self_device_time_total=1.0) for key, kind in kinds.items()]
+    yield SimpleNamespace(key_averages=lambda: events)
+
+
+@contextmanager
 def pretended_gpu() -> Iterator[None]:
     asked = {name: lambda value=value: value for name, value in ANSWERS.items()}
-    with pretending_cuda(), patch.multiple(torch.cuda, get_device_name=lambda index: "pretended", **asked):
+    named = patch.multiple(torch.cuda, get_device_name=lambda index: "pretended", **asked)
+    with pretending_cuda(), named, patch("torch.profiler.profile", profile):
         yield
