@@ -239,7 +239,7 @@ def test_a_training_that_leaves_out_what_is_not_in_view_learns_the_same(monkeypa
         counts.append(None if judged.rows.index is None else len(judged.rows.index))
         ends.append(trainer.learned.tensors())
     assert counts[0] is None and 0 < counts[1] < len(model.gaussians)
-    assert ends[0].keys() == ends[1].keys() and all(torch.allclose(ends[0][name], ends[1][name], rtol=1e-4, atol=1e-4) for name in ends[0])
+    assert ends[0].keys() == ends[1].keys() and all(torch.allclose(ends[0][name], ends[1][name], rtol=1e-4, atol=3e-5) for name in ends[0])
 
 
 @pytest.mark.parametrize(("cameras", "weight"), [(MIN_CAMERAS - 1, 0.0), (MIN_CAMERAS, 1.0)])
