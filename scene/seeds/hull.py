@@ -11,15 +11,15 @@ REACH = 0.8  # of the cameras' median distance: half the side of the volume that
 CELLS = 64  # along a side of the volume in the first pass
 FINER = 4  # cells of the second pass along a side of a cell of the first
 SHARE = 0.85  # of the cameras that see a place must have it on their mask; not all, as masks have holes
-LEAST = 3  # cameras that must see a place
+LEAST = 3  # cameras that must see a place, or all if there are fewer
 
 
 def visual_hull(views: Views, masks: list[np.ndarray], frames: np.ndarray, most: int, seed: int) -> np.ndarray:
     """Up to ``most`` points [n, 3] in world units on the surface of the volume on which the masks of ``frames`` agree.
 
-    masks: one [H, W] bool a frame, all of one time. A cell is taken if at least three frames show its centre and at least 85 % of these
-    have it on their mask. The searched volume is a cube around the centre of the cameras' common volume that reaches most of the way to
-    the cameras.
+    masks: one [H, W] bool a frame, all of one time. A cell is taken if at least three frames, or both of two, show its centre and at
+    least 85 % of these have it on their mask. The searched volume is a cube around the centre of the cameras' common volume that reaches
+    most of the way to the cameras.
     """
     centre, _ = common_volume(views)
     radius = REACH * float(np.median(np.linalg.norm(views.centres()[frames] - centre, axis=1)))
@@ -46,7 +46,7 @@ def _inside(views: Views, masks: list[np.ndarray], frames: np.ndarray, points: n
         shown, x, y, _ = views.project(int(i), points)
         seen[shown] += 1
         hits[shown] += mask[y, x]
-    return (seen >= LEAST) & (hits >= SHARE * seen)
+    return (seen >= min(LEAST, len(frames))) & (hits >= SHARE * seen)
 
 
 def _grown(mask: np.ndarray, views: Views, i: int, centre: np.ndarray, size: float) -> np.ndarray:

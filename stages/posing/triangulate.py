@@ -15,7 +15,8 @@ from ..artifacts.frameset import FrameSet
 
 MAX_ERROR = 2.0  # px, in every view of a point
 MIN_ANGLE = 1.0  # degrees between the outermost rays of a point
-MIN_TRACK = 3  # views: any two features on an epipolar line triangulate, only a third view verifies the point
+MIN_TRACK = 3  # views: any two features on an epipolar line triangulate, only a third view verifies the point; where no frame has
+# two others to be matched with, as in a rig of two cameras, two views must do
 MAX_FEATURES = 3072
 ERROR_SPREAD = 1.75  # times the median error; four in five of the points that match by chance on an epipolar line have a larger error
 NEIGHBOURS = 8  # nearest cameras that each camera is matched with
@@ -32,8 +33,8 @@ def triangulate(
     camera is matched with itself over time; points on moving objects then fail the test of the reprojection error.
 
     Returns points [P,3] float64 (world), colors [P,3] uint8 (RGB), errors [P] float64 (mean reprojection error, px). Points lie in front
-    of all their cameras and project to within 2 px of their features. At least three views see them, with rays that differ by at least
-    1 degree. P may be 0. Raises StageError if the frames have no poses or COLMAP fails.
+    of all their cameras and project to within 2 px of their features. At least three views see them, or two if no frame is in two pairs,
+    with rays that differ by at least 1 degree. P may be 0. Raises StageError if the frames have no poses or COLMAP fails.
     """
     if frameset.K is None or frameset.cam_from_world is None:
         raise StageError("triangulation needs poses; the capture has none and `poses` did not run")
@@ -59,7 +60,7 @@ def triangulate(
             "seed": seed,
             "max_error": MAX_ERROR,
             "min_angle": MIN_ANGLE,
-            "min_track": MIN_TRACK,
+            "min_track": MIN_TRACK if thrice(pairs) else 2,
         }
         try:
             arrays, _ = run_worker(request, folder, progress)
@@ -111,6 +112,11 @@ def choose_pairs(cam_from_world: np.ndarray, time: np.ndarray) -> list[tuple[int
                 if allowed[first, second]:
                     pairs.add((int(min(first, second)), int(max(first, second))))
     return sorted(pairs)
+
+
+def thrice(pairs: list[tuple[int, int]]) -> bool:
+    """Whether some frame is in two pairs, so that a point can have three views."""
+    return len({frame for pair in pairs for frame in pair}) < 2 * len(pairs)
 
 
 def _even(count: int, most: int) -> np.ndarray:

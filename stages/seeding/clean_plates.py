@@ -23,14 +23,14 @@ class Plates(NamedTuple):
 
 
 def clean_plates(views: Views, mask: Callable[[int], np.ndarray | None], fixed: bool) -> Plates:
-    """Plates of the training cameras at the middle time; if the cameras are ``fixed``, medians over all times. If few cameras see one
-    time, frames evenly spread over the training frames are used instead.
+    """Plates of the training cameras at the middle time; if the cameras are ``fixed``, medians over all times. If few cameras that move see
+    one time, frames evenly spread over the training frames are used instead.
 
     mask(i): [H, W] bool, moving pixels of frame i, or None if unknown.
     """
     times = np.unique(views.time[views.train])
     frames = views.train[views.time[views.train] == times[len(times) // 2]]
-    if len(frames) < MIN_CAMERAS:
+    if len(frames) < MIN_CAMERAS and not fixed:
         frames = views.train[np.unique(np.linspace(0, len(views.train) - 1, min(FRAMES, len(views.train))).round().astype(int))]
     pictures, static = [], []
     for i in frames:

@@ -32,7 +32,8 @@ APART_ALONE = 3  # frames, about the most between these times of one camera: its
 SLOWER = 75  # percent of the moving pixels, that is: the others are faster
 LEAST_AT_ONCE = 250  # seeds; so many remain for each time of a rig that has more than `KEYS`
 PAIRS = 60  # of frames in which the speed is measured
-FEWEST_FRAMES = 3  # least number of frames of a camera for a path, and of cameras that see a time for a hull
+FEWEST_FRAMES = 3  # least number of frames of a camera for a path
+FEWEST_CAMERAS = 2  # least number of cameras that see a time for a hull
 HULL = 20_000  # points of a visual hull
 AT_ONCE = 4  # times of a rig whose seeds are placed at once, which bounds the memory
 MEASURED_SHARE = 0.6  # of the seeds at a time, where cameras agree on their depth
@@ -82,7 +83,7 @@ def rig_seeds(
     seed: int,
     advance: Callable[[int], None] = lambda n: None,
 ) -> MovingSeeds | None:
-    """Up to ``most`` seeds on what the masks show at key times; None if no seed is found or fewer than three cameras have masks.
+    """Up to ``most`` seeds on what the masks show at key times; None if no seed is found or fewer than two cameras have masks.
 
     mask(i): [H, W] bool, moving pixels of frame i, or None. rows: indices of the key times among the training times. advance: called with
     the number of key times that are done.
@@ -95,7 +96,7 @@ def rig_seeds(
         frames = views.train[views.time[views.train] == times[k]]
         known = [(i, m) for i in frames if (m := mask(int(i))) is not None]
         advance(1)
-        if len(known) < FEWEST_FRAMES:
+        if len(known) < FEWEST_CAMERAS:
             return None
         chosen, masks = np.array([i for i, _ in known]), [m for _, m in known]
         points, colors = on_surfaces(views, masks, chosen, most // len(rows), seed)

@@ -88,12 +88,10 @@ def moving_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarra
     flow = flow_of(ctx.inputs)
     if flow is None or not flow.has_moving:
         return None
-    if Facts.of(ctx.facts).rig:
+    if Facts.of(ctx.facts).rig or flow.has_ever_moving:
         rows = rig_times(flow, np.unique(views.time[views.train]), most)
         with ctx.progress(len(rows), "seeds on moving objects") as bar:
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), rows, most, ctx.settings.seed, bar.advance)
-    elif flow.has_ever_moving:
-        return None
     else:
         with ctx.progress(len(views.train), "seeds on moving objects") as bar:
             found = camera_seeds(flow, views, points, most, bar.advance)

@@ -1,5 +1,7 @@
 """Seeds on what moves: on it at each time, and as fast as it goes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -22,7 +24,7 @@ from e4dgs.stages.seeding.moving import (
     speed,
 )
 from moving_square import CAMERA, FOCAL, FRAMES, SQUARE, WALL, flow_of, pose, views, wall
-from sliding_ball import RADIUS, TIMES, place, sliding_ball
+from sliding_ball import CAMERAS, RADIUS, TIMES, place, sliding_ball
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +69,22 @@ def test_before_a_rig_seeds_lie_on_the_ball_at_each_time(rig):
         distance = np.linalg.norm(seeds.points[row] - place(t), axis=1)
         assert row.sum() > 100 and np.median(distance) < 1.6 * RADIUS  # the hull of few cameras is larger than the ball
         assert np.median(seeds.velocities[row, 0]) == pytest.approx(speed, rel=0.25)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_two_cameras_are_enough_for_seeds_and_one_is_not(rig, count):
+    flow, seen, _ = rig
+    few = replace(seen, train=seen.train[np.isin(seen.camera[seen.train], [1, CAMERAS - 1][:count])])
+    seeds = rig_seeds(flow, few, lambda i: flow.moving(i) > 127, np.arange(TIMES), 2000, 0)
+    if count == 1:
+        assert seeds is None
+        return
+    assert seeds is not None and len(np.unique(seeds.time)) == TIMES
+    distance = [np.linalg.norm(point - place(time)) for point, time in zip(seeds.points, seeds.time)]
+    assert np.median(distance) < 1.6 * RADIUS
+    for i in few.train:
+        shown, x, y, _ = few.project(int(i), seeds.points[seeds.time == few.time[i]])
+        assert len(shown) > 100 and (flow.moving(int(i))[y, x] > 127).mean() > 0.8  # some lie beside the outline, by less than a cell
 
 
 def test_seeds_of_a_rig_do_not_depend_on_how_many_times_are_seeded_at_once(rig, monkeypatch):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import StageError
-from e4dgs.stages.posing.triangulate import choose_frames, choose_pairs, keep_precise, triangulate
+from e4dgs.stages.posing.triangulate import choose_frames, choose_pairs, keep_precise, thrice, triangulate
 from e4dgs.vision.sfm.alignment import camera_centres
 from e4dgs.vision.sfm.epipolar import fundamental, guided_matches
 from factory import Options, make, render, to_uint8
@@ -58,6 +58,19 @@ def test_a_rig_gives_points_on_the_surfaces(rig):
     assert 0 < errors.max() <= 2.0
     wrong = depth_errors(points, frames, truths)
     assert np.median(wrong) < 0.01 and (wrong > 0.05).mean() < 0.05
+
+
+def test_two_cameras_must_do_where_there_is_no_third():
+    frames, truths = fake_frameset(rig="arc", cameras=2, times=3)
+    points, _, errors = triangulate(frames)
+    assert len(points) >= 50 and errors.max() <= 2.0
+    wrong = depth_errors(points, frames, truths)
+    assert np.median(wrong) < 0.02 and (wrong > 0.05).mean() < 0.15
+
+
+def test_three_frames_are_matched_where_one_is_in_two_pairs():
+    assert not thrice([(0, 1)]) and not thrice([(0, 1), (2, 3)])
+    assert thrice([(0, 1), (1, 2)]) and thrice([(0, 1), (2, 3), (2, 4)])
 
 
 def test_colours_are_those_of_the_pictures(rig):
