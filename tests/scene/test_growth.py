@@ -32,7 +32,7 @@ def split_first(error_of_brief: float, several: bool) -> int:
     control = DensityControl(
         learned,
         views=SimpleNamespace(),
-        curriculum=SimpleNamespace(several=several, probe=lambda step, count: [0]),
+        curriculum=SimpleNamespace(several=several, times=range(60), probe=lambda step, count: [0]),
         settings=TrainingSettings(),
         recipe=FREE,
         phases=[phase],

@@ -26,6 +26,7 @@ MOST_FOR_ONE = 4  # maximum ratio of all Gaussians to the budget, which limits t
 SMALL_SHARE = 0.6  # of the budget, while a rig trains on small images: its cameras together see more than one image shows
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot distinguish more Gaussians
 IN_TIME_FROM, IN_TIME = 0.2, 0.1  # from this share of training on, a Gaussian is split in time if more of its error than this changes sign
+TIMES_TO_SPLIT = 16  # times of a capture from which on that is done; with fewer, a life has one or two views, which it fits alone
 
 
 class DensityControl:
@@ -101,7 +102,8 @@ class DensityControl:
         """[N] bool, Gaussians that should look different at some times of their lives: no split in space can mend that. None in a rig,
         where views of one time differ as well, so that the measured share says less."""
         changing = measured.varying_gaussians > IN_TIME
-        return changing if progress > IN_TIME_FROM and not self.curriculum.several else torch.zeros_like(changing)
+        may = progress > IN_TIME_FROM and not self.curriculum.several and len(self.curriculum.times) >= TIMES_TO_SPLIT
+        return changing if may else torch.zeros_like(changing)
 
     def _most(self, phase: Phase) -> int:
         """The maximum number of Gaussians that the images of ``phase`` allow."""
