@@ -21,7 +21,7 @@ def median_colours(
         if masks is not None:
             on = masks[k][y, x]
             shown, x, y = shown[on], x[on], y[on]
-        looks[k, shown] = views.target(int(i)).cpu().numpy()[y, x]
+        looks[k, shown] = views.load(int(i))[y, x] / np.float32(255)
     looks.sort(axis=0)
     count = np.isfinite(looks[..., 0]).sum(0)
     rows = np.arange(len(points))

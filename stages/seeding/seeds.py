@@ -21,7 +21,7 @@ from ..artifacts.frameset import FrameSet
 from ..facts import Facts
 from ..posing.triangulate import triangulate
 from .fill import fill_seeds, middle_frames, moving_mask, sweep
-from .moving import MovingSeeds, camera_seeds, rig_seeds, rig_times
+from .moving import FEWEST_CAMERAS, MovingSeeds, camera_seeds, rig_seeds, rig_times
 
 # A seed is dynamic if at least this share of the masks that see it mark it as moving.
 FIXED_SHARE = 0.3  # masks of fixed cameras, each marking all pixels that ever change
@@ -88,10 +88,13 @@ def moving_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarra
     flow = flow_of(ctx.inputs)
     if flow is None or not flow.has_moving:
         return None
-    if Facts.of(ctx.facts).rig or flow.has_ever_moving:
+    several = len(middle_frames(views)) >= FEWEST_CAMERAS
+    if Facts.of(ctx.facts).rig or (flow.has_ever_moving and several):
         rows = rig_times(flow, np.unique(views.time[views.train]), most)
         with ctx.progress(len(rows), "seeds on moving objects") as bar:
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), rows, most, ctx.settings.seed, bar.advance)
+    elif flow.has_ever_moving:
+        return None  # one camera that stands still: nothing tells a depth
     else:
         with ctx.progress(len(views.train), "seeds on moving objects") as bar:
             found = camera_seeds(flow, views, points, most, bar.advance)
