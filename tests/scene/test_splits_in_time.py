@@ -11,7 +11,7 @@ from e4dgs.scene.motion.lives import presence
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.density import Responsibility, measure_responsibility
-from e4dgs.scene.training.control.growth import IN_TIME, IN_TIME_FROM, TIMES_TO_SPLIT, DensityControl
+from e4dgs.scene.training.control.growth import IN_TIME, IN_TIME_FROM, DensityControl
 from e4dgs.scene.training.control.splits import into_lives, split
 from e4dgs.scene.training.recipe import FREE
 from e4dgs.scene.training.schedule import Phase
@@ -94,7 +94,7 @@ def test_the_halves_of_a_life_stay_on_its_course():
         assert present(both, frame) == pytest.approx(present(parent, frame), abs=0.21)
 
 
-def round_of(share: float, step: int = 700, dynamic: bool = False, several: bool = False, times: int = TIMES_TO_SPLIT) -> GaussianSet:
+def round_of(share: float, step: int = 700, dynamic: bool = False, several: bool = False, times: int = 16) -> GaussianSet:
     """What a round at ``step`` makes of one Gaussian of whose error ``share`` changes sign."""
     made = []
     learned = SimpleNamespace(
@@ -121,7 +121,7 @@ def round_of(share: float, step: int = 700, dynamic: bool = False, several: bool
         ({"share": 0.9, "step": round(IN_TIME_FROM * STEPS) + 1}, True),
         ({"share": 0.9, "dynamic": True}, True),
         ({"share": 0.9, "several": True}, False),
-        ({"share": 0.9, "times": TIMES_TO_SPLIT - 1}, False),
+        ({"share": 0.9, "times": 15}, False),
     ],
 )
 def test_when_it_is_split_in_time(given, expected):
