@@ -38,7 +38,7 @@ def test_what_moves_most_of_the_time_is_not_static():
     often[:4] = True
     asked = []
     plates = clean_plates(seen, lambda i: asked.append(i) or (often if len(asked) % 2 else ~often), fixed=True)
-    assert len(asked) == 2 * LOOKS, "nine a camera, so the first one sees one more of its own kind of mask, and the second one of the other"
+    assert len(asked) == 2 * LOOKS, "nine a camera, so the first has one more of one kind of mask, the second of the other"
     first, second = plates.static
     assert (first == ~often).all() and (second == often).all()
 
