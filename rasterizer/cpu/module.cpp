@@ -63,11 +63,11 @@ void read_scene(const nb::dict& camera, const nb::dict& gaussians, const nb::dic
         cam.t[i] = pose[4 * i + 3];
         to.background[i] = background[i];
     }
-    set_centre(cam);
     cam.width = nb::cast<int>(camera["width"]), cam.height = nb::cast<int>(camera["height"]);
     cam.near_z = nb::cast<double>(camera["near"]);
     if (cam.width < 1 || cam.height < 1 || tiles_across(cam.width) > 65535 || tiles_across(cam.height) > 65535)
         throw std::invalid_argument("image of " + std::to_string(cam.width) + " x " + std::to_string(cam.height) + " pixels is out of range");
+    complete(cam);
     to.extras = nb::cast<int>(camera["extras"]);
     to.antialiased = nb::cast<bool>(camera["antialiased"]);
     to.tiles = array<uint8_t>(camera, "tiles", int64_t(tiles_across(cam.width)) * tiles_across(cam.height), held);

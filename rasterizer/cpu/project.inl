@@ -24,6 +24,7 @@ inline Camera<Pack> camera_of(const Camera<double>& from) {
     to.width = from.width, to.height = from.height;
     for (int i = 0; i < 9; ++i) to.R[i] = from.R[i];
     for (int i = 0; i < 3; ++i) to.t[i] = from.t[i], to.centre[i] = from.centre[i];
+    for (int i = 0; i < 2; ++i) to.low[i] = from.low[i], to.high[i] = from.high[i];
     return to;
 }
 

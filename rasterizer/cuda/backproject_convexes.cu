@@ -1,4 +1,4 @@
-// Propagates the sums of convexes back through hull, projection and colour to the inputs, one thread per convex, in double. Features:
+// Propagates the sums of convexes back through hull, projection and colour to the inputs, one thread per convex. Features:
 // POINTS, SH_DEGREE (-1: colors), CAMERA, ANTIALIASED.
 #include "camera_sum.cuh"
 #include "convex_hull.cuh"
@@ -12,6 +12,7 @@ extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
     backproject_convexes(const double* camera, int width, int height, int n, const float* points, const float* taus, const float* kappas,
                          const float* opacities, const float* looks, const ConvexRecord* records, const int* slots, const uint8* visible, const float* sums, float* dpoints,
                          float* dtaus, float* dkappas, float* dopacities, float* dlooks, double* camera_rows) {
+    const Camera<double>& cam = camera_of(camera, width, height);
     const int i = int(blockIdx.x * blockDim.x + threadIdx.x);
     const int slot = i < n && visible[i] ? slots[i] : -1;
     const bool blended = slot >= 0;
@@ -21,7 +22,6 @@ extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
     }
     CameraPart part = no_camera_part();
     if (blended) {
-        const Camera<double> cam = camera_of(camera, width, height);
         const float *corners = points + 3 * POINTS * int64(i), *sum = sums + kConvexSums * int64(slot);
         ConvexView<double> view;
         see_convex(cam, corners, view);
@@ -36,7 +36,7 @@ extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
         kappa = print.kappa;
 #endif
         const double rho = kappa / tau;
-        double gA[kMaxPoints], gB[kMaxPoints], gC[kMaxPoints], out[3 * POINTS], dtau = 0.0, dkappa = 0.0, centre[3], dcentre[3] = {0, 0, 0}, dcolor[3];
+        double gA[kMaxPoints], gB[kMaxPoints], gC[kMaxPoints], out[3 * POINTS], dtau = 0.0, dkappa = 0.0, centre[3], dcentre[3] = {0, 0, 0};
         for (int e = 0; e < view.slots; ++e) {
             const float* edge = sum + kConvexEdges + 3 * e;
             gA[e] = -kLn2 * rho * edge[0], gB[e] = -kLn2 * rho * edge[1], gC[e] = -kLn2 * rho * edge[2];
@@ -51,8 +51,7 @@ extern "C" __global__ void __launch_bounds__(kBackThreads, 2)
 #if ANTIALIASED
         keep_off_camera(cam, centre);
 #endif
-        for (int c = 0; c < 3; ++c) dcolor[c] = sum[c];
-        color_backward(cam, centre, looks, i, dcolor, dlooks, dcentre, part);
+        color_backward(cam, centre, looks, i, sum, dlooks, dcentre, part);
         for (int j = 0; dpoints && j < 3 * POINTS; ++j) dpoints[3 * POINTS * int64(i) + j] = saturated(out[j] + dcentre[j % 3] / POINTS);
         if (dtaus) dtaus[i] = saturated(dtau);
         if (dkappas) dkappas[i] = saturated(dkappa);

@@ -1,4 +1,4 @@
-// Converts convexes to records, one thread per convex, in double: cull, project, hull, colour. Those that are left are stored without gaps. A
+// Converts convexes to records, one thread per convex: cull, project, hull, colour. Those that are left are stored without gaps. A
 // convex with a bad value is culled here and does not affect any other. Features: POINTS, SH_DEGREE (-1: colors), ANTIALIASED.
 #include "convex_hull.cuh"
 #include "inputs.cuh"
@@ -93,7 +93,7 @@ extern "C" __global__ void __launch_bounds__(kProjectThreads, kFitting)
     __shared__ ConvexRecord made[kProjectThreads];
     const Slots all = {n, room, workspace, slots, ids, depth, boxes, visible};
     const int64 block = all.take_block(), i = block * kProjectThreads + threadIdx.x, first = counts[kKeptGaussians];
-    const Camera<double> cam = camera_of(camera, width, height);
+    const Camera<double>& cam = camera_of(camera, width, height);
     const ConvexInputs in = {points, tau, kappa, opacities, looks, extras, channels};
     TileBox box;
     double z;

@@ -1,4 +1,4 @@
-// Converts Gaussians to records, one thread per Gaussian, in double: cull, project, colour. Those that are left are stored without gaps. A
+// Converts Gaussians to records, one thread per Gaussian: cull, project, colour. Those that are left are stored without gaps. A
 // Gaussian with a bad value is culled here and does not affect any other. Features: SH_DEGREE (-1: colors), ANTIALIASED.
 #include "inputs.cuh"
 #include "kept.cuh"
@@ -25,15 +25,16 @@ __device__ inline bool project(const GaussianInputs& in, const Camera<double>& c
     exponent_factor(view, f);
 #if ANTIALIASED
     double k[3];
-    const double near = fade(view.p[2], cam.near_z), share2 = dilation_share2(view, k) * near * near;
+    const double near = view.p[2] < 2 * cam.near_z ? fade(view.p[2], cam.near_z) : 1.0, share2 = dilation_share2(view, k) * near * near;
     if (!(share2 >= double(kMinAlpha) * double(kMinAlpha))) return false;  // alpha never reaches kMinAlpha
-    const double exponent = log2(double(opacity)) + 0.5 * log2(share2);
-    if (!(exponent >= kLog2MinAlpha)) return false;
+    const float exponent = log2f(opacity) + 0.5f * log2f(float(share2));
+    if (!(exponent >= float(kLog2MinAlpha))) return false;
 #else
-    const double exponent = log2(double(opacity));
+    const float exponent = log2f(opacity);
 #endif
-    const double radius2 = exponent + (kSlack - kLog2MinAlpha), reach = radius2 * (2 / kLog2E);
-    const double rx = sqrt(reach * view.cov[0]) * 1.00001, ry = sqrt(reach * view.cov[2]) * 1.00001;
+    // In float, as what follows only has to contain the support; rounding is far below kSlack and the factor 1.00001.
+    const float radius2 = exponent + float(kSlack - kLog2MinAlpha), reach = radius2 * float(2 / kLog2E);
+    const double rx = sqrtf(reach * float(view.cov[0])) * 1.00001f, ry = sqrtf(reach * float(view.cov[2])) * 1.00001f;
     const double x = view.mean[0], y = view.mean[1], z = view.p[2];
     const double low_x = larger(x - rx, 0.5), high_x = smaller(x + rx, cam.width - 0.5);
     const double low_y = larger(y - ry, 0.5), high_y = smaller(y + ry, cam.height - 0.5);
@@ -44,7 +45,7 @@ __device__ inline bool project(const GaussianInputs& in, const Camera<double>& c
     depth = z;
     record.x = x, record.y = y, record.z = float(z);
     for (int j = 0; j < 3; ++j) record.f[j] = f[j];
-    record.exponent = float(exponent), record.radius = float(sqrt(radius2) * 1.00001);
+    record.exponent = exponent, record.radius = sqrtf(radius2) * 1.00001f;
     const double position[3] = {mean[0], mean[1], mean[2]};
     color_of(cam, position, in.looks, i, record.color);
     return true;
@@ -54,14 +55,17 @@ __device__ inline bool project(const GaussianInputs& in, const Camera<double>& c
 
 using namespace e4dgs;
 
+// Blocks that should fit on a multiprocessor at once. Without SH, the compiler left to itself (0) spills a few registers to fit a sixth one.
+constexpr int kFitting = SH_DEGREE > 0 ? 0 : 5;
+
 // See `Slots`. records [room].
-extern "C" __global__ void __launch_bounds__(kProjectThreads)
+extern "C" __global__ void __launch_bounds__(kProjectThreads, kFitting)
     project_gaussians(const double* camera, int width, int height, int n, const float* means, const float* quats, const float* scales,
                       const float* opacities, const float* looks, const float* extras, int channels, int room, uint64* workspace, int64* counts, int* slots,
                       int* ids, double* depth, TileBox* boxes, uint8* visible, GaussianRecord* records) {
     const Slots all = {n, room, workspace, slots, ids, depth, boxes, visible};
     const int64 block = all.take_block(), i = block * kProjectThreads + threadIdx.x;
-    const Camera<double> cam = camera_of(camera, width, height);
+    const Camera<double>& cam = camera_of(camera, width, height);
     const GaussianInputs in = {means, quats, scales, opacities, looks, extras, channels};
     GaussianRecord record;
     TileBox box;

@@ -23,32 +23,39 @@ struct Span {
     int first, last;
 };
 
-__device__ inline Span span_between(double low, double high, const TileBox& box, int width) {
-    low = larger(low, 0.5), high = smaller(high, width - 0.5);
+// low, high: px from the left edge of tile `from`, at most box.x0.
+template <class T>
+__device__ inline Span span_between(T low, T high, int from, const TileBox& box, int width) {
+    low = larger(low, T(0.5) - T(from * kTile)), high = smaller(high, T(width - from * kTile) - T(0.5));
     if (!(low <= high)) return {0, 0};  // checked before converting to integers, because the range may lie far outside
-    const int a = int(ceil((low - (kTile - 0.5)) / kTile)), b = int(floor((high - 0.5) / kTile)) + 1;
+    const int a = from + int(ceil((low - T(kTile - 0.5)) / T(kTile))), b = from + int(floor((high - T(0.5)) / T(kTile))) + 1;
     return {a > box.x0 ? a : box.x0, b < box.x1 ? b : box.x1};
 }
 
-// The range of x that the ellipse u^2 + v^2 <= radius^2 covers within a row's pixel centres.
+// The range of x that the ellipse u^2 + v^2 <= radius^2 covers within a row's pixel centres. In float, since consumer GPUs compute double
+// at 1/64 of the rate: px from the corner of the box, and wider by `loose`, which is many times what rounding takes away. Where numbers
+// overflow, `loose` is infinite or a limit is NaN, and the row is covered whole.
 struct GaussianBounds {
-    double x, y, f1, f2, inverse, radius2, high_y, rightmost;
+    float x, y, f1, f2, inverse, radius2, high_y, rightmost, loose;
 
-    __device__ explicit GaussianBounds(const GaussianRecord& r) {
-        x = r.x, y = r.y, f1 = r.f[1], f2 = r.f[2], inverse = 1.0 / r.f[0];
-        radius2 = double(r.radius) * double(r.radius), high_y = double(r.radius) / f2;
-        rightmost = -high_y * f1 / sqrt(f1 * f1 + f2 * f2);  // y of the ellipse's right end, relative to the centre
+    __device__ GaussianBounds(const GaussianRecord& r, const TileBox& box) {
+        x = float(r.x - box.x0 * kTile), y = float(r.y - box.y0 * kTile);
+        f1 = float(r.f[1]), f2 = float(r.f[2]), inverse = 1.0f / float(r.f[0]);
+        radius2 = r.radius * r.radius, high_y = r.radius / f2;
+        rightmost = -high_y * f1 / sqrtf(f1 * f1 + f2 * f2);  // y of the ellipse's right end, relative to the centre
+        loose = 1e-3f + 1e-6f * (fabsf(x) + (r.radius + fabsf(f1) * (high_y + kTile)) * inverse);
     }
-    __device__ double half(double dy) const {
-        const double v = f2 * dy;
-        return sqrt(larger(radius2 - v * v, 0.0));
+    __device__ float half(float dy) const {
+        const float v = f2 * dy;
+        return sqrtf(larger(radius2 - v * v, 0.0f));
     }
-    __device__ bool x_range(double top, double bottom, double& low, double& high) const {
-        const double a = larger(top - y, -high_y), b = smaller(bottom - y, high_y);
-        if (!(a <= b)) return false;
-        const double right = larger(smaller(rightmost, b), a), left = larger(smaller(-rightmost, b), a);
-        low = x + (-half(left) - f1 * left) * inverse, high = x + (half(right) - f1 * right) * inverse;
-        return true;
+    __device__ Span span(int row, const TileBox& box, int width, int height) const {
+        const float top = float((row - box.y0) * kTile) + 0.5f, bottom = smaller(top + float(kTile - 1), float(height - box.y0 * kTile) - 0.5f);
+        const float a = larger(top - y, -high_y), b = smaller(bottom - y, high_y);
+        if (!(a <= b)) return {0, 0};
+        const float right = larger(smaller(rightmost, b), a), left = larger(smaller(-rightmost, b), a);
+        const float low = x + (-half(left) - f1 * left) * inverse - loose, high = x + (half(right) - f1 * right) * inverse + loose;
+        return span_between(low, high, box.x0, box, width);
     }
 };
 
@@ -58,9 +65,10 @@ struct ConvexBounds {
     const ConvexRecord& r;
 
     __device__ explicit ConvexBounds(const ConvexRecord& record) : r(record) {}
-    __device__ bool x_range(double top, double bottom, double& low, double& high) const {
+    __device__ Span span(int row, const TileBox& box, int width, int height) const {
         constexpr double loose = 1e-6;  // px
-        low = -1e300, high = 1e300;
+        const double top = row * kTile + 0.5, bottom = smaller(top + (kTile - 1), height - 0.5);
+        double low = -1e300, high = 1e300;
         for (int i = 0; i < r.n; ++i) {
             const double A = r.line[i][0];
             if (A == 0.0) continue;
@@ -71,8 +79,7 @@ struct ConvexBounds {
             else
                 low = larger(low, smaller(a, b));
         }
-        low -= loose, high += loose;
-        return low <= high;
+        return span_between(low - loose, high + loose, 0, box, width);
     }
 };
 #endif
@@ -81,10 +88,7 @@ struct ConvexBounds {
 template <class Bounds, class F>
 __device__ inline void for_rows(const Bounds& bounds, const TileBox& box, int width, int height, F&& f) {
     for (int row = box.y0; row < box.y1; ++row) {
-        const double top = row * kTile + 0.5, bottom = smaller(top + (kTile - 1), height - 0.5);
-        double low, high;
-        if (!bounds.x_range(top, bottom, low, high)) continue;
-        const Span span = span_between(low, high, box, width);
+        const Span span = bounds.span(row, box, width, height);
         if (span.first < span.last) f(row, span);
     }
 }
@@ -105,7 +109,7 @@ __device__ __noinline__ int tiles_of(const GaussianRecord* gaussians, const Conv
     if (box.x1 - box.x0 <= 1 || box.y1 - box.y0 <= 1) {  // a closer look gains nothing
         for (int row = box.y0; row < box.y1; ++row) take(row, Span{box.x0, box.x1});
     } else if (id < n_gaussians) {
-        for_rows(GaussianBounds(gaussians[id]), box, width, height, take);
+        for_rows(GaussianBounds(gaussians[id], box), box, width, height, take);
     } else {
 #if POINTS
         for_rows(ConvexBounds(convexes[id - n_gaussians]), box, width, height, take);

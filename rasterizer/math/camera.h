@@ -7,8 +7,9 @@ namespace e4dgs {
 template <class T>
 struct Camera {
     T fx, fy, cx, cy;
-    T R[9], t[3];    // camera = R world + t, row-major
-    T centre[3];     // -R^T t
+    T R[9], t[3];       // camera = R world + t, row-major
+    T centre[3];        // -R^T t
+    T low[2], high[2];  // a Gaussian's Jacobian uses slopes x/z, y/z between these
     T near_z;
     int width, height;
 };
@@ -20,9 +21,18 @@ struct CameraGrad {
 };
 
 template <class T>
-E4DGS_HD void set_centre(Camera<T>& cam) {
+E4DGS_HD void limit_slope(int size, T focal, T principal, T& low, T& high) {
+    const T margin = T(0.3) * T(size) / (2 * focal);
+    low = -principal / focal - margin, high = (T(size) - principal) / focal + margin;
+}
+
+// Computes centre, low and high from the rest.
+template <class T>
+E4DGS_HD void complete(Camera<T>& cam) {
     for (int j = 0; j < 3; ++j)
         cam.centre[j] = -(cam.R[j] * cam.t[0] + cam.R[3 + j] * cam.t[1] + cam.R[6 + j] * cam.t[2]);
+    limit_slope(cam.width, cam.fx, cam.cx, cam.low[0], cam.high[0]);
+    limit_slope(cam.height, cam.fy, cam.cy, cam.low[1], cam.high[1]);
 }
 
 template <class T, class S>

@@ -20,9 +20,7 @@ struct GaussianView {
 };
 
 template <class T>
-E4DGS_HD void clamp_slope(T slope, int size, T focal, T principal, T& value, Truth<T>& clamped) {
-    const T margin = T(0.3) * T(size) / (2 * focal);
-    const T low = -principal / focal - margin, high = (T(size) - principal) / focal + margin;
+E4DGS_HD void clamp_slope(T slope, T low, T high, T& value, Truth<T>& clamped) {
     clamped = (slope < low) | (slope > high);
     value = choose(slope < low, low, choose(slope > high, high, slope));
 }
@@ -60,8 +58,8 @@ E4DGS_HD Truth<T> project_gaussian(const Camera<T>& cam, const S* mean, const S*
 
     const T x = v.p[0] / z, y = v.p[1] / z;
     v.mean[0] = cam.fx * x + cam.cx, v.mean[1] = cam.fy * y + cam.cy;
-    clamp_slope(x, cam.width, cam.fx, cam.cx, v.slope[0], v.clamped[0]);
-    clamp_slope(y, cam.height, cam.fy, cam.cy, v.slope[1], v.clamped[1]);
+    clamp_slope(x, cam.low[0], cam.high[0], v.slope[0], v.clamped[0]);
+    clamp_slope(y, cam.low[1], cam.high[1], v.slope[1], v.clamped[1]);
     const T ax = cam.fx / z, ay = cam.fy / z;
     for (int j = 0; j < 3; ++j) {
         v.tm[j] = ax * (cam.R[j] - v.slope[0] * cam.R[6 + j]);

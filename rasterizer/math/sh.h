@@ -65,51 +65,32 @@ E4DGS_HD void view_direction(const Camera<T>& cam, const T* position, T* unit, T
     unit[0] = x * inverse_length, unit[1] = y * inverse_length, unit[2] = z * inverse_length;
 }
 
-// position [3] world; sh [(D+1)^2][3]; color [3].
-template <int D, class T, class S>
-E4DGS_HD void sh_color(const Camera<T>& cam, const T* position, const S* sh, T* color) {
-    constexpr int K = (D + 1) * (D + 1);
-    T unit[3], inverse_length, B[K];
-    view_direction(cam, position, unit, inverse_length);
-    sh_basis<D>(unit[0], unit[1], unit[2], B);
+// color [3] from the basis B [(D+1)^2] and sh [(D+1)^2][3].
+template <int D, class T>
+E4DGS_HD void sh_color(const T* B, const T* sh, T* color) {
     for (int c = 0; c < 3; ++c) {
         T sum = T(0.5);
-        for (int k = 0; k < K; ++k) sum += B[k] * T(sh[3 * k + c]);
+        for (int k = 0; k < (D + 1) * (D + 1); ++k) sum += B[k] * sh[3 * k + c];
         color[c] = sum > T(0) ? sum : T(0);
     }
 }
 
-// From dcolor [3]: writes dsh [(D+1)^2][3] (may be null) and adds to dposition and to the camera's gradient.
-template <int D, class T, class S, class G>
-E4DGS_HD void sh_color_backward(const Camera<T>& cam, const T* position, const S* sh, const T* dcolor, S* dsh, T* dposition,
-                                G& grad) {
+// From dcolor [3]: writes dsh [(D+1)^2][3] (may be null) and dunit [3], the gradient of the unit direction (x, y, z) as a free vector.
+template <int D, class T>
+E4DGS_HD void sh_color_backward(T x, T y, T z, const T* sh, const T* dcolor, T* dsh, T* dunit) {
     constexpr int K = (D + 1) * (D + 1);
-    T unit[3], inverse_length, B[K], s[K], g[3], d[3];
-    view_direction(cam, position, unit, inverse_length);
-    sh_basis<D>(unit[0], unit[1], unit[2], B);
-    for (int c = 0; c < 3; ++c) {
-        T sum = T(0.5);
-        for (int k = 0; k < K; ++k) sum += B[k] * T(sh[3 * k + c]);
-        g[c] = sum > T(0) ? dcolor[c] : T(0);
-    }
+    T B[K], s[K], color[3];
+    sh_basis<D>(x, y, z, B);
+    sh_color<D>(B, sh, color);
     for (int k = 0; k < K; ++k) {
         s[k] = T(0);
         for (int c = 0; c < 3; ++c) {
-            s[k] += g[c] * T(sh[3 * k + c]);
-            if (dsh) dsh[3 * k + c] = S(B[k] * g[c]);
+            const T g = color[c] > T(0) ? dcolor[c] : T(0);
+            s[k] += g * sh[3 * k + c];
+            if (dsh) dsh[3 * k + c] = B[k] * g;
         }
     }
-    if constexpr (D > 0) {
-        sh_basis_backward<D>(unit[0], unit[1], unit[2], s, d);
-        const T along = unit[0] * d[0] + unit[1] * d[1] + unit[2] * d[2];
-        T dcentre[3];
-        for (int j = 0; j < 3; ++j) {
-            const T dj = (d[j] - along * unit[j]) * inverse_length;
-            dposition[j] += dj;
-            dcentre[j] = -dj;
-        }
-        centre_backward(cam, dcentre, grad);
-    }
+    sh_basis_backward<D>(x, y, z, s, dunit);
 }
 
 }  // namespace e4dgs

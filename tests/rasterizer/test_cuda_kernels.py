@@ -86,6 +86,24 @@ def test_no_access_is_out_of_bounds_and_no_two_are_unordered() -> None:
 
 
 @needs_compiler
+@pytest.mark.parametrize("length", [1.0, 1e3, 1e6, 1e12, 1e30])
+def test_the_tiles_of_a_slanted_needle_hold_all_of_it(length: float) -> None:
+    """Their limits are computed in float, where a long needle's are differences of large numbers. The centre lies beside the picture."""
+    for k in range(8):
+        scene = random_scene(k, gaussians=1, degree=None, width=90, height=70)
+        gaussians = scene.gaussians
+        assert gaussians is not None
+        gaussians.opacities[:], gaussians.means[:] = 0.5, 0.3 * (k - 3.5)
+        gaussians.scales[:] = torch.tensor([length, 1e-3, 1e-3])
+        scene.antialiased = k % 2 == 1
+        single = scene.to(torch.float32)
+        with launching("cpu", Emulator()):
+            got = single.render("cuda")
+        want, decided = single.render("reference"), decided_by_threshold(single)
+        assert torch.equal((got.alpha > 0)[~decided], (want.alpha > 0)[~decided]), k
+
+
+@needs_compiler
 @pytest.mark.parametrize("extras", [9, 19])
 def test_more_extras_than_a_launch_takes(extras: int) -> None:
     scene, weights = some_scene(gaussians=20, convexes=8, extras=extras, degree=None)
