@@ -160,6 +160,7 @@ def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, StrMethodFormatter
 
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     axes = figure.add_subplot()
@@ -167,10 +168,13 @@ def draw(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         points = sorted((r for r in rows if r["capture"] == capture and r["psnr"] is not None), key=lambda r: r["seconds"])
         (line,) = axes.plot([r["seconds"] for r in points], [r["psnr"] for r in points], "o-", label=capture)
         train = [r for r in points if r["train_psnr"] is not None]
-        axes.plot([r["seconds"] for r in train], [r["train_psnr"] for r in train], ":", color=line.get_color())
+        axes.plot([r["seconds"] for r in train], [r["train_psnr"] for r in train], ":.", color=line.get_color())
         for r in points:
             axes.annotate(r["point"], (r["seconds"], r["psnr"]), textcoords="offset points", xytext=(4, -10), fontsize=7)
     axes.set_xscale("log")
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(StrMethodFormatter("{x:g}"))
     axes.set_xlabel("seconds, all stages")
     axes.set_ylabel("PSNR of held-out views, dB (dotted: training views)")
     axes.grid(True, which="both", alpha=0.25)
