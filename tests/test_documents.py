@@ -113,6 +113,7 @@ def test_links_lead_somewhere(document):
 def test_design_pages_are_short():
     for page in [ROOT / "DESIGN.md", *ROOT.glob("[a-z]*/DESIGN.md")]:
         assert len(page.read_text().splitlines()) <= 120, page
+        assert len(page.read_text()) <= 16_000, f"{page}: figures of trials belong in docs/trials.md"
 
 
 def test_fixtures_named_in_contributing_exist():
