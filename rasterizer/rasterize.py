@@ -128,7 +128,7 @@ def _check(name: str, value: object, shape: tuple[int | None, ...], device: torc
         wanted = ", ".join("*" if n is None else str(n) for n in shape)
         raise ValueError(f"{name} must have shape [{wanted}], got {list(value.shape)}")
     if device is not None and value.device != device:
-        raise ValueError(f"{name} is on {value.device}, but camera.K is on {device}; all tensors must be on one device")
+        raise ValueError(f"{name} is on {value.device}, but the others are on {device}; all tensors must be on one device")
 
 
 def _check_tiles(tiles: Tensor, camera: Camera) -> None:
@@ -161,7 +161,7 @@ def _check_device(owner: Gaussians | Convexes, device: torch.device) -> None:
     for name, value in vars(owner).items():
         if value is not None and value.device != device:
             kind = type(owner).__name__.lower()
-            raise ValueError(f"{kind}.{name} is on {value.device}, but camera.K is on {device}; all tensors must be on one device")
+            raise ValueError(f"{kind}.{name} is on {value.device}, but the others are on {device}; all tensors must be on one device")
 
 
 def _check_gaussians(gaussians: Gaussians) -> None:

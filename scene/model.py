@@ -16,7 +16,7 @@ from .cuda.renders import Renders
 from .motion.field import DeformationField
 from .motion.free import FreeMotion
 from .motion.in_view import in_view
-from .motion.interface import Rest, Time
+from .motion.interface import Moved, Rest, Time
 from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 from .views import inside_image
@@ -133,12 +133,13 @@ class Model:
     def _rest_of_it(self) -> tuple[Any, ...]:
         return self.field, self.sh_degree, self.near, self.background, self.affine, self.antialiased
 
-    def in_view(self, t: Time, camera: Camera, tiles: Tensor | None = None, move: bool = True) -> Tensor | None:
+    def in_view(self, t: Time, camera: Camera, tiles: Tensor | None = None, move: bool = True, fuller: float = 1.0) -> Tensor | None:
         """[m] int64: the Gaussians that ``camera`` may show at time ``t``, if that can be told without moving them all; else None.
-        ``tiles``: what is drawn, as `rasterize` takes it."""
+        ``tiles``, ``fuller``: see `motion.in_view.in_view`."""
         if self.device.type != "cpu" or not isinstance(self.field, FreeMotion | None):
             return None  # a GPU would have to wait for the number found
-        return in_view(self.gaussians, camera, float(self.field.frame(float(t))) if self.field is not None and move else None, tiles)
+        frame = float(self.field.frame(float(t))) if self.field is not None and move else None
+        return in_view(self.gaussians, camera, frame, tiles, fuller)
 
     @property
     def replayable(self) -> bool:
@@ -160,7 +161,12 @@ class Model:
             chosen = self.gaussians.select(index)
             chosen.dynamic.fill_(True)
             return self.field.alive(chosen, t)[0]
-        return self.field.carry(self._rest(index, index[:0]), t).points
+        return self.carried(index, t).points
+
+    def carried(self, index: Tensor, t: float) -> Moved:
+        """The Gaussians ``index`` as the field or the nodes carry them at time ``t``, whether they are dynamic or not."""
+        assert self.field is not None and not isinstance(self.field, FreeMotion)
+        return self.field.carry(self._rest(index, index[:0]), t)
 
     def relink(self) -> None:
         """Search again for the parts of the motion that carry each primitive; call this after rest positions have changed."""
@@ -180,6 +186,11 @@ class Model:
         self._links[primitives.KIND] = primitives, link
         self._stale.discard(primitives.KIND)
         return link
+
+    def known_links(self, primitives: PrimitiveSet) -> Tensor | None:
+        """`links`, but None if they would have to be searched."""
+        known = self._links.get(primitives.KIND, (None, None))
+        return known[1] if known[0] is primitives and primitives.KIND not in self._stale else None
 
     def set_links(self, primitives: PrimitiveSet, link: Tensor) -> None:
         """Continue with ``link`` from a checkpoint."""
@@ -238,12 +249,6 @@ class Model:
         parameters = (p.data_ptr() for s in sets for p in s.parameters.values())
         links = () if self.field is None else [None if link is None else link.data_ptr() for link in map(self.links, sets)]
         return self.field, *sets, *(s.dynamic._version for s in sets), *parameters, *links
-
-    def bake(self, displacement: Tensor, index: Tensor) -> None:
-        """Move the rest positions of the Gaussians ``index`` by ``displacement`` [m, 3] and take them out of the field."""
-        with torch.no_grad():
-            self.gaussians.means[index] += displacement
-        self.gaussians.dynamic[index] = False
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Every tensor of the model by name. Together with `config` this is all that `from_arrays` needs."""

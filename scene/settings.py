@@ -17,7 +17,9 @@ class RefinementSettings(Settings):
     renamed: ClassVar = {"still": "rest"}
 
     iterations: int | None = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
-    seed: int = Field(0, ge=0, description="seed of the order of views, the initial planes and the sampling of new primitives")
+    seed: int = Field(
+        0, ge=0, le=2**31 - 1, description="seed of the order of views, the initial planes and the sampling of new primitives"
+    )
     sh_degree: int | None = Field(None, ge=0, le=3, description="highest degree of the colours' spherical harmonics; 1 for rigs, else 2")
     lr_means: float = Field(8e-4, gt=0, description="initial learning rate of positions; decays to a fiftieth")
     lr_field: float = Field(2e-2, gt=0, description="initial learning rate of the planes; decays to a tenth")

@@ -25,7 +25,7 @@ MOST_WINDOW = 0.8  # of the image's area; a larger window saves nothing
 WHOLLY = 254 / 255  # value of a downscaled mask from which a pixel counts: all of its parts do
 
 Window = tuple[int, int, int, int]
-Kind = Literal["colour", "alpha", "kept"]
+Kind = Literal["colour", "alpha", "kept", "edges"]
 
 
 class Projected(NamedTuple):
@@ -70,14 +70,15 @@ class Views:
     device: str | torch.device = "cpu"
     _images: OrderedDict[tuple[int, float, Kind], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _windows: dict[int, tuple[int, int, int, int] | None] = field(default_factory=dict, repr=False)
-    _edges: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
-    _edges_there: dict[tuple[int, float], Tensor] = field(default_factory=dict, init=False, repr=False)  # on `device`, not the CPU
     _bytes: int = 0
     _there: OrderedDict[tuple[int, float, Kind], Tensor] = field(
         default_factory=OrderedDict, repr=False
     )  # on `device`, unless that is the CPU
     _there_bytes: int = 0
     _lock: RLock = field(default_factory=RLock, repr=False)  # of all of these: seeds at several times are coloured at once
+
+    def __post_init__(self) -> None:
+        self.device = str(self.device)
 
     def moment(self, i: int) -> float:
         """Time of frame ``i`` in [0, 1]."""
@@ -161,17 +162,7 @@ class Views:
 
     def edges(self, i: int, scale: float = 1.0) -> Tensor:
         """[H, W] float32 in [0, 1], the weight of an edge at each pixel."""
-        there = self._edges_there.get((i, scale))
-        if there is None:
-            if i not in self._edges:
-                self._edges[i] = self.stored_edges(i) if self.stored_edges is not None else edge_weights(self._image(i, 1.0))
-            edges = self._edges[i]
-            if scale != 1.0:
-                edges = cv2.resize(edges, self.size(scale), interpolation=cv2.INTER_AREA)
-            there = torch.from_numpy(edges).to(self.device)
-            if self.device != "cpu":
-                self._edges_there[i, scale] = there
-        return there.float().div_(255.0)
+        return self._tensor(i, scale, None, "edges")
 
     def _image(self, i: int, scale: float, kind: Kind = "colour") -> np.ndarray:
         key = (int(i), scale, kind)
@@ -180,7 +171,8 @@ class Views:
                 self._images.move_to_end(key)
                 return self._images[key]
         if scale == 1.0:
-            load = {"colour": self.load, "alpha": self.load_alpha, "kept": self.load_kept}[kind]
+            edges = self.stored_edges or self._own_edges
+            load = {"colour": self.load, "alpha": self.load_alpha, "kept": self.load_kept, "edges": edges}[kind]
             assert load is not None
             image = load(int(i))
         else:  # of the whole picture, which takes longer to decode than to keep
@@ -193,6 +185,9 @@ class Views:
             while self._bytes > CACHE_BYTES and len(self._images) > 1:
                 self._bytes -= self._images.popitem(last=False)[1].nbytes
             return image
+
+    def _own_edges(self, i: int) -> np.ndarray:
+        return edge_weights(self._image(i, 1.0))
 
     def project(self, i: int, points: np.ndarray) -> Projected:
         """Where frame ``i``, at full size, shows ``points`` [P, 3] (world units). The result has, in order, the points that are farther

@@ -160,6 +160,7 @@ NB_MODULE(_cpu, m) {
         }
     });
     m.attr("most_kept_memory") = most_kept_memory();
+    m.def("free_memory", &free_memory, nb::arg("root") = "", "Bytes that this process could still get, according to the system's files below `root`.");
     m.def("release_memory", &release_memory, "Give back to the system what finished frames left for the next ones; bytes.");
     nb::class_<Frame>(m, "Frame", "What a forward pass keeps for its backward pass.");
     m.def("forward", &forward, nb::arg("camera"), nb::arg("gaussians"), nb::arg("convexes"), nb::arg("frame"), nb::arg("keep"), nb::arg("threads"));

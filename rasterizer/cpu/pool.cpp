@@ -42,7 +42,7 @@ Memory allocate(size_t bytes) {
 
 #if defined(__linux__)
 // Reads the first number after `key` in a file of the kernel's. Returns false if there is none ("max" in a control group).
-bool number_in(const char* path, const std::string& key, size_t& value) {
+bool number_in(const std::string& path, const std::string& key, size_t& value) {
     std::ifstream file(path);
     for (std::string word; file >> word;)
         if (word == key || key.empty()) {
@@ -53,17 +53,30 @@ bool number_in(const char* path, const std::string& key, size_t& value) {
         }
     return false;
 }
+
+// What a control group has left of its limit. Pictures that were read stay in memory as cache and count as used, but they go when memory
+// is needed.
+size_t free_in_group(const std::string& folder, const char* most, const char* current, const std::string& prefix) {
+    constexpr size_t kNone = std::numeric_limits<size_t>::max();
+    size_t limit, used, cache, cached = 0;
+    if (!number_in(folder + most, "", limit) || limit >= kNone / 4 || !number_in(folder + current, "", used)) return kNone;
+    for (const char* kind : {"inactive_file", "active_file"})
+        if (number_in(folder + "memory.stat", prefix + kind, cache)) cached += cache;
+    used -= std::min(used, cached);
+    return limit > used ? limit - used : 0;
+}
 #endif
 
 }  // namespace
 
-size_t free_memory() {
+size_t free_memory(const std::string& root) {
     size_t free = std::numeric_limits<size_t>::max();
 #if defined(__linux__)
-    size_t kib, limit, used;
-    if (number_in("/proc/meminfo", "MemAvailable:", kib)) free = kib * 1024;
-    if (number_in("/sys/fs/cgroup/memory.max", "", limit) && number_in("/sys/fs/cgroup/memory.current", "", used))
-        free = std::min(free, limit > used ? limit - used : 0);
+    size_t kib;
+    if (number_in(root + "/proc/meminfo", "MemAvailable:", kib)) free = kib * 1024;
+    const std::string groups = root + "/sys/fs/cgroup/";
+    free = std::min(free, free_in_group(groups, "memory.max", "memory.current", ""));
+    free = std::min(free, free_in_group(groups + "memory/", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_"));  // version 1
 #endif
     return free;
 }

@@ -11,7 +11,6 @@ constexpr int kBlock = 4;                  // px, side of a block
 constexpr int kSide = kTile / kBlock;      // blocks along the side of a tile
 constexpr int kBlocks = kSide * kSide;     // blocks in a tile, one bit each in a mask
 constexpr int kPixels = kTile * kTile;     // pixels in a tile
-constexpr int kShift = 4;    // slots are counted in units of 4 floats
 
 // One projected Gaussian: a cache line. alpha = 2^(exponent - u^2 - v^2), see exponent_factor().
 struct alignas(64) GaussianRecord {

@@ -33,7 +33,6 @@ inline Mask operator>=(Int a, Int b) {
     return {_mm256_castsi256_ps(_mm256_xor_si256(less, _mm256_set1_epi32(-1)))};
 }
 inline Mask operator&(Mask a, Mask b) { return {_mm256_and_ps(a.m, b.m)}; }
-inline bool any(Mask a) { return _mm256_movemask_ps(a.m) != 0; }
 inline Float select(Mask m, Float a, Float b) { return {_mm256_blendv_ps(b.v, a.v, m.m)}; }
 inline Int select(Mask m, Int a, Int b) {
     return {_mm256_castps_si256(_mm256_blendv_ps(_mm256_castsi256_ps(b.v), _mm256_castsi256_ps(a.v), m.m))};

@@ -30,7 +30,6 @@ inline Mask operator>=(Float a, Float b) { return {_mm512_cmp_ps_mask(a.v, b.v, 
 inline Mask operator<(Float a, Float b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ)}; }
 inline Mask operator>=(Int a, Int b) { return {_mm512_cmp_epi32_mask(a.v, b.v, _MM_CMPINT_NLT)}; }
 inline Mask operator&(Mask a, Mask b) { return {__mmask16(a.m & b.m)}; }
-inline bool any(Mask a) { return a.m != 0; }
 inline Float select(Mask m, Float a, Float b) { return {_mm512_mask_mov_ps(b.v, m.m, a.v)}; }
 inline Int select(Mask m, Int a, Int b) { return {_mm512_mask_mov_epi32(b.v, m.m, a.v)}; }
 inline Float keep(Mask m, Float a) { return {_mm512_maskz_mov_ps(m.m, a.v)}; }  // 0 elsewhere

@@ -31,7 +31,6 @@ inline Mask operator>=(Float a, Float b) { return {a.v >= b.v}; }
 inline Mask operator<(Float a, Float b) { return {a.v < b.v}; }
 inline Mask operator>=(Int a, Int b) { return {a.v >= b.v}; }
 inline Mask operator&(Mask a, Mask b) { return {a.m & b.m}; }
-inline bool any(Mask a) { return (a.m[0] | a.m[1] | a.m[2] | a.m[3]) != 0; }
 inline Float select(Mask m, Float a, Float b) { return {m.m ? a.v : b.v}; }
 inline Int select(Mask m, Int a, Int b) { return {m.m ? a.v : b.v}; }
 inline Float keep(Mask m, Float a) { return {reinterpret_cast<float4>(reinterpret_cast<int4>(a.v) & m.m)}; }

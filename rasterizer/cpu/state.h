@@ -19,7 +19,7 @@ struct State {
     int tiles_x = 0, tiles_y = 0;
     Buffer<GaussianRecord> gaussians;
     Buffer<ConvexRecord> convexes;
-    Buffer<double> depth;         // [N+M], z; NaN if culled or in no tile
+    Buffer<double> depth;         // [N+M], z; NaN if culled or if its box holds no tile
     Buffer<TileBox> boxes;        // [N+M]
     Buffer<uint32_t> span_begin;  // [N+M] for wide boxes: where their rows begin in `spans`
     Buffer<Span> spans;

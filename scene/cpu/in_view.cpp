@@ -59,7 +59,7 @@ E4DGS_CLONES void present(const ViewedGaussians& in, int64_t first, int64_t coun
 }
 
 // The pixels that they can reach. The covariance's eigenvalues are at most the square of the largest scale.
-E4DGS_CLONES void reached(const Seeing& view, int64_t count, Block& to) {
+E4DGS_CLONES void reached(const Seeing& view, int64_t count, float faintest, Block& to) {
     const double* p = view.pose;
     const double margin_x = 0.5 * kMargin * view.width / view.fx, margin_y = 0.5 * kMargin * view.height / view.fy;
     const double least_x = -view.cx / view.fx - margin_x, most_x = (view.width - view.cx) / view.fx + margin_x;
@@ -79,7 +79,7 @@ E4DGS_CLONES void reached(const Seeing& view, int64_t count, Block& to) {
         to.low[1][i] = v - reach_y - off_y, to.high[1][i] = v + reach_y + off_y;
         const bool inside = (z + rounding >= view.near) & (to.high[0][i] >= 0.5) & (to.low[0][i] <= view.width - 0.5) & (to.high[1][i] >= 0.5) &
                             (to.low[1][i] <= view.height - 0.5);
-        to.kept[i] = (to.faint[i] <= kFaintest * kSlack) & inside;  // false for a NaN, which the rasterizer leaves out, too
+        to.kept[i] = (to.faint[i] <= faintest) & inside;  // false for a NaN, which the rasterizer leaves out, too
     }
 }
 
@@ -118,7 +118,7 @@ int64_t in_view(const ViewedGaussians& in, const Seeing& view, int64_t* index, i
         Block block;
         const int64_t first = b * kBlock, count = std::min(kBlock, in.n - first);
         present(in, first, count, block);
-        reached(view, count, block);
+        reached(view, count, kFaintest * kSlack * in.fuller, block);
         int64_t found = 0;  // to the front of the block's own part of `index`
         for (int64_t i = 0; i < count; ++i)
             if (block.kept[i] && (!drawn || drawn->any(block, i))) index[first + found++] = first + i;

@@ -12,6 +12,7 @@ struct ViewedGaussians {
     const float *times, *log_spans, *velocities;  // as in `Lives`; null if nothing moves
     const bool* dynamic;          // [n]
     float frame;                  // the moment
+    float fuller = 1.0f;          // at most so many times as opaque will they be drawn
 };
 
 struct Seeing {

@@ -84,7 +84,8 @@ void bind_lives(nb::module_& m) {
     // life: times, log_spans, velocities; empty if nothing moves. camera: fx fy cx cy near, then the 3x4 of cam_from_world.
     m.def(
         "in_view",
-        [](const In& means, const In& log_scales, const In& opacity_logits, const Ins& life, const Flags& dynamic, float frame, const Doubles& camera,
+        [](const In& means, const In& log_scales, const In& opacity_logits, const Ins& life, const Flags& dynamic, float frame, float fuller,
+           const Doubles& camera,
            int width, int height, const std::optional<Tiles>& tiles, int tile, const Index& index, int threads) {
             const size_t n = means.ndim() ? means.shape(0) : 0;
             check(means, {n, 3}, "means"), check(log_scales, {n, 3}, "log_scales"), check(opacity_logits, {n}, "opacity_logits");
@@ -94,7 +95,7 @@ void bind_lives(nb::module_& m) {
             }
             if (dynamic.shape(0) != n || index.shape(0) != n) throw std::invalid_argument("dynamic and index must be [N]");
             if (camera.shape(0) != 17 || width < 1 || height < 1 || tile < 1) throw std::invalid_argument("camera must be [17], for an image with pixels");
-            e4dgs::ViewedGaussians gaussians{int64_t(n), means.data(), log_scales.data(), opacity_logits.data(), nullptr, nullptr, nullptr, dynamic.data(), frame};
+            e4dgs::ViewedGaussians gaussians{int64_t(n), means.data(), log_scales.data(), opacity_logits.data(), nullptr, nullptr, nullptr, dynamic.data(), frame, fuller};
             if (!life.empty()) gaussians.times = life[0].data(), gaussians.log_spans = life[1].data(), gaussians.velocities = life[2].data();
             e4dgs::Seeing view{};
             const double* from = camera.data();
@@ -108,6 +109,6 @@ void bind_lives(nb::module_& m) {
             nb::gil_scoped_release release;
             return e4dgs::in_view(gaussians, view, index.data(), threads);
         },
-        nb::arg("means"), nb::arg("log_scales"), nb::arg("opacity_logits"), nb::arg("life"), nb::arg("dynamic"), nb::arg("frame"), nb::arg("camera"),
+        nb::arg("means"), nb::arg("log_scales"), nb::arg("opacity_logits"), nb::arg("life"), nb::arg("dynamic"), nb::arg("frame"), nb::arg("fuller"), nb::arg("camera"),
         nb::arg("width"), nb::arg("height"), nb::arg("tiles").none(), nb::arg("tile"), nb::arg("index"), nb::arg("threads"));
 }

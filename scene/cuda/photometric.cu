@@ -138,7 +138,7 @@ extern "C" __global__ void __launch_bounds__(kLossThreads, kLossBlocks)
         if (px >= width || py >= height) continue;
         const int64 pixel = int64(py) * width + px;
         const float by_color = planes[0][r][0][x] + planes[0][r][1][x] + planes[0][r][2][x];
-        d_alpha[pixel] = fmaf(scale * of_alpha, sign_of(pictures.excess(pixel)), by_color);
+        d_alpha[pixel] = fmaf(scale * of_alpha * pictures.weight_of(pixel), sign_of(pictures.excess(pixel)), by_color);
     }
     if (!gain) return;
     float sums[6];

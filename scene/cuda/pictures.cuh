@@ -26,12 +26,16 @@ struct Pictures {
             raw = fmaf(1.0f - alpha[pixel], change(channel), raw), y = fmaf(1.0f - known[pixel], change(channel), y);
             if (kept && !kept[pixel]) y = raw;
         }
-        const float w = weight ? weight[pixel] : 1.0f, recorded = gain ? fmaf(gain[channel], raw, offset[channel]) : raw;
+        const float w = weight_of(pixel), recorded = gain ? fmaf(gain[channel], raw, offset[channel]) : raw;
         return {raw, w != 0.0f ? recorded : y, y, w};
     }
 
+    __device__ __forceinline__ float weight_of(int64 pixel) const { return weight ? weight[pixel] : 1.0f; }
+
     // By how much the render's alpha is too large, where it counts.
-    __device__ __forceinline__ float excess(int64 pixel) const { return kept && !kept[pixel] ? 0.0f : alpha[pixel] - known[pixel]; }
+    __device__ __forceinline__ float excess(int64 pixel) const {
+        return (kept && !kept[pixel]) || weight_of(pixel) == 0.0f ? 0.0f : alpha[pixel] - known[pixel];
+    }
 };
 
 __device__ __forceinline__ float sign_of(float a) { return a > 0.0f ? 1.0f : a < 0.0f ? -1.0f : 0.0f; }

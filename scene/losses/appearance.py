@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ...rasterizer import Frame
 from ..settings import TrainingSettings
-from .photometric import Recording, photometric_loss
+from .photometric import Recording, photometric_loss, scale_gradient
 
 OTHER_BACKGROUND = 0.3  # share of the loss with the opposite background, if the capture has alpha
 
@@ -32,7 +32,7 @@ def appearance_loss(
         background: RGB in [0, 1].
         alpha: [h, w] float32.
         kept: [h, w] bool, the pixels whose alpha counts; see `on_other_background`. None: all.
-        weight, recording: see `photometric_loss`.
+        weight, recording: see `photometric_loss`; ``weight`` acts on alpha in the same way.
     """
     s, color = settings, frame.color
     if color.device.type == "cuda" and color.dtype == torch.float32:
@@ -47,11 +47,12 @@ def appearance_loss(
         return photometric.photometric_loss(launcher_for(color.device), color, target, *terms)
     loss = photometric_loss(color, target, s.l1, s.ssim, weight, recording)
     if alpha is not None:
-        wrong = (frame.alpha - alpha).abs()
+        wrong = ((frame.alpha if weight is None else scale_gradient(frame.alpha, weight)) - alpha).abs()
+        counts = kept if weight is None else weight != 0 if kept is None else kept & (weight != 0)
         other = photometric_loss(
             *on_other_background(frame, target, alpha, torch.tensor(background, dtype=color.dtype), kept), s.l1, s.ssim, weight, recording
         )
-        loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + s.alpha * (wrong if kept is None else wrong * kept).mean()
+        loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + s.alpha * (wrong if counts is None else wrong * counts).mean()
     return loss * share
 
 

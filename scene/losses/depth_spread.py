@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Camera, Convexes, Gaussians
+from .photometric import scale_gradient
 
 EVERY = 4  # steps between two evaluations; the weight is scaled up to compensate
 BEGIN = 0.1  # fraction of all steps; there are no surfaces before
@@ -30,11 +31,14 @@ def with_depth(camera: Camera, gaussians: Gaussians, convexes: Convexes, unit: f
     return replace(gaussians, extras=extras[0]), replace(convexes, extras=extras[1])
 
 
-def depth_spread(extras: Tensor, alpha: Tensor) -> Tensor:
+def depth_spread(extras: Tensor, alpha: Tensor, weight: Tensor | None = None) -> Tensor:
     """Mean over pixels of the standard deviation of z, in units of the ``unit`` of `with_depth`, times the square root of alpha.
 
-    extras [H, W, 2], alpha [H, W]: rendered from what `with_depth` returns.
+    extras [H, W, 2], alpha [H, W]: rendered from what `with_depth` returns. weight: [H, W] float32, factor on each pixel's gradient, but
+    not on its loss; None: 1 everywhere.
     """
+    if weight is not None:
+        extras, alpha = scale_gradient(extras, weight[..., None]), scale_gradient(alpha, weight)
     first, second = extras.unbind(-1)
     variance = second - first.square() / alpha.clamp(min=1e-3)
     return (variance.clamp(min=0) + FLOOR**2).sqrt().mean() - FLOOR

@@ -42,7 +42,7 @@ class HexPlanes(nn.Module):
     def forward(self, u: Tensor, t: float) -> Tensor:
         """Features [N, C * levels] at positions ``u`` [N, 3] in [0, 1] (clamped, NaN to 0) and one time ``t`` in [0, 1] (likewise).
 
-        Gradients reach only the planes: positions enter the field detached (design, section 1).
+        Gradients reach only the planes: positions enter the field detached.
         """
         return field_outputs(list(self.space), list(self.time), [], u, None, t)
 

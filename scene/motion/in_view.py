@@ -10,11 +10,12 @@ from .. import _kernels
 from ..primitives import GaussianSet
 
 
-def in_view(gaussians: GaussianSet, camera: Camera, frame: float | None = None, tiles: Tensor | None = None) -> Tensor:
+def in_view(gaussians: GaussianSet, camera: Camera, frame: float | None = None, tiles: Tensor | None = None, fuller: float = 1.0) -> Tensor:
     """[m] int64, ascending: every one of the N ``gaussians`` that can contribute to a drawn pixel of ``camera``, and some that do not.
 
     ``frame``: the fractional frame number of `FreeMotion`, at which they are where their life puts them, and as opaque; None: nothing
-    moves. ``tiles`` [rows, columns] bool, as `rasterize` takes them. Everything is on the CPU; no gradients.
+    moves. ``tiles`` [rows, columns] bool, as `rasterize` takes them. ``fuller``: they will be drawn at most so many times as opaque.
+    Everything is on the CPU; no gradients.
     """
     g = gaussians
     life = [] if frame is None else [g.times, g.log_spans, g.velocities]
@@ -29,6 +30,7 @@ def in_view(gaussians: GaussianSet, camera: Camera, frame: float | None = None, 
         life,
         g.dynamic,
         0.0 if frame is None else frame,
+        fuller,
         torch.cat([pinhole, pose[:3].flatten()]),
         camera.width,
         camera.height,

@@ -21,7 +21,7 @@ from .courses import SharedCourses, encode_places
 from .interface import Moved, Rest, Time, together
 from .light import Light
 from .rigid_parts import RigidParts
-from .skinning import Nodes, nearest_nodes, skin
+from .skinning import Nodes, distances, nearest_nodes, skin
 
 NEAREST = 4  # nodes that carry a position
 GRAPH = 6  # neighbours of a node in the rigidity term
@@ -162,7 +162,7 @@ class ControlNodes(nn.Module):
 
     def graph(self) -> Tensor:
         """[B, k] indices of each node's nearest neighbours."""
-        return self._once("graph", lambda p: torch.cdist(p, p).topk(min(GRAPH, len(p) - 1) + 1, largest=False).indices[:, 1:])
+        return self._once("graph", lambda p: distances(p, p).topk(min(GRAPH, len(p) - 1) + 1, largest=False).indices[:, 1:])
 
     def _place(self) -> Tensor:
         """[B, 33] encoded rest positions of the nodes, as the network takes them."""
@@ -228,7 +228,7 @@ class ControlNodes(nn.Module):
         positions = torch.tensor(farthest_points(points, len(self.positions)), dtype=torch.float32, device=self.positions.device)
         nodes = ControlNodes(positions, self.centre, self.extent, self.reach, rigid_parts=self.rigid_parts)
         nodes.network, nodes.light = self.network, self.light
-        nodes.hyper.copy_(self.hyper[torch.cdist(positions, self.positions).argmin(1)])
+        nodes.hyper.copy_(self.hyper[distances(positions, self.positions).argmin(1)])
         return nodes
 
 
@@ -237,7 +237,7 @@ def spacing(positions: Tensor) -> Tensor:
     near = min(3, len(positions) - 1)
     if not near:
         return torch.ones(len(positions), device=positions.device)
-    return torch.cdist(positions, positions).topk(near + 1, largest=False).values[:, 1:].mean(1).clamp(min=1e-6)
+    return distances(positions, positions).topk(near + 1, largest=False).values[:, 1:].mean(1).clamp(min=1e-6)
 
 
 def farthest_points(points: np.ndarray, count: int) -> np.ndarray:

@@ -22,6 +22,12 @@ class Nodes(NamedTuple):
     shifts: Tensor
 
 
+def distances(first: Tensor, second: Tensor) -> Tensor:
+    """[A, B] distances between the points ``first`` [A, D] and ``second`` [B, D]. Not by a matrix product, torch's choice for many points,
+    which loses all digits of small distances far from the origin."""
+    return torch.cdist(first, second, compute_mode="donot_use_mm_for_euclid_dist")
+
+
 def nearest_nodes(points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Tensor:
     """[N, count] int32 indices of the nodes with the largest weights at ``points`` [N, 3] with ``hyper`` [N, H], largest weight first.
     No gradients."""
@@ -37,7 +43,7 @@ def nearest_nodes(points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Te
 
         return nearest_on_gpu(launcher_for(points.device), points, hyper, nodes, count)
     here, there = torch.cat([points, hyper], 1), torch.cat([home[0], home[1]], 1)
-    return (torch.cdist(here, there).square() * home[2]).topk(count, largest=False).indices.int()
+    return (distances(here, there).square() * home[2]).topk(count, largest=False).indices.int()
 
 
 def skin(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, nodes: Nodes) -> tuple[Tensor, Tensor]:

@@ -21,7 +21,7 @@ from ..losses.photometric import Recording
 from ..losses.surface import surface_loss
 from ..model import Model
 from ..settings import TrainingSettings
-from ..views import Views
+from ..views import Views, Window
 from .drawn_tiles import Drawn, DrawnTiles
 from .optimiser import ALL_ROWS, Rows
 from .recipe import Recipe
@@ -126,8 +126,9 @@ class Objective:
         drawn, now = self.drawn_of(i, phase.scale, step) if window is None else None, self.now(step)
         tiles = None if drawn is None else drawn.tiles
         whole = phase.move and self.motion_terms.flow_due(model, step, self.total)
-        seen = model.in_view(t, camera, None if whole else tiles, phase.move)
         left_out = now.left_out
+        fuller = 1 / (1 - left_out) if isinstance(left_out, float) else 1.0
+        seen = model.in_view(t, camera, None if whole else tiles, phase.move, fuller)
         keep = None if left_out is None else keeps(model.gaussians.dynamic, left_out, s.seed, now.number)
         if seen is not None and keep is not None:
             seen, keep = seen[keep[seen]], None
@@ -157,8 +158,8 @@ class Objective:
         loss = appearance_loss(frame, target, s, views.background, alpha, kept, weight, recording, share)
         image_loss = loss.detach()
         if spread:
-            loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha)
-        loss = loss + self._surface(frame, target, i, now.smooth, weight)
+            loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha, weight)
+        loss = loss + self._surface(frame, target, i, now.smooth, weight, phase.scale, window)
         loss = loss + self.opacity / (views.width * views.height) * (opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
@@ -196,11 +197,33 @@ class Objective:
         progress = (self.earlier + step) / max(self.earlier + self.total, 1)
         return self.settings.smooth * SMOOTH_END**progress if self.several else 0.0
 
-    def _surface(self, frame: Frame, target: Tensor, i: int, smooth: float | Tensor | None, weight: Tensor | None) -> Tensor:
-        """The terms on the depth of ``frame``, a render of training frame ``i`` whose pixels' gradients have ``weight``."""
+    def _surface(
+        self,
+        frame: Frame,
+        target: Tensor,
+        i: int,
+        smooth: float | Tensor | None,
+        weight: Tensor | None,
+        scale: float = 1.0,
+        window: Window | None = None,
+    ) -> Tensor:
+        """The terms on the depth of ``frame``, a render of training frame ``i`` whose pixels' gradients have ``weight``. Like the other
+        terms they are scaled as means over the whole image, of which ``frame`` may be a ``window``, at ``scale``."""
         height, width = frame.depth.shape
-        measured, moving = self.measured(i, height, width)
+        measured, moving = self.measured(i, height, width) if window is None else self._measured_in(i, scale, window)
         if smooth is None and measured is None:
             return frame.depth.new_zeros(())
-        depths = frame.depth, frame.alpha, target
-        return surface_loss(*depths, self.unit, 0.0 if smooth is None else smooth, self.settings.depth, measured, moving, weight)
+        whole_width, whole_height = (width, height) if window is None else self.views.size(scale)
+        # `depth_smoothness` multiplies its mean by the width of what it gets.
+        smooth = 0.0 if smooth is None else smooth * (height / whole_height)
+        depth = self.settings.depth * (height * width / (whole_height * whole_width))
+        return surface_loss(frame.depth, frame.alpha, target, self.unit, smooth, depth, measured, moving, weight)
+
+    def _measured_in(self, i: int, scale: float, window: Window) -> tuple[Tensor | None, Tensor | None]:
+        """`measured` in a ``window`` of the image at ``scale``. What moves has depth 0 there, where it is unknown."""
+        if self.measured_depth is None:
+            return None, None
+        left, top, right, bottom = window
+        width, height = self.views.size(scale)
+        whole = self.measured_depth.static(i, height, width)
+        return (None if whole is None else whole[top:bottom, left:right]), None

@@ -6,8 +6,10 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
+from torch import Tensor
 
 from ..colour import CameraAffine, colour_recorders
 from ..losses.measured_depth import MeasuredDepth
@@ -15,7 +17,7 @@ from ..losses.motion_terms import MeasuredFlow
 from ..model import Model
 from ..settings import TrainingSettings
 from ..views import Views
-from .checkpoint import load_checkpoint, save_checkpoint
+from .checkpoint import FILE, load_checkpoint, save_checkpoint
 from .control.density import Measure, keep_small, measure_responsibility
 from .control.growth import DensityControl
 from .control.learned_model import LearnedModel
@@ -77,7 +79,10 @@ class Trainer:
         self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, static_steps, opened)
         if settings.affine and model.affine is None and (recorders := colour_recorders(views)) is not None:
             model.affine = CameraAffine(recorders).to(model.device)
-        self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
+        self._found = self._checkpoint()
+        # Not of the model as given, if training goes on from a checkpoint: its unit may be that of what an earlier part left.
+        found = None if self._found is None else self._found[1].get("unit")
+        self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy()) if found is None else float(found)
         steps = self.curriculum.several, self.total, earlier
         self.objective = Objective(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth)
         self.learned = LearnedModel(model, settings, self.unit, lr_scale)
@@ -207,15 +212,22 @@ class Trainer:
             "model": self.model.config,
             "nonfinite": self.guard.count,
             "part": self.part,
+            "unit": self.unit,
             "log": vars(self.log),
         }
         save_checkpoint(self.checkpoints, self.learned.tensors(), state)
 
-    def _resume(self) -> None:
+    def _checkpoint(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        """The state of this training from which it goes on, if there is one."""
         found = load_checkpoint(self.checkpoints) if self.checkpoints is not None else None
-        if found is None or found[1].get("part", "") != self.part:
+        if found is None and self.checkpoints is not None and (self.checkpoints / FILE).exists():
+            self._event(f"the checkpoint {self.checkpoints / FILE} cannot be read, so training starts over")
+        return found if found is not None and found[1].get("part", "") == self.part else None
+
+    def _resume(self) -> None:
+        if self._found is None:
             return
-        tensors, state = found
+        (tensors, state), self._found = self._found, None
         self.learned.load(tensors, state)
         self.motion.load(state)
         self.loss.load(state["ema"])

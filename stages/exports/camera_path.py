@@ -44,7 +44,8 @@ def named_path(name: str, frames: FrameSet, model: Model, count: int) -> CameraP
 
 
 def looked_at(frames: FrameSet, model: Model) -> np.ndarray:
-    """[3]: the median of the points that some training cameras see in the middle of their pictures, with depth rendered from the model."""
+    """[3]: the median of the points that some training cameras see in the middle of their pictures, with depth rendered from the model. If
+    they see none, the mean of its Gaussians, or a point ahead of the cameras if it has none."""
     import torch
 
     from ...rasterizer import Camera
@@ -63,4 +64,8 @@ def looked_at(frames: FrameSet, model: Model) -> np.ndarray:
             places.append(pose[:3, :3].T @ (ahead - pose[:3, 3]))
     if places:
         return np.median(places, axis=0)
-    return model.gaussians.means.detach().cpu().numpy().astype(np.float64).mean(0)
+    if len(model.gaussians):
+        return model.gaussians.means.detach().cpu().numpy().astype(np.float64).mean(0)
+    poses = frames.cam_from_world[frames.train]  # nothing is left to look at, so it is looked at from there as from anywhere
+    centres = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+    return centres.mean(0) + poses[:, 2, :3].mean(0) * max(float(np.linalg.norm(centres - centres.mean(0), axis=1).max()), 1.0)

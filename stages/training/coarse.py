@@ -96,6 +96,8 @@ def train_coarse(ctx: Context) -> None:
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
     )
+    if not len(model.gaussians):
+        ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")
     growth = GrowthSettings(**settings.model_dump(include=set(GrowthSettings.model_fields)))
     StoredCoarse(settings.strategy, steps, inverse_depth, growth).write(ctx.out, begin)
     write_model(ctx.out, model)

@@ -150,6 +150,29 @@ def test_what_cannot_fit_is_refused_with_its_size() -> None:
         rasterize(Camera(K, pose, side, side), gaussians)
 
 
+@pytest.mark.parametrize(
+    "folder, most, current, prefix",
+    [("", "max", "current", ""), ("memory/", "limit_in_bytes", "usage_in_bytes", "total_")],
+    ids=["v2", "v1"],
+)
+def test_pictures_in_the_cache_of_a_container_count_as_free_memory(tmp_path, folder, most, current, prefix) -> None:
+    from e4dgs.rasterizer import _cpu
+
+    group = tmp_path / "sys/fs/cgroup" / folder
+    group.mkdir(parents=True)
+    (tmp_path / "proc").mkdir()
+    (tmp_path / "proc/meminfo").write_text("MemTotal: 64 kB\nMemAvailable: 50 kB\n")
+    assert _cpu.free_memory(str(tmp_path)) == 50 * 1024
+    (group / f"memory.{most}").write_text("10000\n")
+    (group / f"memory.{current}").write_text("9900\n")
+    (group / "memory.stat").write_text(f"anon 2000\n{prefix}inactive_file 7000\n{prefix}active_file 500\n")
+    assert _cpu.free_memory(str(tmp_path)) == 7600
+    (group / "memory.stat").write_text("anon 9900\n")
+    assert _cpu.free_memory(str(tmp_path)) == 100
+    (group / f"memory.{most}").write_text("max\n" if not folder else f"{2**63 - 4096}\n")
+    assert _cpu.free_memory(str(tmp_path)) == 50 * 1024
+
+
 def test_memory_that_frames_hand_on_changes_nothing_and_can_be_given_back() -> None:
     from e4dgs.rasterizer import _cpu
 

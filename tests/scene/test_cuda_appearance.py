@@ -22,6 +22,7 @@ PARTS = [
     {"weight"},
     {"recording"},
     {"weight", "recording"},
+    {"alpha", "weight"},
     {"alpha", "kept", "weight"},
     {"alpha", "kept", "weight", "recording"},
 ]

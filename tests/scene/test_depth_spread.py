@@ -60,6 +60,20 @@ def test_a_thick_convex_is_spread_by_itself():
     assert alone == pytest.approx(1.0 / UNIT * 0.9**0.5, rel=0.03), "half its thickness"
 
 
+def test_a_weight_acts_on_the_gradient_of_its_pixel_and_not_on_the_loss():
+    extras, alpha = torch.rand(3, 4, 2, dtype=torch.float64), torch.rand(3, 4, dtype=torch.float64)
+    weight = torch.rand(3, 4, dtype=torch.float64)
+    weight[0] = 0
+    found = []
+    for given in (None, weight):
+        leaves = extras.clone().requires_grad_(), alpha.clone().requires_grad_()
+        loss = depth_spread(*leaves, given)
+        found.append((float(loss.detach()), *torch.autograd.grad(loss, leaves)))
+    (plain, by_extras, by_alpha), (weighted, *gradients) = found
+    assert plain == weighted
+    assert torch.allclose(gradients[0], by_extras * weight[..., None]) and torch.allclose(gradients[1], by_alpha * weight)
+
+
 def test_its_gradient_is_that_of_central_differences():
     """By the depth of the rear layer and by the opacity of the front one: layers are drawn together, and the front one closes."""
     depths, opacities = torch.tensor([5.0, 5.6]), torch.tensor([0.5, 0.8])

@@ -1,9 +1,13 @@
 """Which tiles a step draws: all that move, a share of those that never change, and in expectation everything."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import TILE
+from e4dgs.scene.losses.appearance import appearance_loss
+from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.drawn_tiles import LEAST_SHARE, LEAST_TIMES, MOST_DRAWN, STATIC_STEPS, DrawnTiles
 from e4dgs.scene.views import Views
 
@@ -59,6 +63,23 @@ def test_the_weight_is_0_or_what_makes_up_for_the_steps_that_leave_a_pixel_out()
         assert one.weight.shape == (ROWS, COLUMNS) and weight.shape == (HEIGHT, WIDTH) and torch.equal(weight > 0, pixels)
     mean = torch.stack([one.pixels(torch.zeros(HEIGHT, WIDTH)) for one in some]).mean(0)
     assert float((mean - 1).abs().max()) < 4 * np.sqrt((1 - SHARE) / SHARE / steps)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_alpha_is_weighted_like_colours(masked):
+    """Its loss leaves out what is not drawn, and its gradient makes up for that."""
+    draw = torch.Generator().manual_seed(0)
+    color, target, known = torch.rand(6, 5, 3, generator=draw), torch.rand(6, 5, 3, generator=draw), torch.rand(6, 5, generator=draw)
+    alpha, weight = torch.rand(6, 5, generator=draw).requires_grad_(), torch.full((6, 5), 4.0)
+    weight[:3] = 0
+    kept = torch.rand(6, 5, generator=draw) < 0.5 if masked else None
+    counts = weight != 0 if kept is None else (weight != 0) & kept
+    settings = TrainingSettings(l1=0.0, ssim=0.0, alpha=2.0)
+    loss = appearance_loss(SimpleNamespace(color=color, alpha=alpha), target, settings, (0.0, 0.0, 0.0), known, kept, weight)
+    wrong = (alpha - known).detach()
+    assert float(loss) == pytest.approx(2 * float((wrong.abs() * counts).mean()))
+    loss.backward()
+    assert torch.allclose(alpha.grad, 2 / 30 * weight * counts * wrong.sign())
 
 
 def test_a_tile_of_which_a_single_pixel_moves_is_drawn():

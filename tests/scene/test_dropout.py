@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.training.objective import DROPOUT_GROWS
 from e4dgs.scene.training.optimiser import ALL_ROWS
 from e4dgs.scene.training.schedule import Phase
@@ -60,6 +61,17 @@ def test_one_camera_or_a_share_of_zero_leaves_out_none(tmp_path):
     assert (
         trainer_of(tmp_path / "a", cameras=1).objective.left_out(99) == trainer_of(tmp_path / "b", dropout=0.0).objective.left_out(99) == 0
     )
+
+
+def test_what_becomes_visible_because_others_are_left_out_is_in_view(tmp_path):
+    trainer = trainer_of(tmp_path, dropout=0.5)
+    model, last = trainer.model, PHASE.iterations - 1
+    model.gaussians.dynamic[:] = False
+    with torch.no_grad():
+        model.gaussians.opacity_logits.fill_(math.log(0.003 / 0.997))  # below 1/255, and above it once it is divided by 0.5
+    model.field = FreeMotion(3)
+    judged = trainer.objective(model, 0, last, PHASE, 0)
+    assert len(judged.rows.index) and float(judged.color.detach().amax()) > 0.003
 
 
 def test_rows_in_view_get_the_gradients_that_all_rows_would(tmp_path, monkeypatch):

@@ -214,7 +214,7 @@ def test_motion_that_has_to_be_computed_first_is_not_asked():
 
 def test_wrong_shapes_are_refused():
     g = scene(10)
-    args = g.means.detach(), g.log_scales.detach(), g.opacity_logits.detach(), [], g.dynamic, 0.0
+    args = g.means.detach(), g.log_scales.detach(), g.opacity_logits.detach(), [], g.dynamic, 0.0, 1.0
     camera, index = torch.zeros(17, dtype=torch.float64), torch.empty(10, dtype=torch.int64)
     for bad, match in (
         ((args[0][:5], *args[1:], camera, 8, 8, None, TILE, index, 1), "log_scales must be"),

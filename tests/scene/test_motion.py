@@ -217,6 +217,23 @@ def test_static_gaussians_leave_the_field_where_they_stand():
     assert freeze_static_gaussians(moving, views()) == 0
 
 
+def test_gaussians_that_leave_the_field_keep_the_orientation_and_the_size_that_it_gave_them():
+    class Turning(Path):
+        def forward(self, rest, t):
+            turned, larger = torch.tensor([0.8, 0.0, 0.6, 0.0]), torch.tensor([0.3, -0.2, 0.1])
+            return super().forward(rest, t)._replace(dr=turned.expand(len(rest), 4), ds=larger.expand(len(rest), 3))
+
+    m = model(Turning())
+    with torch.no_grad():
+        m.gaussians.quats.normal_(generator=torch.Generator().manual_seed(0))
+    before = m.at(0.5)[0]
+    assert freeze_static_gaussians(m, views()) == 3
+    after = m.at(0.5)[0]
+    assert torch.allclose(quats_to_matrices(after.quats), quats_to_matrices(before.quats), atol=1e-6)
+    assert torch.allclose(after.scales, before.scales, rtol=1e-6)
+    assert not torch.allclose(before.scales, model().at(0.5)[0].scales, rtol=0.05), "the field has changed them"
+
+
 @pytest.mark.parametrize(("share", "leave"), [(1.0, 3), (1.01, 0)])
 def test_static_gaussians_leave_only_where_they_are_enough(share, leave):
     m = model(Path((1e-4, 0, 0)))

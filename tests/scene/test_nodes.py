@@ -196,6 +196,15 @@ def test_what_does_not_move_and_corners_of_convexes():
     assert torch.allclose(convexes.points, c.points + shift, atol=1e-6)
 
 
+def test_far_from_the_origin_nodes_have_the_same_neighbours_and_spacing():
+    """Of more than 25 points torch finds distances by a matrix product, which loses their digits there."""
+    positions = some(100).positions
+    far = (positions.double() + 2000.0).float()  # exact to 1e-4
+    for k, others in enumerate(ControlNodes(far, torch.full((3,), 2000.0), 1.0, 0.5).graph()):
+        assert k not in others and set(others.tolist()) == set(((far - far[k]).norm(dim=1)).topk(7, largest=False).indices[1:].tolist())
+    assert torch.allclose(spacing(far), spacing(positions), rtol=1e-2)
+
+
 def test_nodes_spread_anew_keep_the_network():
     nodes = moving()
     again = nodes.spread_over(np.random.default_rng(3).normal(size=(500, 3)))

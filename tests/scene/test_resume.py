@@ -10,10 +10,11 @@ import pytest
 import torch
 from e4dgs.scene.training import convergence
 from e4dgs.scene.training.checkpoint import FILE
-from e4dgs.scene.training.recipe import NODES
+from e4dgs.scene.training.recipe import FIRST_MOTION, NODES
 from e4dgs.scene.training.schedule import Phase
+from e4dgs.stages.training.motions import make_nodes
 from interrupted import EVERY, KINDS, QUICK, ROUNDS, Dying, Killed, digests, prepared, run
-from sliding_gaussians import fresh, make_views
+from sliding_gaussians import fresh, make_views, wandering_views
 
 
 @cache
@@ -71,6 +72,44 @@ def test_a_process_that_is_killed_while_it_saves_is_continued_by_another(tmp_pat
     *found, last = ended.stdout.splitlines()
     assert last.startswith(f"continued continued from the checkpoint at step {5 * EVERY} of")
     assert dict(line.split() for line in found) == digests(whole("free"))
+
+
+def test_writing_checkpoints_changes_nothing(tmp_path):
+    """Nodes that do not move yet: what would carry the primitives is searched when it is needed, not for a checkpoint."""
+
+    def training(folder, every) -> Dying:
+        views = wandering_views(9, 16)
+        model = fresh(views, static=True)
+        model.gaussians.dynamic[:] = True
+        model.field = make_nodes(model.gaussians.means.detach().numpy(), QUICK)
+        phases = [Phase("warm-up", 60, False, 0.5), Phase("deformation", 39, True, 0.5)]
+        settings = QUICK.model_copy(update={"checkpoint_seconds": every, "lr_means": 4e-2})
+        return run(Dying(model, views, phases, settings, budget=90, recipe=FIRST_MOTION, checkpoints=folder))
+
+    want = training(None, 1.0)
+    assert digests(training(tmp_path, 19.5)) == digests(want) and (tmp_path / FILE).is_file()
+
+
+def test_a_training_that_goes_on_keeps_its_unit_of_length(tmp_path):
+    """Rates and losses are in viewing distances of the model as training began. An earlier part may have made that model, and is not
+    repeated."""
+    whole = run(prepared("nodes", tmp_path))
+    views = wandering_views(9, 16)
+    other = fresh(views, static=True)
+    with torch.no_grad():
+        other.gaussians.means.mul_(7.0)
+    other.field = make_nodes(other.gaussians.means.detach().numpy(), QUICK)
+    again = Dying(other, views, whole.phases, QUICK, budget=90, recipe=NODES, checkpoints=tmp_path)
+    assert again.unit == again.objective.unit == whole.unit
+    begun = Dying(other, views, whole.phases, QUICK, budget=90, recipe=NODES)
+    assert abs(begun.unit / whole.unit - 1) > 0.05
+
+
+def test_a_damaged_checkpoint_is_told_of(tmp_path):
+    (tmp_path / FILE).write_bytes(b"torn")
+    trainer = prepared("planes", tmp_path)
+    assert trainer.log.events == [f"the checkpoint {tmp_path / FILE} cannot be read, so training starts over"]
+    assert not prepared("planes", tmp_path / "none").log.events
 
 
 REST, HALF, FULL = Phase("rest", 240, False), Phase("half", 450, False, 0.5), Phase("full", 150, False)

@@ -1,10 +1,12 @@
 """Posed frames as training sees them: where points of the world appear in a picture, and pictures that threads ask for at once."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from threading import Barrier
 
 import numpy as np
 import pytest
+import torch
 from e4dgs.scene.views import Views
 
 WIDTH, HEIGHT, NEAR = 20, 12, 0.5
@@ -71,3 +73,21 @@ def test_a_picture_that_two_threads_load_at_once_is_kept_once():
         found = list(pool.map(views.target, (1, 1)))
     assert all(float(one.mean()) == pytest.approx(1 / 255) for one in found)
     assert views._bytes == HEIGHT * WIDTH * 3 and len(views._images) == 1
+
+
+def test_edges_are_kept_within_the_same_budget_as_pictures(monkeypatch):
+    views, made = two_views(), []
+    views.stored_edges = lambda i: made.append(i) or np.full((HEIGHT, WIDTH), 51 * (i + 1), np.uint8)
+    assert [float(views.edges(i).mean()) for i in (0, 1, 0, 1)] == pytest.approx([0.2, 0.4, 0.2, 0.4]) and made == [0, 1]
+    assert tuple(views.edges(0, 0.5).shape) == (HEIGHT // 2, WIDTH // 2)
+    monkeypatch.setattr("e4dgs.scene.views.CACHE_BYTES", HEIGHT * WIDTH)
+    for i in (0, 1):
+        views.target(i), views.edges(i)
+    assert views._bytes <= HEIGHT * WIDTH and len(views._images) == 1
+
+
+def test_a_device_counts_as_what_it_is_called():
+    window = two_views()
+    window.load_alpha = lambda i: np.pad(np.full((2, 2), 255, np.uint8), ((3, HEIGHT - 5), (3, WIDTH - 5)))
+    same = replace(window, device=torch.device("cpu"))
+    assert same.window(0) == window.window(0) is not None

@@ -1,6 +1,11 @@
 """Pictures in, an MP4 out."""
 
+import io
+from fractions import Fraction
+
+import av
 import numpy as np
+import pytest
 from e4dgs.vision.images.movie import encode_movie
 
 
@@ -15,3 +20,26 @@ def test_the_same_pictures_give_the_same_bytes():
         found.add(encode_movie(iter(pictures), 15.0))
         del used
     assert len(found) == 1
+
+
+@pytest.mark.parametrize(
+    ("fps", "rate"),
+    [
+        (23.976, Fraction(24000, 1001)),
+        (23.98, Fraction(24000, 1001)),
+        (29.97, Fraction(30000, 1001)),
+        (59.94, Fraction(60000, 1001)),
+        (12.5, Fraction(25, 2)),
+        (24.0, Fraction(24)),
+    ],
+)
+def test_a_movie_has_the_rate_that_was_asked_for(fps, rate):
+    with av.open(io.BytesIO(encode_movie([np.zeros((8, 8, 3), np.uint8)] * 5, fps))) as movie:
+        assert movie.streams.video[0].average_rate == rate
+
+
+@pytest.mark.parametrize(("size", "encoded"), [((1, 7), (2, 6)), ((9, 1), (8, 2)), ((1, 1), (2, 2))])
+def test_pictures_of_any_size_can_be_encoded(size, encoded):
+    with av.open(io.BytesIO(encode_movie([np.full((*size, 3), 200, np.uint8)] * 3, 15.0))) as movie:
+        frames = list(movie.decode(video=0))
+    assert [(frame.height, frame.width) for frame in frames] == [encoded] * 3

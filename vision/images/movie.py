@@ -8,6 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterable
+from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
@@ -16,13 +17,15 @@ import numpy as np
 
 from ...pipeline import StageError
 
+BROADCAST = 5e-3  # frames a second by which 23.98 or 29.97 may miss the rate that it stands for
 QUALITY = 18  # x264's constant rate factor: hard to tell from the original
 
 
 class Encoder:
     """Encodes H.264 that plays in every browser, to a file or to memory: `add` pictures, then `close`.
 
-    A picture is uint8 [H, W, 3]. The format needs even sizes, so the last row or column of an odd number is left out.
+    A picture is uint8 [H, W, 3]. The format needs even sizes, so the last row or column of an odd number is left out, and a single one is
+    repeated. ``fps`` may be a broadcast rate, such as 29.97 for 30000/1001.
     """
 
     def __init__(self, target: str | BinaryIO, fps: float, quality: int = QUALITY) -> None:
@@ -31,7 +34,7 @@ class Encoder:
         # The index goes to the front, so that the movie plays while it loads. That needs a file that can be opened again.
         options = {"movflags": "+faststart"} if isinstance(target, str) else {}
         self._container = av.open(target, "w", format="mp4", options=options)
-        self._stream = self._container.add_stream("libx264", rate=round(fps))
+        self._stream = self._container.add_stream("libx264", rate=exact_rate(fps))
         self._stream.pix_fmt = "yuv420p"
         # With x264's macroblock tree the same pictures gave different bytes in every run (seen on AMD EPYC); without it they do not.
         self._stream.options = {"crf": str(quality), "x264-params": "mbtree=0"}
@@ -40,6 +43,9 @@ class Encoder:
     def add(self, picture: np.ndarray) -> None:
         import av
 
+        for axis in (0, 1):
+            if picture.shape[axis] == 1:
+                picture = np.repeat(picture, 2, axis)
         height, width = (size - size % 2 for size in picture.shape[:2])
         if not self._begun:
             self._stream.width, self._stream.height, self._begun = width, height, True
@@ -51,6 +57,14 @@ class Encoder:
         if whole:
             self._container.mux(self._stream.encode())
         self._container.close()
+
+
+def exact_rate(fps: float) -> Fraction:
+    """``fps`` as a movie states it: a rate of 24, 30, 60 and so on over 1.001 is meant where it is written with two or three decimals."""
+    of_film = round(1.001 * fps)
+    if round(fps, 3) != round(fps) and abs(1.001 * fps - of_film) < BROADCAST:
+        return Fraction(1000 * of_film, 1001)
+    return Fraction(fps).limit_denominator(1001)
 
 
 def encode_movie(pictures: Iterable[np.ndarray], fps: float, quality: int = QUALITY) -> bytes:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ...model import Model
+from ...motion.skinning import distances
 from ...views import Views
 
 TIMES = 12  # times sampled over the capture to measure how far a primitive travels
@@ -26,21 +27,35 @@ def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def freeze_static_gaussians(model: Model, views: Views, pixels: float = STATIC_PIXELS, share: float = 0.0) -> int:
-    """Take Gaussians that travel less than ``pixels`` out of the field and fix them at their mean position. If they are less than ``share``
-    of those in the field, none leaves, because selecting the others would cost more than it saves. Returns how many left."""
+    """Take Gaussians that travel less than ``pixels`` out of the field and fix them at their mean position, as turned and as large as in
+    the middle of the capture. If they are less than ``share`` of those in the field, none leaves, because selecting the others would cost
+    more than it saves. Returns how many left."""
     index = model.gaussians.dynamic.nonzero()[:, 0]
     if model.field is None or not len(index):
         return 0
     mean, travel = mean_path(model, index)
     centres = torch.tensor(views.centres()[views.train], dtype=torch.float32, device=model.device)
     with torch.no_grad():
-        nearest = torch.cdist(model.gaussians.means[index], centres).amin(1)
+        nearest = distances(model.gaussians.means[index], centres).amin(1)
     focal = float(views.K[views.train, 0, 0].max())
     static = travel * focal / nearest.clamp(min=views.near) < pixels
     if float(static.float().mean()) < share:
         return 0
-    model.bake(mean[static], index[static])
+    bake(model, mean[static], index[static], t=0.5)
     return int(static.sum())
+
+
+def bake(model: Model, displacement: Tensor, index: Tensor, t: float) -> None:
+    """Take the Gaussians ``index`` out of the field: their rest positions move by ``displacement`` [m, 3], and they keep the orientation
+    and the size that the field gives them at time ``t``."""
+    g = model.gaussians
+    with torch.no_grad():
+        moved = model.carried(index, t)
+        g.means[index] += displacement
+        g.quats[index] = moved.quats
+        if moved.log_scales is not None:
+            g.log_scales[index] += moved.log_scales
+    g.dynamic[index] = False
 
 
 def dynamic_from_masks(points: np.ndarray, views: Views, looks: Iterable[tuple[int, np.ndarray]], share: float) -> np.ndarray:

@@ -60,7 +60,8 @@ class LearnedModel:
         tensors |= {f"dynamic/{p.KIND}": p.dynamic for p in (model.gaussians, model.convexes)}
         if model.field is not None:
             tensors |= {f"motion/{name}": value for name, value in model.field.state_dict().items()}
-            links = {p.KIND: model.links(p) for p in (model.gaussians, model.convexes) if len(p)}
+            # None is searched here: training would go on with it, and its result would depend on when checkpoints are written.
+            links = {p.KIND: model.known_links(p) for p in (model.gaussians, model.convexes) if len(p)}
             tensors |= {f"link/{kind}": link for kind, link in links.items() if link is not None}
         return tensors
 
