@@ -14,11 +14,11 @@ from ..facts import Facts
 from . import checks
 from . import skipped_times as skipping
 from .common_size import Crop, common_size, crop, told
+from .far_away import told_far
 
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")
 DEFAULT_FPS = 30.0  # for numbered images, and for cameras whose files give no frame rate
-LEAST_SPAN = 0.5  # of [0, 1]; times of a few frames cut from a longer video may span only 0 to 0.06
 
 
 @dataclass(frozen=True)
@@ -162,6 +162,8 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     following = np.full(len(shots), -1, np.int32) if static else _next_frames(shots, camera, time, split)
 
     posed = all(s.cam_from_world is not None for s in shots)
+    if posed and (far := told_far(np.array([s.cam_from_world for s in shots]))):
+        notes += (far,)
     sizes = [s.size for s in shots]
     common = common_size(sizes)
     crops = [crop(size, common) for size in sizes]
@@ -243,10 +245,8 @@ def _distortions(shots: Sequence[Shot]) -> np.ndarray:
 
 
 def _unit_times(raw: np.ndarray) -> np.ndarray:
-    """Times in [0,1] that span at least `LEAST_SPAN` are kept as they are (the convention of D-NeRF); others are rescaled to [0,1]."""
+    """Times of all splits together, rescaled to exactly [0,1]; 0 if all are equal. Motion, exports and the player cover that interval."""
     span = raw.max() - raw.min()
-    if raw.min() >= 0 and raw.max() <= 1 and span >= LEAST_SPAN:
-        return raw
     return (raw - raw.min()) / span if span > 0 else np.zeros_like(raw)
 
 

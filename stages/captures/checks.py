@@ -63,6 +63,12 @@ def list_folder(folder: Path) -> list[str]:
     return sorted((n for n in names if not n.startswith(".")), key=natural_key)
 
 
+def is_foreign(folder: Path) -> bool:
+    """Whether a folder inside a capture is no part of it: what macOS packs into archives, or a workspace, which is created wherever a
+    command runs. Looks only at its name and at two names in it."""
+    return folder.name == "__MACOSX" or ((folder / "store").is_dir() and (folder / "scenes").is_dir())
+
+
 def read_json(root: Path, name: str) -> dict[str, Any]:
     """The JSON object in `root/name`. Refuses other top-level types, broken text, duplicate names in an object, and files over 64 MiB."""
     path = root / name

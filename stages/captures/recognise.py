@@ -114,7 +114,7 @@ def _advice(root: Path) -> str:
         for name in checks.list_folder(root / part) if (root / part).is_dir() else ():
             if not (root / part / name).is_file() and not (root / part / name).is_dir():
                 return f"{part}{name} is not a file but a broken link, a pipe or a device; put the file itself there"
-    folders = [name for name in names if (root / name).is_dir()]
+    folders = [name for name in names if (root / name).is_dir() and not checks.is_foreign(root / name)]
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
     if folders:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,25 +13,46 @@ from . import checks
 from .capture import Shot
 
 
-def cameras_of(root: Path, images: Sequence[str]) -> tuple[list[tuple[str, int]] | None, str | None]:
-    """(camera, index of its time) for each of `images`, paths relative to `root`, if they lie in several folders that contain files of the
-    same names: `cam0/0001.jpg` and `cam1/0001.jpg` show the same time. Otherwise None, with a note for people if there are several folders.
+@dataclass(frozen=True)
+class Rig:
+    """What the folders of images are.
 
-    The folders are compared rather than `images`, from which structure from motion may have dropped some frames of some cameras."""
+    places: (camera, index of its time) of each image; None if the folders are no rig. note: why they are none, for people; None for a rig
+    or a single folder. others: further pictures in the folders, relative to the capture, whose names this follows from as well.
+    """
+
+    places: list[tuple[str, int]] | None = None
+    note: str | None = None
+    others: tuple[str, ...] = ()
+
+
+def cameras_of(root: Path, images: Sequence[str]) -> Rig:
+    """Whether `images`, paths relative to `root`, lie in several folders that contain files of the same names: `cam0/0001.jpg` and
+    `cam1/0001.jpg` show the same time.
+
+    The folders are compared as well as `images`, from which structure from motion may have dropped some frames of some cameras. One of
+    the two must agree, so a picture too many in one folder does no harm if it has no pose."""
     folders = folders_of(images)
     if len(folders) < 2:
-        return None, None
-    frames = {folder: _frames(root, folder) for folder in folders}
+        return Rig()
+    listed = {folder: _pictures(root, folder) for folder in folders}
+    frames = {folder: {_frame(name) for name in names} for folder, names in listed.items()}
+    posed: dict[str, set[str]] = {folder: set() for folder in folders}
+    for name in images:
+        posed[posixpath.dirname(name)].add(_frame(name))
+    others = tuple(sorted({name for names in listed.values() for name in names} - set(images)))
+    number = {frame: i for i, frame in enumerate(sorted(set.intersection(*frames.values()), key=checks.natural_key))}
+    same = any(all(names[folder] == names[folders[0]] for folder in folders) for names in (frames, posed))
+    if same and all(_frame(name) in number for name in images):
+        return Rig([(posixpath.dirname(name), number[_frame(name)]) for name in images], others=others)
     first = frames[folders[0]]
-    number = {frame: i for i, frame in enumerate(first)}
     other = next((folder for folder in folders if frames[folder] != first), None)
-    if other is None and all(_frame(name) in number for name in images):
-        return [(posixpath.dirname(name), number[_frame(name)]) for name in images], None
     counts = "" if other is None else f" ({len(first)} in {folders[0]}, {len(frames[other])} in {other})"
-    return None, (
+    note = (
         f"{len(folders)} folders of images do not hold files of the same names{counts}, so they are read as one camera over time, in the "
         "order of their names; for a rig of cameras name the frames of one time alike"
     )
+    return Rig(note=note, others=others)
 
 
 def all_fixed(shots: Sequence[Shot]) -> bool:
@@ -47,9 +69,10 @@ def folders_of(images: Sequence[str]) -> list[str]:
     return sorted({posixpath.dirname(name) for name in images}, key=checks.natural_key)
 
 
-def _frames(root: Path, folder: str) -> list[str]:
-    names = [name for name in checks.list_folder(root / folder) if name.lower().endswith(checks.IMAGE_SUFFIXES)]
-    return sorted({_frame(name) for name in names}, key=checks.natural_key)
+def _pictures(root: Path, folder: str) -> list[str]:
+    """Files in a folder that are named like pictures, relative to `root`."""
+    names = [f"{folder}/{name}" for name in checks.list_folder(root / folder) if name.lower().endswith(checks.IMAGE_SUFFIXES)]
+    return [name for name in names if (root / name).is_file()]
 
 
 def _frame(name: str) -> str:

@@ -17,6 +17,9 @@ from ...vision.images.pictures import composite
 if TYPE_CHECKING:
     from ..artifacts.frameset import FrameSet
 
+# How files begin that COLMAP reads: PNG, JPEG, BMP, TIFF (and TIFF above 4 GB). It reads no WebP, and no BMP without a file header.
+_READ_BY_COLMAP = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
 
 def lens_groups(frames: FrameSet) -> list[int]:
     """A number for each frame; frames with the same number share a lens. Pictures of different sizes count as different lenses, since they
@@ -36,12 +39,13 @@ def picture_folder(ctx: Context) -> Path:
 
 
 def write_images(ctx: Context, frames: FrameSet) -> list[str]:
-    """Writes pictures for COLMAP under plain names and returns the names. They are links to the capture's own files if possible, otherwise
-    new PNG files."""
+    """Writes pictures for COLMAP under plain names and returns the names. They are links to the capture's own files if COLMAP can use all
+    of them, otherwise new PNG files of the frames' size."""
     folder = picture_folder(ctx)
     names: list[str] = []
     # COLMAP reads files as they are stored: it does not rotate, crop or composite them. Masks need pictures of the frames' size.
-    linked = frames.files is not None and not frames.alpha and not frames.upright and frames.crop is None and not frames.masked
+    plain = not frames.alpha and not frames.upright and frames.crop is None and not frames.masked
+    linked = frames.files is not None and plain and all(_read_by_colmap(frames.root / file) for file in frames.files)
     with ctx.progress(len(frames), "pictures") as progress:
         for i in range(len(frames)):
             suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
@@ -97,6 +101,15 @@ def _focal_length(file: Path) -> Image.Exif:
     if isinstance(value, int) and 1 <= value <= 10_000:
         result[details] = {tag: value}
     return result
+
+
+def _read_by_colmap(file: Path) -> bool:
+    """Whether COLMAP reads such a file. Its content decides, as it does for COLMAP; a WebP file may be called .jpg."""
+    try:
+        with file.open("rb") as opened:
+            return opened.read(4).startswith(_READ_BY_COLMAP)
+    except OSError:  # decoding it says what is wrong
+        return False
 
 
 def _link(source: Path, target: Path) -> None:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.capture import LEAST_SPAN
-from factory import Options, make, write_colmap
+from factory import Options, make, write_colmap, write_nerfstudio
 from PIL import Image
 
 
@@ -87,17 +86,32 @@ def test_nerfstudio_holds_out_every_eighth_frame_and_keeps_distortion(nerfstudio
     assert_cameras(capture, nerfstudio_capture)
 
 
-@pytest.mark.parametrize(("last", "stretched"), [(LEAST_SPAN, False), (LEAST_SPAN - 0.01, True), (1.0, False), (1.5, True)])
-def test_times_of_a_short_part_of_a_recording_are_stretched_over_the_capture(nerfstudio_capture, tmp_path, last, stretched):
-    """Frames cut from a longer video may say 0 to 0.06, and motion is scaled to the whole of [0, 1]."""
+@pytest.mark.parametrize(("first", "last"), [(0, 0.06), (0, 0.5), (0, 0.9), (0.25, 1), (0.25, 0.75), (0, 1), (0, 1.5), (-3, 40)])
+def test_times_of_the_files_are_rescaled_to_the_whole_unit_interval(nerfstudio_capture, tmp_path, first, last):
+    """Motion and exports cover all of [0, 1]. Files may say i / N, or for frames cut from a longer video 0 to 0.06. Ten frames, 30 a
+    second, last 0.3 s whatever the unit of their times."""
     root = shutil.copytree(nerfstudio_capture.root, tmp_path / "part")
 
     def retime(data):
         for i, frame in enumerate(data["frames"]):
-            frame["time"] = last * i / (len(data["frames"]) - 1)
+            frame["time"] = first + (last - first) * i / (len(data["frames"]) - 1)
 
     edit(root / "transforms.json", retime)
-    np.testing.assert_allclose(recognise(root).time[[0, -1]], [0, 1 if stretched else last])
+    capture = recognise(root)
+    np.testing.assert_allclose(capture.time, np.arange(10) / 9, atol=1e-12)
+    assert (capture.time[0], capture.time[-1]) == (0, 1)
+    np.testing.assert_allclose(recognise(root, fps=30).seconds, np.arange(10) / 30, atol=1e-12)
+
+
+def test_times_are_rescaled_for_all_splits_together(dnerf_capture, tmp_path):
+    """Training frames that end before the test frames stay before them."""
+    root = shutil.copytree(dnerf_capture.root, tmp_path / "later")
+    for split, shift in (("train", 0.0), ("val", 0.1), ("test", 0.2)):
+        edit(root / f"transforms_{split}.json", lambda data, shift=shift: [f.update(time=0.7 * f["time"] + shift) for f in data["frames"]])
+    before, after = recognise(dnerf_capture.root), recognise(root)
+    raw = 0.7 * before.time + np.array([0.0, 0.1, 0.2])[before.split]
+    np.testing.assert_allclose(after.time, (raw - raw.min()) / np.ptp(raw), atol=1e-12)
+    assert (after.time.min(), after.time.max()) == (0, 1)
 
 
 def test_pairs_never_touch_held_out_frames(nerfstudio_capture):
@@ -152,6 +166,58 @@ def test_nerfstudio_with_repeated_times_is_several_cameras(nerfstudio_capture, t
     edit(root / "transforms.json", tripods)
     facts = recognise(root, holdout=0).facts
     assert (facts["cameras"], facts["times"], facts["pairs"], facts["fixed_cameras"]) == (5, 2, 5, True)
+
+
+@pytest.fixture
+def tripods(tmp_path):
+    """Five fixed cameras at each of four times, in one transforms.json: image 5 t + c shows time t / 3 from camera c."""
+    options = Options(backdrop="room", rig="arc", cameras=5, times=4, width=32, height=24, samples=1)
+    root = write_nerfstudio(make(options), tmp_path / "tripods").root
+    edit(root / "transforms.json", lambda data: data["frames"].sort(key=lambda f: f["time"]))
+    return root
+
+
+@pytest.mark.parametrize("gone", [1, 7])
+def test_fixed_cameras_may_lack_pictures(tripods, gone):
+    truth = recognise(tripods)
+    for name in (truth.images[k] for k in (6, 9, 12, 13, 0, 19, 3)[:gone]):
+        (tripods / name).unlink()
+    capture = recognise(tripods)
+    facts = capture.facts
+    assert (facts["cameras"], facts["times"], facts["frames"], facts["fixed_cameras"]) == (5, 4, 20 - gone, True)
+    camera = dict(zip(truth.names, truth.camera.tolist()))
+    assert len({(camera[name], mine) for name, mine in zip(capture.names, capture.camera.tolist())}) == 5
+    assert f"{gone} of 20 frames of transforms.json have no image" in capture.notes[0]
+
+
+def test_fixed_cameras_are_seen_at_several_times_and_once_at_each(tripods):
+    """Views of one time only, as D-NeRF has them, are cameras of their own. So are two pictures of one camera at one time, unless their
+    folders tell two cameras apart."""
+    frames = json.loads((tripods / "transforms.json").read_text())["frames"]
+
+    def alike(data):
+        data["frames"][1::5] = [{**f, "transform_matrix": frames[0]["transform_matrix"]} for f in data["frames"][1::5]]
+
+    edit(tripods / "transforms.json", alike)
+    assert (recognise(tripods).facts["cameras"], recognise(tripods).facts["fixed_cameras"]) == (20, False)
+
+    def sort_into_folders(data):
+        for k, frame in enumerate(data["frames"]):
+            new = f"cam{k % 5}/{k // 5}.png"
+            (tripods / new).parent.mkdir(exist_ok=True)
+            shutil.move(tripods / frame["file_path"], tripods / new)
+            frame["file_path"] = new
+
+    edit(tripods / "transforms.json", sort_into_folders)
+    capture = recognise(tripods)
+    assert (capture.facts["cameras"], capture.facts["fixed_cameras"]) == (5, True)
+    assert len({(name.split("/")[0], camera) for name, camera in zip(capture.names, capture.camera.tolist())}) == 5
+
+    def step_aside(data):
+        data["frames"][2]["transform_matrix"] = (np.array(data["frames"][2]["transform_matrix"]) + np.eye(4, k=3) * 0.1).tolist()
+
+    edit(tripods / "transforms.json", step_aside)
+    assert (recognise(tripods).facts["cameras"], recognise(tripods).facts["fixed_cameras"]) == (20, False)
 
 
 def test_intrinsics_per_frame_and_size_in_the_file(nerfstudio_capture, tmp_path):
@@ -242,6 +308,22 @@ def test_images_sort_naturally_and_other_files_are_ignored(tmp_path):
     assert capture.names == ("images/2.png", "images/9.PNG", "images/10.png")
     assert capture.K_hint == (30, 0, 10, 0, 30, 5, 0, 0, 1)
     assert "images/K.txt" in capture.files and "images/notes.md" not in capture.files
+
+
+def test_other_folders_beside_images_count_only_if_they_hold_pictures(tmp_path):
+    """A workspace made by a run in the capture's own folder, and what macOS packs into archives, may lie there."""
+    root = tmp_path / "room"
+    for i in range(3):
+        (root / "images").mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (20, 10)).save(root / f"images/{i}.png")
+    for folder in ("e4dgs-workspace/store", "e4dgs-workspace/scenes", "__MACOSX/images", ".cache", "notes/later"):
+        (root / folder).mkdir(parents=True)
+    for stray in ("e4dgs-workspace/turntable.png", "__MACOSX/0.png", ".cache/0.png", "notes/later/0.png"):
+        shutil.copy(root / "images/0.png", root / stray)
+    assert recognise(root).names == ("images/0.png", "images/1.png", "images/2.png")
+    shutil.copy(root / "images/0.png", root / "notes/0.png")
+    with pytest.raises(CaptureError, match=r"nothing recognised here\. It has the folders images, notes: pass the one"):
+        recognise(root)
 
 
 def test_static_collapses_times(images_capture):

@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import av
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
@@ -200,6 +201,21 @@ def test_nothing_to_train_on(tmp_path):
     single.mkdir()
     Image.new("RGB", (8, 8)).save(single / "0.png")
     refused(single, "one image alone", holdout=0)
+
+
+def test_one_frame_is_too_few_and_only_a_setting_that_was_made_is_blamed(images_capture, video_capture, videos_capture, tmp_path):
+    refused(images_capture.root, "frames.every=100 leaves 1 of 10 frames", "lower it", every=100)
+    refused(video_capture.root, "clip.mp4: frames.every=100 leaves 1 of 12 frames", "lower it", every=100)
+    refused(videos_capture.root, "shares 1 time(s)", "lower frames.every", every=100)
+    with av.open(str(tmp_path / "one.mp4"), "w") as container:
+        stream = container.add_stream("mpeg4", rate=24)
+        stream.width, stream.height, stream.pix_fmt = 32, 24, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((24, 32, 3), np.uint8), format="rgb24")))
+        container.mux(stream.encode())
+    for options in ({}, {"every": 5}):
+        with pytest.raises(CaptureError, match=r"one\.mp4: one frame alone has no pose and no depth; pass a longer video") as refusal:
+            recognise(tmp_path / "one.mp4", **options)
+        assert "frames." not in str(refusal.value)
 
 
 def test_split_that_leaves_a_frame_out(tmp_path):

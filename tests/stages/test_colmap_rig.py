@@ -1,7 +1,10 @@
 """COLMAP models of several cameras: folders of frames with the same names share their times, others are one camera over time."""
 
+import shutil
+
 import numpy as np
 import pytest
+from e4dgs.pipeline.keys import capture_digest
 from e4dgs.stages.captures import recognise
 from factory import Options, make, write_colmap
 
@@ -51,6 +54,42 @@ def test_a_frame_that_was_not_registered_moves_no_other(rig):
     assert (capture.facts["cameras"], capture.facts["times"], capture.facts["frames"]) == (3, 4, 11)
     np.testing.assert_allclose(capture.time, [views[name].time_index / 3 for name in capture.names])
     assert any("1 images without a pose" in note for note in capture.notes)
+
+
+def test_a_picture_without_pose_in_one_folder_moves_nothing(rig):
+    """Also where its name lies between those of two times. It is among the files of the capture, so keys change with it."""
+    root, _ = rig
+    before = recognise(root)
+    shutil.copy(root / "images/cam0/000.png", root / "images/cam0/001b.png")
+    capture = recognise(root)
+    assert (capture.facts, capture.names) == (before.facts, before.names)
+    np.testing.assert_array_equal(capture.time, before.time)
+    np.testing.assert_array_equal(capture.camera, before.camera)
+    assert set(capture.files) - set(before.files) == {"images/cam0/001b.png"}
+
+
+def test_what_decides_whether_folders_are_a_rig_is_in_the_digest(rig):
+    """The folders look alike because of a picture without pose. Without it they are one camera, and no earlier result may be taken."""
+    root, _ = rig
+    kept = lines(root)
+    at = next(i for i, line in enumerate(kept) if line.endswith(" cam1/001.png"))
+    (root / "sparse/0/images.txt").write_text("\n".join(kept[:at] + kept[at + 2 :]) + "\n")
+    with_picture = recognise(root)
+    digest = capture_digest(with_picture)
+    (root / "images/cam1/001.png").unlink()
+    without = recognise(root)
+    assert (with_picture.facts["cameras"], without.facts["cameras"], with_picture.names == without.names) == (3, 1, True)
+    assert capture_digest(without) != digest
+
+
+def test_a_time_that_no_camera_registered_leaves_a_gap(rig):
+    root, views = rig
+    kept, skipped = lines(root), [i for i, line in enumerate(lines(root)) if line.endswith("/001.png")]
+    (root / "sparse/0/images.txt").write_text("\n".join(line for i, line in enumerate(kept) if {i, i - 1}.isdisjoint(skipped)) + "\n")
+    shutil.copy(root / "images/cam0/000.png", root / "images/cam0/009.png")
+    capture = recognise(root)
+    assert (capture.facts["cameras"], capture.facts["times"]) == (3, 3)
+    np.testing.assert_allclose(capture.time, [views[name].time_index / 3 for name in capture.names])
 
 
 def test_cameras_that_move_are_not_called_fixed(rig):

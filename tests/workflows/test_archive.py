@@ -51,6 +51,22 @@ def test_a_video_alone_in_an_archive_is_the_capture(tmp_path):
     assert unpacked(packed(tmp_path / "in", tmp_path / "v.zip"), tmp_path / "work").name == "clip.mp4"
 
 
+def test_what_macos_adds_to_an_archive_does_not_count(images_capture, tmp_path):
+    """Beside the one folder, and inside it: `.DS_Store`, and `__MACOSX` with a `._name` for every file."""
+    for file in sorted(images_capture.root.iterdir()):
+        (tmp_path / "in/room/images").mkdir(parents=True, exist_ok=True)
+        shutil.copy(file, tmp_path / "in/room/images")
+    (tmp_path / "in/room/README.txt").write_text("words")
+    for folder in ("in", "in/room"):
+        (tmp_path / folder / "__MACOSX/room").mkdir(parents=True)
+        (tmp_path / folder / "__MACOSX/room/._000.png").write_bytes(b"x")
+        (tmp_path / folder / ".DS_Store").write_bytes(b"x")
+    for k, inside in enumerate(("in", "in/room")):
+        session = open_session(Options(packed(tmp_path / inside, tmp_path / f"{k}.zip"), tmp_path / "work"))
+        assert session.job.capture.facts["frames"] == len(images_capture.files)
+        assert session.job.capture.names[0].startswith("images/")
+
+
 def test_what_is_no_archive_is_left_alone(tmp_path):
     (tmp_path / "folder.zip").mkdir()
     for path in (tmp_path / "folder.zip", tmp_path / "absent.zip", tmp_path):

@@ -29,7 +29,8 @@ class InUse:
 
 def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path:
     """``capture`` itself or, for a .zip file, the capture in the folder ``<workspace>/unpacked/<key>/``. An existing folder is reused as it
-    is, since the key follows from the archive's name and content. If the archive holds a single folder or file, that is the capture.
+    is, since the key follows from the archive's name and content. If the archive holds a single folder or file, hidden ones aside, that is
+    the capture.
 
     user: `gc` leaves the folder alone as long as this object lives. Raises CaptureError if the file is not an archive, is damaged, or holds
     paths that lead out of its folder.
@@ -44,9 +45,14 @@ def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path
     while not _held(folder, user):
         _make(capture, folder)
     root = folder / capture.stem
-    while len(inside := [entry for entry in root.iterdir() if entry.name != "__MACOSX"]) == 1 and inside[0].is_dir():
+    while len(inside := _shown(root)) == 1 and inside[0].is_dir():
         root = inside[0]
     return inside[0] if len(inside) == 1 else root
+
+
+def _shown(folder: Path) -> list[Path]:
+    """What a folder holds apart from hidden entries and `__MACOSX`, which macOS adds to archives (`.DS_Store`, `._name`)."""
+    return [entry for entry in folder.iterdir() if entry.name != "__MACOSX" and not entry.name.startswith(".")]
 
 
 def mark_of(folder: Path) -> Path:

@@ -77,8 +77,8 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{files['points3D']}: point {row}: {table[row, :3].tolist()} is not a valid position; remove it")
     paths = [checks.find_image(root, f"images/{image.name}", f"{files['images']}: image {image.name!r}: name") for image in images]
     sizes, alpha = checks.image_headers(root, paths)
-    rig, odd = cameras_of(root, paths)
-    places = rig or [("", i) for i in range(len(images))]
+    rig = cameras_of(root, paths)
+    places = rig.places or [("", i) for i in range(len(images))]
     shots = []
     for (camera, time), image, path, size in zip(places, images, paths, sizes, strict=True):
         if image.camera not in cameras:
@@ -94,19 +94,19 @@ def read(root: Path, options: Options) -> Reading:
         for place in {"images", *folders_of(paths)}
         for name in checks.list_folder(root / place)
     )
-    notes = [*masked, *([odd] if odd else [])]
+    notes = [*masked, *([rig.note] if rig.note else [])]
     if present > len(shots):
         notes.append(f"{present - len(shots)} images without a pose in {folder} are left out")
-    layout = "a static scene" if options.static else f"{len({s.camera for s in shots})} cameras" if rig else "one camera over time"
+    layout = "a static scene" if options.static else f"{len({s.camera for s in shots})} cameras" if rig.places else "one camera over time"
     return Reading(
         why=f"a COLMAP model in {folder}, {layout}",
         shots=shots,
         alpha=alpha,
-        sources=tuple(file for part, file in files.items() if part != "points3D" or has_points),
+        sources=(*(file for part, file in files.items() if part != "points3D" or has_points), *rig.others),
         points=table[:, :3].copy() if len(table) else None,
         point_colors=np.clip(table[:, 3:], 0, 255).astype(np.uint8) if len(table) else None,
         fixed_cameras=all_fixed(shots),
-        untimed=not rig,
+        untimed=not rig.places,
         notes=tuple(notes),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ def read(root: Path, options: Options) -> Reading:
     for name in found:
         checks.resolve_inside(root, name, name)
     taken = video.choose(len(found), options, None)
+    video.refuse_one(str(root), taken, len(found), options)
     paths = [found[i] for i in taken]
     upright = checks.turned(root, paths)  # only this format follows EXIF; poses in files apply to the pictures as stored
     sizes, alpha = checks.image_headers(root, paths, upright)
@@ -47,7 +49,7 @@ def read(root: Path, options: Options) -> Reading:
     if upright:
         turn_masks(root, shots)
     elsewhere = unread(root.parent, "images") if root.name == "images" and not (root / "masks").is_dir() else ()
-    thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if 1 < len(taken) < len(found) else ()
+    thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if len(taken) < len(found) else ()
     # Frames of a video and photos of a static scene cannot be told apart by their files; only --static says that nothing moves.
     return Reading(
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
@@ -65,13 +67,28 @@ def _images(folder: Path) -> list[str]:
 
 
 def _folder(root: Path) -> str | None:
-    """ "" if the images lie in `root`, "images" if that is the only folder apart from masks/, None if there are no images."""
+    """ "" if the images lie in `root`, "images" if that is the only folder with pictures apart from masks/, None if there are no images."""
     if not root.is_dir():
         return None
     if _images(root):
         return ""
     folders = [name for name in checks.list_folder(root) if (root / name).is_dir()]
-    return "images" if [name for name in folders if name != "masks"] == ["images"] and _images(root / "images") else None
+    if "images" not in folders or not _images(root / "images"):
+        return None
+    others = [name for name in folders if name not in ("images", "masks")]
+    return None if any(_holds_pictures(root / name) for name in others) else "images"
+
+
+def _holds_pictures(folder: Path) -> bool:
+    """Whether a folder beside images/ has a picture directly in it, so that it could be meant as well. What macOS packs into archives and
+    workspaces do not count."""
+    if checks.is_foreign(folder):
+        return False
+    try:
+        with os.scandir(folder) as entries:
+            return any(e.name.lower().endswith(checks.IMAGE_SUFFIXES) and not e.name.startswith(".") and e.is_file() for e in entries)
+    except OSError:  # nothing can be read from it, so it is not the one that is meant
+        return False
 
 
 def _hint(root: Path, name: str, width: int, height: int) -> np.ndarray | None:

@@ -116,22 +116,27 @@ def _mask(root: Path, frame: dict[str, Any], where: str) -> str | None:
 
 
 def _cameras(shots: Sequence[Shot]) -> bool:
-    """Distinguishes cameras if several frames share a time. True if the same fixed cameras see every time."""
+    """Distinguishes cameras if several frames share a time. True if they are fixed cameras; some of their pictures may be missing."""
     times = [round(s.time, 9) for s in shots]
     distinct = len(set(times))
     if distinct == len(times) or distinct == 1:
         return False
-    # The same pose and lens at several times is one fixed camera.
+    # The same pose and lens at several times is one fixed camera, or two if their pictures lie in two folders.
     poses = [
         tuple(np.round(np.concatenate([s.cam_from_world.ravel(), s.K.ravel()]), 5))
         for s in shots
         if s.cam_from_world is not None and s.K is not None
     ]
-    ids = {key: i for i, key in enumerate(dict.fromkeys(poses))}
-    if len(ids) * distinct == len(shots):
-        for shot, key in zip(shots, poses, strict=True):
-            shot.camera = ids[key]
-        return True
+    for keys in (poses, [(posixpath.dirname(s.file or ""), *pose) for s, pose in zip(shots, poses, strict=True)]):
+        seen: dict[Any, list[float]] = {}
+        for key, time in zip(keys, times, strict=True):
+            seen.setdefault(key, []).append(time)
+        fixed = all(len(set(mine)) == len(mine) > 1 for mine in seen.values())
+        if fixed and 2 * len(shots) >= len(seen) * distinct:  # as for all captures, at most half of the pictures may be missing
+            ids = {key: i for i, key in enumerate(seen)}
+            for shot, key in zip(shots, keys, strict=True):
+                shot.camera = ids[key]
+            return True
     for i, shot in enumerate(shots):
         shot.camera = i
     return False

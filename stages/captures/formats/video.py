@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,18 +44,15 @@ def read(root: Path, options: Options) -> Reading:
     header = probe(base, path.name)
     total = len(header.seconds)
     taken = choose(total, options, DEFAULT_MAX_FRAMES)
-    if len(taken) < 2:
-        raise CaptureError(f"{path.name}: {len(taken)} frame(s) are left; a scene needs more: lower frames.every")
+    if total < 2:
+        raise CaptureError(f"{path.name}: one frame alone has no pose and no depth; pass a longer video of the scene")
+    refuse_one(path.name, taken, total, options)
     step = taken[1] - taken[0]
-    begin, span = header.seconds[0], header.seconds[taken[-1]] - header.seconds[taken[0]]
-    # Times are divided by the span, because `_unit_times` would keep the seconds of a video shorter than 1 s as they are.
+    begin = header.seconds[0]
     return Reading(
         why=f"video {path.name}, {total} frames, one camera over time",
         shots=[
-            Shot(
-                f"{path.name}#{i}", 0, (header.seconds[i] - begin) / span, (header.width, header.height), seconds=header.seconds[i] - begin
-            )
-            for i in taken
+            Shot(f"{path.name}#{i}", 0, header.seconds[i], (header.width, header.height), seconds=header.seconds[i] - begin) for i in taken
         ],
         fps=header.fps,
         videos=(Video(path.name, 0, taken, total),),
@@ -68,6 +65,14 @@ def choose(total: int, options: Options, default_max: int | None) -> tuple[int, 
     limit = options.max_frames or default_max
     step = options.every or (max(1, math.ceil(total / limit)) if limit else 1)
     return tuple(range(0, total, step))
+
+
+def refuse_one(name: str, taken: Sequence[int], total: int, options: Options) -> None:
+    """Raises CaptureError, naming the setting, if only one of several frames without poses is taken."""
+    if len(taken) < 2:
+        cause = "max_frames" if options.every is None else "every"
+        change = "raise" if options.every is None else "lower"
+        raise CaptureError(f"{name}: frames.{cause}={getattr(options, cause)} leaves {len(taken)} of {total} frames, too few; {change} it")
 
 
 def probe(root: Path, name: str) -> Header:

@@ -115,7 +115,7 @@ def _shared(
         raise CaptureError(
             f"{names[end]}: shares {len(kept)} time(s) with {names[begin]} on their common clock (it ends at "
             f"{local[end][-1] + shifts[end]:.2f} s, the other begins at {shifts[begin]:.2f} s, both since {names[0]} began); trim the "
-            "videos to one event, take the odd one out, or lower frames.every"
+            f"videos to one event, or take the odd one out{', or lower frames.every' if options.every else ''}"
         )
     return times[kept], [tuple(int(i) for i in indices[kept]) for indices in nearest]
 
