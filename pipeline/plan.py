@@ -97,7 +97,7 @@ def _elsewhere(job: Job, stage: str, key: str) -> tuple[Path, Artifact] | None:
 
 def _cached_reason(job: Job, stage: Stage, key: str) -> str:
     record = job.records.read(stage.name)
-    return "nothing changed" if record is None or record["key"] == key else "was made before with the same inputs and settings"
+    return "nothing changed" if record is not None and record["key"] == key else "was made before with the same inputs and settings"
 
 
 def _run_reason(job: Job, stage: Stage, parts: Mapping[str, Any], key: str) -> str:

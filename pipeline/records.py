@@ -13,7 +13,8 @@ _ABSENT = "(absent)"  # stands for a field that only one version of a stage has
 
 
 class Records:
-    """One JSON file per stage in a scene's folder: ``{"key", "parts", "digest"}`` of the stage's last result."""
+    """One JSON file per stage in a scene's folder: ``{"key", "parts", "digest"}`` of the stage's last result. A stage that the last run
+    skipped has none."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
@@ -28,6 +29,12 @@ class Records:
         record = {"key": key, "parts": dict(parts), "digest": digest}
         if self.read(stage) != record:
             write_json(self.folder / f"{stage}.json", record)
+
+    def remove(self, stage: str) -> None:
+        """Removes the record of a stage that the scene's last run skipped. Does nothing, also on a read-only disk, if there is none."""
+        path = self.folder / f"{stage}.json"
+        if path.exists():
+            path.unlink(missing_ok=True)
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:

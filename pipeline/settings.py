@@ -90,9 +90,9 @@ def _parse(stage: str, key: str, field: FieldInfo, value: Any) -> Any:
     if isinstance(value, str):
         if value.lower() in ("none", "null"):
             candidates.insert(0, None)
-        elif value[:1] in "[{":
+        elif value[:1] in ("[", "{"):
             candidates.append(_json(value))
-        elif "," in value:
+        elif "," in value or _wants_list(adapter, value):
             candidates.append([part.strip() for part in value.split(",")])
     first: ValidationError | None = None
     for candidate in candidates:
@@ -102,6 +102,15 @@ def _parse(stage: str, key: str, field: FieldInfo, value: Any) -> Any:
             first = error
     assert first is not None
     raise SettingsError(f"{stage}.{key}={value}: {_messages(first)}\n  {describe(stage, key, field)}") from None
+
+
+def _wants_list(adapter: TypeAdapter[Any], value: str) -> bool:
+    """Whether a field refuses ``value`` because it is no list; then a single value is a list of one."""
+    try:
+        adapter.validate_python(value)
+    except ValidationError as error:
+        return any(item["type"] in ("tuple_type", "list_type") for item in error.errors())
+    return False
 
 
 def _json(text: str) -> Any:

@@ -27,9 +27,9 @@ def report(
     """Write metrics.json and report.html of a finished run again, and say where they are. Give the options of the run."""
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
     results(session, EVALUATION)  # raises an error that names the missing command if the run is not finished
-    (session.scene.folder / "records" / "report-shows.json").unlink(missing_ok=True)
     console = Console()
     with writing_to(workspace.resolve()):
+        (session.scene.folder / "records" / "report-shows.json").unlink(missing_ok=True)
         found = execute(session, make_plan(session.job), console, lambda line: None)
     assert found is not None
     console.print(str(found[1]), markup=False, highlight=False, soft_wrap=True)

@@ -21,17 +21,26 @@ def execute(
     targets: Sequence[str] | None = None,
     forced: Sequence[str] = (),
 ) -> tuple[Mapping[str, Any], Path] | None:
-    """Runs ``targets`` (None: all stages) and what they need. Returns the metrics and the path of the report, or None if none was made."""
+    """Runs ``targets`` (None: all stages) and what they need. Returns the metrics and the path of the report, or None if none was made.
+    Raises what `Runner.run` and `Scene.claim` raise."""
     from .. import __version__
     from .publish import publish, write_plan
 
     def finished(outcome) -> None:
-        session.scene.claim()  # only now, so that a capture that the first stage refuses leaves no scene behind
+        session.scene.restore()
         write_plan(session, rows)
         if outcome.state == "ran":
             say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")
 
-    outcomes = Runner(session.job, say, console, __version__, LIBRARIES).run(targets, forced, finished)
+    name = session.scene.name
+    session.claim()  # before anything is written, so that no other capture of that name starts in the same folder
+    if session.scene.name != name:
+        say(f"another capture has just taken the name {name}, so the scene is called {session.scene.name} (see --name)")
+    try:
+        outcomes = Runner(session.job, say, console, __version__, LIBRARIES).run(targets, forced, finished)
+    except BaseException:
+        session.scene.release()  # a capture that the first stage refuses leaves no scene behind
+        raise
     if outcomes[-1].stage != EVALUATION or outcomes[-1].artifact is None:
         return None
     return publish(session, rows, outcomes)

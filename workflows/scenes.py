@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..pipeline import Records, SettingsError
 from ..pipeline.files import digest_bytes, read_json, write_json
+from ..pipeline.storage.lock import locked
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_CLAIM = "capture.json"
+
+
+class NameTakenError(SettingsError):
+    """The name that was chosen for a scene belongs to another capture. owner: that capture's path."""
+
+    def __init__(self, name: str, owner: str, folder: Path) -> None:
+        super().__init__(f"--name {name}: this scene belongs to {owner}; choose another --name, or remove {folder}")
+        self.owner, self.folder = owner, folder
 
 
 @dataclass(frozen=True)
@@ -19,23 +31,56 @@ class Scene:
     name: str
     folder: Path
     capture: Path
+    chosen: bool = False  # the name is the value of --name
     renamed: bool = False  # the capture's own name was taken by another capture
+    made: tuple[int, int] | None = None  # identifies the file with which this process claimed a free folder
 
     @property
     def records(self) -> Records:
         return Records(self.folder / "records")
 
-    def claim(self) -> None:
-        """Records which capture the folder belongs to."""
-        if read_json(self.folder / "capture.json") != {"path": str(self.capture)}:
-            write_json(self.folder / "capture.json", {"path": str(self.capture)})
+    def claim(self) -> Scene:
+        """Takes the folder for the capture, and returns the scene. It has another name if another capture has meanwhile taken this one.
+
+        Raises NameTakenError if the name was chosen, or the other name is taken, too; StageError if the file system has no locks.
+        """
+        if _owner(self.folder) == str(self.capture) and not _only_claimed(self.folder):
+            return self
+        with _alone(self.folder.parent.parent):
+            scene = self
+            if (owner := _owner(self.folder)) not in (None, str(self.capture)):
+                if not (self.chosen or self.renamed):
+                    scene = _other_name(self)
+                    owner = _owner(scene.folder)
+                if owner not in (None, str(self.capture)):
+                    raise NameTakenError(scene.name, str(owner), scene.folder)
+            # Of a claim without results, too: the other process that has made it then sees that it is shared, and leaves it there.
+            file = scene.folder / _CLAIM
+            write_json(file, {"path": str(self.capture)})
+            return replace(scene, made=_identity(file) if owner is None else None)
+
+    def restore(self) -> None:
+        """Writes the claim again if somebody has removed the folder since."""
+        if not (self.folder / _CLAIM).exists():
+            write_json(self.folder / _CLAIM, {"path": str(self.capture)})
+
+    def release(self) -> None:
+        """Gives the folder up if `claim` has created it, it is still empty, and no other process has claimed it for the same capture."""
+        if self.made is None:
+            return
+        with suppress(OSError), _alone(self.folder.parent.parent):
+            if _only_claimed(self.folder) and _identity(self.folder / _CLAIM) == self.made:
+                (self.folder / _CLAIM).unlink()
+                self.folder.rmdir()
+                self.folder.parent.rmdir()  # if it is empty
 
 
 def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None) -> Scene:
     """The scene of a capture (an absolute path): ``chosen``, or the capture's own name made safe for a folder.
 
     Two captures of the same name never share a folder. Without ``chosen``, the second is called ``name-<6 hex digits of its path>``.
-    Raises SettingsError if ``chosen`` belongs to another capture.
+    Raises NameTakenError if ``chosen`` belongs to another capture, SettingsError if it is no name. Until `Scene.claim`, another process
+    may still take the folder.
     """
     scenes = workspace / "scenes"
     if chosen is not None:
@@ -43,18 +88,46 @@ def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None
             raise SettingsError(f"--name {chosen}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
         owner = _owner(scenes / chosen)
         if owner not in (None, str(capture)):
-            raise SettingsError(f"--name {chosen}: this scene belongs to {owner}; choose another --name, or remove {scenes / chosen}")
-        return Scene(chosen, scenes / chosen, capture)
+            raise NameTakenError(chosen, str(owner), scenes / chosen)
+        return Scene(chosen, scenes / chosen, capture, chosen=True)
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", own_name).strip("-._")[:80] or "capture"
-    if _owner(scenes / name) in (None, str(capture)):
-        return Scene(name, scenes / name, capture)
-    name = f"{name}-{digest_bytes(str(capture).encode())[:6]}"
-    return Scene(name, scenes / name, capture, renamed=True)
+    scene = Scene(name, scenes / name, capture)
+    return scene if _owner(scene.folder) in (None, str(capture)) else _other_name(scene)
+
+
+def _other_name(scene: Scene) -> Scene:
+    name = f"{scene.name}-{digest_bytes(str(scene.capture).encode())[:6]}"
+    return replace(scene, name=name, folder=scene.folder.parent / name, renamed=True)
 
 
 def _owner(folder: Path) -> str | None:
     """Path of the capture that a scene's folder belongs to, or None if the folder is free."""
-    claim = read_json(folder / "capture.json")
+    claim = read_json(folder / _CLAIM)
     if isinstance(claim, dict) and isinstance(claim.get("path"), str):
         return claim["path"]
-    return "an unknown capture" if folder.exists() and any(folder.iterdir()) else None
+    return "an unknown capture" if _content(folder) else None
+
+
+def _only_claimed(folder: Path) -> bool:
+    """Whether there is nothing in a claimed folder but the claim: no stage has finished."""
+    return _content(folder) == {_CLAIM}
+
+
+def _content(folder: Path) -> set[str]:
+    """Names in ``folder``, without claims that are being written; empty if there is no such folder."""
+    try:
+        return {path.name for path in folder.iterdir() if not path.name.startswith(f".{_CLAIM}.")}
+    except (FileNotFoundError, NotADirectoryError):
+        return set()
+
+
+def _identity(file: Path) -> tuple[int, int]:
+    found = file.stat()
+    return found.st_ino, found.st_mtime_ns
+
+
+@contextmanager
+def _alone(workspace: Path) -> Iterator[None]:
+    """Only one process at a time takes or gives up a scene's folder."""
+    with locked(workspace / "store" / "locks" / "scenes.lock"):
+        yield

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, split_assignment
 from .machine.devices import resolve_device
+from .machine.writable import writing_to
 from .presets import PRESETS
 from .reconstruction import reconstruction
 from .scenes import Scene, find_scene
@@ -43,10 +44,15 @@ class Session:
     scene: Scene
     notes: tuple[str, ...] = ()
 
+    def claim(self) -> None:
+        """Takes the scene's folder for the capture (`Scene.claim`). If another capture has just taken it, the scene changes its name."""
+        self.scene = self.scene.claim()
+        self.job.records = self.scene.records
+
 
 def open_session(options: Options) -> Session:
     """Recognises the capture and sets up its job. Writes nothing except unpacked archives and sound onsets of long videos (`heard/`).
-    Raises SettingsError or CaptureError."""
+    Raises SettingsError, CaptureError, or StageError if an archive cannot be unpacked into the workspace."""
     from ..stages.frames import FramesSettings, recognise_for
 
     graph = reconstruction()
@@ -56,7 +62,8 @@ def open_session(options: Options) -> Session:
     assert isinstance(frames, FramesSettings)
     workspace = options.workspace.resolve()
     given, user = options.capture.expanduser(), InUse()
-    content = unpacked(given, workspace, user)
+    with writing_to(workspace):
+        content = unpacked(given, workspace, user)
     try:
         capture = recognise_for(content, frames, workspace / "heard")
     except CaptureError as error:

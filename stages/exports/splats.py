@@ -12,6 +12,7 @@ import numpy as np
 from ...pipeline import StageError
 from ...pipeline.files import write_atomically
 from .bake import Loss, bake, loss_of
+from .numbered import numbered, remove_later
 
 if TYPE_CHECKING:
     from ...rasterizer import Gaussians
@@ -37,8 +38,8 @@ def export_splats(
     """Writes ``folder/frame0001.ply`` and so on: the Gaussians of ``model`` at ``count`` times from first to last (the middle time if
     ``count`` is 1).
 
-    kind: one of `KINDS`; all but ply are slightly lossy. Files are written atomically. Raises StageError if ``kind`` needs a package that
-    is not installed.
+    kind: one of `KINDS`; all but ply are slightly lossy. Files are written atomically; those that an earlier export of more times has left
+    are removed at the end. Raises StageError if ``kind`` needs a package that is not installed, OSError if the folder cannot be written.
     """
     encode = encoder(kind)
 
@@ -47,7 +48,7 @@ def export_splats(
     moments = [float(t) for t in np.linspace(0, 1, count)] if count > 1 else [0.5]
     rows = []
     for k, t in enumerate(moments):
-        file = folder / f"frame{k + 1:04d}{KINDS[kind]}"
+        file = numbered(folder, k, KINDS[kind])
         try:
             data, number = encode(baked.at(t))
         except ValueError as error:
@@ -55,6 +56,7 @@ def export_splats(
         write_atomically(file, data)
         rows.append(number)
         advance(1)
+    remove_later(folder, count, KINDS[kind])
     return Exported(min(rows), max(rows), loss_of(model, baked.at(moments[0]), frames, moments[0]))
 
 

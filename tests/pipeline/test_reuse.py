@@ -111,6 +111,18 @@ def test_a_skipped_stage_arrives_as_none_and_says_why(bench):
     assert states(bench.job(clipped__skip=True))["clipped"] == "skip"
 
 
+def test_a_skipped_stage_keeps_no_record_of_an_earlier_run(bench):
+    bench.run()
+    key = bench.job().records.read("clipped")["key"]
+    bench.run(clipped__skip=True)
+    assert bench.job().records.read("clipped") is None and bench.job().records.read("total") is not None
+    assert bench.store.has("clipped", key), "the result itself stays in the store"
+    bench.runs()
+    assert explain(bench.job(), "clipped") == ["clipped would be reused: was made before with the same inputs and settings"]
+    assert bench.run()["clipped"] == "cached" and bench.runs() == []
+    assert bench.job().records.read("clipped")["key"] == key
+
+
 def test_the_plan_knows_the_reasons_and_writes_nothing(bench):
     job = bench.job()
     assert states(job) == dict.fromkeys(ALL, "run")

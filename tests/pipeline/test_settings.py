@@ -18,6 +18,7 @@ class Fit(Settings):
     flag: bool = False
     label: str | None = None
     levels: tuple[int, ...] = (1, 2)
+    modes: tuple[Literal["slow", "fast"], ...] | None = None
     weights: Path | None = None
 
 
@@ -32,6 +33,8 @@ def test_values_take_the_type_of_their_field():
     made = fit("fit.iterations=7", "fit.rate=1e-3", "fit.mode=fast", "fit.flag=true", "fit.label=a,b=c", "fit.levels=4,8")
     assert made == Fit(iterations=7, rate=1e-3, mode="fast", flag=True, label="a,b=c", levels=(4, 8))
     assert fit("fit.levels=[1, 3]").levels == (1, 3)
+    assert fit("fit.levels=3").levels == (3,) and fit("fit.modes=fast").modes == ("fast",), "a single value is a list of one"
+    assert fit("fit.modes=none").modes is None
     assert fit("fit.label=x", "fit.label=none").label is None, "a later assignment wins"
 
 
@@ -43,7 +46,10 @@ def test_values_take_the_type_of_their_field():
             r"fit\.iterations=0: Input should be greater than or equal to 1\n  .*int >= 1 and <= 5000, default 100. optimiser",
         ),
         ("fit.iterations=many", "fit.iterations=many: .*valid integer"),
+        ("fit.iterations=many", "unable to parse string as an integer"),
         ("fit.mode=quick", "'slow' or 'fast'"),
+        ("fit.levels=some", r"fit\.levels=some: 0: .*valid integer"),
+        ("fit.modes=quick", "0: Input should be 'slow' or 'fast'"),
         ("fit.rate=nan", "finite number"),
         ("fit.iteratons=3", r"fit has no setting 'iteratons' \(did you mean 'iterations'\?\); its settings are:\n  fit.iterations: int"),
         ("fit.steps=3", r"fit has no setting 'steps' \(it is now 'iterations'\); its settings are:\n  fit.iterations: int"),

@@ -294,6 +294,8 @@ def test_folder_of_images_is_one_camera_over_time(images_capture):
     assert (facts["format"], facts["poses"], facts["static"], facts["cameras"]) == ("images", False, False, 1)
     assert facts["splits"] == {"train": 8, "val": 0, "test": 2} and facts["pairs"] == 7
     assert capture.K is None and capture.seconds[-1] == pytest.approx(9 / 30)
+    third = recognise(images_capture.root, every=3, fps=25)
+    np.testing.assert_allclose(third.seconds, np.arange(0, 10, 3) / 25, err_msg="images that are not taken have had their time, too")
 
 
 def test_images_sort_naturally_and_other_files_are_ignored(tmp_path):

@@ -94,6 +94,15 @@ def test_convexes_are_an_animated_mesh_of_their_hulls(finished, tmp_path, capsys
     assert f"{len(model.convexes)} convexes" in capsys.readouterr().out
 
 
+def test_an_export_of_fewer_times_leaves_none_of_the_earlier_one(finished, tmp_path):
+    (tmp_path / "frame0009.ply.txt").write_text("mine")
+    (tmp_path / "frame0009.ply").mkdir()
+    for times in (4, 2):
+        assert export(finished, "--convexes", "--times", times, "--out", tmp_path) == 0
+        made = {f.name for f in tmp_path.iterdir()}
+        assert made == {f"frame000{k + 1}.ply" for k in range(times)} | {"frame0009.ply.txt", "frame0009.ply"}
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -42,6 +42,17 @@ def test_a_file_for_each_time(finished, tmp_path, capsys):
     assert found and int(found[1]) > 0 and float(found[2]) > 15
 
 
+def test_an_export_of_fewer_times_leaves_none_of_the_earlier_one(finished, tmp_path):
+    others = ["frame0009.compressed.ply", "frame0009.ply.bak", "frame9.ply", "frame00009.ply", "myframe0009.ply", "frame0009.PLY"]
+    for name in others:
+        (tmp_path / name).write_text("mine")
+    for times in (5, 2):
+        assert main(["export", *finished, "--times", str(times), "--out", str(tmp_path)]) == 0
+        made = {f.name for f in tmp_path.iterdir()} - set(others)
+        assert made == {f"frame000{k + 1}.ply" for k in range(times)}
+    assert all((tmp_path / name).read_text() == "mine" for name in others), "only files of exactly such a name go"
+
+
 def test_without_times_there_is_a_file_for_each_of_the_capture(finished, tmp_path):
     assert main(["export", *finished, "--out", str(tmp_path)]) == 0
     assert 1 < len(list(tmp_path.iterdir())) <= 60

@@ -1,5 +1,7 @@
 """`e4dgs.load`: a script gets the model by the scene's folder or by the capture, and is told what to do where there is none."""
 
+import shutil
+
 import e4dgs
 import numpy as np
 import pytest
@@ -38,6 +40,20 @@ def test_what_was_never_run_is_said_with_the_command_that_runs_it(finished, tmp_
     _, workspace = finished
     with pytest.raises(ArtifactError, match="e4dgs run all"):
         e4dgs.load(tmp_path, workspace=workspace)
+
+
+def test_a_stage_that_the_last_run_skipped_gives_no_model(finished):
+    capture, workspace = finished
+    words = [str(capture.root), "--workspace", str(workspace), "--name", "again"]
+    assert main(["run", "all", *words, *QUICK, "--set", "fine.iterations=3"]) == 0
+    trained = e4dgs.load(workspace / "scenes" / "again").to_arrays()
+    assert main(["run", "all", *words, *QUICK]) == 0
+    assert main(["run", "flow", *words, *QUICK]) == 0  # its plan does not mention the skipped stage
+    (usual,) = (path for path in (workspace / "scenes").iterdir() if path.name != "again")
+    coarse, last = e4dgs.load(usual).to_arrays(), e4dgs.load(workspace / "scenes" / "again").to_arrays()
+    assert all(np.array_equal(last[name], array) for name, array in coarse.items())
+    assert not all(np.array_equal(last[name], array) for name, array in trained.items())
+    shutil.rmtree(workspace / "scenes" / "again")
 
 
 def test_a_capture_with_two_scenes_is_asked_for_by_folder(finished):

@@ -92,11 +92,14 @@ def test_the_viewer_shows_what_can_only_be_read(read_only, dnerf_capture):
         viewer.wait(timeout=20)
 
 
-@pytest.mark.parametrize("command", ["run", "force", "gc", "pin", "batch", "export"])
-def test_what_has_to_write_there_says_so_in_one_message(read_only, dnerf_capture, command):
+@pytest.mark.parametrize("command", ["run", "force", "gc", "pin", "batch", "export", "report", "archive"])
+def test_what_has_to_write_there_says_so_in_one_message(read_only, dnerf_capture, tmp_path, command):
     workspace, _ = read_only
     capture = dnerf_capture.root
+    archive = shutil.make_archive(str(tmp_path / "packed"), "zip", capture) if command == "archive" else ""
     words = {
+        "report": ("report", capture, *QUICK),
+        "archive": ("plan", archive),
         "run": ("run", "coarse", capture, *QUICK, "--set", "coarse.seed=3"),
         "force": ("run", "frames", capture, "--force", *QUICK),
         "gc": ("gc",),
@@ -108,6 +111,14 @@ def test_what_has_to_write_there_says_so_in_one_message(read_only, dnerf_capture
     assert done.returncode == 1 and done.stderr.count("error: ") == 1, done.stdout + done.stderr
     assert done.stderr.startswith(f"error: {workspace}") and "cannot be written (Permission denied)" in done.stderr
     assert f"--store-also {workspace}" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["scene.mp4", "pictures", "new/scene.mp4"])
+def test_a_render_cannot_be_written_there(read_only, dnerf_capture, name):
+    workspace, _ = read_only
+    done = run(read_only, "render", dnerf_capture.root, "--path", "capture", "--frames", 1, "--out", workspace / name, *QUICK)
+    said = f"error: render: --out {workspace / name}: {workspace} cannot be written; give another --out\n"
+    assert (done.returncode, done.stderr) == (1, said)
 
 
 def test_its_results_are_taken_by_another_workspace(read_only, dnerf_capture, tmp_path):

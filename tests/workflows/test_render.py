@@ -1,6 +1,9 @@
 """`e4dgs render`: a video that plays, pictures that are the model's own renders, depth, and paths from files."""
 
+import errno
 import json
+import os
+from pathlib import Path
 
 import av
 import e4dgs
@@ -8,7 +11,8 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
-from e4dgs.workflows.cli import main
+import typer
+from e4dgs.workflows.cli import app, main
 from PIL import Image
 
 QUICK = ["--set", "coarse.iterations=20", "--set", "hulls.budget=0", "--set", "fine.iterations=0", "--device", "cpu"]
@@ -107,6 +111,13 @@ def test_a_bad_option_is_one_message(finished, capsys, monkeypatch, tmp_path, op
     assert words in " ".join(capsys.readouterr().err.split()) and not list(tmp_path.iterdir())
 
 
+def test_the_command_under_the_picture_of_the_readme_is_one():
+    caption = (Path(__file__).resolve().parents[2] / "README.md").read_text().split("![")[1].split("]")[0]
+    words = caption.partition("e4dgs render ")[2].split()
+    found = typer.main.get_command(app).commands["render"].make_context("render", words)  # raises an error for a missing option
+    assert found.params["out"].suffix == ".mp4"
+
+
 def test_what_was_not_trained_is_said_with_the_command_that_trains_it(finished, capsys, tmp_path):
     capture, workspace = finished
     code = main(["render", str(capture.root), "--workspace", str(workspace), "--device", "cpu", "--out", str(tmp_path / "a.mp4")])
@@ -118,6 +129,39 @@ def test_a_folder_that_holds_something_is_left_alone(finished, capsys, tmp_path)
     assert render(finished, "--frames", 1, "--out", tmp_path) == 1
     assert "already holds something" in " ".join(capsys.readouterr().err.split())
     assert [f.name for f in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_folder_with_the_name_of_a_video_is_refused_before_anything_is_rendered(finished, capsys, tmp_path, monkeypatch):
+    (tmp_path / "scene.mp4").mkdir()
+    monkeypatch.setattr("e4dgs.scene.model.Model.render", lambda *words: pytest.fail("rendered"))
+    assert render(finished, "--frames", 1, "--out", tmp_path / "scene.mp4") == 2
+    message = " ".join(capsys.readouterr().err.split())
+    assert f"--out {tmp_path / 'scene.mp4'}: this is a folder" in message and "MarkupError" not in message
+    assert [f.name for f in tmp_path.iterdir()] == ["scene.mp4"]
+
+
+def test_a_file_in_place_of_a_folder_is_refused(finished, capsys, tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    assert render(finished, "--frames", 1, "--out", tmp_path / "file" / "scene.mp4") == 2
+    assert f"{tmp_path / 'file'} is a file, not a folder; give another --out" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("name", ["scene.mp4", "pictures"])
+def test_a_place_that_cannot_be_written_is_named_with_what_to_do(finished, capsys, tmp_path, monkeypatch, name):
+    def refuse(self, *words, **more):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
+
+    monkeypatch.setattr("pathlib.Path.mkdir", refuse)
+    monkeypatch.setattr("e4dgs.scene.model.Model.render", lambda *words: pytest.fail("rendered"))
+    assert render(finished, "--path", "capture", "--frames", 1, "--out", tmp_path / name) == 1
+    message = " ".join(capsys.readouterr().err.split())
+    assert message.startswith(f"error: render: {tmp_path} cannot be written (") and message.endswith("give another --out")
+
+
+def test_a_name_with_brackets_is_printed_as_it_is(finished, capsys, tmp_path):
+    out = tmp_path / "d[" / "a].mp4"  # together they look like the end of a tag
+    assert render(finished, "--frames", 1, "--size", 16, "--out", out) == 0
+    assert out.is_file() and "d[/a].mp4" in "".join(capsys.readouterr().out.split())
 
 
 def test_a_larger_picture_shows_the_same_view(finished, tmp_path):

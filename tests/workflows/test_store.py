@@ -27,6 +27,15 @@ def test_list_has_every_result_with_its_scenes(cli, capture):
         assert row["seconds"] == provenance["seconds"] > 0
 
 
+def test_a_stage_that_the_last_run_skipped_is_no_longer_used_by_the_scene(cli, capture):
+    cli("run", "all", capture)
+    cli("run", "all", capture, "--set", "fine.iterations=0")
+    assert "my-scene" in cli("list", "frames").out and "my-scene" not in cli("list", "fine").out
+    assert cli("show", "my-scene", "fine").code == cli("diff", "my-scene/fine", "my-scene/frames").code == 2
+    assert "fine would be skipped" in cli("why", "fine", capture, "--set", "fine.iterations=0").out
+    assert "removed fine/" in cli("gc").out
+
+
 def test_a_result_is_found_by_key_by_its_first_digits_and_by_scene_and_stage(cli, capture):
     cli("run", "all", capture)
     (key,) = keys("fine")

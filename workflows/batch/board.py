@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 
 from ...pipeline import duration
@@ -83,13 +84,13 @@ def table(ledger: Ledger, states: States | None = None, pace: Pace | None = None
     """Scene, state, stage, time spent and progress; running and failed scenes first. ``states``, ``pace``: to reuse for repeated tables."""
     found = (states or States(ledger)).now()
     found.sort(key=lambda item: ORDER.index(item[1].state))
-    shown = Table(title=_plain(counts(ledger, found, pace)), title_justify="left", box=None, pad_edge=False)
+    shown = Table(title=escape(counts(ledger, found, pace)), title_justify="left", box=None, pad_edge=False)
     for title in ("scene", "state", "stage", "time", "time left, or message"):
         shown.add_column(title, overflow="fold")
     for name, progress in found[:MOST_ROWS]:
         colour = {"running": "cyan", "failed": "red", "lost": "red", "done": "green"}.get(progress.state, "")
         detail = how_far(ledger.log(name)) if progress.state == "running" else progress.message
-        shown.add_row(name, f"[{colour}]{progress.state}[/]" if colour else progress.state, progress.stage, _time(progress), _plain(detail))
+        shown.add_row(name, f"[{colour}]{progress.state}[/]" if colour else progress.state, progress.stage, _time(progress), escape(detail))
     if len(found) > MOST_ROWS:
         shown.add_row(f"and {len(found) - MOST_ROWS} more", "", "", "", "")
     return shown
@@ -116,21 +117,17 @@ def watch(ledger: Ledger, console: Console, ended: Callable[[], bool]) -> None:
             if said.get(name) != now and progress.state != "waiting":
                 said[name] = now
                 detail = f": {progress.message}" if progress.message else ""
-                console.print(_plain(f"{name}: {progress.state} {progress.stage}".rstrip() + detail), highlight=False, soft_wrap=True)
+                console.print(f"{name}: {progress.state} {progress.stage}".rstrip() + detail, markup=False, highlight=False, soft_wrap=True)
         if last:
             return
         if time.monotonic() - line > EVERY_LINE:
             line = time.monotonic()
             running = [item for item in found if item[1].state == "running"]
             far = [f"{name} {progress.stage} {how_far(ledger.log(name))}".rstrip() for name, progress in running]
-            console.print(_plain(" | ".join([counts(ledger, found, pace), *far])), highlight=False, soft_wrap=True)
+            console.print(" | ".join([counts(ledger, found, pace), *far]), markup=False, highlight=False, soft_wrap=True)
         time.sleep(EVERY)
 
 
 def _time(progress: Progress) -> str:
     spent = progress.seconds + (time.time() - progress.changed if progress.state == "running" else 0.0)
     return duration(spent) if spent else ""
-
-
-def _plain(text: str) -> str:
-    return text.replace("[", r"\[")

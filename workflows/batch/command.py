@@ -85,7 +85,9 @@ def batch(
         from .sites.slurm import emit as write_scripts
 
         cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
-        console.print(f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh", highlight=False, soft_wrap=True)
+        console.print(
+            f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh", markup=False, highlight=False, soft_wrap=True
+        )
         return
     runner: Any
     if cluster is None:

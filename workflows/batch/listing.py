@@ -65,8 +65,8 @@ class _Listed:
 
 
 def entries_of(words: Sequence[str], common: Entry) -> list[Entry]:
-    """The scenes that the ``words`` of a command line name: paths, patterns with * or ?, and files that end in .yaml or .yml (see
-    `workflows/DESIGN.md`). ``common`` holds what applies to all of them; a list's own settings win over it.
+    """The scenes that the ``words`` of a command line name: paths, patterns with *, ? or [] unless there is a file of just that name, and
+    lists that end in .yaml or .yml. ``common`` holds what applies to all of them; a list's own settings win over it.
 
     Raises SettingsError if a word names nothing, a list is not valid, or two scenes have the same name.
     """
@@ -89,7 +89,9 @@ def entries_of(words: Sequence[str], common: Entry) -> list[Entry]:
 def _paths(word: str) -> list[str]:
     if "\0" in word:
         raise SettingsError(f"{word!r}: not a file name")
-    found = sorted(glob.glob(os.path.expanduser(word))) if any(c in word for c in "*?[") else [os.path.expanduser(word)]
+    path = os.path.expanduser(word)
+    is_pattern = any(c in word for c in "*?[") and not os.path.lexists(path)  # names of files may have brackets, too
+    found = sorted(glob.glob(path)) if is_pattern else [path]
     if not found:
         raise SettingsError(f"{word}: no file or folder has such a name")
     return [os.path.abspath(path) for path in found]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -11,6 +12,7 @@ from pathlib import Path
 from ...pipeline import Job, PipelineError, Resources, make_plan
 from ..reconstruction import EVALUATION, TRAINING
 from ..results import words_of
+from ..scenes import NameTakenError
 from ..session import open_session
 from .forks import ForkServers
 from .ledger import Ledger, Progress
@@ -82,7 +84,8 @@ def _run_part(
         job = session.job
         stages = _stages(job, part)
     except PipelineError as error:
-        ledger.write(scene, Progress("failed", "", str(error), progress.seconds, progress.attempts + _is_a_try(progress)))
+        message = _name_taken(entry, error) if isinstance(error, NameTakenError) else str(error)
+        ledger.write(scene, Progress("failed", "", message, progress.seconds, progress.attempts + _is_a_try(progress)))
         return False
     progress.attempts += _is_a_try(progress)
     for target in stages:
@@ -108,6 +111,14 @@ def _run_part(
     progress.state, progress.stage = ("done", "") if part == PARTS[-1] else ("waiting", "")
     ledger.write(scene, progress)
     return True
+
+
+def _name_taken(entry: Entry, error: NameTakenError) -> str:
+    """--name names the batch, so here scenes are named in a list."""
+    advice = f"name this one in a YAML list of the batch, for example - {{capture: {json.dumps(entry.capture)}, name: {entry.name}-2}}"
+    return (
+        f"{entry.name}: a scene of this name in {error.folder.parent.parent} belongs to {error.owner}; {advice}, or remove {error.folder}"
+    )
 
 
 def is_current(ledger: Ledger, entry: Entry) -> bool:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ...pipeline import SettingsError, make_plan
@@ -130,7 +131,7 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
         shown.add_column(title, justify="left" if title in ("capture", "point") else "right")
     for row in rows:
         cells = ["-" if row[key] is None else f"{row[key]:.{digits}f}" for _, key, digits in columns]
-        shown.add_row(row["capture"], row["point"], f"{row['seconds']:.0f}", *cells)
+        shown.add_row(escape(row["capture"]), escape(row["point"]), f"{row['seconds']:.0f}", *cells)
     return shown
 
 

@@ -61,7 +61,7 @@ def flow(
     folder = out
     if folder is None:
         with writing_to(session.options.workspace.resolve()):
-            session.scene.claim()
+            session.claim()
         folder = session.scene.folder / "export" / "flow"
 
     from ...stages.artifacts.flow import StoredFlow

@@ -91,8 +91,9 @@ def mesh(
 
 def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool) -> list[int]:
     """Writes ``meshes`` at ``moments`` in [0, 1] to ``target``: a .glb file with all of them, a .ply file with one, or a folder of numbered
-    .ply files. Returns the number of triangles of each."""
+    .ply files, from which those of an earlier export of more times are removed. Returns the number of triangles of each."""
     from ...scene.mesh import mesh_glb_bytes, mesh_ply_bytes
+    from ...stages.exports.numbered import numbered, remove_later
 
     if single and target.suffix.lower() == ".glb":
         seconds = float(np.ptp(trained.frames.seconds)) or (trained.times - 1) / USUAL_RATE
@@ -101,6 +102,8 @@ def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[flo
         return [len(one.triangles) for one in whole]
     triangles = []
     for k, one in enumerate(meshes):
-        write_atomically(target if single else target / f"frame{k + 1:04d}.ply", mesh_ply_bytes(one))
+        write_atomically(target if single else numbered(target, k, ".ply"), mesh_ply_bytes(one))
         triangles.append(len(one.triangles))
+    if not single:
+        remove_later(target, len(triangles), ".ply")
     return triangles

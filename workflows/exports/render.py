@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -9,10 +10,11 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress, SettingsError
+from ...pipeline import CaptureError, Progress, SettingsError, StageError
 from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
 from ..results import results, trained_stage
 from ..session import DEFAULT_WORKSPACE, Options, open_session
+from .trained import writing
 
 
 def render(
@@ -43,6 +45,13 @@ def render(
         raise SettingsError("--depth: a video holds no depth; give a folder as --out")
     if out.suffix and not video and not out.is_dir():
         raise SettingsError(f"--out {out}: the file must end in .mp4; without an ending it is a folder for PNG files")
+    if video and out.is_dir():
+        raise SettingsError(f"--out {out}: this is a folder; name a file that ends in .mp4, or a folder without that ending")
+    place = next(folder for folder in out.absolute().parents if folder.exists())
+    if not place.is_dir():
+        raise SettingsError(f"--out {out}: {place} is a file, not a folder; give another --out")
+    if not os.access(place, os.W_OK | os.X_OK):  # the library that writes videos would say that there is no such file
+        raise StageError(f"render: --out {out}: {place} cannot be written; give another --out")
     session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
     trained = trained_stage(session)
     found = results(session, trained)
@@ -67,11 +76,14 @@ def render(
         width, height = (max(1, round(side * size / max(capture_frames.width, capture_frames.height))) for side in (width, height))
     scale = np.diag([width / capture_frames.width, height / capture_frames.height, 1.0])  # pixel centres are at +0.5, so there is no offset
     console = Console()
-    writer = Movie(out, fps) if video else Pictures(out, depth)
-    with Progress(len(views.time), "render", console) as bar, writer as target:
+    with (
+        writing(out, "render"),
+        Progress(len(views.time), "render", console) as bar,
+        Movie(out, fps) if video else Pictures(out, depth) as target,
+    ):
         for K, pose, t in zip(views.K, views.cam_from_world, views.time):
             camera = Camera(torch.tensor(scale @ K).float(), torch.tensor(pose).float(), width, height, model.near)
             frame = model.render(camera, float(t) if time is None else time)
             target.add((frame.color.clamp(0, 1) * 255).round().byte().cpu().numpy(), frame.depth.cpu().numpy().astype(np.float32))
             bar.advance(1)
-    console.print(f"{len(views.time)} pictures of {width}x{height}: {out}", highlight=False, soft_wrap=True)
+    console.print(f"{len(views.time)} pictures of {width}x{height}: {out}", markup=False, highlight=False, soft_wrap=True)

@@ -43,7 +43,7 @@ class Trained:
         if out is not None:
             return out
         with writing_to(self.session.options.workspace.resolve()):
-            self.session.scene.claim()
+            self.session.claim()
         return self.session.scene.folder / "export" / kind
 
 
@@ -78,9 +78,9 @@ def is_file(out: Path | None, endings: tuple[str, ...]) -> bool:
 
 
 @contextmanager
-def writing(out: Path) -> Iterator[None]:
-    """Turns errors of writing to disk into a StageError that names the file."""
+def writing(out: Path, what: str = "export") -> Iterator[None]:
+    """Turns errors of writing to disk into a StageError that names the file. what: the command."""
     try:
         yield
     except OSError as error:
-        raise StageError(f"export: {error.filename or out} cannot be written ({error.strerror or error}); give another --out") from error
+        raise StageError(f"{what}: {error.filename or out} cannot be written ({error.strerror or error}); give another --out") from error

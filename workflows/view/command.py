@@ -56,7 +56,7 @@ def view(
         except OSError as error:
             raise SettingsError(f"--host {host} --port {port}: cannot listen there ({error})") from error
         address = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{viewer.port}"
-        console.print(f"{found.title}: {address} (Ctrl-C ends)", highlight=False, soft_wrap=True)
+        console.print(f"{found.title}: {address} (Ctrl-C ends)", markup=False, highlight=False, soft_wrap=True)
         if not no_browser:
             webbrowser.open(address)
         try:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks
-from ..capture import Options, Reading, Shot
+from ..capture import DEFAULT_FPS, Options, Reading, Shot
 from ..keep_masks import add_masks, turn_masks, unread
 from . import video
 
@@ -45,6 +45,9 @@ def read(root: Path, options: Options) -> Reading:
             f"{prefix}{_HINT}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
         )
     shots = [Shot(name=path, camera=0, time=float(i), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)]
+    if len(taken) < len(found):  # those that were not taken have had their time, too
+        for i, shot in zip(taken, shots, strict=True):
+            shot.seconds = i / (options.fps or DEFAULT_FPS)
     masked = add_masks(root, shots, prefix)
     if upright:
         turn_masks(root, shots)

@@ -1,0 +1,44 @@
+"""Names in a batch: of captures with brackets, of scenes that the workspace has already, and how both are printed."""
+
+import csv
+import re
+from pathlib import Path
+
+from e4dgs.workflows.batch.ledger import Ledger, Progress
+from e4dgs.workflows.batch.listing import Entry, entries_of
+from e4dgs.workflows.cli import main
+from e4dgs.workflows.scenes import find_scene
+
+COMMON = Entry("", "")
+
+
+def test_a_file_with_brackets_in_its_name_is_no_pattern(tmp_path):
+    for name in ("clip [HD]", "clip H", "clip D", "clip E"):
+        (tmp_path / name).mkdir()
+    assert [entry.capture for entry in entries_of([str(tmp_path / "clip [HD]")], COMMON)] == [str(tmp_path / "clip [HD]")]
+    (tmp_path / "list.yaml").write_text("- 'clip [HD]'\n- 'clip [DE]'\n")
+    assert [entry.name for entry in entries_of([str(tmp_path / "list.yaml")], COMMON)] == ["clip-HD", "clip-D", "clip-E"]
+
+
+def test_a_name_that_another_capture_has_is_told_with_the_line_that_names_the_scene(dnerf_capture, tmp_path):
+    name = dnerf_capture.root.name
+    find_scene(tmp_path / "work", Path("/other") / name, name, None).claim()
+    assert main(["batch", str(dnerf_capture.root), "--workspace", str(tmp_path / "work")]) == 1
+    with open(tmp_path / "work" / "batches" / "batch" / "results.csv", newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert row["state"] == "failed" and f"belongs to /other/{name}" in row["message"] and "--name" not in row["message"]
+    (line,) = re.findall(r"- \{.*\}", row["message"])
+    (tmp_path / "list.yaml").write_text(line)
+    (entry,) = entries_of([str(tmp_path / "list.yaml")], COMMON)
+    assert entry.capture == str(dnerf_capture.root) and entry.name != name
+    assert find_scene(tmp_path / "work", Path(entry.capture), name, entry.name).folder == tmp_path / "work" / "scenes" / entry.name
+
+
+def test_names_with_brackets_are_printed_as_they_are(dnerf_capture, tmp_path, capsys):
+    work = tmp_path / "d[" / "a]"  # together they look like the end of a tag
+    assert main(["batch", str(dnerf_capture.root), "--workspace", str(work), "--emit", "slurm", "--device", "cpu"]) == 0
+    assert f"submit with: {work}" in "".join(capsys.readouterr().out.splitlines())
+    ledger = Ledger(work, "batch")
+    ledger.write(dnerf_capture.root.name, Progress("failed", "frames", r"a\[/b]: cannot be read [/c]"))
+    assert main(["status", "--workspace", str(work)]) == 0
+    assert r"a\[/b]: cannot be read [/c]" in " ".join(capsys.readouterr().out.split())

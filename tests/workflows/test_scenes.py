@@ -1,0 +1,100 @@
+"""Which folder of a workspace belongs to which capture, also if several runs start at the same time."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from e4dgs.pipeline.files import read_json
+from e4dgs.workflows.scenes import NameTakenError, Scene, find_scene
+from e4dgs.workflows.session import Options, open_session
+
+CLAIM = (
+    "import sys; from pathlib import Path; from e4dgs.workflows.scenes import find_scene\n"
+    "scenes = [find_scene(Path(sys.argv[1]), Path(sys.argv[2]), f'clip{k}', None) for k in range(int(sys.argv[3]))]\n"
+    "print('ready', flush=True); sys.stdin.readline()\n"
+    "print(' '.join(scene.claim().name for scene in scenes))"
+)
+
+
+def owner(scene: Scene) -> str:
+    return read_json(scene.folder / "capture.json")["path"]
+
+
+def both(workspace: Path, chosen: str | None = None) -> list[Scene]:
+    """The scenes of two captures of one name, found before either has taken its folder."""
+    return [find_scene(workspace, Path(path), "clip", chosen) for path in ("/one/clip", "/two/clip")]
+
+
+def test_two_captures_that_start_at_the_same_time_share_no_folder(tmp_path):
+    first, second = both(tmp_path)
+    assert first.folder == second.folder
+    first, second = first.claim(), second.claim()
+    assert (first.name, owner(first), owner(second)) == ("clip", "/one/clip", "/two/clip")
+    assert second.renamed and second.folder == find_scene(tmp_path, second.capture, "clip", None).folder != first.folder
+    assert (first.claim().name, owner(first)) == ("clip", "/one/clip"), "again, it stays as it is"
+
+
+def test_a_chosen_name_that_was_just_taken_is_refused(tmp_path):
+    first, second = both(tmp_path, "mine")
+    first.claim()
+    for refused in (second.claim, lambda: find_scene(tmp_path, second.capture, "clip", "mine")):
+        with pytest.raises(NameTakenError, match=r"--name mine: this scene belongs to /one/clip; choose another --name"):
+            refused()
+    assert owner(first) == "/one/clip"
+
+
+def test_processes_that_race_for_a_hundred_names_share_none(tmp_path):
+    paths = [f"/{k}/clip" for k in range(3)]
+    command = [sys.executable, "-c", CLAIM, str(tmp_path)]
+    racing = [subprocess.Popen([*command, path, "100"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for path in paths]
+    for process in racing:
+        assert process.stdout.readline() == "ready\n"
+    for process in racing:
+        process.stdin.write("\n")
+        process.stdin.flush()
+    names = [process.communicate(timeout=120)[0].split() for process in racing]
+    assert [len(set(own)) for own in names] == [100] * 3 and len({name for own in names for name in own}) == 300
+    for path, own in zip(paths, names):
+        assert {read_json(tmp_path / "scenes" / name / "capture.json")["path"] for name in own} == {path}
+
+
+def test_a_claim_without_results_is_given_up_unless_another_process_shares_it(tmp_path):
+    scene = find_scene(tmp_path, Path("/one/clip"), "clip", None)
+    scene.claim().release()
+    assert not (tmp_path / "scenes").exists()
+    first = scene.claim()
+    second = find_scene(tmp_path, scene.capture, "clip", None).claim()
+    first.release()
+    second.release()
+    assert owner(scene) == "/one/clip", "the second process may still run"
+    (other := find_scene(tmp_path, Path("/two/clip"), "other", None).claim()).folder.joinpath("plan.json").write_text("{}")
+    other.release()
+    assert owner(other) == "/two/clip", "there are results"
+
+
+def test_a_run_writes_into_the_folder_that_it_got(cli, capture, tmp_path, monkeypatch):
+    """Another capture takes the name after this one was recognised."""
+    workspace = tmp_path / "e4dgs-workspace"
+    taken = find_scene(workspace, Path("/other/my scene"), "my scene", None)
+    found = open_session(Options(capture, workspace))
+
+    def late(options: Options):
+        taken.claim()
+        return found
+
+    monkeypatch.setattr("e4dgs.workflows.cli.open_session", late)
+    result = cli("run", "all", capture)
+    assert result.code == 0 and "another capture has just taken the name my-scene" in result.out
+    (own,) = (folder for folder in taken.folder.parent.iterdir() if folder != taken.folder)
+    assert json.loads((own / "capture.json").read_text()) == {"path": str(capture)}
+    assert json.loads((own / "plan.json").read_text())["scene"] == own.name and (own / "records" / "fine.json").is_file()
+    assert [file.name for file in taken.folder.iterdir()] == ["capture.json"]
+
+
+def test_a_folder_that_is_removed_during_a_run_is_claimed_again(tmp_path):
+    scene = find_scene(tmp_path, Path("/one/clip"), "clip", None).claim()
+    (scene.folder / "capture.json").unlink()
+    scene.restore()
+    assert owner(scene) == "/one/clip"
