@@ -154,18 +154,15 @@ class Model:
         """[N] opacities of all Gaussians at time ``t``, in view or not, attached to autograd."""
         return self.field.opacities(self.gaussians, t) if isinstance(self.field, FreeMotion) and move else self.gaussians.opacities
 
-    def centres_at(self, index: Tensor, t: float) -> Tensor:
-        """[m, 3] centres of the Gaussians ``index`` at time ``t``, moved whether they are dynamic or not."""
+    def carried(self, index: Tensor, t: float) -> Moved:
+        """The Gaussians ``index`` as the motion carries them at time ``t``, whether they are dynamic or not."""
         assert self.field is not None
         if isinstance(self.field, FreeMotion):
             chosen = self.gaussians.select(index)
             chosen.dynamic.fill_(True)
-            return self.field.alive(chosen, t)[0]
-        return self.carried(index, t).points
-
-    def carried(self, index: Tensor, t: float) -> Moved:
-        """The Gaussians ``index`` as the field or the nodes carry them at time ``t``, whether they are dynamic or not."""
-        assert self.field is not None and not isinstance(self.field, FreeMotion)
+            means, quats, _ = self.field.alive(chosen, t)
+            assert quats is not None
+            return Moved(means, quats, None)
         return self.field.carry(self._rest(index, index[:0]), t)
 
     def relink(self) -> None:

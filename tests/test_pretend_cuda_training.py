@@ -165,7 +165,7 @@ def test_what_is_rendered_there_is_what_the_emulator_renders(pretending):
 @needs_compiler
 def test_primitives_that_stayed_behind_are_refused(pretending):
     scene = random_scene(1, gaussians=4).to(torch.float32)
-    with pytest.raises(ValueError, match=r"gaussians\.means is on cpu, but camera\.K is on cuda:0"):
+    with pytest.raises(ValueError, match=r"gaussians\.means is on cpu, but the others are on cuda:0"):
         rasterize(moved(scene.camera, "cuda"), scene.gaussians)
     with pytest.raises(ValueError, match="move them with"):
         rasterize(moved(scene.camera, "cuda"), moved(scene.gaussians, "cuda"), backend="cpu")

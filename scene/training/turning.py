@@ -69,7 +69,7 @@ def part_path(model: Model, part: Part, times: np.ndarray) -> np.ndarray:
     """[n, 3] mean position of the part's Gaussians at ``times`` [n], world units, with jumps in single frames smoothed out."""
     means = model.gaussians.means.detach()
     members = ((means - torch.tensor(part.centre, device=means.device)).norm(dim=1) <= part.radius).nonzero()[:, 0]
-    path = np.stack([model.centres_at(members, float(t)).mean(0).cpu().numpy() for t in times])
+    path = np.stack([model.carried(members, float(t)).points.mean(0).cpu().numpy() for t in times])
     # The blurred part is placed wherever it looks best in each frame; the real part moves more steadily.
     return gaussian_filter1d(median_filter(path, (MEDIAN, 1), mode="nearest"), SMOOTH, axis=0, mode="nearest")
 

@@ -96,7 +96,7 @@ def test_measured_flow_steers_the_motion(views):
     for measured in (None, still):
         model, _, _ = train(views, settings=settings, measured_flow=measured)
         moving = model.gaussians.dynamic.nonzero()[:, 0]
-        first, last = (model.centres_at(moving, t).detach() for t in (0.0, 1.0))
+        first, last = (model.carried(moving, t).points.detach() for t in (0.0, 1.0))
         paths.append(float((last - first).norm(dim=1).sum()))
     assert paths[1] < 0.5 * paths[0]
 

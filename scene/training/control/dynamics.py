@@ -21,7 +21,7 @@ def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
     assert model.field is not None
     with torch.no_grad():
         rest = model.gaussians.means[index]
-        paths = torch.stack([model.centres_at(index, float(t)) - rest for t in np.linspace(0, 1, TIMES)])
+        paths = torch.stack([model.carried(index, float(t)).points - rest for t in np.linspace(0, 1, TIMES)])
     mean = paths.mean(0)
     return mean, (paths - mean).norm(dim=2).amax(0)
 
@@ -46,8 +46,8 @@ def freeze_static_gaussians(model: Model, views: Views, pixels: float = STATIC_P
 
 
 def bake(model: Model, displacement: Tensor, index: Tensor, t: float) -> None:
-    """Take the Gaussians ``index`` out of the field: their rest positions move by ``displacement`` [m, 3], and they keep the orientation
-    and the size that the field gives them at time ``t``."""
+    """Take the Gaussians ``index`` out of the motion: their rest positions move by ``displacement`` [m, 3], and they keep the orientation
+    and the size that the motion gives them at time ``t``."""
     g = model.gaussians
     with torch.no_grad():
         moved = model.carried(index, t)
