@@ -66,6 +66,6 @@ def looked_at(frames: FrameSet, model: Model) -> np.ndarray:
         return np.median(places, axis=0)
     if len(model.gaussians):
         return model.gaussians.means.detach().cpu().numpy().astype(np.float64).mean(0)
-    poses = frames.cam_from_world[frames.train]  # nothing is left to look at, so it is looked at from there as from anywhere
+    poses = frames.cam_from_world[frames.train]  # with nothing to look at, any point ahead of the cameras will do
     centres = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
     return centres.mean(0) + poses[:, 2, :3].mean(0) * max(float(np.linalg.norm(centres - centres.mean(0), axis=1).max()), 1.0)

@@ -30,6 +30,8 @@ def test_the_same_pictures_give_the_same_bytes():
         (29.97, Fraction(30000, 1001)),
         (59.94, Fraction(60000, 1001)),
         (12.5, Fraction(25, 2)),
+        (0.999, Fraction(999, 1000)),
+        (0.004, Fraction(1, 250)),
         (24.0, Fraction(24)),
     ],
 )

@@ -18,6 +18,7 @@ import numpy as np
 from ...pipeline import StageError
 
 BROADCAST = 5e-3  # frames a second by which 23.98 or 29.97 may miss the rate that it stands for
+LEAST_BROADCAST = 24  # frames a second; slower movies are never meant to be 1.001 times slower
 QUALITY = 18  # x264's constant rate factor: hard to tell from the original
 
 
@@ -62,7 +63,7 @@ class Encoder:
 def exact_rate(fps: float) -> Fraction:
     """``fps`` as a movie states it: a rate of 24, 30, 60 and so on over 1.001 is meant where it is written with two or three decimals."""
     of_film = round(1.001 * fps)
-    if round(fps, 3) != round(fps) and abs(1.001 * fps - of_film) < BROADCAST:
+    if of_film >= LEAST_BROADCAST and round(fps, 3) != round(fps) and abs(1.001 * fps - of_film) < BROADCAST:
         return Fraction(1000 * of_film, 1001)
     return Fraction(fps).limit_denominator(1001)
 
