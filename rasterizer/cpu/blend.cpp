@@ -5,6 +5,7 @@
 #include <string_view>
 #include <vector>
 
+#include "flush.h"
 #include "parallel.h"
 #include "project.h"
 #include "state.h"
@@ -87,6 +88,7 @@ void blend_forward(State& state, const FrameOutput& out, bool keep, int threads)
     job.visible_gaussians = out.visible_gaussians, job.visible_convexes = out.visible_convexes;
     const auto run = kernels().forward;
     parallel_blocks(state.tiles(), 4, threads, [&](int64_t first, int64_t last, int64_t) {
+        [[maybe_unused]] const FlushDenormals flush;
         Buffer<float> scratch(scratch_floats(job.extras));
         for (int64_t tile = first; tile < last; ++tile) run(job, int(tile), scratch.data());
     });
@@ -105,6 +107,7 @@ void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& sl
     job.slots = slots.data(), job.touched = touched.data(), job.grad_background = background ? parts.data() : nullptr;
     const auto run = kernels().backward;
     parallel_blocks(state.tiles(), 4, threads, [&](int64_t first, int64_t last, int64_t) {
+        [[maybe_unused]] const FlushDenormals flush;
         Buffer<float> scratch(scratch_floats(job.extras));
         for (int64_t tile = first; tile < last; ++tile) run(job, int(tile), scratch.data());
     });

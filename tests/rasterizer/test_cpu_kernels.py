@@ -127,6 +127,17 @@ def test_second_derivatives_are_a_clear_error() -> None:
         grad.sum().backward()
 
 
+def test_denormal_numbers_count_as_zero_in_the_kernels_and_nowhere_else(instruction_set: str) -> None:
+    """They would cost a hundred cycles each. The backward pass leaves the processor's mode as it was."""
+    scene = random_scene(20, gaussians=8, convexes=8, degree=None).to(torch.float32)
+    leaves = scene.leaves()
+    frame = scene.having(leaves).render("cpu")
+    faint = torch.full_like(frame.color, 1e-39)
+    found = torch.autograd.grad(frame.color, list(leaves.values()), faint, allow_unused=True)
+    assert all(not gradient.any() for gradient in found if gradient is not None)
+    assert (faint * 0.5).all()
+
+
 def test_the_order_of_primitives_without_ties_does_not_matter() -> None:
     scene = random_scene(18, gaussians=80, convexes=40, degree=1, width=50, height=40).to(torch.float32)
     turned = {

@@ -50,7 +50,7 @@ def measure(bench: Bench) -> Measured:
             checks.append(
                 Check(f"{name}, {what}, a convex's pair over a Gaussian's", cost(ours, what) / cost(theirs, what), BAR, note=note)
             )
-            visible = cost(ours, what) / cost(theirs, what) * share(theirs) / share(ours)
+            visible = cost(ours, what) / cost(theirs, what) * share(ours) / share(theirs)
             checks.append(Check(f"{name}, {what}, the same by visible pairs", visible))
             against = cost(ours, what) / cost("garden's Gaussians", what)
             checks.append(Check(f"{name}, {what}, over a pair of garden's Gaussians", against))
