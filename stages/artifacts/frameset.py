@@ -29,6 +29,7 @@ class FrameSet:
     point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
     every_time: every so many-th time trains, and the pictures of the same cameras at the other times are test; 1 if all times train.
     watermark: [H,W] uint8, 255 where something stands still in all distorted pictures, such as a logo; None if nothing does.
+    origin: [3], the point of the files' world that is the origin of this one; None if nothing was moved.
     masked: whether some pixels do not count, so that `kept` may return a mask.
     files, upright: the image files, and whether they are rotated as their EXIF data ask; crop [F,4] px, or None if all pictures are shown
     whole.
@@ -50,6 +51,7 @@ class FrameSet:
         self.watermark = stored.watermark
         self.masked = self.keep_files is not None or self.watermark is not None
         self.K_hint = stored.K_hint
+        self.origin = None if stored.origin is None else np.array(stored.origin)
         self.camera, self.time, self.seconds = stored.camera, stored.time, stored.seconds
         self.split, self.next, self.crop = stored.split, stored.next, stored.crop
         self._images = stored.images

@@ -14,7 +14,7 @@ from ..facts import Facts
 from . import checks
 from . import skipped_times as skipping
 from .common_size import Crop, common_size, crop, told
-from .far_away import told_far
+from .far_away import brought_near, told_moved
 
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")
@@ -98,8 +98,9 @@ class Capture:
     `files` are the paths, relative to `root`, whose content determines the result (the digest of the capture); `facts` is the
     mapping of docs/artifacts.md. Arrays are those of the `frames` artifact, at its output size (after `max_size`); K applies to the
     distorted pictures (`captures/lens.py` explains distortion and fisheye). crop [F,4]: left, top, width and
-    height, px, of the part of each stored picture that is scaled to the output size; None if all are used whole. keep_turns: the
-    EXIF orientation by which each mask of `keeps` is rotated; 1 if it already has the orientation of its picture as shown.
+    height, px, of the part of each stored picture that is scaled to the output size; None if all are used whole. origin [3]: the
+    point of the files' world that is the origin here, None if nothing was moved. keep_turns: the EXIF orientation by which each mask of
+    `keeps` is rotated; 1 if it already has the orientation of its picture as shown.
     """
 
     root: Path
@@ -126,6 +127,7 @@ class Capture:
     background: str | None
     points: np.ndarray | None = None
     point_colors: np.ndarray | None = None
+    origin: np.ndarray | None = None
     K_hint: tuple[float, ...] | None = None
     notes: tuple[str, ...] = field(default=())
 
@@ -161,9 +163,9 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         notes += (skipping.told(split, time, options.every_time),)
     following = np.full(len(shots), -1, np.int32) if static else _next_frames(shots, camera, time, split)
 
-    posed = all(s.cam_from_world is not None for s in shots)
-    if posed and (far := told_far(np.array([s.cam_from_world for s in shots]))):
-        notes += (far,)
+    poses, points, origin = brought_near([s.cam_from_world for s in shots], reading.points)
+    if origin is not None:
+        notes += (told_moved(origin),)
     sizes = [s.size for s in shots]
     common = common_size(sizes)
     crops = [crop(size, common) for size in sizes]
@@ -179,8 +181,8 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         times=len(distinct),
         width=width,
         height=height,
-        poses=posed,
-        points=reading.points is not None,
+        poses=poses is not None,
+        points=points is not None,
         alpha=reading.alpha,
         static=static,
         pairs=int((following >= 0).sum()),
@@ -220,16 +222,17 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         seconds=seconds,
         split=split,
         next=following,
-        K=np.stack([_scaled(part, width, height) @ s.K for s, part in zip(shots, crops, strict=True) if s.K is not None])
-        if posed
-        else None,
-        cam_from_world=np.stack([s.cam_from_world for s in shots if s.cam_from_world is not None]) if posed else None,
-        distortion=_distortions(shots) if posed else None,
+        K=None
+        if poses is None
+        else np.stack([_scaled(p, width, height) @ s.K for s, p in zip(shots, crops, strict=True) if s.K is not None]),
+        cam_from_world=poses,
+        distortion=None if poses is None else _distortions(shots),
         fisheye=np.array([s.fisheye for s in shots], np.uint8) if any(s.fisheye for s in shots) else None,
         crop=np.array(crops, np.int32) if len(set(sizes)) > 1 else None,
         background=background,
-        points=reading.points,
+        points=points,
         point_colors=reading.point_colors,
+        origin=origin,
         K_hint=hint,
         notes=(*notes, *([note] if (note := told(sizes, [s.name for s in shots], common)) else [])),
     )

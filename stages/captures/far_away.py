@@ -1,22 +1,60 @@
-"""Tells of captures that lie so far from the origin, as georeferenced ones do, that training in float32 loses digits of positions."""
+"""Captures that lie far from the origin, as georeferenced ones do, are moved to it: float32 loses digits of large positions."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 FAR = 1e4  # times the cameras' extent; the spacing of float32 is then a thousandth of the extent
 
 
-def told_far(cam_from_world: np.ndarray) -> str | None:
-    """A line for people if the cameras, [F, 4, 4] float64, are farther than `FAR` times their extent from the origin; else None."""
+class Placed(NamedTuple):
+    """Where cameras and points are. poses: [F, 4, 4] float64, cameras from world, or None if some are unknown. points: [P, 3] or None.
+    origin: [3], the point of the files' world that is the origin here; None if nothing was moved."""
+
+    poses: np.ndarray | None
+    points: np.ndarray | None
+    origin: np.ndarray | None
+
+
+def brought_near(poses: Sequence[np.ndarray | None], points: np.ndarray | None) -> Placed:
+    """The ``poses`` [4, 4] of all frames and ``points`` of a capture's files, about another origin if they are far from theirs."""
+    known = [pose for pose in poses if pose is not None]
+    if len(known) < len(poses):
+        return Placed(None, points, None)
+    cam_from_world = np.stack(known)
+    origin = far_origin(cam_from_world)
+    if origin is None:
+        return Placed(cam_from_world, points, None)
+    return Placed(seen_from(origin, cam_from_world), None if points is None else points - origin, origin)
+
+
+def far_origin(cam_from_world: np.ndarray) -> np.ndarray | None:
+    """A point [3] amid the cameras [F, 4, 4] float64, in round numbers, if they are farther than `FAR` times their extent from the origin;
+    else None."""
     R, t = cam_from_world[:, :3, :3], cam_from_world[:, :3, 3]
     centres = -np.einsum("fji,fj->fi", R, t)
     middle = centres.mean(0)
-    extent, distance = float(np.linalg.norm(centres - middle, axis=1).max()), float(np.linalg.norm(middle))
-    if extent == 0 or distance <= FAR * extent:
+    extent = float(np.linalg.norm(centres - middle, axis=1).max())
+    if extent == 0 or float(np.linalg.norm(middle)) <= FAR * extent:
         return None
-    where = ", ".join(f"{x:.6g}" for x in middle)
+    unit = 10.0 ** np.floor(np.log10(extent))
+    return np.round(middle / unit) * unit
+
+
+def seen_from(origin: np.ndarray, cam_from_world: np.ndarray) -> np.ndarray:
+    """Poses [F, 4, 4] of the same cameras in a world whose origin is the point ``origin`` [3] of the old one."""
+    moved = cam_from_world.copy()
+    moved[:, :3, 3] += cam_from_world[:, :3, :3] @ origin
+    return moved
+
+
+def told_moved(origin: np.ndarray) -> str:
+    """A line for people."""
+    where = ", ".join(f"{x:.9g}" for x in origin)
     return (
-        f"the cameras are {distance:.3g} units from the origin, {distance / extent:.1g} times their extent, where float32 keeps too few "
-        f"digits of positions for a sharp model; subtract an offset near ({where}) from all camera centres and points"
+        f"the cameras are far from the origin, where float32 keeps too few digits of positions; everything is moved by -({where}), "
+        "and so are the model and all exports"
     )

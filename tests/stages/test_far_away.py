@@ -1,8 +1,15 @@
 """Captures far from the origin."""
 
+import json
+import shutil
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from e4dgs.stages.captures.far_away import FAR, told_far
+from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures.far_away import FAR, brought_near, told_moved
+from e4dgs.workflows.exports.camera_path import path_of_file
+from scipy.spatial.transform import Rotation
 
 
 def cameras(offset: float) -> np.ndarray:
@@ -15,13 +22,80 @@ def cameras(offset: float) -> np.ndarray:
     return poses
 
 
-@pytest.mark.parametrize(("offset", "told"), [(0.0, False), (1.99 * FAR, False), (2.01 * FAR, True), (4e6, True)])
-def test_cameras_far_from_the_origin_are_told_of(offset, told):
-    note = told_far(cameras(offset))
-    assert (note is not None) == told
-    if note:
-        assert f"({offset:.6g}," in note
+@pytest.mark.parametrize(("offset", "moved"), [(0.0, False), (1.99 * FAR, False), (2.01 * FAR, True), (4e6, True)])
+def test_cameras_far_from_the_origin_are_moved_to_it(offset, moved):
+    points = np.array([[offset, 0.0, 1.0]])
+    placed = brought_near(list(cameras(offset)), points)
+    assert (placed.origin is not None) == moved
+    near = cameras(0.0 if moved else offset)
+    np.testing.assert_allclose(placed.poses, near, atol=2 + 1e-8 if moved else 0)  # the origin is a round number
+    np.testing.assert_allclose(placed.points, [[0.0, 0.0, 1.0]] if moved else points, atol=2)
+
+
+def test_a_small_scene_is_moved_in_its_own_units():
+    poses = cameras(0.0)
+    poses[:, :3, 3] *= 1e-6
+    poses[:, :3, 3] -= poses[:, :3, :3] @ [0.03, 0.0, 0.0]
+    placed = brought_near(list(poses), None)
+    centres = -np.einsum("fji,fj->fi", placed.poses[:, :3, :3], placed.poses[:, :3, 3])
+    assert placed.points is None and np.abs(centres).max() < 4e-6
 
 
 def test_a_single_place_says_nothing_about_how_large_the_scene_is():
-    assert told_far(cameras(1e9)[:1]) is None
+    assert brought_near(list(cameras(1e9)[:1]), None).origin is None
+
+
+def test_poses_that_some_frames_lack_are_left_out():
+    assert brought_near([np.eye(4), None], None) == (None, None, None)
+
+
+@pytest.fixture
+def far(nerfstudio_capture, tmp_path):
+    """A capture whose cameras are some 4e6 units from the origin."""
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "utm")
+    data = json.loads((root / "transforms.json").read_text())
+    for frame in data["frames"]:
+        for row, shift in zip(frame["transform_matrix"], (500_000.0, 4_000_000.0, 250.0)):
+            row[3] += shift
+    (root / "transforms.json").write_text(json.dumps(data))
+    return root
+
+
+def test_a_far_capture_is_the_near_one_about_another_origin(nerfstudio_capture, far):
+    near, capture = recognise(nerfstudio_capture.root), recognise(far)
+    assert near.origin is None and capture.origin is not None
+    shift = np.array([500_000.0, 4_000_000.0, 250.0]) - capture.origin
+    expected = near.cam_from_world.copy()
+    expected[:, :3, 3] -= expected[:, :3, :3] @ shift
+    np.testing.assert_allclose(capture.cam_from_world, expected, atol=1e-8)
+    assert told_moved(capture.origin) in capture.notes
+
+
+def test_a_path_file_is_in_the_world_of_the_far_captures_files(far, tmp_path):
+    capture, path = recognise(far), tmp_path / "path.json"
+    row = json.loads((far / "transforms.json").read_text())["frames"][0]
+    path.write_text(json.dumps({"frames": [{"transform_matrix": row["transform_matrix"]}]}))
+    frames = SimpleNamespace(K=capture.K, train=np.array([0]), origin=capture.origin)
+    found = path_of_file(path, frames).cam_from_world[0]
+    assert np.abs(capture.cam_from_world - found).max(axis=(1, 2)).min() < 1e-6
+
+
+def test_points_are_moved_with_the_cameras(colmap_capture, tmp_path):
+    root, near = shutil.copytree(colmap_capture.root, tmp_path / "colmap"), recognise(colmap_capture.root)
+    shift = np.array([500_000.0, 4_000_000.0, 250.0])
+
+    def rewrite(name, first, change):
+        """Adds ``change(row)`` to three columns of the rows that have them, from column ``first``."""
+        file = root / "sparse" / "0" / name
+        rows = [line.split() for line in file.read_text().splitlines()]
+        for row in rows:
+            if len(row) > 7 and row[0] != "#":
+                row[first : first + 3] = [f"{float(x) + d:.17g}" for x, d in zip(row[first : first + 3], change(row))]
+        file.write_text("\n".join(map(" ".join, rows)) + "\n")
+
+    rewrite("points3D.txt", 1, lambda row: shift)
+    rewrite("images.txt", 5, lambda row: -Rotation.from_quat([float(x) for x in (*row[2:5], row[1])]).apply(shift))
+    capture = recognise(root)
+    np.testing.assert_allclose(capture.points + capture.origin, near.points + shift, atol=1e-6)
+    turned = capture.cam_from_world[:, :3, :3] @ (shift - capture.origin)
+    np.testing.assert_allclose(capture.cam_from_world[:, :3, 3] + turned, near.cam_from_world[:, :3, 3], atol=1e-6)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...pipeline import CaptureError, SettingsError
 from ...stages.captures import checks
+from ...stages.captures.far_away import seen_from
 from ...stages.exports.camera_path import NAMES, CameraPath, named_path
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ def path_of_file(file: Path, frames: FrameSet) -> CameraPath:
     """The path in a JSON file: ``{"frames": [{...}]}``, each frame with ``cam_from_world`` (4x4, OpenCV) or ``transform_matrix`` (4x4,
     camera to world, OpenGL, as nerfstudio and Blender write it), and optionally ``K`` (3x3 px) and ``time`` in [0, 1].
 
-    Without K, the lens of the capture's first training frame is used; without times, time runs once from 0 to 1. Raises CaptureError that
-    names file, frame and field.
+    Poses are in the world of the capture's files. Without K, the lens of the capture's first training frame is used; without times, time
+    runs once from 0 to 1. Raises CaptureError that names file, frame and field.
     """
     try:
         data = checks.read_json(file.parent, file.name)
@@ -53,7 +54,8 @@ def path_of_file(file: Path, frames: FrameSet) -> CameraPath:
         if isinstance(time, bool) or not isinstance(time, int | float) or not 0 <= time <= 1:
             raise CaptureError(f"{where}: time: expected a number from 0 to 1, got {time!r:.40}")
         times.append(float(time))
-    return CameraPath(np.stack(poses), np.stack(lenses), np.array(times))
+    moved = np.stack(poses) if frames.origin is None else seen_from(frames.origin, np.stack(poses))
+    return CameraPath(moved, np.stack(lenses), np.array(times))
 
 
 def _pose(value: Any, where: str) -> np.ndarray:
