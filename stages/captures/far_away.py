@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-FAR = 1e4  # times the cameras' extent; the spacing of float32 is then a thousandth of the extent
+FAR = 1e4  # times the capture's extent; the spacing of float32 is then a thousandth of the extent
+ONE_PLACE = 1e-9  # of the distance; cameras within it stand still, up to rounding, and say nothing about the extent
 
 
 class Placed(NamedTuple):
@@ -25,20 +26,22 @@ def brought_near(poses: Sequence[np.ndarray | None], points: np.ndarray | None) 
     if len(known) < len(poses):
         return Placed(None, points, None)
     cam_from_world = np.stack(known)
-    origin = far_origin(cam_from_world)
+    origin = far_origin(cam_from_world, points)
     if origin is None:
         return Placed(cam_from_world, points, None)
     return Placed(seen_from(origin, cam_from_world), None if points is None else points - origin, origin)
 
 
-def far_origin(cam_from_world: np.ndarray) -> np.ndarray | None:
-    """A point [3] amid the cameras [F, 4, 4] float64, in round numbers, if they are farther than `FAR` times their extent from the origin;
-    else None."""
+def far_origin(cam_from_world: np.ndarray, points: np.ndarray | None) -> np.ndarray | None:
+    """A point [3] amid the cameras [F, 4, 4] float64, in round numbers, if they are farther from the origin than `FAR` times the extent of
+    the capture; else None. The extent is that of the cameras, or the median distance of ``points`` [P, 3] from them if that is more."""
     R, t = cam_from_world[:, :3, :3], cam_from_world[:, :3, 3]
     centres = -np.einsum("fji,fj->fi", R, t)
     middle = centres.mean(0)
-    extent = float(np.linalg.norm(centres - middle, axis=1).max())
-    if extent == 0 or float(np.linalg.norm(middle)) <= FAR * extent:
+    extent, distance = float(np.linalg.norm(centres - middle, axis=1).max()), float(np.linalg.norm(middle))
+    if points is not None and len(points):
+        extent = max(extent, float(np.median(np.linalg.norm(points - middle, axis=1))))
+    if not ONE_PLACE * distance < extent < distance / FAR:
         return None
     unit = 10.0 ** np.floor(np.log10(extent))
     return np.round(middle / unit) * unit

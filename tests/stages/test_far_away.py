@@ -41,8 +41,21 @@ def test_a_small_scene_is_moved_in_its_own_units():
     assert placed.points is None and np.abs(centres).max() < 4e-6
 
 
-def test_a_single_place_says_nothing_about_how_large_the_scene_is():
-    assert brought_near(list(cameras(1e9)[:1]), None).origin is None
+@pytest.mark.parametrize("frames", [1, 7, 49])
+def test_a_single_place_says_nothing_about_how_large_the_scene_is(frames):
+    """The mean of equal numbers differs from them by rounding."""
+    pose = np.eye(4)
+    pose[:3, 3] = [-0.1, -0.2, -0.3]
+    assert brought_near([pose] * frames, None).origin is None
+
+
+def test_a_camera_that_hardly_moves_is_as_far_as_its_points_say():
+    poses = cameras(0.0)
+    poses[:, :3, 3] *= 1e-5
+    poses[:, :3, 3] -= poses[:, :3, :3] @ [4.0, 0.0, 0.0]
+    assert brought_near(list(poses), None).origin is not None
+    assert brought_near(list(poses), np.array([[4.0, 0.0, 3.0]] * 3)).origin is None
+    assert brought_near(list(poses), np.array([[4.0, 0.0, 1e-5]] * 3)).origin is not None
 
 
 def test_poses_that_some_frames_lack_are_left_out():
