@@ -1,6 +1,6 @@
 // Denormal numbers cost x86 about a hundred cycles each, and gradients are full of them: of nearly hidden primitives, times weights of
-// distant nodes (half of the time of the backward pass through the nodes of `robot`), and of a convex's edges that are far from the leading
-// one (half of the time of a frame of convexes with gradients).
+// distant nodes (half of the time of the backward pass through the nodes of `robot`), and of convexes, where a slot has no edge or one that
+// is far from the leading one (nearly half of the time of a frame of convexes with gradients).
 #pragma once
 
 #if defined(__SSE2__)
