@@ -103,10 +103,14 @@ def _cached_reason(job: Job, stage: Stage, key: str) -> str:
 def _run_reason(job: Job, stage: Stage, parts: Mapping[str, Any], key: str) -> str:
     record = job.records.read(stage.name)
     if record is None:
-        return "never run for this scene"
+        return _without_record(job, stage)
     if record["key"] == key:
         return "its result is no longer in the store"
     return "; ".join(differences(record["parts"], parts))
+
+
+def _without_record(job: Job, stage: Stage) -> str:
+    return "the last run skipped it" if job.records.skipped(stage.name) else "never run for this scene"
 
 
 def _unknown(job: Job, stage: Stage, waiting: list[Row], forced: bool) -> Row:
@@ -115,7 +119,7 @@ def _unknown(job: Job, stage: Stage, waiting: list[Row], forced: bool) -> Row:
     reason = f"after {', '.join(row.stage for row in waiting)}"
     record = job.records.read(stage.name)
     if record is None:
-        reason = f"never run for this scene; {reason}"
+        reason = f"{_without_record(job, stage)}; {reason}"
     else:
         known = {**job.parts(stage, dict.fromkeys(stage.inputs)), "inputs": record["parts"].get("inputs")}
         own = differences(record["parts"], known)

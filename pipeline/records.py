@@ -9,12 +9,13 @@ from typing import Any
 from .files import read_json, write_json
 
 SHOWN = 4  # at most this many changed source files are listed by name
+SKIPPED = {"skipped": True}  # stands in place of a record
 _ABSENT = "(absent)"  # stands for a field that only one version of a stage has
 
 
 class Records:
-    """One JSON file per stage in a scene's folder: ``{"key", "parts", "digest"}`` of the stage's last result. A stage that the last run
-    skipped has none."""
+    """One JSON file per stage in a scene's folder: ``{"key", "parts", "digest"}`` of the stage's last result. Of a stage that the last
+    run skipped, only that is kept."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
@@ -30,11 +31,14 @@ class Records:
         if self.read(stage) != record:
             write_json(self.folder / f"{stage}.json", record)
 
-    def remove(self, stage: str) -> None:
-        """Removes the record of a stage that the scene's last run skipped. Does nothing, also on a read-only disk, if there is none."""
-        path = self.folder / f"{stage}.json"
-        if path.exists():
-            path.unlink(missing_ok=True)
+    def skip(self, stage: str) -> None:
+        """Replaces the record of a stage that the scene's last run skipped. Does nothing, also on a read-only disk, if there is none."""
+        if self.read(stage) is not None:
+            write_json(self.folder / f"{stage}.json", SKIPPED)
+
+    def skipped(self, stage: str) -> bool:
+        """Whether the scene's last run skipped this stage, which has run before."""
+        return read_json(self.folder / f"{stage}.json") == SKIPPED
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:

@@ -99,7 +99,7 @@ class Runner:
                     self._trusted.add(outcome.artifact)
                     return outcome
         if row.state == "skip":
-            self.job.records.remove(stage.name)  # or the scene would seem to use a result of earlier settings
+            self.job.records.skip(stage.name)  # or the scene would seem to use a result of earlier settings
             return Outcome(stage.name, "skipped", row.reason)
         assert row.artifact is not None and row.key is not None and row.parts is not None
         self.job.records.write(stage.name, row.key, row.parts, row.artifact.digest)

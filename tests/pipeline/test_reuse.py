@@ -116,6 +116,8 @@ def test_a_skipped_stage_keeps_no_record_of_an_earlier_run(bench):
     key = bench.job().records.read("clipped")["key"]
     bench.run(clipped__skip=True)
     assert bench.job().records.read("clipped") is None and bench.job().records.read("total") is not None
+    assert reason(bench.job(clipped__limit=7), "clipped") == "the last run skipped it"
+    assert reason(bench.job(numbers__offset=3), "clipped") == "the last run skipped it; after numbers"
     assert bench.store.has("clipped", key), "the result itself stays in the store"
     bench.runs()
     assert explain(bench.job(), "clipped") == ["clipped would be reused: was made before with the same inputs and settings"]
