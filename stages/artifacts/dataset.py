@@ -28,16 +28,20 @@ def load_frameset(inputs: Any, root: Path) -> FrameSet:
 def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", model: Model | None = None) -> Views:
     """Views of all frames, with their pictures on ``device``. If ``model`` is given, its near plane and background are used.
 
-    ``train`` holds the registered training frames. Raises StageError if there are none."""
+    ``train`` holds the registered training frames. If `flow` found that nothing moves in front of a moving camera, all frames have one
+    time, as with `--static`. Raises StageError if no training frame has a pose."""
     if not len(frames.train):
         raise StageError(
             "no training frame has a pose; see the coverage report of `poses`, or use fewer held-out frames (--set frames.holdout=0)"
         )
     stored = None if flow is None else StoredFlow(flow)
+    time = np.asarray(frames.time)
+    if stored is not None and stored.static and not frames.fixed_cameras:
+        time = np.zeros_like(time)
     return Views(
         K=np.asarray(frames.K),
         cam_from_world=np.asarray(frames.cam_from_world),
-        time=np.asarray(frames.time),
+        time=time,
         camera=np.asarray(frames.camera),
         next=np.asarray(frames.next),
         train=np.asarray(frames.train),
@@ -49,7 +53,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
         load_kept=kept_pixels(frames) if frames.masked else None,
         load_moving=stored.moving if stored is not None and stored.has_moving and stored.has_ever_moving else None,
         stored_edges=stored.edges if stored is not None and stored.has_edges else None,
-        recorder=np.arange(len(frames.time)) if are_photos(frames) else None,
+        recorder=np.arange(len(time)) if are_photos(frames, time) else None,
         device=device,
         near=Views.near if model is None else model.near,
     )
@@ -65,9 +69,10 @@ def kept_pixels(frames: FrameSet) -> Callable[[int], np.ndarray]:
     return of_frame
 
 
-def are_photos(frames: FrameSet) -> bool:
-    """Whether one camera photographed a static scene, so that each picture may have its own exposure and white balance."""
-    return len(np.unique(frames.camera)) == 1 and len(np.unique(frames.time)) == 1 and not frames.alpha
+def are_photos(frames: FrameSet, time: np.ndarray) -> bool:
+    """Whether one camera photographed a static scene, so that each picture may have its own exposure and white balance. time [F]: equal
+    for what shows one moment."""
+    return len(np.unique(frames.camera)) == 1 and len(np.unique(time)) == 1 and not frames.alpha
 
 
 def measured_flow(flow: Artifact | None, views: Views):

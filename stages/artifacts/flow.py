@@ -33,7 +33,7 @@ class StoredFlow:
 
     @property
     def static(self) -> bool:
-        """The stage found that nothing moves, and measured no flow."""
+        """The stage found that nothing moves: before it measured any flow, or because flow failed where something seemed to move."""
         return bool(self.artifact.attrs.get("static"))
 
     @property
@@ -43,7 +43,7 @@ class StoredFlow:
 
     @property
     def method(self) -> str:
-        """The method that measured the flow: "dis-medium", "raft", ...; "none" if there are no pairs, empty if the scene is `static`."""
+        """The method that measured the flow: "dis-medium", "raft", ...; "none" if there are no pairs, empty if no flow was wanted."""
         return str(self.artifact.attrs.get("method", ""))
 
     @property

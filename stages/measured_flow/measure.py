@@ -23,6 +23,7 @@ from .moving_masks import MovingMasks
 from .pairs import PairFlows, Shown, Source
 
 FOLLOWED = 0.5  # share of moving pixels where forward and backward flow agree; below it the motion of these pixels is not known
+FAILED = 0.25  # the same; below it, flow fails between pictures that are far apart, and masks say nothing about what moves
 
 
 class Looked(NamedTuple):
@@ -163,9 +164,17 @@ def measure(
         while masked:
             write_masks()
     if moving is not None:
+        share = float(np.median(followed)) if followed else 1.0
+        fails = share < FAILED and ctx.settings.detect_static and not fixed and frames.mask_files is None
+        if fails:
+            for i in trained:
+                moving[i] = 0
+            moved, reason = 0.0, f"forward and backward flow agree at {100 * share:.0f} % of what seems to move, so flow fails there"
+            out.write_static(True, reason, 0.0)
+            ctx.log(f"nothing moves as far as can be told: {reason}; no deformation (flow.detect_static=false trains one anyway)")
         out.write_moving_share(moved / max(len(trained), 1))
         ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
-        if followed and (share := float(np.median(followed))) < FOLLOWED:
+        if not fails and share < FOLLOWED:
             ctx.log(
                 "moving objects move too far between frames to be followed: forward and backward flow agree at "
                 f"{100 * share:.0f} % of their pixels; expect them to be blurred or torn between frames; more frames per second help"

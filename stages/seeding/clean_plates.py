@@ -11,6 +11,7 @@ from ...scene.training.curriculum import MIN_CAMERAS
 from ...scene.views import Views
 
 FRAMES = 32  # number of frames used from moving cameras
+MOST = 100  # frames of one time; a video of a static scene may have more, whose pictures would not fit into memory
 LOOKS = 9  # number of times over which the median is taken
 
 
@@ -32,6 +33,7 @@ def clean_plates(views: Views, mask: Callable[[int], np.ndarray | None], fixed: 
     frames = views.train[views.time[views.train] == times[len(times) // 2]]
     if len(frames) < MIN_CAMERAS and not fixed:
         frames = views.train[np.unique(np.linspace(0, len(views.train) - 1, min(FRAMES, len(views.train))).round().astype(int))]
+    frames = frames[np.unique(np.linspace(0, len(frames) - 1, min(MOST, len(frames))).round().astype(int))]
     pictures, static = [], []
     for i in frames:
         looks = views.train[views.camera[views.train] == views.camera[i]] if fixed else np.array([i])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ...pipeline import Context
@@ -24,10 +25,13 @@ CONVEXES = 8000
 NODE_TIMES = 9  # least number of times; fewer say too little about motion
 
 
-def is_static(ctx: Context) -> bool:
-    """Whether nothing moves, according to the user or to `flow`."""
-    flow = flow_of(ctx.inputs)
-    return Facts.of(ctx.facts).static or (flow is not None and flow.static)
+def found_facts(ctx: Context, fixed_cameras: bool) -> Facts:
+    """Facts about the capture, with what `flow` found: if nothing moves in front of a moving camera, all frames show one time, as with
+    `--static`."""
+    facts, flow = Facts.of(ctx.facts), flow_of(ctx.inputs)
+    if flow is None or not flow.static:
+        return facts
+    return replace(facts, static=True, times=facts.times if fixed_cameras else 1)
 
 
 def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -23,12 +22,11 @@ from ..artifacts.coarse import StoredCoarse
 from ..artifacts.dataset import load_frameset, load_views, measured_flow
 from ..artifacts.model import write_model
 from ..artifacts.training_log import write_training_log
-from ..facts import Facts
 from ..seeding.fill import measured_depth
 from ..seeding.moving import MovingSeeds
 from ..seeding.picture import seeds_picture
 from ..seeding.seeds import initial_dynamic, living, load_seeds, moving_seeds
-from .choices import BY_NODE_PHASES, auto_budget, auto_iterations, auto_seeds, auto_sh_degree, is_static, use_nodes
+from .choices import BY_NODE_PHASES, auto_budget, auto_iterations, auto_seeds, auto_sh_degree, found_facts, use_nodes
 from .first_motion import find_first_motion
 from .motions import make_field, make_nodes
 from .train import train
@@ -57,13 +55,12 @@ class Start(NamedTuple):
 
 def train_coarse(ctx: Context) -> None:
     """Places seeds, trains a static warm-up and then the deformation, and writes a model without convexes."""
-    settings, facts = ctx.settings, Facts.of(ctx.facts)
+    settings = ctx.settings
     torch.manual_seed(settings.seed)
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device)
-    static = is_static(ctx)
-    facts = replace(facts, static=static)
-    nodes = not static and use_nodes(facts, settings)
+    facts = found_facts(ctx, frames.fixed_cameras)
+    static, nodes = facts.static, use_nodes(facts, settings)
     budget = settings.budget or auto_budget(facts, views, nodes)
     points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, settings.seeds or auto_seeds(facts, budget))
     moving = None if static or nodes else moving_seeds(ctx, frames, views, points, budget // 2)

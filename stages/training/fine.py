@@ -16,9 +16,8 @@ from ..artifacts.dataset import load_frameset, load_views, measured_flow
 from ..artifacts.hulls import StoredHulls
 from ..artifacts.model import read_model, write_model
 from ..artifacts.training_log import write_training_log
-from ..facts import Facts
 from ..seeding.fill import measured_depth
-from .choices import auto_budget, fine_iterations, is_static
+from .choices import auto_budget, fine_iterations, found_facts
 from .train import train
 
 if TYPE_CHECKING:
@@ -46,16 +45,16 @@ def train_fine(ctx: Context) -> None:
         ctx.log("no convexes: Gaussians alone are refined")
     model.to(ctx.device)
 
-    unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
+    facts, unit = found_facts(ctx, frames.fixed_cameras), views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
     log = train(
         ctx,
         "fine",
         model,
         views,
-        fine_phases(coarse.strategy, coarse.iterations, fine_iterations(settings), is_static(ctx)),
+        fine_phases(coarse.strategy, coarse.iterations, fine_iterations(settings), facts.static),
         training_settings(settings, coarse.growth),
-        budget=coarse.growth.budget or auto_budget(Facts.of(ctx.facts), views, nodes),
-        earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, is_static(ctx)),
+        budget=coarse.growth.budget or auto_budget(facts, views, nodes),
+        earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, facts.static),
         lr_scale=1.0 if joint else settings.lr_scale,
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),

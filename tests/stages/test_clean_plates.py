@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from e4dgs.scene.training.curriculum import MIN_CAMERAS
 from e4dgs.scene.views import Views
-from e4dgs.stages.seeding.clean_plates import FRAMES, LOOKS, clean_plates
+from e4dgs.stages.seeding.clean_plates import FRAMES, LOOKS, MOST, clean_plates
 
 TIMES = 2 * FRAMES
 
@@ -49,3 +49,12 @@ def test_few_cameras_that_move_have_frames_of_their_whole_path(cameras, expected
     plates = clean_plates(seen, lambda i: None, fixed=False)
     assert len(plates.frames) == expected
     assert all((picture == seen.load(int(i))).all() for i, picture in zip(plates.frames, plates.pictures))
+
+
+@pytest.mark.parametrize(("frames", "expected"), [(MOST, MOST), (MOST + 1, MOST)])
+def test_a_long_video_of_a_static_scene_does_not_fill_the_memory(frames, expected):
+    seen = views(frames)
+    seen.train = seen.train[:frames]  # those of the first time
+    plates = clean_plates(seen, lambda i: None, fixed=False)
+    assert len(plates.pictures) == expected
+    assert (plates.frames[0], plates.frames[-1]) == (0, frames - 1), "spread from end to end"

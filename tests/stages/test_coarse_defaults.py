@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.stages.coarse import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.training.choices import ITERATIONS_NODES, LEAST_ITERATIONS, auto_budget, auto_iterations, is_static, use_nodes
+from e4dgs.stages.training.choices import ITERATIONS_NODES, LEAST_ITERATIONS, auto_budget, auto_iterations, found_facts, use_nodes
 from e4dgs.stages.training.coarse import Start, first_model
 
 
@@ -51,9 +51,16 @@ def test_nodes_move_captures_of_which_each_frame_is_from_another_side(facts, mot
 )
 def test_a_scene_is_static_where_the_user_says_so_or_flow_has_found_it(said, found, static):
     flow = None if found is None else SimpleNamespace(attrs={"static": found})
-    assert is_static(SimpleNamespace(facts={"static": said}, inputs={"flow": flow})) is static
+    assert found_facts(SimpleNamespace(facts={"static": said}, inputs={"flow": flow}), False).static is static
     old = SimpleNamespace(attrs={"method": "dis-medium"})
-    assert is_static(SimpleNamespace(facts={"static": said}, inputs={"flow": old})) is said
+    assert found_facts(SimpleNamespace(facts={"static": said}, inputs={"flow": old}), False).static is said
+
+
+@pytest.mark.parametrize(("fixed_cameras", "times"), [(False, 1), (True, 20)])
+def test_a_moving_camera_that_flow_finds_before_a_static_scene_sees_it_at_one_time(fixed_cameras, times):
+    flow = SimpleNamespace(attrs={"static": True})
+    found = found_facts(SimpleNamespace(facts={"frames": 20, "times": 20}, inputs={"flow": flow}), fixed_cameras)
+    assert (found.times, found.rig, found.frames) == (times, not fixed_cameras, 20)
 
 
 @pytest.mark.parametrize("kind", ["nodes", "planes", "free", "static"])

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.scene.views import Views
-from e4dgs.stages.artifacts.dataset import are_photos, measured_flow
+from e4dgs.stages.artifacts.dataset import are_photos, load_views, measured_flow
 from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 16, 8, 5
@@ -88,5 +88,16 @@ def test_frames_without_a_next_one_to_learn_from_have_none(tmp_path):
     ("camera", "time", "alpha", "photos"), [(0, 0, False, True), (1, 0, False, False), (0, 1, False, False), (0, 0, True, False)]
 )
 def test_only_pictures_of_one_camera_at_one_time_are_photos(camera, time, alpha, photos):
-    frames = SimpleNamespace(camera=np.array([0, 0, camera]), time=np.array([0.0, 0, time]), alpha=alpha)
-    assert are_photos(frames) is photos
+    frames = SimpleNamespace(camera=np.array([0, 0, camera]), alpha=alpha)
+    assert are_photos(frames, np.array([0.0, 0, time])) is photos
+
+
+@pytest.mark.parametrize(("static", "fixed_cameras", "one_time"), [(True, False, True), (True, True, False), (False, False, False)])
+def test_frames_of_a_moving_camera_have_one_time_if_nothing_moves(tmp_path, static, fixed_cameras, one_time):
+    seen = views()
+    given = {name: getattr(seen, name) for name in ("K", "cam_from_world", "time", "camera", "next", "train", "width", "height")}
+    frames = SimpleNamespace(**given, composited=seen.load, background="black", alpha=False, masked=False, fixed_cameras=fixed_cameras)
+    found = write_artifact(tmp_path / "flow", {"pair": np.zeros((0, 2), np.int32)}, static=static)
+    loaded = load_views(frames, found)
+    assert (loaded.time == (np.zeros(FRAMES) if one_time else seen.time)).all()
+    assert (loaded.recorder is not None) is one_time, "as photos, each may have an exposure of its own"

@@ -101,7 +101,8 @@ def _nearest_own(features: Features, chosen: np.ndarray) -> np.ndarray:
 
 
 def _together(a: np.ndarray, b: np.ndarray, reach: float) -> int:
-    """How many of the moves a -> b [n, 2] have at least two others within `reach` px that move in about the same way."""
+    """How many of the moves a -> b [n, 2] have at least two others within `reach` px that move in about the same way; 0 if these are fewer
+    than three, and so no group."""
     if len(a) < FEWEST_TOGETHER:
         return 0
     apart = np.linalg.norm(a[:, None] - a[None], axis=2)
@@ -109,7 +110,8 @@ def _together(a: np.ndarray, b: np.ndarray, reach: float) -> int:
     # At least 2 px apart, so that one corner found at three scales is not a group. Displacements may differ by half the distance, since an
     # object that turns or comes closer is sheared or scaled.
     alike = (apart < reach) & (apart > 0.5 * ELSEWHERE) & (differ < 0.5 * apart + 2 * TOLERANCE)
-    return int((alike.sum(1) >= FEWEST_TOGETHER - 1).sum())
+    members = int((alike.sum(1) >= FEWEST_TOGETHER - 1).sum())
+    return members if members >= FEWEST_TOGETHER else 0
 
 
 def _distance(cosine: np.ndarray) -> np.ndarray:
