@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,8 +30,6 @@ FOLLOWED = 0.6  # share of the picture whose flow must be consistent for the flo
 TRAVEL = 0.01  # of the width, about how far the flow of the compared pictures should reach
 FARTHEST = 0.03  # of the width; between photos farther apart, flow mistakes the parallax of near against far things for motion
 LOST = 1e6  # of the width; no flow is this long
-GRADIENT = 2.0  # grey levels a pixel, in both directions; where there is less, flow is a guess, even if forward and backward agree
-AROUND = 2.0  # px, standard deviation of the window in which gradients are looked at
 SHARE = 0.001  # of a picture; if more of it moves, by its own measured flow, the scene moves
 CHANGED = 1e-4  # of a fixed camera's picture; sensor and codec noise stay below this
 PLAIN = 4.0  # grey levels; pictures with a smaller standard deviation show nothing
@@ -68,9 +66,9 @@ def static_scene(
     K [F, 3, 3] px and cam_from_world [F, 4, 4], if known: features must then obey the poses, not just some camera motion.
 
     Fixed cameras: no pixel may change (`MotionMask`). Others: distinctive features must obey one camera motion, pair by pair, over wide
-    baselines (`static_matches`). If dense flow between neighbouring pictures is reliable, no region with texture may move against that
-    motion either (`objects`). Every sampled picture must be linked to another; otherwise there is no evidence. Motion between the sampled
-    frames, or without texture, is not seen. Deterministic; about 40 pictures of a moving camera are read.
+    baselines (`static_matches`). If dense flow between neighbouring pictures is reliable, no region may move against that motion either
+    (`objects`). Every sampled picture must be linked to another; otherwise there is no evidence. Motion between the sampled frames, or
+    without texture over a wide baseline, is not seen. Deterministic; about 40 pictures of a moving camera are read.
     """
     camera, time = np.asarray(camera), np.asarray(time)
     if len(camera) < 2:
@@ -204,25 +202,12 @@ def _dense(picture: Picture, mine: Sequence[int], untimed: bool) -> tuple[float,
         if untimed and len(followed) < 2:  # a single pair of photos shows flow errors as often as motion
             return None
         found = frame_evidence(followed or [Neighbour(flow, sure)])
-        found = replace(found, weight=found.weight * determined(image))
         # pixels that the mask filled in from their surroundings are a good guess for a mask, but not evidence
         return float(((moving_mask(image, found) > 0) & (found.weight > 0.5) & (found.score > 0)).mean())
 
     with ThreadPoolExecutor(2) as pool:
         found = [s for s in pool.map(share, middles) if s is not None]
     return max(found, default=0.0), len(found)
-
-
-def determined(picture: np.ndarray) -> np.ndarray:
-    """[H, W] float32 in [0, 1]: how far ``picture``, uint8 [H, W, 3], determines flow, by the smaller eigenvalue of the structure tensor
-    (Shi and Tomasi 1994): 0.5 where that is `GRADIENT` squared."""
-    import cv2
-
-    grey = cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 0.7)
-    x, y = (cv2.Sobel(grey, cv2.CV_32F, *order) / 8 for order in ((1, 0), (0, 1)))
-    xx, yy, xy = (cv2.GaussianBlur(product, (0, 0), AROUND) for product in (x * x, y * y, x * y))
-    least = np.maximum((xx + yy) / 2 - np.hypot((xx - yy) / 2, xy), 0)
-    return np.asarray(least / (least + GRADIENT**2), np.float32)
 
 
 def _travel(flow: np.ndarray, sure: np.ndarray) -> float:
