@@ -171,7 +171,10 @@ def measure(
                 moving[i] = 0
             moved, reason = 0.0, f"forward and backward flow agree at {100 * share:.0f} % of what seems to move, so flow fails there"
             out.write_static(True, reason, 0.0)
-            ctx.log(f"nothing moves as far as can be told: {reason}; no deformation (flow.detect_static=false trains one anyway)")
+            ctx.log(
+                f"nothing moves as far as can be told: {reason}; no deformation (flow.detect_static=false trains one anyway); if something "
+                "does move, more frames per second help"
+            )
         out.write_moving_share(moved / max(len(trained), 1))
         ctx.log(f"{100 * moved / max(len(trained), 1):.0f} % of the pixels show something that moves")
         if not fails and share < FOLLOWED:
