@@ -25,13 +25,13 @@ CONVEXES = 8000
 NODE_TIMES = 9  # least number of times; fewer say too little about motion
 
 
-def found_facts(ctx: Context, fixed_cameras: bool) -> Facts:
-    """Facts about the capture, with what `flow` found: if nothing moves in front of a moving camera, all frames show one time, as with
+def found_facts(ctx: Context, views: Views) -> Facts:
+    """Facts about the capture, with what `flow` found. If nothing moves, its times are those of ``views``, one for a moving camera, as with
     `--static`."""
     facts, flow = Facts.of(ctx.facts), flow_of(ctx.inputs)
     if flow is None or not flow.static:
         return facts
-    return replace(facts, static=True, times=facts.times if fixed_cameras else 1)
+    return replace(facts, static=True, times=len(set(views.time.tolist())))
 
 
 def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:

@@ -59,7 +59,7 @@ def train_coarse(ctx: Context) -> None:
     torch.manual_seed(settings.seed)
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device)
-    facts = found_facts(ctx, frames.fixed_cameras)
+    facts = found_facts(ctx, views)
     static, nodes = facts.static, use_nodes(facts, settings)
     budget = settings.budget or auto_budget(facts, views, nodes)
     points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, settings.seeds or auto_seeds(facts, budget))

@@ -45,7 +45,7 @@ def train_fine(ctx: Context) -> None:
         ctx.log("no convexes: Gaussians alone are refined")
     model.to(ctx.device)
 
-    facts, unit = found_facts(ctx, frames.fixed_cameras), views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
+    facts, unit = found_facts(ctx, views), views.viewing_distance(model.gaussians.means.detach().cpu().numpy())
     log = train(
         ctx,
         "fine",

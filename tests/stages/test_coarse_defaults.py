@@ -51,16 +51,17 @@ def test_nodes_move_captures_of_which_each_frame_is_from_another_side(facts, mot
 )
 def test_a_scene_is_static_where_the_user_says_so_or_flow_has_found_it(said, found, static):
     flow = None if found is None else SimpleNamespace(attrs={"static": found})
-    assert found_facts(SimpleNamespace(facts={"static": said}, inputs={"flow": flow}), False).static is static
+    views = SimpleNamespace(time=np.zeros(3))
+    assert found_facts(SimpleNamespace(facts={"static": said}, inputs={"flow": flow}), views).static is static
     old = SimpleNamespace(attrs={"method": "dis-medium"})
-    assert found_facts(SimpleNamespace(facts={"static": said}, inputs={"flow": old}), False).static is said
+    assert found_facts(SimpleNamespace(facts={"static": said}, inputs={"flow": old}), views).static is said
 
 
-@pytest.mark.parametrize(("fixed_cameras", "times"), [(False, 1), (True, 20)])
-def test_a_moving_camera_that_flow_finds_before_a_static_scene_sees_it_at_one_time(fixed_cameras, times):
-    flow = SimpleNamespace(attrs={"static": True})
-    found = found_facts(SimpleNamespace(facts={"frames": 20, "times": 20}, inputs={"flow": flow}), fixed_cameras)
-    assert (found.times, found.rig, found.frames) == (times, not fixed_cameras, 20)
+@pytest.mark.parametrize(("found", "times"), [(True, 1), (True, 20), (False, 1)])
+def test_a_static_scene_has_as_many_times_as_training_sees(found, times):
+    ctx = SimpleNamespace(facts={"frames": 20, "times": 20}, inputs={"flow": SimpleNamespace(attrs={"static": found})})
+    facts = found_facts(ctx, SimpleNamespace(time=np.arange(20) % times))
+    assert (facts.times, facts.rig) == ((times, times == 1) if found else (20, False))
 
 
 @pytest.mark.parametrize("kind", ["nodes", "planes", "free", "static"])
