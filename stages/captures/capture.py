@@ -87,6 +87,7 @@ class Reading:
     point_colors: np.ndarray | None = None
     K_hint: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    spoken_for: tuple[str, ...] = ()  # files and folders, relative to the capture, that are not read and that the notes already name
     upright: bool = False  # pictures are rotated as their EXIF data ask
     untimed: bool = False  # the files give no times: frames are in the order of their names
 
