@@ -22,7 +22,7 @@ from .machine.interrupts import end_cleanly_when_terminated, ended
 from .machine.orphan import end_with_starter
 from .machine.spinning import spin_briefly
 from .machine.writable import writing_to
-from .options import Capture, Debug, Device, Format, Name, Preset, Set, Static, StoreAlso, Workspace
+from .options import Debug, Workspace, of_capture, of_last_run
 from .report import report
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
@@ -70,30 +70,21 @@ def options_of_all(
 
 
 @app.command()
+@of_capture
 def run(
     target: Annotated[str, typer.Argument(metavar="all|STAGE", help="All stages, or one stage and what it needs.")],
-    capture: Capture,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    store_also: StoreAlso = None,
+    options: Options,
     force: Annotated[bool, typer.Option("--force", help="Run the stage (with 'all': every stage) even if it is cached.")] = False,
     watch: Annotated[bool, typer.Option("--view", help="Open the viewer as soon as there is something to see.")] = False,
-    debug: Debug = False,
 ) -> None:
     """Run stages; what is in the store is reused."""
-    options = Options(capture, workspace, preset, set or (), device, name, static, format, store_also or ())
     session = open_session(options)
     targets = check_targets(session.job.graph.stages, target)
     forced = tuple(targets or session.job.graph.stages) if force else ()
     rows = make_plan(session.job, targets, forced)
     show.show_capture(console, session)
     show.show_plan(console, rows)
-    with viewer_beside(options) if watch else nullcontext(), writing_to(workspace.resolve()):
+    with viewer_beside(options) if watch else nullcontext(), writing_to(options.workspace.resolve()):
         if (found := execute(session, rows, console, _say, targets, forced)) is not None:
             show.show_metrics(console, *found)
         if watch:
@@ -105,23 +96,15 @@ def _say(message: str) -> None:
 
 
 @app.command()
+@of_capture
 def plan(
-    capture: Capture,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    store_also: StoreAlso = None,
+    options: Options,
     as_json: Annotated[bool, typer.Option("--json", help="The plan as JSON.")] = False,
-    debug: Debug = False,
 ) -> None:
     """Show what a run would do, stage by stage, and why. Nothing runs, and no result is written."""
     from .publish import plan_json
 
-    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format, store_also or ()))
+    session = open_session(options)
     rows = make_plan(session.job)
     if as_json:
         print(json.dumps(plan_json(session, rows), indent=2, ensure_ascii=False))
@@ -131,20 +114,13 @@ def plan(
 
 
 @app.command()
+@of_last_run("frames")
 def why(
     stage: Annotated[str, typer.Argument(metavar="STAGE")],
-    capture: Capture,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
+    options: Options,
 ) -> None:
     """Say which setting, input or source file changed since a stage last ran for this capture."""
-    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    session = open_session(options)
     for line in explain(session.job, stage):
         _say(line)
 

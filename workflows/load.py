@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..pipeline import ArtifactError, Records, Store
 from ..pipeline.files import read_json
+from .last_run import scene_or_capture, scenes_of
 from .machine.devices import resolve_device
 from .session import DEFAULT_WORKSPACE
 
@@ -19,8 +19,8 @@ def load(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, device: st
     """The model of the last run of a scene, ready for `Model.render`.
 
     Args:
-        path: a scene's folder (``<workspace>/scenes/<name>``), or a capture that has been run in ``workspace``.
-        workspace: the workspace in which to look up a capture.
+        path: a scene's folder (``<workspace>/scenes/<name>``) or its name, or a capture that has been run in ``workspace``.
+        workspace: the workspace in which to look up a capture or a name.
         device: "auto", "cpu" or "cuda".
 
     Raises ArtifactError if there is no finished model. The message says where it was looked for and which command makes one.
@@ -41,12 +41,11 @@ def load(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, device: st
 
 
 def _scene_folder(path: Path, workspace: Path) -> Path:
-    """``path`` itself if it is a scene's folder, else the only scene of ``workspace`` that was made from the capture ``path``."""
-    if (path / "records").is_dir() and (path / "capture.json").is_file():
-        return path.resolve()
-    capture = str(Path(os.path.abspath(path)).resolve())
-    claims = sorted((workspace / "scenes").glob("*/capture.json"))
-    found = [claim.parent for claim in claims if (read_json(claim) or {}).get("path") == capture]
+    """``path`` itself if it is a scene's folder, the scene of that name, or the only scene that was made from the capture ``path``."""
+    _, name, place = scene_or_capture(path, workspace)
+    if name is not None:
+        return (place / "scenes" / name).resolve()
+    found = scenes_of(path, workspace)
     if len(found) == 1:
         return found[0].resolve()
     if found:

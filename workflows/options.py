@@ -1,16 +1,29 @@
-"""The options that are common to all commands about a capture, each defined and explained once."""
+"""The options that are common to all commands about a capture, each defined and explained once, and how a command receives them.
+
+A command that is decorated with `of_capture` or `of_last_run` takes one parameter ``options: Options`` in place of them all.
+"""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, or a folder with poses.")]
+from .last_run import Given, options_of_last_run, scene_or_capture
+from .session import DEFAULT_WORKSPACE, Options
+
+Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, a folder with poses, or a scene.")]
+Scene = Annotated[
+    Path | None,
+    typer.Argument(metavar="CAPTURE|SCENE", help="A capture, or a scene: its folder or its name. By default the scene that ran last."),
+]
 Captures = Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="Captures, as `run` takes them.")]
 Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
 Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast, best.")]
+PresetOfRun = Annotated[str | None, typer.Option("--preset", help="Preset of the run; by default that of the last one.")]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
 Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
@@ -21,3 +34,66 @@ StoreAlso = Annotated[
     typer.Option("--store-also", metavar="DIR", help="Another workspace, which is only read: its results are reused; may be repeated."),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]
+
+_REQUIRED = inspect.Parameter.empty
+_OF_RUN: Mapping[str, tuple[Any, Any]] = {  # name -> annotation, default
+    "workspace": (Workspace, DEFAULT_WORKSPACE),
+    "preset": (Preset, "default"),
+    "set": (Set, None),
+    "device": (Device, "auto"),
+    "name": (Name, None),
+    "static": (Static, False),
+    "format": (Format, None),
+    "store_also": (StoreAlso, None),
+    "debug": (Debug, False),  # read by `cli.main`
+}
+_OF_LAST_RUN = {name: row for name, row in _OF_RUN.items() if name != "store_also"} | {"preset": (PresetOfRun, None)}
+
+
+def of_capture(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives a command the options of a run of a capture, as ``options: Options``."""
+
+    def gathered(capture: Path, workspace: Path, debug: bool, **given: Any) -> Options:
+        capture, name, workspace = scene_or_capture(capture, workspace, given["name"])
+        assignments, also = given["set"] or (), given["store_also"] or ()
+        return Options(
+            capture, workspace, given["preset"], assignments, given["device"], name, given["static"], given["format"], store_also=also
+        )
+
+    return _with_options(command, {"capture": (Capture, _REQUIRED)}, _OF_RUN, gathered)
+
+
+def of_last_run(stage: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Gives a command the options of an earlier run, as ``options: Options``: those that were given, or those of the last run of the
+    capture that included ``stage``."""
+
+    def gathered(capture: Path | None, debug: bool, **given: Any) -> Options:
+        return options_of_last_run(Given(capture, **given), stage)
+
+    return lambda command: _with_options(command, {"capture": (Scene, None)}, _OF_LAST_RUN, gathered)
+
+
+def _with_options(
+    command: Callable[..., None],
+    argument: Mapping[str, tuple[Any, Any]],
+    options: Mapping[str, tuple[Any, Any]],
+    gathered: Callable[..., Options],
+) -> Callable[..., None]:
+    """``command`` with its parameter ``options`` replaced: by ``argument`` in its place, and by ``options`` after all other parameters."""
+
+    def run(**given: Any) -> None:
+        command(options=gathered(**{name: given.pop(name) for name in (*argument, *options)}), **given)
+
+    own = inspect.signature(command, eval_str=True).parameters.values()
+    described = [(one.name, one.annotation, one.default) for one in own]
+    place = next(k for k, (name, _, _) in enumerate(described) if name == "options")
+    described[place : place + 1] = [(name, *row) for name, row in argument.items()]
+    described += [(name, *row) for name, row in options.items()]
+    parameters = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        for name, annotation, default in described
+    ]
+    run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {name: annotation for name, annotation, _ in described}
+    return run

@@ -4,25 +4,66 @@ from __future__ import annotations
 
 import shlex
 
-from ..pipeline import Artifact, ArtifactError, CaptureError, make_plan
+from ..pipeline import Artifact, ArtifactError, CaptureError, Row, make_plan
+from .last_run import last_run, scenes_of
 from .session import DEFAULT_WORKSPACE, Options, Session
 
 
 def results(session: Session, stage: str) -> dict[str, Artifact | None]:
     """The stored results of ``stage`` and the stages it needs, by name; None for stages that this capture skips.
 
-    Raises CaptureError if ``stage`` itself is skipped, ArtifactError if it has not been run with these settings.
+    If the last run is meant, these are the results that it made, also if the code or the capture has changed since. Raises CaptureError if
+    ``stage`` itself is skipped, ArtifactError if there is no such result; the message names the runs that exist.
     """
     rows = {row.stage: row for row in make_plan(session.job, [stage])}
     wanted, capture = rows[stage], session.options.capture
     if wanted.state == "skip":
         raise CaptureError(f"{capture}: this capture has no {stage}: {wanted.reason}")
-    if wanted.state == "run":
-        raise ArtifactError(
-            f"{capture}: the workspace {session.options.workspace} has no {stage} of this capture with these settings ({wanted.reason}); "
-            f"make it with: {run_command(session.options, stage)}"
+    if wanted.state == "cached":
+        return {name: row.artifact for name, row in rows.items()}
+    if session.options.last and (found := made(session, stage)) is not None:
+        return {name: found.get(name) for name in rows}
+    raise missing(session, wanted)
+
+
+def made(session: Session, stage: str) -> dict[str, Artifact | None] | None:
+    """What the scene's last run of ``stage`` made, and the results that it was made from, by stage; None if the store no longer has it."""
+    record, store = session.job.records.read(stage), session.job.store
+    if record is None or not store.has(stage, record["key"]):
+        return None
+    found: dict[str, Artifact | None] = {stage: store.open(stage, record["key"])}
+    waiting = list(record["parts"].get("inputs", {}).items())
+    while waiting:
+        name, digest = waiting.pop()
+        if name in found:
+            continue
+        found[name] = None
+        for _, key in (entry for entry in store.entries() if entry[0] == name):
+            manifest = store.manifest(name, key)
+            if digest is not None and manifest is not None and manifest["digest"] == digest:
+                found[name] = store.open(name, key)
+                waiting += manifest["provenance"].get("parts", {}).get("inputs", {}).items()
+                break
+    return found
+
+
+def missing(session: Session, wanted: Row) -> ArtifactError:
+    """The error for a result that the store does not have. It names the last run of this capture that made one, if there is any."""
+    options, stage = session.options, wanted.stage
+    runs = [
+        (scene.name, run) for scene in scenes_of(session.scene.capture, session.job.store.root.parent) if (run := last_run(scene, stage))
+    ]
+    if not runs or options.last:
+        return ArtifactError(
+            f"{options.capture}: the workspace {options.workspace} has no {stage} of this capture ({wanted.reason}); "
+            f"make it with: {run_command(options, stage)}"
         )
-    return {name: row.artifact for name, row in rows.items()}
+    name, run = max(runs, key=lambda found: found[1].began)
+    return ArtifactError(
+        f"{options.capture}: the workspace {options.workspace} has no {stage} of this capture with these options ({wanted.reason}). "
+        f"The last run, of the scene {name}, had {run.words}: give the same options, or none to take that run. "
+        f"To make this one: {run_command(options, stage)}"
+    )
 
 
 def run_command(options: Options, stage: str) -> str:
@@ -50,5 +91,10 @@ def words_of(options: Options) -> list[str]:
 
 
 def trained_stage(session: Session) -> str:
-    """The stage that makes the final model with these settings: `fine`, or `coarse` if `fine` is skipped."""
-    return "coarse" if any(row.stage == "fine" and row.state == "skip" for row in make_plan(session.job)) else "fine"
+    """The stage that makes the final model with these settings: `fine`, or `coarse` if `fine` is skipped. If the last run is meant and did
+    not come as far as `fine`, it is `coarse` as soon as that is there."""
+    (fine,) = [row for row in make_plan(session.job) if row.stage == "fine"]
+    if fine.state == "skip":
+        return "coarse"
+    unfinished = session.options.last and fine.state == "run" and made(session, "fine") is None
+    return "coarse" if unfinished and made(session, "coarse") is not None else "fine"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from ..pipeline import Row, Runner, duration
+from .last_run import remember
 from .reconstruction import EVALUATION, LIBRARIES
 from .session import Session
 
@@ -26,8 +28,11 @@ def execute(
     from .. import __version__
     from .publish import publish, write_plan
 
+    began = time.time()
+
     def finished(outcome) -> None:
         session.scene.restore()
+        remember(session, "all" if targets is None else targets[0], began)
         write_plan(session, rows)
         if outcome.state == "ran":
             say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")

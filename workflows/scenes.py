@@ -13,7 +13,7 @@ from ..pipeline.files import digest_bytes, read_json, write_json
 from ..pipeline.storage.lock import locked
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-_CLAIM = "capture.json"
+CLAIM = "capture.json"  # names the capture that a scene's folder belongs to
 
 
 class NameTakenError(SettingsError):
@@ -55,22 +55,22 @@ class Scene:
                 if owner not in (None, str(self.capture)):
                     raise NameTakenError(scene.name, str(owner), scene.folder)
             # Of a claim without results, too: the other process that has made it then sees that it is shared, and leaves it there.
-            file = scene.folder / _CLAIM
+            file = scene.folder / CLAIM
             write_json(file, {"path": str(self.capture)})
             return replace(scene, made=_identity(file) if owner is None else None)
 
     def restore(self) -> None:
         """Writes the claim again if somebody has removed the folder since."""
-        if not (self.folder / _CLAIM).exists():
-            write_json(self.folder / _CLAIM, {"path": str(self.capture)})
+        if not (self.folder / CLAIM).exists():
+            write_json(self.folder / CLAIM, {"path": str(self.capture)})
 
     def release(self) -> None:
         """Gives the folder up if `claim` has created it, it is still empty, and no other process has claimed it for the same capture."""
         if self.made is None:
             return
         with suppress(OSError), _alone(self.folder.parent.parent):
-            if _only_claimed(self.folder) and _identity(self.folder / _CLAIM) == self.made:
-                (self.folder / _CLAIM).unlink()
+            if _only_claimed(self.folder) and _identity(self.folder / CLAIM) == self.made:
+                (self.folder / CLAIM).unlink()
                 self.folder.rmdir()
                 self.folder.parent.rmdir()  # if it is empty
 
@@ -102,7 +102,7 @@ def _other_name(scene: Scene) -> Scene:
 
 def _owner(folder: Path) -> str | None:
     """Path of the capture that a scene's folder belongs to, or None if the folder is free."""
-    claim = read_json(folder / _CLAIM)
+    claim = read_json(folder / CLAIM)
     if isinstance(claim, dict) and isinstance(claim.get("path"), str):
         return claim["path"]
     return "an unknown capture" if _content(folder) else None
@@ -110,13 +110,13 @@ def _owner(folder: Path) -> str | None:
 
 def _only_claimed(folder: Path) -> bool:
     """Whether there is nothing in a claimed folder but the claim: no stage has finished."""
-    return _content(folder) == {_CLAIM}
+    return _content(folder) == {CLAIM}
 
 
 def _content(folder: Path) -> set[str]:
     """Names in ``folder``, without claims that are being written; empty if there is no such folder."""
     try:
-        return {path.name for path in folder.iterdir() if not path.name.startswith(f".{_CLAIM}.")}
+        return {path.name for path in folder.iterdir() if not path.name.startswith(f".{CLAIM}.")}
     except (FileNotFoundError, NotADirectoryError):
         return set()
 

@@ -33,6 +33,7 @@ class Options:
     static: bool = False
     format: str | None = None
     store_also: Sequence[Path] = ()  # other workspaces, or their stores
+    last: bool = False  # these are the options of the last run: what that made is meant, also if the code has changed since
 
 
 @dataclass

@@ -11,9 +11,9 @@ from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError
 from ..machine.writable import writing_to
-from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from ..options import of_last_run
 from ..results import results
-from ..session import DEFAULT_WORKSPACE, Options, open_session
+from ..session import Options, open_session
 from .mesh import mesh
 from .trained import check_folder, open_trained, writing
 from .usd import usd
@@ -37,24 +37,17 @@ Folder = Annotated[
 
 
 @app.command()
+@of_last_run("flow")
 def flow(
-    capture: Capture,
+    options: Options,
     out: Out = None,
     largest: Largest = None,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
 ) -> None:
     """Measured flow of every pair of frames as .flo and PNG, with edges and what moves laid over the first frame."""
     if largest is not None and not 0 < largest < float("inf"):
         raise SettingsError(f"--largest {largest}: give a positive number of px")
     check_folder(out)
-    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    session = open_session(options)
     found = results(session, "flow")
     artifact, frames = found["flow"], found["frames"]
     assert artifact is not None and frames is not None  # `results` guarantees the first, and no stage runs without the second
@@ -72,7 +65,7 @@ def flow(
     fields = StoredFlow(artifact)
     if not fields.pairs:
         why = fields.static_reason or "no two training frames of one camera"
-        raise CaptureError(f"{capture}: no flow was measured, so there is none to export: {why}")
+        raise CaptureError(f"{options.capture}: no flow was measured, so there is none to export: {why}")
     largest = largest or common_largest(fields)
     pictures = FrameSet(frames, session.job.capture.root, found.get("poses"))
     with Progress(len(fields.pairs), "export", console) as bar, writing(folder):
@@ -85,43 +78,23 @@ def flow(
 
 
 @app.command()
+@of_last_run("coarse")
 def ply(
-    capture: Capture,
+    options: Options,
     out: Folder = None,
     times: Times = None,
     compressed: Annotated[bool, typer.Option("--compressed", help="The compressed layout of PlayCanvas.")] = False,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
 ) -> None:
     """Numbered .ply files, one for each time, as SuperSplat, Brush and other 3DGS tools read them; convexes become Gaussians."""
-    _splats(
-        "compressed-ply" if compressed else "ply", Options(capture, workspace, preset, set or (), device, name, static, format), out, times
-    )
+    _splats("compressed-ply" if compressed else "ply", options, out, times)
 
 
 def _command(kind: Kind) -> Callable[..., None]:
     """A command that takes the run's options and writes files of ``kind``."""
 
-    def command(
-        capture: Capture,
-        out: Folder = None,
-        times: Times = None,
-        workspace: Workspace = DEFAULT_WORKSPACE,
-        preset: Preset = "default",
-        set: Set = None,
-        device: Device = "auto",
-        name: Name = None,
-        static: Static = False,
-        format: Format = None,
-        debug: Debug = False,
-    ) -> None:
-        _splats(kind, Options(capture, workspace, preset, set or (), device, name, static, format), out, times)
+    @of_last_run("coarse")
+    def command(options: Options, out: Folder = None, times: Times = None) -> None:
+        _splats(kind, options, out, times)
 
     return command
 

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from ...pipeline import Progress, SettingsError, StageError
 from ...pipeline.files import write_atomically
-from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
-from ..session import DEFAULT_WORKSPACE, Options
+from ..options import of_last_run
+from ..session import Options
 from .trained import Trained, is_file, open_trained, writing
 
 if TYPE_CHECKING:
@@ -36,21 +36,14 @@ Voxel = Annotated[
 ]
 
 
+@of_last_run("coarse")
 def mesh(
-    capture: Capture,
+    options: Options,
     out: Out = None,
     times: Times = None,
     time: Moment = None,
     voxel: Voxel = None,
     convexes: Hulls = False,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
 ) -> None:
     """The whole scene as a coloured triangle mesh, fused from depth: a .ply file for each time, or a .glb file that plays."""
     if voxel is not None and not 0 < voxel < float("inf"):
@@ -62,7 +55,7 @@ def mesh(
     single = is_file(out, ENDINGS)
     if single and out is not None and out.suffix.lower() == ".ply" and (times or 1) > 1:
         raise SettingsError(f"--out {out}: a .ply file holds one time; name a folder, or a .glb file, which holds them all")
-    trained = open_trained(Options(capture, workspace, preset, set or (), device, name, static, format))
+    trained = open_trained(options)
     target = trained.folder(out, "mesh")
     every = convexes and time is None and not (single and target.suffix.lower() == ".ply")
     count = trained.moments(times) if every or times is not None else 1
@@ -73,7 +66,7 @@ def mesh(
     console = Console()
     if convexes:
         if not len(trained.model.convexes):
-            raise StageError(f"{capture}: its model has no convexes; leave out --convexes, or train with a larger hulls.budget")
+            raise StageError(f"{options.capture}: its model has no convexes; leave out --convexes, or train with a larger hulls.budget")
         made = f"{len(trained.model.convexes)} convexes"
         with Progress(count, "export", console) as bar, writing(target):
             triangles = write_meshes(trained, (hulls(trained.model, t, bar.advance) for t in moments), moments, target, single)

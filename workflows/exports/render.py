@@ -11,14 +11,15 @@ import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, StageError
-from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
+from ..options import of_last_run
 from ..results import results, trained_stage
-from ..session import DEFAULT_WORKSPACE, Options, open_session
+from ..session import Options, open_session
 from .trained import writing
 
 
+@of_last_run("coarse")
 def render(
-    capture: Capture,
+    options: Options,
     out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
     path: Annotated[str, typer.Option("--path", metavar="NAME|FILE.json", help="turntable, spiral, capture, or a file.")] = "spiral",
     frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures; 120 by default.")] = None,
@@ -30,14 +31,6 @@ def render(
     ] = None,
     fps: Annotated[float, typer.Option("--fps", min=1, max=240, help="Frames per second of a video.")] = 30.0,
     depth: Annotated[bool, typer.Option("--depth", help="Write depth as EXR beside each PNG.")] = False,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
 ) -> None:
     """Render a trained scene along a path of the camera: a video, or pictures and depth."""
     video = out.suffix.lower() == ".mp4"
@@ -52,7 +45,7 @@ def render(
         raise SettingsError(f"--out {out}: {place} is a file, not a folder; give another --out")
     if not os.access(place, os.W_OK | os.X_OK):  # the library that writes videos would say that there is no such file
         raise StageError(f"render: --out {out}: {place} cannot be written; give another --out")
-    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    session = open_session(options)
     trained = trained_stage(session)
     found = results(session, trained)
 
@@ -68,7 +61,7 @@ def render(
     assert artifact is not None and frame_artifact is not None  # `results` guarantees the first, and no stage runs without the second
     capture_frames = FrameSet(frame_artifact, session.job.capture.root, found.get("poses"))
     if not len(capture_frames.train):
-        raise CaptureError(f"{capture}: no training frame has a pose, so there is no place to look from")
+        raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
     model = read_model(artifact).to(session.job.device)
     views = resolve(path, capture_frames, model, frames)
     width, height = capture_frames.width, capture_frames.height

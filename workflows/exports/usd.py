@@ -9,8 +9,8 @@ import typer
 from rich.console import Console
 
 from ...pipeline import Progress
-from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
-from ..session import DEFAULT_WORKSPACE, Options
+from ..options import of_last_run
+from ..session import Options
 from .trained import is_file, open_trained, writing
 
 ENDINGS = (".usdc", ".usda")
@@ -21,22 +21,15 @@ Times = Annotated[
 ]
 
 
+@of_last_run("coarse")
 def usd(
-    capture: Capture,
+    options: Options,
     out: Out = None,
     times: Times = None,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
 ) -> None:
     """One USD file with time samples (ParticleField3DGaussianSplat), for film and effects; convexes become Gaussians."""
     single = is_file(out, ENDINGS)
-    trained = open_trained(Options(capture, workspace, preset, set or (), device, name, static, format))
+    trained = open_trained(options)
     folder = trained.folder(out, "usd")
     path = folder if single else folder / f"{trained.session.scene.name}.usdc"
 

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, duration
 from ...pipeline.records import differences
+from ..last_run import scene_of
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
@@ -52,7 +53,9 @@ def list_(
 
 
 def show_result(
-    words: Annotated[list[str], typer.Argument(metavar="KEY|SCENE STAGE", help="A key, its first digits, or a scene and a stage.")],
+    words: Annotated[
+        list[str], typer.Argument(metavar="KEY|SCENE STAGE", help="A key, its first digits, or a scene or capture and a stage.")
+    ],
     workspace: Workspace = DEFAULT_WORKSPACE,
     as_json: Json = False,
     debug: Debug = False,
@@ -113,6 +116,7 @@ def pin(
     debug: Debug = False,
 ) -> None:
     """Keep what a scene's last run used, whatever runs later: `gc` leaves it until it is unpinned."""
+    scene = scene_of(Path(scene), workspace.resolve()) or scene
     results = [result for result, scenes in users(workspace.resolve()).items() if scene in scenes]
     if not results:
         known = sorted({name for scenes in users(workspace.resolve()).values() for name in scenes})

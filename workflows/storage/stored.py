@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...pipeline import ArtifactError, Records, SettingsError, Store
 from ...pipeline.files import read_json
+from ..last_run import scene_of
 
 SHORTEST = 4  # digits of a key that are enough if they identify a single result
 
@@ -71,12 +72,13 @@ def every(workspace: Path) -> list[Stored]:
 
 
 def find(workspace: Path, *words: str) -> Stored:
-    """The result that the words name: KEY or STAGE/KEY, where the first digits are enough, or SCENE STAGE or SCENE/STAGE.
+    """The result that the words name: KEY or STAGE/KEY, where the first digits are enough, or SCENE STAGE or SCENE/STAGE. SCENE may also be
+    the scene's folder, or a capture: then its scene that ran last.
 
     Raises SettingsError if they name none or several, ArtifactError if the named result is not in the store or is damaged.
     """
     store, used = Store(workspace / "store"), users(workspace)
-    first, _, last = " ".join(words).replace(" ", "/").rpartition("/")
+    first, last = _scene_and_stage(workspace, words)
     of_scene = {stage: (stage, key) for (stage, key), scenes in used.items() if first in scenes}
     matches = [of_scene[last]] if last in of_scene else []
     if not matches:
@@ -95,3 +97,11 @@ def find(workspace: Path, *words: str) -> Stored:
         store.open(stage, key)  # raises an error that says what is wrong
         raise ArtifactError(f"{store.path(stage, key)}: cannot be read; run the stage again")
     return Stored(stage, key, store.path(stage, key), manifest, used.get((stage, key), ()))
+
+
+def _scene_and_stage(workspace: Path, words: Sequence[str]) -> tuple[str, str]:
+    """The scene or stage, and the stage or key, that the words of `find` name."""
+    if len(words) > 1 and (scene := scene_of(Path(words[0]), workspace, words[1])) is not None:
+        return scene, words[1]
+    first, _, last = " ".join(words).replace(" ", "/").rpartition("/")
+    return first, last

@@ -10,29 +10,22 @@ import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError, SettingsError
-from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
-from ..session import DEFAULT_WORKSPACE, Options, open_session
+from ..options import of_last_run
+from ..session import Options, open_session
 
 LOOK_AGAIN = 2.0  # s between two checks for a newer model
 
 
+@of_last_run("coarse")
 def view(
-    capture: Capture,
+    options: Options,
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port of the page, or the next free one.")] = 8080,
     host: Annotated[str, typer.Option("--host", help="Address to listen on; 0.0.0.0 lets other machines connect.")] = "127.0.0.1",
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a model that a run is about to make.")] = False,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    name: Name = None,
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
 ) -> None:
     """Look at a scene in a browser: any view, any time. Also while it trains. Ends with Ctrl-C."""
-    session = open_session(Options(capture, workspace, preset, set or (), device, name, static, format))
+    session = open_session(options)
 
     from ...stages.artifacts.frameset import FrameSet
     from .server import Viewer
@@ -50,7 +43,7 @@ def view(
             raise source.missing()
         frames = FrameSet(artifacts[0], session.job.capture.root, artifacts[1])
         if not len(frames.train):
-            raise CaptureError(f"{capture}: no training frame has a pose, so there is no place to look from")
+            raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
         try:
             viewer = Viewer(frames, found, host, port)
         except OSError as error:

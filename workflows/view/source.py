@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from ...pipeline import Artifact, ArtifactError, Row, make_plan
 from ...scene.model import Model
 from ...scene.training.checkpoint import FILE, model_of
 from ...stages.artifacts.model import read_model
-from ..results import run_command
+from ..results import made, missing
 from ..session import Session
 
 TRAINED = ("fine", "coarse")  # best first
@@ -27,6 +28,7 @@ class Source:
     def __init__(self, session: Session) -> None:
         self.session = session
         self.final = False  # whether the model found last is the result of the finished run
+        self._earlier: dict[str, Artifact | None] | None = None  # results of the last run, if the plan does not find them any more
         self._mark: tuple[str, str] | None = None  # identifies the model found last
 
     def newest(self) -> Found | None:
@@ -44,22 +46,29 @@ class Source:
                 continue
             self._mark, self.final = mark, stage == wanted[0] and rows[stage].state == "cached"
             return found
-        return None
+        return self._of_last_run(wanted) if self.session.options.last and self._mark is None else None
 
     def frames(self) -> tuple[Artifact, Artifact | None] | None:
         """The artifacts `frames` and `poses` (None if the capture's files hold poses); None as long as they do not exist."""
         frames, poses = make_plan(self.session.job, ["frames", "poses"])
-        if frames.artifact is None or poses.state == "run":
-            return None
-        return frames.artifact, poses.artifact
+        if frames.artifact is not None and poses.state != "run":
+            return frames.artifact, poses.artifact
+        earlier = self._earlier or {}
+        first = earlier.get("frames")
+        return None if first is None else (first, earlier.get("poses"))
 
     def missing(self) -> ArtifactError:
         """The error for when there is nothing to show."""
-        options = self.session.options
-        return ArtifactError(
-            f"{options.capture}: the workspace {options.workspace} has no model of this capture with these settings, finished or in "
-            f"training; make one with: {run_command(options, 'all')}"
-        )
+        wanted = next(row for row in make_plan(self.session.job) if row.stage == "coarse")
+        return missing(self.session, wanted)
+
+    def _of_last_run(self, wanted: Sequence[str]) -> Found | None:
+        """The model that the last run made, where the code or the capture has changed since."""
+        for stage in wanted:
+            if (earlier := made(self.session, stage)) is not None and (artifact := earlier[stage]) is not None:
+                self._earlier, self._mark, self.final = earlier, (stage, artifact.digest), True
+                return Found(read_model(artifact).to(self.session.job.device), f"{stage}, finished")
+        return None
 
     def _mark_of(self, row: Row) -> tuple[str, str] | None:
         if row.artifact is not None:

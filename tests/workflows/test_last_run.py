@@ -1,0 +1,106 @@
+"""Commands that look at results know the last run: nobody repeats its options, and nobody is told to train again for a forgotten one."""
+
+import json
+
+import pytest
+from e4dgs.workflows.cli import main
+from e4dgs.workflows.last_run import KEPT, Run, last_run, runs_of
+
+QUICK = ["--set", "coarse.iterations=5", "--set", "hulls.budget=0", "--set", "fine.iterations=0", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def ran(dnerf_capture, tmp_path_factory):
+    """A capture whose last run had options, and its workspace."""
+    workspace = tmp_path_factory.mktemp("last") / "ws"
+    assert main(["run", "all", str(dnerf_capture.root), "--workspace", str(workspace), *QUICK]) == 0
+    return dnerf_capture.root, workspace
+
+
+def scene(workspace):
+    (folder,) = (workspace / "scenes").iterdir()
+    return folder
+
+
+def test_a_command_without_options_takes_the_last_run(ran, tmp_path, capsys):
+    capture, workspace = ran
+    ply = ["export", "ply", "--times", "1", "--workspace", str(workspace)]
+    for k, named in enumerate(([str(capture)], [str(scene(workspace))], [scene(workspace).name], [])):
+        assert main([*ply, *named, "--out", str(tmp_path / str(k))]) == 0, capsys.readouterr().err
+    files = [next((tmp_path / str(k)).rglob("*.ply")).read_bytes() for k in range(4)]
+    assert len(set(files)) == 1
+    assert "coarse.iterations=5" in capsys.readouterr().err  # it says whose options it took
+
+
+def test_a_scenes_folder_needs_no_workspace(ran, tmp_path):
+    _, workspace = ran
+    out = tmp_path / "out"
+    assert main(["render", str(scene(workspace)), "--path", "turntable", "--frames", "2", "--size", "16", "--out", str(out)]) == 0
+    assert len(list(out.iterdir())) == 2
+
+
+def test_report_why_show_and_pin_know_it_too(ran, capsys):
+    capture, workspace = ran
+    place = ["--workspace", str(workspace)]
+    assert main(["report", str(capture), *place]) == 0
+    assert "report.html" in capsys.readouterr().out
+    assert main(["why", "coarse", str(capture), *place]) == 0
+    assert "would be reused: nothing changed" in capsys.readouterr().out
+    for words in ([str(capture), "coarse"], [str(scene(workspace)), "coarse"], [scene(workspace).name, "coarse"]):
+        assert main(["show", *words, *place]) == 0, capsys.readouterr().err
+        assert capsys.readouterr().out.startswith("coarse/")
+    assert main(["pin", str(capture), *place]) == 0
+    assert main(["unpin", scene(workspace).name, *place]) == 0
+
+
+def test_a_wrong_option_is_answered_with_the_run_that_exists(ran, tmp_path, capsys):
+    capture, workspace = ran
+    words = [str(capture), "--workspace", str(workspace), "--preset", "fast", "--out", str(tmp_path / "x")]
+    assert main(["render", *words]) == 1
+    said = capsys.readouterr().err
+    assert "The last run" in said and "--set coarse.iterations=5" in said and "none to take that run" in said
+
+
+def test_options_that_are_given_still_choose(ran, tmp_path, capsys):
+    capture, workspace = ran
+    place = ["--workspace", str(workspace)]
+    assert main(["run", "frames", str(capture), *place, "--set", "frames.max_size=16"]) == 0  # the last run now, but without a model
+    assert main(["render", str(capture), *place, *QUICK, "--frames", "1", "--size", "16", "--out", str(tmp_path / "a")]) == 0
+    assert main(["render", str(capture), *place, "--frames", "1", "--size", "16", "--out", str(tmp_path / "b")]) == 0
+    assert (tmp_path / "a" / "0000.png").read_bytes() == (tmp_path / "b" / "0000.png").read_bytes()
+    capsys.readouterr()
+    assert main(["why", "frames", str(capture), *place]) == 0
+    assert "frames.max_size=16" in capsys.readouterr().err
+
+
+def test_the_results_of_the_last_run_are_found_after_an_edit_of_the_code(ran, tmp_path, monkeypatch):
+    capture, workspace = ran
+    from e4dgs.pipeline import plan
+
+    key_of = plan.key_of
+    monkeypatch.setattr(plan, "key_of", lambda parts: key_of({**parts, "more": "of the code"}))
+    words = [str(capture), "--workspace", str(workspace), "--frames", "1", "--size", "16"]
+    assert main(["render", *words, "--out", str(tmp_path / "out")]) == 0
+    assert main(["render", *words, *QUICK, "--out", str(tmp_path / "other")]) == 1  # these options ask for results of this code
+
+
+def test_an_empty_workspace_and_an_unknown_scene_are_errors(tmp_path, capsys):
+    assert main(["view", "--workspace", str(tmp_path), "--no-browser"]) == 1
+    assert "no run is known" in capsys.readouterr().err
+    assert main(["view", "nothing", "--workspace", str(tmp_path), "--no-browser"]) == 2
+    assert "no such file or folder" in capsys.readouterr().err
+
+
+def test_the_list_of_runs_is_bounded_and_survives_damage(tmp_path):
+    rows = [{"target": "all", "began": float(k), "set": [f"coarse.seed={k}"], "unknown": 1} for k in range(KEPT + 5)]
+    (tmp_path / "runs.json").write_text(json.dumps({"runs": [*rows, 5, {"target": "all"}, {"began": 1.0}]}))
+    assert last_run(tmp_path) == Run("all", set=(f"coarse.seed={KEPT + 4}",), began=float(KEPT + 4))
+    (tmp_path / "runs.json").write_text("[]")
+    assert runs_of(tmp_path) == [] and last_run(tmp_path, "coarse") is None
+
+
+def test_a_run_of_a_later_stage_includes_the_earlier_ones(tmp_path):
+    rows = [{"target": "evaluate", "began": 1.0}, {"target": "flow", "began": 2.0}]
+    (tmp_path / "runs.json").write_text(json.dumps({"runs": rows}))
+    assert last_run(tmp_path, "coarse").target == "evaluate"
+    assert last_run(tmp_path, "frames").target == "flow"

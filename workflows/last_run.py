@@ -1,0 +1,189 @@
+"""The runs of a scene: which options each had, and which run a command means that is given no options.
+
+``scenes/<name>/runs.json`` lists them, oldest first.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from ..pipeline import ArtifactError
+from ..pipeline.files import read_json, write_json
+from .reconstruction import reconstruction
+from .scenes import CLAIM
+from .session import Options, Session
+
+FILE = "runs.json"
+KEPT = 50  # runs of a scene that the file lists at most
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: its target ("all" or a stage), the options that chose its results, and when it began (seconds since 1970)."""
+
+    target: str = "all"
+    preset: str = "default"
+    set: tuple[str, ...] = ()
+    static: bool = False
+    format: str | None = None
+    device: str = "auto"
+    began: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """The options as on a command line, without those that have their default; "no options" for none."""
+        words = [*(["--preset", self.preset] if self.preset != "default" else []), *(["--static"] if self.static else [])]
+        words += ["--format", self.format] if self.format else []
+        for text in self.set:
+            words += ["--set", text]
+        return shlex.join(words) or "no options"
+
+
+@dataclass(frozen=True)
+class Given:
+    """The options of a command that looks at the results of a run, as they were given. A preset of None was not given."""
+
+    capture: Path | None
+    workspace: Path
+    preset: str | None = None
+    set: Sequence[str] | None = None
+    device: str = "auto"
+    name: str | None = None
+    static: bool = False
+    format: str | None = None
+
+    @property
+    def choose(self) -> bool:
+        """Whether any of them chooses among runs."""
+        return bool(self.preset is not None or self.set or self.static or self.format is not None)
+
+
+def remember(session: Session, target: str, began: float | None = None) -> None:
+    """Adds a run to the scene's list, in place of earlier ones with the same target and options."""
+    options, file = session.options, session.scene.folder / FILE
+    now = time.time() if began is None else began
+    run = Run(target, options.preset, tuple(options.assignments), options.static, options.format, options.device, round(now, 3))
+    others = [one for one in runs_of(session.scene.folder) if asdict(one) | {"began": 0} != asdict(run) | {"began": 0}]
+    write_json(file, {"runs": [asdict(one) for one in (*others, run)][-KEPT:]})
+
+
+def runs_of(scene: Path) -> list[Run]:
+    """The runs of the scene in this folder, oldest first; [] if none is known."""
+    content = read_json(scene / FILE)
+    rows = content.get("runs") if isinstance(content, dict) else None
+    return sorted((run for row in rows or () if (run := _run(row)) is not None), key=lambda run: run.began)
+
+
+def last_run(scene: Path, stage: str | None = None) -> Run | None:
+    """The last run of a scene that included ``stage``, or any stage if that is None; None if there was none."""
+    graph = reconstruction()
+
+    def includes(run: Run) -> bool:
+        if stage is None or run.target == "all":
+            return True
+        return run.target in graph.stages and stage in {one.name for one in graph.needed_for([run.target])}
+
+    return next((run for run in reversed(runs_of(scene)) if includes(run)), None)
+
+
+def options_of_last_run(given: Given, stage: str) -> Options:
+    """The options of the run that a command means. If none of those that choose a run is given, they are those of the last run that
+    included ``stage``, of the capture or scene, or of the whole workspace without either. A line says so unless that run had none.
+
+    Raises ArtifactError if neither a capture nor a scene is given and nothing has run in the workspace."""
+    if given.capture is None and given.name is None:
+        scene = _newest([folder.parent for folder in (given.workspace / "scenes").glob(f"*/{FILE}")], stage)
+        if scene is None:
+            raise ArtifactError(f"{given.workspace}: no run is known in this workspace; name a capture, or another --workspace")
+    else:
+        scene = _scene(given, stage)
+    capture, name, workspace = scene_or_capture(given.capture or scene or Path(), given.workspace, given.name)
+    run = None if scene is None or given.choose else last_run(scene, stage) or last_run(scene)
+    if run is None:
+        return Options(
+            capture,
+            workspace,
+            given.preset or "default",
+            given.set or (),
+            given.device,
+            name,
+            given.static,
+            given.format,
+            last=not given.choose,
+        )
+    assert scene is not None
+    if run.words != "no options":
+        print(f"{scene.name}: the last run had {run.words}", file=sys.stderr)
+    device = run.device if given.device == "auto" else given.device
+    return Options(capture, workspace, run.preset, run.set, device, scene.name, run.static, run.format, last=True)
+
+
+def scene_or_capture(path: Path, workspace: Path, name: str | None = None) -> tuple[Path, str | None, Path]:
+    """The capture, the scene's name (None: the capture's own) and the workspace that ``path`` means: the folder of a scene, a capture, or
+    the name of a scene in ``workspace``. ``name`` is the value of --name."""
+    path = path.expanduser()
+    folder = path if is_scene(path) else workspace / "scenes" / path if not path.exists() and len(path.parts) == 1 else None
+    if folder is None or not is_scene(folder):
+        return path, name, workspace
+    folder = folder.resolve()
+    claim = read_json(folder / CLAIM)
+    return Path(claim["path"]), name or folder.name, folder.parent.parent  # type: ignore[index]
+
+
+def is_scene(folder: Path) -> bool:
+    """Whether this is the folder of a scene, with the name of its capture."""
+    claim = read_json(folder / CLAIM)
+    return isinstance(claim, dict) and isinstance(claim.get("path"), str)
+
+
+def scenes_of(capture: Path, workspace: Path) -> list[Path]:
+    """Folders of all scenes of ``workspace`` that were made from this capture."""
+    path = str(Path(os.path.abspath(capture.expanduser())).resolve())
+    claims = sorted((workspace / "scenes").glob(f"*/{CLAIM}"))
+    return [claim.parent for claim in claims if (read_json(claim) or {}).get("path") == path]
+
+
+def scene_of(path: Path, workspace: Path, stage: str | None = None) -> str | None:
+    """The name of the scene that ``path`` means: its folder, its name, or its capture, of which the scene that ran last (with ``stage``) is
+    taken. None if there is none."""
+    capture, name, _ = scene_or_capture(path, workspace)
+    if name is None and (found := _newest(scenes_of(capture, workspace), stage)) is not None:
+        name = found.name
+    return name
+
+
+def _scene(given: Given, stage: str) -> Path | None:
+    """The folder of the scene that is meant; None if there is none yet."""
+    if given.name is not None:
+        folder = given.workspace / "scenes" / given.name
+        return folder if is_scene(folder) else None
+    assert given.capture is not None
+    capture, name, workspace = scene_or_capture(given.capture, given.workspace)
+    return workspace / "scenes" / name if name is not None else _newest(scenes_of(capture, workspace), stage)
+
+
+def _newest(scenes: Sequence[Path], stage: str | None) -> Path | None:
+    """The scene that ran last, among those with a run that included ``stage`` if there is one."""
+    known = {scene: run for scene in scenes if (run := last_run(scene, stage)) is not None}
+    known = known or {scene: run for scene in scenes if (run := last_run(scene)) is not None}
+    if known:
+        return max(known, key=lambda scene: known[scene].began)
+    return scenes[0] if len(scenes) == 1 else None
+
+
+def _run(row: Any) -> Run | None:
+    """A row of the file; None if it is not one of this or an earlier version."""
+    if not isinstance(row, Mapping):
+        return None
+    values: dict[str, Any] = {one.name: row[one.name] for one in fields(Run) if one.name in row}
+    values["set"] = tuple(map(str, values.get("set") or ()))
+    if not isinstance(values.get("began"), int | float) or not isinstance(values.get("target"), str):
+        return None
+    return Run(**values)
