@@ -49,7 +49,7 @@ RUN = {
     "e4dgs bench pipeline CAPTURE... --plot FILE.svg": f"{TINY} --points default",
     # docs/comparing.md
     "e4dgs bench pipeline CAPTURE --seeds 3 --plot curve.svg": f"{TINY} --seeds 1 --points default",
-    "e4dgs ablation CAPTURE --seeds 3 --out ablation/": f"{TINY} --seeds 1 --rows full",
+    "e4dgs bench ablation CAPTURE --seeds 3 --out ablation/": f"{TINY} --seeds 1 --rows full",
     # docs/first-scene.md
     "e4dgs view samples/cube_and_ball --preset fast": f"{SAMPLE} --no-browser",
     "e4dgs plan samples/cube_and_ball --preset fast": SAMPLE,
@@ -59,12 +59,12 @@ RUN = {
     "e4dgs run flow CAPTURE": TINY,
     "e4dgs run coarse CAPTURE --force": TINY,
     "e4dgs why coarse CAPTURE": TINY,
-    "e4dgs list": NOTHING,
-    "e4dgs show SCENE coarse": NOTHING,
-    "e4dgs diff SCENE/fine OTHER/fine": NOTHING,
-    "e4dgs gc --dry-run": NOTHING,
-    "e4dgs gc --keep-bytes 10G --older-than 30d": NOTHING,
-    "e4dgs pin SCENE": NOTHING,
+    "e4dgs store list": NOTHING,
+    "e4dgs store show SCENE coarse": NOTHING,
+    "e4dgs store diff SCENE/fine OTHER/fine": NOTHING,
+    "e4dgs store gc --dry-run": NOTHING,
+    "e4dgs store gc --keep-bytes 10G --older-than 30d": NOTHING,
+    "e4dgs store pin SCENE": NOTHING,
     # docs/results.md
     "e4dgs render CAPTURE --path spiral --out scene.mp4": f"{TINY} --frames 5",
     "e4dgs render CAPTURE --path turntable --time 0.5 --out pictures/ --depth": f"{TINY} --frames 5",

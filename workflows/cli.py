@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 import traceback
+from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
-from ..pipeline import PipelineError, Store, check_targets, explain, make_plan
+from ..pipeline import PipelineError, check_targets, explain, make_plan
 from . import show
-from .ablation import ablation
 from .batch.command import batch, status
+from .bench.ablation import ablation
 from .bench.cli import app as bench
 from .exports.command import app as export
 from .exports.render import render
@@ -26,8 +28,8 @@ from .options import Debug, Workspace, of_capture, of_last_run
 from .report import report
 from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
-from .storage.store import diff, list_, pin, show_result, unpin
-from .storage.upkeep import gc
+from .storage.command import COMMANDS
+from .storage.command import app as store
 from .view.beside import viewer_beside
 from .view.command import view
 
@@ -43,15 +45,25 @@ app.command()(status)
 app.command()(view)
 app.command()(render)
 app.command()(report)
-app.command()(ablation)
-app.command("list")(list_)
-app.command("show")(show_result)
-app.command()(diff)
-app.command()(gc)
-app.command()(pin)
-app.command()(unpin)
+app.add_typer(store, name="store")
 console = Console()
 INTERRUPTED = 130  # the convention of shells and of the command-line parser
+
+
+def _keep(old: str, new: str, command: Callable[..., Any]) -> None:
+    """Keeps an older spelling of a command, which is not listed and names the new one."""
+
+    @functools.wraps(command)
+    def run(**given: Any) -> Any:
+        print(f"e4dgs {old} is called e4dgs {new} now", file=sys.stderr)
+        return command(**given)
+
+    app.command(old, hidden=True)(run)
+
+
+for moved, command in COMMANDS.items():
+    _keep(moved, f"store {moved}", command)
+_keep("ablation", "bench ablation", ablation)
 
 
 def _version(wanted: bool) -> None:
@@ -137,21 +149,6 @@ def doctor(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> No
         console.print(f"{mark} {what}: ", end="", highlight=False)
         console.print(detail, markup=False, highlight=False, soft_wrap=True)
     if broken:
-        raise typer.Exit(1)
-
-
-@app.command()
-def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
-    """Digest every result in the store again; a damaged one is moved aside, to be made again by the next run. Exit code 1 for any."""
-    store = Store(workspace.resolve() / "store")
-    results = store.verify()
-    damaged = [result for result in results if result[2]]
-    for stage, key, problem in damaged:
-        with writing_to(workspace.resolve()):
-            place = store.quarantine_damaged(stage, key)
-        _say(f"{stage}: damaged: {problem}; " + (f"moved to {place}; the next run makes it again" if place else "a process builds it now"))
-    _say(f"{len(results) - len(damaged)} of {len(results)} results in {workspace} are as they were written")
-    if damaged:
         raise typer.Exit(1)
 
 

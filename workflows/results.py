@@ -47,8 +47,9 @@ def made(session: Session, stage: str) -> dict[str, Artifact | None] | None:
     return found
 
 
-def missing(session: Session, wanted: Row) -> ArtifactError:
-    """The error for a result that the store does not have. It names the last run of this capture that made one, if there is any."""
+def missing(session: Session, wanted: Row, target: str | None = None) -> ArtifactError:
+    """The error for a result that the store does not have. The message names the last run of this capture that made one, if there is any,
+    and the command that makes it: a run of ``target``, by default of the stage itself."""
     options, stage = session.options, wanted.stage
     runs = [
         (scene.name, run) for scene in scenes_of(session.scene.capture, session.job.store.root.parent) if (run := last_run(scene, stage))
@@ -56,13 +57,13 @@ def missing(session: Session, wanted: Row) -> ArtifactError:
     if not runs or options.last:
         return ArtifactError(
             f"{options.capture}: the workspace {options.workspace} has no {stage} of this capture ({wanted.reason}); "
-            f"make it with: {run_command(options, stage)}"
+            f"make it with: {run_command(options, target or stage)}"
         )
     name, run = max(runs, key=lambda found: found[1].began)
     return ArtifactError(
         f"{options.capture}: the workspace {options.workspace} has no {stage} of this capture with these options ({wanted.reason}). "
         f"The last run, of the scene {name}, had {run.words}: give the same options, or none to take that run. "
-        f"To make this one: {run_command(options, stage)}"
+        f"To make this one: {run_command(options, target or stage)}"
     )
 
 

@@ -23,8 +23,7 @@ DEFAULT_FPS = 30.0  # for numbered images, and for cameras whose files give no f
 
 @dataclass(frozen=True)
 class Options:
-    """How a capture is to be read. The fields are the settings of the `frames` stage, and `heard`, a folder that caches the sound
-    envelopes of long videos."""
+    """How a capture is to be read: the settings of the `frames` stage, and `heard`, a folder that caches sounds (`heard.py`)."""
 
     format: str | None = None
     static: bool = False

@@ -1,12 +1,12 @@
-"""`e4dgs ablation` on the toy reconstruction, whose PSNR is 20 dB and one more for each step of `fine`; its real rows."""
+"""`e4dgs bench ablation` on the toy reconstruction, whose PSNR is 20 dB and one more for each step of `fine`; its real rows."""
 
 import csv
 import json
 
 import pytest
 from e4dgs.pipeline import SettingsError, build_settings, split_assignment
-from e4dgs.workflows import ablation as module
-from e4dgs.workflows.ablation import ROWS, choose
+from e4dgs.workflows.bench import ablation as module
+from e4dgs.workflows.bench.ablation import ROWS, choose
 from e4dgs.workflows.reconstruction import reconstruction
 
 
@@ -32,7 +32,7 @@ def test_a_table_is_written_and_rows_that_agree_share_results(cli, capture, tmp_
     monkeypatch.setattr(
         module, "ROWS", {"short": ("fine.iterations=5",), "long": ("fine.iterations=20",), "again": ("fine.iterations=20",)}
     )
-    result = cli("ablation", capture, "--out", tmp_path / "table")
+    result = cli("bench", "ablation", capture, "--out", tmp_path / "table")
     assert result.code == 0, result.err
     rows = list(csv.DictReader((tmp_path / "table" / "ablation.csv").open()))
     assert [(row["point"], row["seeds"], float(row["psnr"])) for row in rows] == [("short", "1", 25), ("long", "1", 40), ("again", "1", 40)]

@@ -10,6 +10,7 @@ import typer
 from ..options import Captures, Debug, Device, Format, Set, Static, Workspace
 from ..session import DEFAULT_WORKSPACE, Options
 from . import output
+from .ablation import ablation
 from .machine import machine
 from .pipeline import LADDER, check_plot, content, draw, measure, parse_points, summaries, table
 from .rows import Bench
@@ -95,6 +96,9 @@ def step(
 ) -> None:
     """The whole training step, and where its time goes."""
     _run("step", rows, list, Bench(scale, repeats, seconds, capture=capture), threads, out)
+
+
+app.command()(ablation)
 
 
 @app.command()

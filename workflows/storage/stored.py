@@ -62,7 +62,7 @@ def users(workspace: Path) -> dict[tuple[str, str], tuple[str, ...]]:
 
 
 def every(workspace: Path) -> list[Stored]:
-    """All results with a valid manifest, by stage; `e4dgs verify` says what is wrong with the others."""
+    """All results with a valid manifest, by stage; `e4dgs store verify` says what is wrong with the others."""
     store, used = Store(workspace / "store"), users(workspace)
     found = []
     for stage, key in store.entries():
@@ -88,7 +88,7 @@ def find(workspace: Path, *words: str) -> Stored:
     if not matches or (len(last) < SHORTEST and last not in of_scene):
         raise SettingsError(
             f"{' '.join(words)}: this names no result in {workspace}; give a key ({SHORTEST} digits or more), STAGE/KEY, or a scene and "
-            "a stage (e4dgs list has them all)"
+            "a stage (e4dgs store list has them all)"
         )
     if len(matches) > 1:
         raise SettingsError(f"{' '.join(words)}: several results begin so: {', '.join('/'.join(match) for match in matches[:5])}")

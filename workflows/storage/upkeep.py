@@ -1,4 +1,4 @@
-"""`e4dgs gc`: removes what no scene refers to."""
+"""`e4dgs store gc`: removes what no scene refers to."""
 
 from __future__ import annotations
 

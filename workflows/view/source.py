@@ -60,7 +60,7 @@ class Source:
     def missing(self) -> ArtifactError:
         """The error for when there is nothing to show."""
         wanted = next(row for row in make_plan(self.session.job) if row.stage == "coarse")
-        return missing(self.session, wanted)
+        return missing(self.session, wanted, "all")
 
     def _of_last_run(self, wanted: Sequence[str]) -> Found | None:
         """The model that the last run made, where the code or the capture has changed since."""

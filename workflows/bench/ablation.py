@@ -1,4 +1,4 @@
-"""`e4dgs ablation`: the rows of the paper's Table 3 on your own captures, over seeds, as one table."""
+"""`e4dgs bench ablation`: the rows of the paper's Table 3 on your own captures, over seeds, as one table."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Annotated, Any
 
 import typer
 
-from ..pipeline import SettingsError
-from ..pipeline.files import write_atomically
-from ..stages.training.choices import CONVEXES
-from .bench import output
-from .bench.machine import machine
-from .bench.pipeline import content, measure, summaries, table
-from .options import Captures, Debug, Device, Format, Preset, Set, Static, Workspace
-from .session import DEFAULT_WORKSPACE, Options
+from ...pipeline import SettingsError
+from ...pipeline.files import write_atomically
+from ...stages.training.choices import CONVEXES
+from ..options import Captures, Debug, Device, Format, Preset, Set, Static, Workspace
+from ..session import DEFAULT_WORKSPACE, Options
+from . import output
+from .machine import machine
+from .pipeline import content, measure, summaries, table
 
 NO_DATA, NO_INTERVAL = (tuple(f"{stage}.{term}=0" for stage in ("coarse", "fine")) for term in ("data_flow", "interval"))
 INTERVAL = ("coarse.interval=0.001", "fine.interval=0.001")  # by default, only planes have it
