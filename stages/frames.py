@@ -14,6 +14,7 @@ from pydantic import Field
 
 from ..pipeline import Applies, Context, Given, Resources, Settings, Stage
 from .captures import Capture, recognise
+from .captures.usual import USUAL
 from .decoding.videos import video_parts
 from .facts import Facts
 
@@ -27,8 +28,16 @@ class FramesSettings(Settings):
     static: bool = Field(False, description="nothing moves: all frames count as one time, without flow and deformation")
     holdout: int = Field(8, ge=0, le=100_000, description="every N-th frame is a test frame if the files define no split; 0: none")
     background: Literal["white", "black"] | None = Field(None, description="colour behind pictures with alpha; white if there is alpha")
-    max_size: int | None = Field(None, ge=16, le=65_536, description="px; larger pictures are scaled down, and their intrinsics with them")
-    max_frames: int | None = Field(None, ge=2, le=1_000_000, description="most frames of a camera (videos without poses: 200)")
+    max_size: int | None = Field(
+        None,
+        ge=16,
+        le=65_536,
+        description="px; pictures whose longer side exceeds this are scaled down, and their intrinsics with them; none: 960 on a CPU, 1600 "
+        "on a GPU",
+    )
+    max_frames: int | None = Field(
+        None, ge=2, le=1_000_000, description="most frames of a camera; none: of a video without poses 150 on a CPU, 200 on a GPU; else all"
+    )
     every: int | None = Field(
         None, ge=1, le=1_000_000, description="take every N-th frame of a video or image sequence; max_frames is then ignored"
     )
@@ -43,9 +52,10 @@ class FramesSettings(Settings):
     watermark: bool = Field(True, description="ignore what stands still in the pictures of a camera that moves, such as a logo")
 
 
-def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None = None) -> Capture:
-    """`captures.recognise` with these settings. heard: folder that caches the sound envelopes of long videos. Raises `CaptureError`."""
-    return recognise(path, **settings.model_dump(exclude={"watermark"}), heard=heard)
+def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None = None, device: str | None = None) -> Capture:
+    """`captures.recognise` with these settings. heard: folder that caches the sound envelopes of long videos. device: decides what is not
+    set (`Capture.chosen`); None leaves all as it is. Raises `CaptureError`."""
+    return recognise(path, **settings.model_dump(exclude={"watermark"}), heard=heard, usual=None if device is None else USUAL[device])
 
 
 class Frames(Stage):

@@ -66,11 +66,13 @@ def open_session(options: Options) -> Session:
     with writing_to(workspace):
         content = unpacked(given, workspace, user)
     try:
-        capture = recognise_for(content, frames, workspace / "heard")
+        capture = recognise_for(content, frames, workspace / "heard", device)
     except CaptureError as error:
         if content == given:
             raise
         raise CaptureError(f"{given.name}: {error}") from error
+    # What the device decided stands in the settings, so that keys contain it.
+    settings = {**settings, "frames": frames.model_copy(update=dict(capture.chosen))}
     weakref.finalize(capture, id, user)  # an archive's files are in use as long as the capture is
     path = Path(os.path.abspath(options.capture.expanduser())).resolve()
     scene = find_scene(workspace, path, capture.name, options.name)

@@ -54,3 +54,8 @@ def required(coarse: Artifact | None) -> Artifact:
 def read_seeds_png(artifact: Artifact) -> bytes | None:
     """The picture of the seeds as a PNG file; None if there is none."""
     return artifact.read("seeds_png").tobytes() if "seeds_png" in artifact else None
+
+
+def steps_of(coarse: Artifact | None) -> int:
+    """Optimiser steps of the stage; 0 if it was skipped."""
+    return 0 if coarse is None else int(coarse.attrs.get("iterations", 0))

@@ -15,6 +15,7 @@ from . import checks
 from . import skipped_times as skipping
 from .common_size import Crop, common_size, crop, told
 from .far_away import brought_near, told_moved
+from .usual import Usual, told_size
 
 TRAIN, VAL, TEST = 0, 1, 2
 SPLITS = ("train", "val", "test")
@@ -36,6 +37,11 @@ class Options:
     fps: float | None = None
     sync: str = "auto"
     heard: Path | None = None
+    usual: Usual | None = None  # limits where max_size and max_frames are None; None: no limit of size, and 200 frames
+
+    @property
+    def size_limit(self) -> int | None:
+        return self.max_size or (self.usual.size if self.usual else None)
 
 
 @dataclass
@@ -89,6 +95,7 @@ class Reading:
     spoken_for: tuple[str, ...] = ()  # files and folders, relative to the capture, that are not read and that the notes already name
     upright: bool = False  # pictures are rotated as their EXIF data ask
     untimed: bool = False  # the files give no times: frames are in the order of their names
+    usual_frames: int | None = None  # the limit from `Options.usual` that left out frames
 
 
 @dataclass(frozen=True)
@@ -130,6 +137,7 @@ class Capture:
     origin: np.ndarray | None = None
     K_hint: tuple[float, ...] | None = None
     notes: tuple[str, ...] = field(default=())
+    chosen: Mapping[str, int] = field(default_factory=dict)  # settings of `frames` that were not given, and that `options.usual` decided
 
 
 def assemble(root: Path, name: str, kind: str, reading: Reading, options: Options) -> Capture:
@@ -169,7 +177,11 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     sizes = [s.size for s in shots]
     common = common_size(sizes)
     crops = [crop(size, common) for size in sizes]
-    width, height = _output_size(*common, options.max_size)
+    width, height = _output_size(*common, options.size_limit)
+    chosen = {"max_frames": reading.usual_frames} if reading.usual_frames else {}
+    if options.max_size is None and options.usual is not None and (width, height) != common:
+        chosen["max_size"] = options.usual.size
+        notes += (told_size(options.usual, common, (width, height)),)
     scale = _scaled((0, 0, *common), width, height)
     hint = None if reading.K_hint is None else tuple(float(v) for v in (scale @ reading.K_hint).reshape(-1))
     background = options.background or ("white" if reading.alpha else None)
@@ -234,6 +246,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         point_colors=reading.point_colors,
         origin=origin,
         K_hint=hint,
+        chosen=chosen,
         notes=(*notes, *([note] if (note := told(sizes, [s.name for s in shots], common)) else [])),
     )
 

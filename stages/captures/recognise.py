@@ -10,6 +10,7 @@ from . import checks
 from .capture import Capture, Options, assemble
 from .formats import colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
 from .keep_masks import unread
+from .usual import Usual
 
 # Formats with poses are tried first. A plain folder of images or a lone video is the fallback if no other file says more.
 _POSED: dict[str, ModuleType] = {
@@ -40,6 +41,7 @@ def recognise(
     fps: float | None = None,
     sync: str = "auto",
     heard: Path | None = None,
+    usual: Usual | None = None,
 ) -> Capture:
     """Reads a capture's names, JSON and image headers. Decodes no pixels, except for the first frame of a video.
 
@@ -48,10 +50,11 @@ def recognise(
     side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; with
     `every_time` above 1, only every so many-th time trains and the others are test, in place of `holdout`; `fps` gives
     numbered images their times in seconds; `sync` ("auto" | "sound" | "frames") chooses how the clocks of several videos are aligned,
-    and `heard` is a folder that caches the sound envelopes of long ones. Raises `CaptureError` if the capture is unreadable or
+    and `heard` is a folder that caches the sound envelopes of long ones; `usual` limits size and frames where `max_size` and `max_frames`
+    do not (`Capture.chosen` then says to what). Raises `CaptureError` if the capture is unreadable or
     inconsistent, or fits two formats.
     """
-    options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, heard)
+    options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, heard, usual)
     root = _existing(Path(path))
     kind = _choose(root, format)
     if (max_frames or every) and kind not in _STEPPED:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...pipeline import Context, StageError
+from ..artifacts.coarse import steps_of
 from ..artifacts.evaluate import write_metrics
 from ..artifacts.flow import flow_of
 from ..artifacts.frameset import FrameSet
@@ -16,7 +17,7 @@ from .judge import Judge
 from .movies import write_movies
 from .pictures import PictureBook
 from .protocol import load_lpips, protocol
-from .spread import SAMPLE, spread, worst_and_others
+from .spread import SAMPLE, most_measured, spread, worst_and_others
 from .views import choose_views, time_strip
 
 METRICS = (
@@ -32,7 +33,8 @@ def evaluate(ctx: Context) -> None:
         raise StageError("there is no trained model: both coarse and fine were skipped; set coarse.iterations above 0")
     frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs["poses"])  # type: ignore[arg-type]
     model = read_model(artifact).to(ctx.device)
-    views, notes = choose_views(frames, ctx.settings.splits)
+    most = most_measured(ctx.settings.measured, steps_of(ctx.inputs["coarse"]))
+    views, notes = choose_views(frames, ctx.settings.splits, most)
     for note in notes:
         ctx.log(note)
     lpips, lpips_facts = load_lpips(ctx.settings, frames)
@@ -56,12 +58,12 @@ def evaluate(ctx: Context) -> None:
     if (flow := flow_of(ctx.inputs)) is not None:
         add_flow(book, judge, flow, ctx.settings.max_views)
     book.stored.write(ctx.out)
-    write_movies(ctx.out, judge, frames, next(reversed(views.values())), ctx.settings.movie_frames)
+    write_movies(ctx, judge, frames, next(reversed(views.values())), ctx.settings.movie_frames)
     metrics = {
         "protocol": protocol(frames, sample | views, ctx.settings, lpips_facts, notes),
         "splits": splits,
         "primitives": {"gaussians": len(model.gaussians), "convexes": len(model.convexes)},
-        "flicker": measure_flicker(judge, frames),
+        "flicker": measure_flicker(judge, frames, most, ctx.progress),
     }
     write_metrics(ctx.out, metrics, {"render_fps": judge.frames_per_second(next(reversed(views.values())))})
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import torch
 
-from ...pipeline import ArtifactWriter
+from ...pipeline import ArtifactWriter, Context
 from ...rasterizer import Camera
 from ...vision.images.movie import encode_movie
 from ..artifacts.evaluate import write_movie
@@ -22,15 +22,17 @@ QUALITY = 23  # constant rate factor of x264
 LEAST = 3  # least number of pictures of a movie
 
 
-def write_movies(out: ArtifactWriter, judge: Judge, frames: FrameSet, indices: Sequence[int], most: int) -> None:
+def write_movies(ctx: Context, judge: Judge, frames: FrameSet, indices: Sequence[int], most: int) -> None:
     """Writes "over_time", if ``indices`` have several times, and "turntable": MP4 files of at most ``most`` pictures."""
     mine = in_order_of_time(frames, indices, most)
-    if len(mine) >= LEAST:
-        _write(
-            out, "over_time", (_beside(judge, frames, i) for i in mine), len(mine), "held-out views beside their truth, in order of time"
-        )
-    if most >= LEAST:
-        _write(out, "turntable", _turn(judge, frames, most), most, "a turn about the scene while time goes by once")
+    turned = most if most >= LEAST else 0
+    with ctx.progress(len(mine) + turned, "movies") as bar:
+        if len(mine) >= LEAST:
+            doc = "held-out views beside their truth, in order of time"
+            _write(ctx.out, "over_time", (_beside(judge, frames, i) for i in mine), len(mine), doc, bar.advance)
+        if turned:
+            doc = "a turn about the scene while time goes by once"
+            _write(ctx.out, "turntable", _turn(judge, frames, turned), turned, doc, bar.advance)
 
 
 def in_order_of_time(frames: FrameSet, indices: Sequence[int], most: int) -> list[int]:
@@ -60,6 +62,11 @@ def _turn(judge: Judge, frames: FrameSet, count: int) -> Iterator[np.ndarray]:
         yield to_bytes(judge.model.render(camera, float(time)).color.cpu().numpy())
 
 
-def _write(out: ArtifactWriter, name: str, pictures: Iterator[np.ndarray], count: int, doc: str) -> None:
-    data = encode_movie(pictures, float(np.clip(count / SECONDS, *FPS)), QUALITY)
+def _write(out: ArtifactWriter, name: str, pictures: Iterator[np.ndarray], count: int, doc: str, made: Callable[[int], object]) -> None:
+    def counted() -> Iterator[np.ndarray]:
+        for picture in pictures:
+            yield picture
+            made(1)
+
+    data = encode_movie(counted(), float(np.clip(count / SECONDS, *FPS)), QUALITY)
     write_movie(out, name, data, doc)

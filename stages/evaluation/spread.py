@@ -11,6 +11,14 @@ SAMPLE = 16  # training views measured besides the held-out ones; if they are fa
 FLICKER_CAMERAS, FLICKER_PAIRS = 3, 180  # most cameras of which flicker is measured, and from which number of pairs of times on fewer
 
 
+LEAST_MEASURED, STEPS_A_VIEW = 32, 40  # a view costs about four steps of training, so evaluation costs at most a tenth of training
+
+
+def most_measured(asked: int | None, steps: int) -> int:
+    """How many views of a split are measured after ``steps`` steps of training, unless a number was asked for."""
+    return asked or max(LEAST_MEASURED, steps // STEPS_A_VIEW)
+
+
 def flicker_cameras(times: int) -> int:
     """Of how many fixed cameras flicker is measured, each at all of its ``times``."""
     return max(1, min(FLICKER_CAMERAS, FLICKER_PAIRS // max(times, 1)))
@@ -23,6 +31,15 @@ def spread(items: Sequence[int], count: int) -> list[int]:
     if count < 2:
         return list(items[:count])
     return [items[round(k * (len(items) - 1) / (count - 1))] for k in range(count)]
+
+
+def stretches(items: Sequence[int], count: int, longest: int = 16) -> list[list[int]]:
+    """Up to about ``count`` items in stretches of at most ``longest`` neighbours, evenly spread; one stretch of all if they are few."""
+    if len(items) <= count:
+        return [list(items)]
+    longest = min(longest, count)
+    begins = spread(range(len(items) - longest + 1), max(1, count // longest))
+    return [list(items[begin : begin + longest]) for begin in begins]
 
 
 def worst_and_others(rows: Sequence[Mapping[str, Any]], count: int) -> list[int]:

@@ -14,8 +14,8 @@ from .spread import spread
 TRAIN_VIEWS = 32  # training views that are measured if nothing is held out
 
 
-def choose_views(frames: FrameSet, splits: Sequence[str]) -> tuple[dict[str, list[int]], list[str]]:
-    """Frames with a pose for each of ``splits``, in the order train, val, test, and sentences about what is missing.
+def choose_views(frames: FrameSet, splits: Sequence[str], most: int | None = None) -> tuple[dict[str, list[int]], list[str]]:
+    """Frames with a pose for each of ``splits``, at most ``most`` of each, in the order train, val, test; and sentences on what is missing.
 
     If no split has any, training views are used instead. Raises StageError if no training frame has a pose either.
     """
@@ -27,7 +27,12 @@ def choose_views(frames: FrameSet, splits: Sequence[str]) -> tuple[dict[str, lis
         if split not in splits:
             continue
         if posed:
-            views[split] = posed
+            views[split] = posed if most is None else spread(posed, most)
+        if most is not None and len(posed) > most:
+            notes.append(
+                f"{most} of {len(posed)} {split} frames are measured, spread evenly, so that it takes at most a tenth of the training; "
+                f"--set evaluate.measured={len(posed)} measures all"
+            )
         if len(posed) < total:
             notes.append(f"{total - len(posed)} of {total} {split} frames have no pose and are not measured")
     if not views:

@@ -6,10 +6,11 @@ import numpy as np
 
 from ...pipeline import Context, StageError
 from ...vision.sfm.coverage import cover
+from ...vision.sfm.fixed_cameras import is_fixed
 from ...vision.sfm.pairs import choose, image_pairs
 from ...vision.sfm.pose_agreement import doubtful
 from ...vision.sfm.runner import WorkerError, finished, run_worker
-from ...vision.sfm.trouble import nothing_registered
+from ...vision.sfm.trouble import nothing_registered, stands_still
 from ..artifacts.frameset import FrameSet
 from ..artifacts.poses import write_account
 from ..facts import Facts
@@ -30,7 +31,10 @@ def pose_capture(ctx: Context) -> None:
     frames = FrameSet(artifact, ctx.capture.root)
     matcher = choose(settings.matcher, len(frames), static)
     hint = frames.K_hint
-    several = _several(ctx, frames) if len(np.unique(frames.camera)) > 1 and not static else None
+    one_camera = len(np.unique(frames.camera)) == 1
+    if one_camera and not static and is_fixed(frames.original, [int(i) for i in np.argsort(frames.time, kind="stable")]):
+        raise StageError(stands_still(frames.names[0]))
+    several = None if one_camera or static else _several(ctx, frames)
     request = {
         "task": "reconstruct",
         "root": str(ctx.checkpoints / "images"),

@@ -24,7 +24,7 @@ from e4dgs.stages.evaluation.evaluate import means
 from e4dgs.stages.evaluation.flicker import measure_flicker
 from e4dgs.stages.evaluation.judge import LEAST_TIMES, Judge
 from e4dgs.stages.evaluation.pictures import depth_picture, error_picture
-from e4dgs.stages.evaluation.spread import spread, worst_and_others
+from e4dgs.stages.evaluation.spread import most_measured, spread, stretches, worst_and_others
 from e4dgs.stages.evaluation.views import choose_views
 from run_stage import run_stage
 from safetensors.torch import save_file
@@ -405,3 +405,15 @@ def test_flicker_is_measured_at_fixed_cameras_at_held_out_ones_where_there_are_a
     assert measure_flicker(Judge(model, frames, None, False), frames) is None  # type: ignore[arg-type]
     frames.registered[1::2] = False  # two times of each camera are too few
     assert measure_flicker(Judge(model, frames, None, True), frames) is None  # type: ignore[arg-type]
+
+
+def test_only_as_many_views_are_measured_as_a_tenth_of_the_training_pays_for():
+    assert most_measured(None, 400) == 32 and most_measured(None, 6000) == 150 and most_measured(None, 1280) == 32
+    assert most_measured(None, 1320) == 33 and most_measured(7, 6000) == 7
+
+
+def test_stretches_of_neighbours_cover_a_long_capture():
+    assert stretches(range(10), 10) == [list(range(10))]
+    parts = stretches(range(300), 48)
+    assert [len(part) for part in parts] == [16, 16, 16] and parts[0][0] == 0 and parts[-1][-1] == 299
+    assert all(b - a == 1 for part in parts for a, b in pairwise(part))

@@ -1,4 +1,4 @@
-"""`nothing_registered`: the message for a failed reconstruction, with a likely cause and a remedy."""
+"""Messages for captures whose cameras cannot be found, with a likely cause and a remedy."""
 
 from __future__ import annotations
 
@@ -12,6 +12,15 @@ from .coverage import FEW_FEATURES
 FIXED = 0.005  # of the longer side; if matches move less than this in nine of ten pairs, the camera stands still
 TURNED = 0.8  # share of the pairs that one homography explains
 LINKED = 0.5  # share of the images that have a verified pair
+
+
+def stands_still(first: str) -> str:
+    """What to do about one camera that took all of its frames, of which ``first`` is the name of one, from one place."""
+    return (
+        f"the camera stands still: pictures spread over all frames (the first is {first}) show the same features at the same places. "
+        "From one place neither depth nor poses can be found; move the camera sideways while filming, add the video of a second camera, "
+        "or provide poses in the files (transforms.json, a COLMAP model)"
+    )
 
 
 def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str, Any], matcher: str) -> str:

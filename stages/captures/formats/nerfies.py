@@ -39,7 +39,7 @@ def read(root: Path, options: Options) -> Reading:
     metadata = checks.read_json(root, _METADATA) if (root / _METADATA).is_file() else {}
     moment = _moment(metadata, split)
     center, scale = _scene(root)
-    folder = _folder(root, next(iter(split)), options.max_size)
+    folder = _folder(root, next(iter(split)), options.size_limit)
     images = {name: checks.find_image(root, f"{folder}/{name}", f"{_DATASET}: {name!r}") for name in split}
     sizes, alpha = checks.image_headers(root, images.values())
     shots, cameras = [], []
