@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import SettingsError
+from ...stages.captures import usual
 from ..machine.writable import writing_to
 from ..options import Debug, Device, Format, Preset, Set, Static, StoreAlso, Workspace
 from ..results import words_of
@@ -58,11 +59,7 @@ def batch(
     if not _NAME.fullmatch(name):
         raise SettingsError(f"--name {name}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
     settings = tuple(_split(text) for text in set or ())
-    also = tuple(str(path) for path in other_stores(store_also or ()))
-    entries = entries_of(captures, Entry("", "", settings, preset, static, format, device, store_also=also))
     _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
-    words = ["e4dgs", "batch", *captures, *words_of_batch(name, executor, jobs, memory, retries, stage_timeout, emit)]
-    words += words_of(Options(Path(), workspace, preset, set or (), device, None, static, format, store_also or ()))[1:]
     cluster = None
     if executor != "local":
         from .sites.cluster import read_cluster
@@ -73,6 +70,13 @@ def batch(
                 raise SettingsError(
                     f"--emit {emit}: {executor}: {pool}: provider is {provider}; a pool for job scripts has provider: {emit}"
                 )
+    # Pictures are prepared on nodes without a GPU, and have the size that is usual where they are trained on.
+    gpu = device != "cpu" and (emit is not None if cluster is None else cluster.gpu is not None)
+    sized = (("frames.max_size", str(usual.USUAL["cuda"].size)),) if gpu else ()
+    also = tuple(str(path) for path in other_stores(store_also or ()))
+    entries = entries_of(captures, Entry("", "", (*sized, *settings), preset, static, format, device, store_also=also))
+    words = ["e4dgs", "batch", *captures, *words_of_batch(name, executor, jobs, memory, retries, stage_timeout, emit)]
+    words += words_of(Options(Path(), workspace, preset, set or (), device, None, static, format, store_also or ()))[1:]
     with writing_to(workspace.resolve()):
         ledger = Ledger.create(workspace.resolve(), name, entries, shlex.join(words))
     for entry in entries:
