@@ -19,7 +19,8 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from ...pipeline.errors import is_odd
-from ...vision.images.files import BadImageError, open_image
+from ...vision.images.files import LYING as LYING
+from ...vision.images.files import BadImageError, open_image, orientation_of, stored_size
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".mpg", ".mpeg", ".ts", ".gif")
@@ -233,16 +234,16 @@ def seek_image(root: Path, name: str, where: str) -> str | None:
     return None
 
 
-ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # the EXIF field, and its values that include a quarter turn
 PIXELS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I;16", "I;16B", "I;16L")  # Pillow modes that `read_picture` takes
 
 
 def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int, bool]:
-    """(width, height, has alpha) from the header of one image; nothing is decoded. upright: after the rotation that EXIF data ask for."""
+    """(width, height, has alpha) from the header of one image, as stored; nothing is decoded. upright: after the rotation that EXIF data
+    ask for."""
     try:
         with open_image(root / name) as image:
-            width, height = image.size
-            if upright and image.getexif().get(ORIENTATION) in LYING:
+            width, height = stored_size(image)
+            if upright and orientation_of(image) in LYING:
                 width, height = height, width
             mode = image.mode
             alpha = "A" in image.getbands() or "transparency" in image.info
@@ -257,10 +258,9 @@ def orientation(root: Path, name: str) -> int:
     """EXIF orientation of an image, 2 to 8; 1 if it is not to be rotated or mirrored."""
     try:
         with open_image(root / name) as image:
-            found = image.getexif().get(ORIENTATION, 1)
+            return orientation_of(image)
     except BadImageError:
         return 1  # `image_header` reports what is wrong with it
-    return found if found in range(2, 9) else 1
 
 
 def turned(root: Path, names: Iterable[str]) -> bool:
