@@ -7,6 +7,7 @@ from types import ModuleType
 
 from ...pipeline import CaptureError
 from . import checks
+from .archive_kind import archive_kind
 from .capture import Capture, Options, assemble
 from .formats import colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
 from .keep_masks import unread
@@ -81,6 +82,8 @@ def _existing(path: Path) -> Path:
         raise CaptureError(f"{path}: neither a file nor a folder; pass a video or the capture's folder")
     if root.is_file() and root.suffix.lower() in (".json", ".npy", *checks.IMAGE_SUFFIXES):
         raise CaptureError(f"{path}: this is one file of a capture; pass its folder {root.parent}")
+    if (archive := archive_kind(root)) is not None:
+        raise CaptureError(f"{path}: this is an archive ({archive}); unpack it and pass its folder")
     return root
 
 
