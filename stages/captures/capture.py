@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +130,7 @@ class Capture:
     point_colors: np.ndarray | None = None
     origin: np.ndarray | None = None
     K_hint: tuple[float, ...] | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 def assemble(root: Path, name: str, kind: str, reading: Reading, options: Options) -> Capture:

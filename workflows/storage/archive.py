@@ -15,7 +15,7 @@ from ...pipeline import CaptureError
 from ...pipeline.errors import is_odd
 from ...pipeline.files import digest_bytes, digest_file
 from ...pipeline.storage.hold import hold
-from ...stages.captures.archive_kind import READ, archive_kind
+from ...stages.captures.listing.archive_kind import READ, archive_kind
 from .archive_members import Member, members_of
 
 MOST_FILES = 200_000
