@@ -134,8 +134,7 @@ class Capture:
 
 
 def assemble(root: Path, name: str, kind: str, reading: Reading, options: Options) -> Capture:
-    """Converts a reader's frames to a `Capture`: times in [0,1], splits, pairs, facts. Raises CaptureError for captures that cannot be used
-    for training."""
+    """Converts a reader's frames to a `Capture`: times in [0,1], splits, pairs, facts. Raises CaptureError if they cannot be trained on."""
     shots = reading.shots
     _refuse_duplicates(shots)
     split = np.array([s.split for s in shots], dtype=np.uint8)

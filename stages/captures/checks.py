@@ -261,8 +261,9 @@ def size_hint(root: Path, name: str, width: float, height: float) -> str:
     if turn not in LYING or min(*stored, width, height) <= 0 or abs(stored[0] * width / (stored[1] * height) - 1) > 0.02:
         return ""
     return (
-        f"; {name} is stored as {stored[0]}x{stored[1]}, and its EXIF orientation {turn} asks viewers to turn it to {stored[1]}x{stored[0]}: "
-        "cameras in files belong to the pixels as stored, so turn those for good, for example with magick mogrify -auto-orient"
+        f"; {name} is stored as {stored[0]}x{stored[1]}, and its EXIF orientation {turn} asks viewers to turn it to "
+        f"{stored[1]}x{stored[0]}: cameras in files belong to the pixels as stored, so turn those for good, for example with "
+        "magick mogrify -auto-orient"
     )
 
 

@@ -105,7 +105,8 @@ def _existing(path: Path) -> Path:
     if root.is_file() and root.suffix.lower() in (".json", ".npy", *checks.IMAGE_SUFFIXES):
         raise CaptureError(f"{path}: this is one file of a capture; pass its folder {root.parent}")
     if root.is_file() and (known := kind_of(root.name)) is not None and known.group == "picture":
-        raise CaptureError(f"{path}: this is one picture of a capture ({known.one}), of a kind that is not read; {known.advice}, and pass their folder")
+        advice = f"of a kind that is not read; {known.advice}, and pass their folder"
+        raise CaptureError(f"{path}: this is one picture of a capture ({known.one}), {advice}")
     if (archive := archive_kind(root)) is not None:
         raise CaptureError(f"{path}: this is an archive ({archive}); unpack it and pass its folder")
     return root
@@ -152,7 +153,9 @@ def _advice(root: Path) -> str:
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
     if closed:
-        return f"{closed[0][0].upper()}{closed[0][1:]}" + (f". It also has {'; '.join(c for c in clauses if c != closed[0])}" if clauses[1:] else "")
+        return f"{closed[0][0].upper()}{closed[0][1:]}" + (
+            f". It also has {'; '.join(c for c in clauses if c != closed[0])}" if clauses[1:] else ""
+        )
     if rig := _rig(root, folders):
         return f"{rig}{there}"
     if folders:
@@ -163,13 +166,16 @@ def _advice(root: Path) -> str:
 
 def _rig(root: Path, folders: list[str]) -> str | None:
     """What to do with several folders whose pictures have the same names, as those of synchronised cameras."""
-    listed = {folder: [name for name in checks.list_folder(root / folder) if is_image(name)] for folder in folders}
-    alike = [folder for folder in folders if listed[folder] and listed[folder] == listed[folders[0]]]
-    roles = [folder for folder in alike if (kind := kind_of(f"{folder}/0.png")) is not None and kind is not PICTURE]
-    if len(alike) < 2 or roles:
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for folder in folders:
+        names = tuple(name for name in checks.list_folder(root / folder) if is_image(name))
+        if names and kind_of(f"{folder}/0.png") is PICTURE:
+            alike.setdefault(names, []).append(folder)
+    cameras = max(alike.values(), key=len, default=[])
+    if len(cameras) < 2:
         return None
     return (
-        f"The folders {', '.join(alike[:6])}{', ...' if len(alike) > 6 else ''} have pictures of the same names, so they are the cameras of a rig, "
-        "and no poses that are read: add a COLMAP model in sparse/0/ with these folders in images/, or poses_bounds.npy with folders named "
-        "cam00/, cam01/ and so on"
+        f"The folders {', '.join(cameras[:6])}{', ...' if len(cameras) > 6 else ''} have pictures of the same names, so they are the cameras "
+        "of a rig, and no poses that are read: add a COLMAP model in sparse/0/ with these folders in images/, or poses_bounds.npy with "
+        "folders named cam00/, cam01/ and so on"
     )

@@ -41,10 +41,18 @@ def names(stem, suffix, count=4):
 @pytest.mark.parametrize(
     ("files", "expected", "says"),
     [
-        ([*names("IMG_", ".JPG"), *names("IMG_", ".MOV")], ("images", 4), "4 videos (first IMG_0.MOV) are not read, because the layout is images"),
+        (
+            [*names("IMG_", ".JPG"), *names("IMG_", ".MOV")],
+            ("images", 4),
+            "4 videos (first IMG_0.MOV) are not read, because the layout is images",
+        ),
         ([*names("IMG_", ".JPG"), *names("IMG_", ".MOV", 2)], ("images", 4), "2 videos (first IMG_0.MOV) are not read"),
         ([*names("IMG_", ".JPG"), "IMG_1.MOV"], ("images", 4), "the video IMG_1.MOV is not read"),
-        (["clip.mp4", "poster.png", "thumbnail.png"], ("video", 4), "2 pictures (first poster.png) are not read, because the layout is video"),
+        (
+            ["clip.mp4", "poster.png", "thumbnail.png"],
+            ("video", 4),
+            "2 pictures (first poster.png) are not read, because the layout is video",
+        ),
         (["clip.mp4", "clip.jpg"], ("video", 4), "the picture clip.jpg is not read"),
         (["clip.mp4", "clip_cover.jpg", "clip-thumb.png", "preview.jpg"], ("video", 4), "3 pictures (first clip-thumb.png) are not read"),
         (["clip.mp4", "IMG_7.jpg"], ("video", 4), "the picture IMG_7.jpg is not read"),
@@ -71,10 +79,19 @@ def test_photos_that_cannot_be_read_with_their_clips(tmp_path):
 @pytest.mark.parametrize(
     ("files", "words"),
     [
-        (["clip.mp4", *names("IMG_", ".jpg", 3)], ("the video clip.mp4 and 3 pictures (first IMG_0.jpg)", "--format video,", "--format images")),
+        (
+            ["clip.mp4", *names("IMG_", ".jpg", 3)],
+            ("the video clip.mp4 and 3 pictures (first IMG_0.jpg)", "--format video,", "--format images"),
+        ),
         (["a.mp4", "b.mp4", *names("IMG_", ".jpg", 3)], ("2 videos (first a.mp4) and 3 pictures", "--format videos,", "--format images")),
-        ([*names("cam", ".mp4"), *names("cam", ".jpg")], ("4 videos (first cam0.mp4) and 4 pictures", "--format videos,", "--format images")),
-        (["clip.mp4", *names("IMG_", ".heic")], ("4 pictures (first IMG_0.heic)", "--format video,", "once they can be read: convert them")),
+        (
+            [*names("cam", ".mp4"), *names("cam", ".jpg")],
+            ("4 videos (first cam0.mp4) and 4 pictures", "--format videos,", "--format images"),
+        ),
+        (
+            ["clip.mp4", *names("IMG_", ".heic")],
+            ("4 pictures (first IMG_0.heic)", "--format video,", "once they can be read: convert them"),
+        ),
     ],
 )
 def test_otherwise_it_is_a_question(tmp_path, files, words):
@@ -92,7 +109,8 @@ def test_either_answer_is_taken(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "container"), [("MTS", "mpegts"), ("m2ts", "mpegts"), ("3gp", "mp4"), ("wmv", "asf"), ("asf", "asf"), ("3g2", "mp4"), ("vob", "vob")]
+    ("suffix", "container"),
+    [("MTS", "mpegts"), ("m2ts", "mpegts"), ("3gp", "mp4"), ("wmv", "asf"), ("asf", "asf"), ("3g2", "mp4"), ("vob", "vob")],
 )
 def test_videos_of_cameras_and_phones(tmp_path, suffix, container):
     clip(tmp_path / "s" / f"00000.{suffix}", container=container)

@@ -70,7 +70,9 @@ def test_absolute_paths_into_the_capture_are_read(tmp_path):
             assert recognise(read).images == tuple(f"images/{i}.png" for i in range(4))
 
 
-@pytest.mark.parametrize("path", ["/etc/hostname", "/", "{root}", "{root}x/0.png", "{root}/../0.png", "~/0.png", "C:/0.png", "../0.png", "a\0b"])
+@pytest.mark.parametrize(
+    "path", ["/etc/hostname", "/", "{root}", "{root}x/0.png", "{root}/../0.png", "~/0.png", "C:/0.png", "../0.png", "a\0b"]
+)
 def test_paths_out_of_the_capture_are_refused(tmp_path, path):
     root = pictures(tmp_path / "s", ["0.png"])
     pictures(tmp_path, ["0.png"])

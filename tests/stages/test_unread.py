@@ -57,7 +57,10 @@ CLOSED = {
     "INSV": (("a.insv",), "the INSV video a.insv is not read; export it as MP4"),
     "videos": (("a/b.MTS", "a/c.3gp", "a/d.mp4"), "3 videos (first a/b.MTS) are not read, because the layout is images"),
     "poses": (("poses_bounds.npy",), "poses_bounds.npy is not read, because the layout is images"),
-    "LLFF of several views": (("poses_bounds_multipleview.npy",), "poses_bounds_multipleview.npy is not read, because the layout is images"),
+    "LLFF of several views": (
+        ("poses_bounds_multipleview.npy",),
+        "poses_bounds_multipleview.npy is not read, because the layout is images",
+    ),
     "transforms": (
         ("transforms_old.json", "sub/transforms.json"),
         "sub/transforms.json and transforms_old.json are not read, because the layout is images",
@@ -136,7 +139,9 @@ def test_pictures_that_no_camera_uses(nerfstudio_capture, colmap_capture, tmp_pa
 def test_a_folder_images_whose_poses_lie_beside_it(colmap_capture, tmp_path):
     root = shutil.copytree(colmap_capture.root, tmp_path / "c")
     stubs(root, "poses_bounds.npy")
-    assert lines(root / "images") == ["poses_bounds.npy and sparse/ beside the folder images/ are not read; give the folder that holds both"]
+    assert lines(root / "images") == [
+        "poses_bounds.npy and sparse/ beside the folder images/ are not read; give the folder that holds both"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -187,7 +192,9 @@ def test_every_picture_twice_is_a_question(tmp_path):
 
 def test_folders_that_nothing_reads(tmp_path):
     heic = stubs(tmp_path / "heic", *(f"IMG_{i}.HEIC" for i in range(12)))
-    with pytest.raises(CaptureError, match=r"12 HEIC pictures \(first IMG_0\.HEIC\) cannot be read: convert them to JPEG, for example with"):
+    with pytest.raises(
+        CaptureError, match=r"12 HEIC pictures \(first IMG_0\.HEIC\) cannot be read: convert them to JPEG, for example with"
+    ):
         recognise(heic)
     for kind in ("avif", "jp2", "NEF", "jxl", "insv"):
         with pytest.raises(CaptureError, match=rf"(?i){kind.replace('jp2', 'JPEG 2000').replace('jxl', 'JPEG XL')}.*cannot be read"):
@@ -206,7 +213,13 @@ def test_a_rig_without_poses_is_told_so(tmp_path):
     stubs(root, "sparse_/cameras.bin", "sparse_/images.bin", "sparse_/points3D.bin", "poses_bounds_multipleview.npy")
     with pytest.raises(CaptureError) as refused:
         recognise(root)
-    for words in ("cam00, cam01, cam02", "cameras of a rig", "poses_bounds.npy", "the COLMAP model in sparse_", "poses_bounds_multipleview.npy"):
+    for words in (
+        "cam00, cam01, cam02",
+        "cameras of a rig",
+        "poses_bounds.npy",
+        "the COLMAP model in sparse_",
+        "poses_bounds_multipleview.npy",
+    ):
         assert words in str(refused.value)
 
 
@@ -222,7 +235,9 @@ def test_the_search_is_bounded(tmp_path, monkeypatch):
 def test_what_the_readers_notes_name_is_skipped(tmp_path):
     root = photos(tmp_path, "sparse/1/cameras.bin", "sparse/1/images.bin", "a.ply", "b.ply", "more/c.ply")
     read = [f"IMG_{i}.JPG" for i in range(4)]
-    assert unread(root, "colmap", read, ("sparse/1", "b.ply", "more/")) == ("the point cloud a.ply is not read, because the layout is colmap",)
+    assert unread(root, "colmap", read, ("sparse/1", "b.ply", "more/")) == (
+        "the point cloud a.ply is not read, because the layout is colmap",
+    )
 
 
 def test_kinds_of_names():

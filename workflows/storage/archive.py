@@ -30,19 +30,21 @@ class InUse:
 
 
 def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path:
-    """``capture`` itself or, for a .zip or .tar file (also compressed), the capture in the folder ``<workspace>/unpacked/<key>/``. An existing
-    folder is reused as it is, since the key follows from the archive's name and content. If the archive holds a single folder or file,
-    hidden ones aside, that is the capture.
+    """``capture`` itself or, for a .zip or .tar file, the capture in the folder ``<workspace>/unpacked/<key>/``. An existing folder
+    is reused as it is, since the key follows from the archive's name and content. If the archive holds a single folder or file, hidden ones
+    aside, that is the capture.
 
-    user: `gc` leaves the folder alone as long as this object lives. Raises CaptureError if the file is an archive of another kind, is damaged,
-    or holds paths that lead out of its folder.
+    user: `gc` leaves the folder alone as long as this object lives. Raises CaptureError if the file is an archive of another kind, is
+    damaged, or holds paths that lead out of its folder.
     """
     stem, suffix = _parted(capture.name)
     kind = archive_kind(capture)
     if not capture.is_file() or (kind is None and not suffix):
         return capture
     if kind is None:
-        raise CaptureError(f"{capture}: this archive cannot be unpacked (it begins like none, perhaps cut short or empty); copy or pack it again")
+        raise CaptureError(
+            f"{capture}: this archive cannot be unpacked (it begins like none, perhaps cut short or empty); copy or pack it again"
+        )
     if kind not in READ:
         raise CaptureError(f"{capture}: archives of kind {kind} are not read; unpack it and pass the folder, or pack it as .zip")
     try:
@@ -138,8 +140,7 @@ def _checked(file: Path, members: Iterator[Member]) -> list[tuple[Member, PurePo
         total += member.size
         if len(result) >= MOST_FILES or total > most:
             raise CaptureError(
-                f"{file}: it holds more than a capture of its size can ({len(result) + 1} files, {total / 1e9:.1f} GB so far), too many for a "
-                "capture; unpack it yourself"
+                f"{file}: {len(result) + 1} files of {total / 1e9:.1f} GB, and perhaps more, are too many for a capture; unpack it yourself"
             )
         path = _path(file, member)
         if path in result and "folder" not in (member.kind, result[path].kind):

@@ -16,7 +16,7 @@ _CLIP = ".mov"  # of phones that write one beside each photo
 
 
 def chosen(root: Path, names: Sequence[str]) -> str | None:
-    """"images", "video" or "videos" for a folder whose files, `names`, are pictures and videos; None if it has only one of them, or none.
+    """ "images", "video" or "videos" for a folder whose files, `names`, are pictures and videos; None if it has only one of them, or none.
 
     Raises CaptureError, which names `--format`, if both are plausible, and if the pictures are of kinds that cannot be read."""
     videos = in_order(name for name in names if is_video(name))
@@ -49,8 +49,8 @@ def _live(root: Path, videos: Sequence[str], photos: Sequence[str], readable: Se
         return "images"
     kind = kind_of(photos[0])
     raise CaptureError(
-        f"{root}: {len(photos)} photos (first {photos[0]}) with a clip of the same name for {len(videos)} of them (first {videos[0]}), as phones "
-        f"take them, and {'none' if not readable else 'only one'} of the photos is of a kind that is read; "
+        f"{root}: {len(photos)} photos (first {photos[0]}) with a clip of the same name for {len(videos)} of them (first {videos[0]}), as "
+        f"phones take them, and {'none' if not readable else 'only one'} of the photos is of a kind that is read; "
         + (f"{kind.advice}" if kind is not None and kind.advice else "convert them to JPEG")
         + f", or choose --format {'video' if len(videos) == 1 else 'videos'} if the clips are meant"
     )

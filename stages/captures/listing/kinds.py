@@ -12,15 +12,16 @@ from .names import is_image, is_video
 _JPEG = "convert them to JPEG, for example with magick mogrify -format jpg"
 _RAW = "develop them to JPEG or to TIFF of 16 bits"
 _MP4 = "export them as MP4"
+_RAWS = (
+    *(".dng", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".raf", ".orf", ".rw2", ".pef", ".srw", ".x3f", ".3fr", ".gpr"),
+    *(".kdc", ".dcr", ".mrw", ".erf", ".iiq", ".rwl", ".mos"),
+)
 _CLOSED = {  # suffixes of pictures and videos that no layout reads: (name, what to do)
     **dict.fromkeys((".heic", ".heif", ".hif"), ("HEIC", _JPEG)),
     **dict.fromkeys((".avif", ".avifs"), ("AVIF", _JPEG)),
     ".jxl": ("JPEG XL", _JPEG),
     **dict.fromkeys((".jp2", ".j2k", ".jpf", ".jpx", ".j2c", ".jpc"), ("JPEG 2000", _JPEG)),
-    **{
-        suffix: (f"{suffix[1:].upper()} (camera raw)", _RAW)
-        for suffix in (".dng .nef .nrw .cr2 .cr3 .crw .arw .sr2 .raf .orf .rw2 .pef .srw .x3f .3fr .gpr .kdc .dcr .mrw .erf .iiq .rwl .mos".split())
-    },
+    **{suffix: (f"{suffix[1:].upper()} (camera raw)", _RAW) for suffix in _RAWS},
     **{suffix: (suffix[1:].upper(), "convert them to PNG") for suffix in (".exr", ".hdr", ".ppm", ".pgm", ".pnm", ".tga", ".psd")},
     **{suffix: (suffix[1:].upper(), _JPEG) for suffix in (".mpo", ".insp", ".thm")},
     **{suffix: (suffix[1:].upper(), "export them as JPEG") for suffix in (".lfr", ".lfp")},
@@ -31,7 +32,20 @@ _CLOSED_VIDEOS = {
 }
 ROLES = {  # words in names of files and folders that say what a picture or an array shows in place of colours
     "depth": ("depth", "depths", "depthmap", "depthmaps", "depthimage", "disp", "disparity", "disparities"),
-    "mask": ("mask", "masks", "seg", "segs", "segmentation", "segmentations", "semantic", "semantics", "label", "labels", "matte", "mattes"),
+    "mask": (
+        "mask",
+        "masks",
+        "seg",
+        "segs",
+        "segmentation",
+        "segmentations",
+        "semantic",
+        "semantics",
+        "label",
+        "labels",
+        "matte",
+        "mattes",
+    ),
     "normal": ("normal", "normals"),
     "confidence": ("confidence", "confidences", "conf", "covisible"),
     "optical flow": ("flow", "flows", "optflow"),
@@ -61,8 +75,8 @@ MODEL = ("cameras", "images", "points3d", "frames", "rigs", "project")  # files 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file. one, many: its name for one and for several files. advice: what to do with them; empty if some layout reads such files,
-    or nothing is to be done. group: "picture", "video", "pose" or "other"."""
+    """A kind of file. one, many: its name for one and for several files. advice: what to do with them; empty if some layout reads such
+    files, or nothing is to be done. group: "picture", "video", "pose" or "other"."""
 
     one: str
     many: str

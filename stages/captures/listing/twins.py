@@ -25,7 +25,8 @@ def without_depth(root: Path, names: list[str]) -> tuple[list[str], tuple[str, .
     notes = []
     if deep:
         notes.append(
-            f"{len(deep)} pictures of 16 bits of grey with the name of another picture (first {deep[0]}) are taken for its depth and are not read"
+            f"{len(deep)} pictures of 16 bits of grey with the name of another picture (first {deep[0]}) are taken for its depth "
+            "and are not read"
         )
     twins = [group for group in groups.values() if sum(name not in apart for name in group) > 1]
     if twins:

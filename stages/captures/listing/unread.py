@@ -12,9 +12,7 @@ from .names import is_image, natural_key
 from .tree import MOST_DEEP, MOST_FILES, tree
 
 _MASKS = "masks"
-_MASK_PLACES = (
-    "masks/ beside images/ (give the folder that holds both), masks/ in a flat folder of photos, mask_path of transforms.json"
-)
+_MASK_PLACES = "masks/ beside images/ (give the folder that holds both), masks/ in a flat folder of photos, mask_path of transforms.json"
 _SCALED = re.compile(r"(.*?)_?(\d+x?)?")  # images_4 and images, or 2x and 4x in rgb/
 _GROUPS = ("pose", "picture", "video", "other")  # the order of the lines
 _POSED_PICTURES = ("dnerf", "panoptic", "nerfstudio", "nerfies", "colmap", "llff")
@@ -36,7 +34,8 @@ def unread(root: Path, layout: str, read: Iterable[str], spoken_for: Sequence[st
         lines.append(_line(kind, groups[kind], layout, read, models if kind is POSE else []))
     if not found.whole:
         lines.append(
-            f"the folder has more than {MOST_FILES} files, or folders more than {MOST_DEEP} deep: whether others are left unread was not checked"
+            f"the folder has more than {MOST_FILES} files, or folders more than {MOST_DEEP} deep: whether others are left "
+            "unread was not checked"
         )
     return tuple(lines)
 
