@@ -33,8 +33,8 @@ def read(root: Path, options: Options) -> Reading:
     if folder is None and options.format == "images" and (root / "images").is_dir() and _images(root / "images"):
         folder = "images"  # the user chose this format, so other folders next to it do not matter
     if folder is None:
-        others = "; ".join(seen(root)) if root.is_dir() else ""
-        raise CaptureError(f"{root}: no images here; pass the folder that holds them" + (f" (it has {others})" if others else ""))
+        there = "; ".join(seen(root)) if root.is_dir() else ""
+        raise CaptureError(f"{root}: no images here; pass the folder that holds them" + (f" (it has {there})" if there else ""))
     prefix = f"{folder}/" if folder else ""
     found, deep, said = without_depth(root, [prefix + name for name in _images(root / folder)])
     if len(found) < 2:
