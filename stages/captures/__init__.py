@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from .capture import Capture, Options, Shot, Video
+from .capture import Capture
+from .reading import Options, Shot, Video
 from .recognise import FORMATS, recognise
 
 __all__ = ["FORMATS", "Capture", "Options", "Shot", "Video", "recognise"]

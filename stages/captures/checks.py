@@ -9,8 +9,6 @@ import gc
 import json
 import math
 import os
-import posixpath
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,20 +17,24 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from ...pipeline.errors import is_odd
-from ...vision.images.files import BadImageError, open_image
+from ...vision.images.files import LYING as LYING
+from ...vision.images.files import BadImageError, open_image, orientation_of, stored_size
+from .listing.names import IMAGE_SUFFIXES as IMAGE_SUFFIXES
+from .listing.names import VIDEO_SUFFIXES as VIDEO_SUFFIXES
+from .listing.names import elsewhere as elsewhere
+from .listing.names import find_image as find_image
+from .listing.names import in_order as in_order
+from .listing.names import natural_key as natural_key
+from .listing.names import on_disk as on_disk
+from .listing.names import resolve_inside as resolve_inside
+from .listing.names import seek_image as seek_image
+from .listing.names import tail_inside as tail_inside
+from .listing.tree import is_foreign as is_foreign
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".mpg", ".mpeg", ".ts", ".gif")
 _JSON_LIMIT = 64 * 2**20  # 1 kB per frame is usual; millions of empty lists take seconds and gigabytes to parse
 _MOST_BYTES = 64 * 2**30  # COLMAP's images file for ten thousand photos with all their features has half of this
 _FARTHEST = 1e12  # world units from the origin
 _RIGID_TOLERANCE = 1e-3
-
-
-def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sort key by which `2.png` comes before `10.png`."""
-    parts = re.findall(r"\d+|\D+", name)
-    return tuple((0, int(p), "") if p.isdecimal() and p.isascii() and len(p) < 4000 else (1, 0, p) for p in parts)
 
 
 def refuse_odd_names(names: Iterable[str]) -> None:
@@ -55,18 +57,28 @@ def refuse_huge_files(root: Path, names: Iterable[str]) -> None:
 
 
 def list_folder(folder: Path) -> list[str]:
-    """Names in `folder` that are not hidden, in natural order."""
+    """Names in `folder` that are not hidden, in the order of `names.in_order`."""
     try:
         names = os.listdir(folder)
     except OSError as error:
         raise CaptureError(f"{folder}: cannot be listed ({error.strerror}); check the path and its permissions") from error
-    return sorted((n for n in names if not n.startswith(".")), key=natural_key)
+    return in_order(n for n in names if not n.startswith("."))
 
 
-def is_foreign(folder: Path) -> bool:
-    """Whether a folder inside a capture is no part of it: what macOS packs into archives, or a workspace, which is created wherever a
-    command runs. Looks only at its name and at two names in it."""
-    return folder.name == "__MACOSX" or ((folder / "store").is_dir() and (folder / "scenes").is_dir())
+def list_files(folder: Path) -> list[str]:
+    """Like `list_folder`, but only files, and links to files."""
+    try:
+        with os.scandir(folder) as entries:
+            return in_order(entry.name for entry in entries if not entry.name.startswith(".") and _is_file(entry))
+    except OSError as error:
+        raise CaptureError(f"{folder}: cannot be listed ({error.strerror}); check the path and its permissions") from error
+
+
+def _is_file(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_file()
+    except OSError:  # links in a circle
+        return False
 
 
 def read_json(root: Path, name: str) -> dict[str, Any]:
@@ -196,53 +208,16 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float, where: str, skew: flo
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
 
 
-def resolve_inside(root: Path, name: str, where: str) -> Path:
-    """`root/name` with links resolved. Refuses absolute paths, and `..` that leaves the capture. Links may lead anywhere, since a capture
-    is only read and people link to files that are too big to copy."""
-    normal = posixpath.normpath(name)
-    absolute = name.startswith(("/", "~")) or re.match(r"^[A-Za-z]:", name)
-    if absolute or normal == ".." or normal.startswith("../") or "\0" in name:
-        raise CaptureError(f"{where}: the path {name!r} leaves the capture; use a path relative to {root}")
-    try:
-        return (root / normal).resolve()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise CaptureError(f"{where}: the path {name[:200]!r} cannot be followed ({error}); correct it") from error
-
-
-def find_image(root: Path, name: str, where: str) -> str:
-    """Path relative to `root` of the image called `name`. Its extension may be missing, and `\\` counts as `/`."""
-    found = seek_image(root, name, where)
-    if found is None:
-        raise CaptureError(f"{where}: no image {name[:200]!r} in {root}; add the file or remove the frame")
-    return found
-
-
-def seek_image(root: Path, name: str, where: str) -> str | None:
-    """Like `find_image`, but returns None if there is no such image. Raises CaptureError if the path leaves the capture."""
-    name = name.replace("\\", "/")
-    resolve_inside(root, name, where)
-    normal = posixpath.normpath(name)
-    suffixes = [s for suffix in IMAGE_SUFFIXES for s in (suffix, suffix.upper())]
-    for candidate in (normal, *(normal + suffix for suffix in suffixes)):
-        try:
-            found = (root / candidate).is_file()
-        except (OSError, ValueError):
-            found = False
-        if found:
-            return candidate
-    return None
-
-
-ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # the EXIF field, and its values that include a quarter turn
 PIXELS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I;16", "I;16B", "I;16L")  # Pillow modes that `read_picture` takes
 
 
 def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int, bool]:
-    """(width, height, has alpha) from the header of one image; nothing is decoded. upright: after the rotation that EXIF data ask for."""
+    """(width, height, has alpha) from the header of one image, as stored; nothing is decoded. upright: after the rotation that EXIF data
+    ask for."""
     try:
         with open_image(root / name) as image:
-            width, height = image.size
-            if upright and image.getexif().get(ORIENTATION) in LYING:
+            width, height = stored_size(image)
+            if upright and orientation_of(image) in LYING:
                 width, height = height, width
             mode = image.mode
             alpha = "A" in image.getbands() or "transparency" in image.info
@@ -257,10 +232,9 @@ def orientation(root: Path, name: str) -> int:
     """EXIF orientation of an image, 2 to 8; 1 if it is not to be rotated or mirrored."""
     try:
         with open_image(root / name) as image:
-            found = image.getexif().get(ORIENTATION, 1)
+            return orientation_of(image)
     except BadImageError:
         return 1  # `image_header` reports what is wrong with it
-    return found if found in range(2, 9) else 1
 
 
 def turned(root: Path, names: Iterable[str]) -> bool:
@@ -274,6 +248,23 @@ def image_headers(root: Path, names: Iterable[str], upright: bool = False) -> tu
     if not headers:
         raise CaptureError(f"{root}: holds no image")
     return [header[:2] for header in headers], any(header[2] for header in headers)
+
+
+def size_hint(root: Path, name: str, width: float, height: float) -> str:
+    """What to add to a message that the picture `name` has another size than a file says, width x height px: if its EXIF orientation
+    explains that, a clause which says so, from "; " on; otherwise an empty text."""
+    try:
+        stored = image_header(root, name)[:2]
+    except CaptureError:
+        return ""
+    turn = orientation(root, name)
+    if turn not in LYING or min(*stored, width, height) <= 0 or abs(stored[0] * width / (stored[1] * height) - 1) > 0.02:
+        return ""
+    return (
+        f"; {name} is stored as {stored[0]}x{stored[1]}, and its EXIF orientation {turn} asks viewers to turn it to "
+        f"{stored[1]}x{stored[0]}: cameras in files belong to the pixels as stored, so turn those for good, for example with "
+        "magick mogrify -auto-orient"
+    )
 
 
 def _kind(value: Any) -> str:

@@ -8,23 +8,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from . import checks
-from .capture import Shot
+from .reading import Shot
 
-_FOLDER = "masks"
+FOLDER = "masks"
 
 
 def add_masks(root: Path, shots: Sequence[Shot], beside: str = "images/") -> tuple[str, ...]:
     """Assigns to each shot with file `images/NAME` its mask in `masks/`: NAME.png, as in COLMAP (`a.jpg.png`), or NAME with any image
     suffix. beside: the prefix of NAME, empty for photos in `root` itself. Returns a note for people if the folder exists."""
-    if not (root / _FOLDER).is_dir():
+    if not (root / FOLDER).is_dir():
         return ()
     for shot in shots:
         if shot.file is not None and shot.file.startswith(beside):
-            name = f"{_FOLDER}/{shot.file.removeprefix(beside)}"
+            name = f"{FOLDER}/{shot.file.removeprefix(beside)}"
             found = f"{name}.png" if (root / f"{name}.png").is_file() else name if (root / name).is_file() else None
             shot.keep = found or checks.seek_image(root, posixpath.splitext(name)[0], name)
-    none = f"{_FOLDER}/ has no mask of any image; expected {_FOLDER}/NAME.png for {beside}NAME"
-    return (told(shots, f"in {_FOLDER}/") or none,)
+    none = f"{FOLDER}/ has no mask of any image; expected {FOLDER}/NAME.png for {beside}NAME"
+    return (told(shots, f"in {FOLDER}/") or none,)
 
 
 def turn_masks(root: Path, shots: Sequence[Shot]) -> None:
@@ -51,13 +51,3 @@ def turn_masks(root: Path, shots: Sequence[Shot]) -> None:
 def told(shots: Sequence[Shot], where: str) -> str | None:
     count = sum(shot.keep is not None for shot in shots)
     return f"{count} of {len(shots)} images have a mask {where}; its black pixels are left out of training and metrics" if count else None
-
-
-def unread(folder: Path, layout: str) -> tuple[str, ...]:
-    """A note for people if `folder` has masks that this layout does not use."""
-    if not (folder / _FOLDER).is_dir():
-        return ()
-    known = (
-        f"{_FOLDER}/ beside images/ (give the folder that holds both), {_FOLDER}/ in a flat folder of photos, mask_path of transforms.json"
-    )
-    return (f"the folder {_FOLDER}/ is ignored, because the layout is {layout}; masks are read from {known}",)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 from ...pipeline import CaptureError
 from . import checks
-from .capture import Capture, Options, assemble
+from .capture import Capture, assemble
 from .formats import colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
-from .keep_masks import unread
+from .keep_masks import FOLDER
+from .listing import beside
+from .listing.archive_kind import archive_kind
+from .listing.kinds import PICTURE, kind_of
+from .listing.names import is_image, is_video
+from .listing.unread import above, seen, unread
+from .reading import Options, Reading
 from .usual import Usual
 
 # Formats with poses are tried first. A plain folder of images or a lone video is the fallback if no other file says more.
@@ -23,7 +30,6 @@ _POSED: dict[str, ModuleType] = {
 }
 _BARE: dict[str, ModuleType] = {"images": images, "video": video, "videos": videos}
 FORMATS = (*_POSED, *_BARE)
-_MASKED = ("nerfstudio", "colmap", "images")  # formats whose readers look for masks/
 _STEPPED = ("n3v", "images", "video", "videos")
 
 
@@ -61,11 +67,29 @@ def recognise(
         raise CaptureError(f"{root}: frames.every and frames.max_frames thin {', '.join(_STEPPED)}, not {kind}; leave them unset")
     if sync != "auto" and kind != "videos":
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
-    reading = (_POSED | _BARE)[kind].read(root, options)
-    base = root if root.is_dir() else root.parent
-    if kind not in _MASKED:
-        reading.notes += unread(base, kind)
-    return assemble(base, _name(root), kind, reading, options)
+    reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
+    capture = assemble(root if root.is_dir() else root.parent, _name(root), kind, reading, options)
+    return replace(capture, notes=(*capture.notes, *_not_read(root, capture, reading)))
+
+
+def _not_read(root: Path, capture: Capture, reading: Reading) -> tuple[str, ...]:
+    """A line for each known kind of file that the result does not depend on, except where the reader's notes have said it."""
+    kind, options = capture.facts["format"], capture.options
+    around = above(root, kind)
+    if root.is_file():
+        return around
+    masks = (FOLDER,) if any(f"{FOLDER}/" in note for note in reading.notes) else ()
+    thinned = bool(options.every or options.max_frames) or any("without a pose" in note for note in reading.notes)
+    return (*around, *unread(root, kind, capture.files, (*reading.spoken_for, *masks), thinned))
+
+
+def _the_video(root: Path) -> Path:
+    """The one video of a folder that has pictures as well; otherwise `root`, about which the reader decides."""
+    if root.is_dir():
+        names = [name for name in checks.list_files(root) if is_video(name)]
+        if len(names) == 1:
+            return root / names[0]
+    return root
 
 
 def _name(root: Path) -> str:
@@ -84,6 +108,11 @@ def _existing(path: Path) -> Path:
         raise CaptureError(f"{path}: neither a file nor a folder; pass a video or the capture's folder")
     if root.is_file() and root.suffix.lower() in (".json", ".npy", *checks.IMAGE_SUFFIXES):
         raise CaptureError(f"{path}: this is one file of a capture; pass its folder {root.parent}")
+    if root.is_file() and (known := kind_of(root.name)) is not None and known.group == "picture":
+        advice = f"of a kind that is not read; {known.advice}, and pass their folder"
+        raise CaptureError(f"{path}: this is one picture of a capture ({known.one}), {advice}")
+    if (archive := archive_kind(root)) is not None:
+        raise CaptureError(f"{path}: this is an archive ({archive}); unpack it and pass its folder")
     return root
 
 
@@ -96,7 +125,11 @@ def _choose(root: Path, format: str | None) -> str:
         return "video"
     if not checks.list_folder(root):
         raise CaptureError(f"{root}: the folder is empty; pass a video, a folder of images, or a capture with poses")
-    found = _candidates(root, _POSED) or _candidates(root, _BARE)
+    found = _candidates(root, _POSED)
+    if not found:
+        if (kind := beside.chosen(root, checks.list_files(root))) is not None:
+            return kind
+        found = _candidates(root, _BARE)
     if len(found) > 1:
         reasons = " and as ".join(f"{kind} ({why})" for kind, why in found.items())
         choices = " or ".join(f"--format {kind}" for kind in found)
@@ -118,9 +151,35 @@ def _advice(root: Path) -> str:
             if not (root / part / name).is_file() and not (root / part / name).is_dir():
                 return f"{part}{name} is not a file but a broken link, a pipe or a device; put the file itself there"
     folders = [name for name in names if (root / name).is_dir() and not checks.is_foreign(root / name)]
+    clauses = seen(root)
+    closed = [clause for clause in clauses if "cannot be read" in clause]
+    there = f". It has {'; '.join(clauses)}" if clauses else ""
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
+    if closed:
+        return f"{closed[0][0].upper()}{closed[0][1:]}" + (
+            f". It also has {'; '.join(c for c in clauses if c != closed[0])}" if clauses[1:] else ""
+        )
+    if rig := _rig(root, folders):
+        return f"{rig}{there}"
     if folders:
-        return f"It has the folders {', '.join(folders[:6])}: pass the one that holds images, or add transforms.json"
+        return f"It has the folders {', '.join(folders[:6])}: pass the one that holds images, or add transforms.json{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
-    return f"Expected a video or several of one event, images, {known}"
+    return f"Expected a video or several of one event, images, {known}{there}"
+
+
+def _rig(root: Path, folders: list[str]) -> str | None:
+    """What to do with several folders whose pictures have the same names, as those of synchronised cameras."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for folder in folders:
+        names = tuple(name for name in checks.list_folder(root / folder) if is_image(name))
+        if names and kind_of(f"{folder}/0.png") is PICTURE:
+            alike.setdefault(names, []).append(folder)
+    cameras = max(alike.values(), key=len, default=[])
+    if len(cameras) < 2:
+        return None
+    return (
+        f"The folders {', '.join(cameras[:6])}{', ...' if len(cameras) > 6 else ''} have pictures of the same names, so they are the "
+        "cameras of a rig, and no poses that are read: add a COLMAP model in sparse/0/ with these folders in images/, or poses_bounds.npy "
+        "with folders named cam00/, cam01/ and so on"
+    )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from . import checks
-from .capture import Shot
+from .reading import Shot
 
 
 @dataclass(frozen=True)

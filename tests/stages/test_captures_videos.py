@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import heard, recognise, sound
-from e4dgs.stages.captures.capture import TEST
 from e4dgs.stages.captures.formats.video import decode
 from e4dgs.stages.captures.formats.videos import clocks
+from e4dgs.stages.captures.reading import TEST
 from factory.writers import write_mp4
 
 RATE = 16000

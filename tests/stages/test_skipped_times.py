@@ -8,7 +8,7 @@ import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.capture import TEST, TRAIN, VAL
+from e4dgs.stages.captures.reading import TEST, TRAIN, VAL
 from e4dgs.stages.evaluate import EvaluateSettings
 from e4dgs.stages.evaluation.protocol import protocol
 from e4dgs.stages.evaluation.views import choose_views

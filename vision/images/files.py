@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "DIB", "TIFF")
 MOST_PIXELS = 178_956_970  # beyond this Pillow refuses a file as a decompression bomb; 16 bits and four channels then take 1.4 GB
 MOST_BYTES = 2**31
+ORIENTATION = 0x0112  # the EXIF field; 1 is as stored, 2 to 8 ask for a turn or a mirror
+LYING = (5, 6, 7, 8)  # its values that include a quarter turn
+_BACK = {6: 8, 8: 6}  # the orientation that undoes another; the others undo themselves
 
 
 class BadImageError(Exception):
@@ -34,7 +37,8 @@ def open_image(path: Path) -> Iterator[Image]:
             raise BadImageError("it is not a file")
         if path.stat().st_size > MOST_BYTES:
             raise BadImageError(f"more than {MOST_BYTES >> 30} GiB")
-        with Image.open(path, formats=FORMATS) as image:
+        # From an open file, since by its name Pillow maps some files into memory, and then scrambles grey TIFFs that ask for a turn.
+        with path.open("rb") as file, Image.open(file, formats=FORMATS) as image:
             if min(image.size) < 1:
                 raise BadImageError(f"its size is {image.width}x{image.height}")
             yield image
@@ -42,3 +46,40 @@ def open_image(path: Path) -> Iterator[Image]:
         raise
     except Exception as error:  # for broken files Pillow raises struct.error, KeyError, IndexError, zlib.error, ...
         raise BadImageError(str(error) or type(error).__name__) from error
+
+
+def orientation_of(image: Image) -> int:
+    """EXIF orientation of an image from `open_image`, 2 to 8; 1 if it is not to be rotated or mirrored. To be asked before its pixels."""
+    found = image.getexif().get(ORIENTATION, 1)
+    return int(found) if found in range(2, 9) else 1
+
+
+def stored_size(image: Image) -> tuple[int, int]:
+    """Width and height, px, as the file stores them. Pillow gives a TIFF the size that it has once it is turned."""
+    if image.format != "TIFF":
+        return image.size
+    width, height = (int(image.tag_v2[tag]) for tag in (256, 257))  # type: ignore[attr-defined]
+    return width, height
+
+
+def pixels(image: Image, upright: bool) -> Image:
+    """The decoded image from `open_image`: as stored, or upright, i.e. rotated and mirrored as its EXIF orientation asks.
+
+    Pillow turns a TIFF while it loads it, and nothing else. Poses in files belong to the pixels as stored, so a TIFF is turned back."""
+    from PIL.Image import Transpose
+
+    tiff = image.format == "TIFF"
+    turn = orientation_of(image) if tiff or upright else 1
+    image.load()
+    if turn == 1 or tiff == upright:
+        return image
+    way = {
+        2: Transpose.FLIP_LEFT_RIGHT,
+        3: Transpose.ROTATE_180,
+        4: Transpose.FLIP_TOP_BOTTOM,
+        5: Transpose.TRANSPOSE,
+        6: Transpose.ROTATE_270,
+        7: Transpose.TRANSVERSE,
+        8: Transpose.ROTATE_90,
+    }
+    return image.transpose(way[turn if upright else _BACK.get(turn, turn)])

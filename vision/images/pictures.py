@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...pipeline import CaptureError
-from .files import BadImageError, open_image
+from .files import BadImageError, open_image, pixels
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -30,11 +30,9 @@ _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
 def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
     """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it). upright: rotated by its EXIF
     orientation."""
-    from PIL import ImageOps
-
     try:
-        with open_image(root / name) as stored:
-            image = ImageOps.exif_transpose(stored) if upright else stored
+        with open_image(root / name) as opened:
+            image = pixels(opened, upright)
             alpha = "A" in image.getbands() or "transparency" in image.info
             if image.mode.startswith("I;16"):
                 return np.repeat(_eight_bits(image)[..., None], 3, axis=2)
@@ -49,7 +47,8 @@ def read_mask(root: Path, name: str, turn: int = 1) -> np.ndarray:
     """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is masked. turn: the EXIF orientation of the photo, given if the mask has the
     photo's size as stored, so that both are rotated alike."""
     try:
-        with open_image(root / name) as image:
+        with open_image(root / name) as opened:
+            image = pixels(opened, upright=False)
             mask = _eight_bits(image) if image.mode.startswith("I;16") else np.asarray(image.convert("L"))
             return np.ascontiguousarray(_TURNS[turn](mask))
     except BadImageError as error:

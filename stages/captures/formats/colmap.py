@@ -19,9 +19,9 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import MOST_POINTS
-from ..capture import Options, Reading, Shot
 from ..keep_masks import add_masks
 from ..lens import LARGEST_TERM, Lens, distortion_of
+from ..reading import Options, Reading, Shot
 from ..rigs import all_fixed, cameras_of, folders_of
 
 _FOLDERS = ("sparse/0", "sparse")

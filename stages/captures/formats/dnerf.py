@@ -12,7 +12,7 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks
-from ..capture import SPLITS, TRAIN, Options, Reading, Shot
+from ..reading import SPLITS, TRAIN, Options, Reading, Shot
 from . import transforms
 
 # Median step between train cameras consecutive in time, divided by the median distance of any two: 0.03 for a walked path of 90

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks
-from ..capture import DEFAULT_FPS, Options, Reading, Shot
-from ..keep_masks import add_masks, turn_masks, unread
+from ..keep_masks import add_masks, turn_masks
+from ..listing.kinds import PICTURE, colour_only, kind_of
+from ..listing.names import by_value, is_image
+from ..listing.twins import without_depth
+from ..listing.unread import seen
+from ..reading import DEFAULT_FPS, Options, Reading, Shot
 from . import video
 
+_COPY = re.compile(r"images_\d+")
 _HINT = "K.txt"
 _HINT_LIMIT = 4096  # characters; nine numbers need a tenth of that
 
@@ -27,13 +33,16 @@ def read(root: Path, options: Options) -> Reading:
     if folder is None and options.format == "images" and (root / "images").is_dir() and _images(root / "images"):
         folder = "images"  # the user chose this format, so other folders next to it do not matter
     if folder is None:
-        raise CaptureError(f"{root}: no images here; pass the folder that holds them")
+        there = "; ".join(seen(root)) if root.is_dir() else ""
+        raise CaptureError(f"{root}: no images here; pass the folder that holds them" + (f" (it has {there})" if there else ""))
     prefix = f"{folder}/" if folder else ""
-    found = [prefix + name for name in _images(root / folder)]
+    found, deep, said = without_depth(root, [prefix + name for name in _images(root / folder)])
     if len(found) < 2:
-        raise CaptureError(f"{root}: one image alone has no pose and no depth; add more views of the scene")
-    for name in found:
-        checks.resolve_inside(root, name, name)
+        others = seen(root)
+        raise CaptureError(
+            f"{root}: one image alone has no pose and no depth; add more views of the scene"
+            + (f" (it has {'; '.join(others)})" if len(others) > 1 else "")
+        )
     taken = video.choose(len(found), options, None)
     video.refuse_one(str(root), taken, len(found), options)
     paths = [found[i] for i in taken]
@@ -51,8 +60,9 @@ def read(root: Path, options: Options) -> Reading:
     masked = add_masks(root, shots, prefix)
     if upright:
         turn_masks(root, shots)
-    elsewhere = unread(root.parent, "images") if root.name == "images" and not (root / "masks").is_dir() else ()
     thinned = (f"took {len(taken)} of {len(found)} images (every {taken[1] - taken[0]})",) if len(taken) < len(found) else ()
+    ordered = by_value([name.removeprefix(prefix) for name in found])
+    decimals = (f"the names are decimal numbers and are sorted by value: {found[0]} to {found[-1]}",) if ordered else ()
     # Frames of a video and photos of a static scene cannot be told apart by their files; only --static says that nothing moves.
     return Reading(
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
@@ -61,16 +71,19 @@ def read(root: Path, options: Options) -> Reading:
         sources=(prefix + _HINT,) if hint is not None else (),
         K_hint=hint,
         upright=upright,
-        notes=(*thinned, *masked, *elsewhere),
+        notes=(*thinned, *decimals, *said, *masked),
+        spoken_for=deep,
     )
 
 
 def _images(folder: Path) -> list[str]:
-    return [name for name in checks.list_folder(folder) if name.lower().endswith(checks.IMAGE_SUFFIXES) and (folder / name).is_file()]
+    """The pictures in a folder that show colours; depth and masks of the same names are left out."""
+    return colour_only([name for name in checks.list_files(folder) if is_image(name)])
 
 
 def _folder(root: Path) -> str | None:
-    """ "" if the images lie in `root`, "images" if that is the only folder with pictures apart from masks/, None if there are no images."""
+    """ "" if the images lie in `root`, "images" if that is the only folder with pictures apart from copies in another size (images_4/) and
+    those whose name says that they show something else than colours (masks/, depth/), None if there are no images."""
     if not root.is_dir():
         return None
     if _images(root):
@@ -78,7 +91,7 @@ def _folder(root: Path) -> str | None:
     folders = [name for name in checks.list_folder(root) if (root / name).is_dir()]
     if "images" not in folders or not _images(root / "images"):
         return None
-    others = [name for name in folders if name not in ("images", "masks")]
+    others = [name for name in folders if name != "images" and not _COPY.fullmatch(name) and kind_of(f"{name}/0.png") is PICTURE]
     return None if any(_holds_pictures(root / name) for name in others) else "images"
 
 

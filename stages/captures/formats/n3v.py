@@ -14,7 +14,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
-from ..capture import TEST, TRAIN, Options, Reading, Shot, Video
+from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
 from . import video
 
 _POSES = "poses_bounds.npy"

@@ -18,8 +18,8 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
-from ..capture import TRAIN, VAL, Options, Reading, Shot
 from ..lens import LARGEST_TERM, Lens, distortion_of
+from ..reading import TRAIN, VAL, Options, Reading, Shot
 
 _DATASET, _METADATA, _SCENE, _POINTS = "dataset.json", "metadata.json", "scene.json", "points.npy"
 _SPLITS = ((TRAIN, "train_ids"), (VAL, "val_ids"))

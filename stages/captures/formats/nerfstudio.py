@@ -11,8 +11,8 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks, keep_masks
-from ..capture import SPLITS, Options, Reading, Shot
 from ..ply_points import read_points
+from ..reading import SPLITS, Options, Reading, Shot
 from . import transforms
 
 _FILE = "transforms.json"

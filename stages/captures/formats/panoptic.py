@@ -15,7 +15,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
-from ..capture import TEST, TRAIN, Options, Reading, Shot
+from ..reading import TEST, TRAIN, Options, Reading, Shot
 from ..rigs import all_fixed
 
 _FILES = ((TRAIN, "train_meta.json"), (TEST, "test_meta.json"))

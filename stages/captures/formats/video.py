@@ -12,7 +12,7 @@ import numpy as np
 
 from ....pipeline import CaptureError, thread_count
 from .. import checks
-from ..capture import Options, Reading, Shot, Video
+from ..reading import Options, Reading, Shot, Video
 from ..video_files import MOST_FRAMES, open_video
 
 DEFAULT_MAX_FRAMES = 200

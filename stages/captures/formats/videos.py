@@ -13,8 +13,8 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks, sound
-from ..capture import TEST, TRAIN, Options, Reading, Shot, Video
 from ..heard import onsets_of
+from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
 from . import video
 
 _POSES = "poses_bounds.npy"  # if this file exists, the capture belongs to n3v, whatever the names of the videos

@@ -1,0 +1,153 @@
+"""Which kind of file a name stands for, among the kinds that belong to captures: pictures, videos, poses, depth, masks, lists, tracks."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+from .names import is_image, is_video
+
+_JPEG = "convert them to JPEG, for example with magick mogrify -format jpg"
+_RAW = "develop them to JPEG or to TIFF of 16 bits"
+_MP4 = "export them as MP4"
+_RAWS = (
+    *(".dng", ".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".raf", ".orf", ".rw2", ".pef", ".srw", ".x3f", ".3fr", ".gpr"),
+    *(".kdc", ".dcr", ".mrw", ".erf", ".iiq", ".rwl", ".mos"),
+)
+_CLOSED = {  # suffixes of pictures and videos that no layout reads: (name, what to do)
+    **dict.fromkeys((".heic", ".heif", ".hif"), ("HEIC", _JPEG)),
+    **dict.fromkeys((".avif", ".avifs"), ("AVIF", _JPEG)),
+    ".jxl": ("JPEG XL", _JPEG),
+    **dict.fromkeys((".jp2", ".j2k", ".jpf", ".jpx", ".j2c", ".jpc"), ("JPEG 2000", _JPEG)),
+    **{suffix: (f"{suffix[1:].upper()} (camera raw)", _RAW) for suffix in _RAWS},
+    **{suffix: (suffix[1:].upper(), "convert them to PNG") for suffix in (".exr", ".hdr", ".ppm", ".pgm", ".pnm", ".tga", ".psd")},
+    **{suffix: (suffix[1:].upper(), _JPEG) for suffix in (".mpo", ".insp", ".thm")},
+    **{suffix: (suffix[1:].upper(), "export them as JPEG") for suffix in (".lfr", ".lfp")},
+}
+_CLOSED_VIDEOS = {
+    **{suffix: (suffix[1:].upper(), _MP4) for suffix in (".insv", ".lrv", ".360", ".braw", ".crm", ".rmvb", ".svo", ".bag", ".mcap")},
+    ".r3d": ("R3D", "unpack them if they are Record3D's archives, or export them as MP4"),
+}
+ROLES = {  # words in names of files and folders that say what a picture or an array shows in place of colours
+    "depth": ("depth", "depths", "depthmap", "depthmaps", "depthimage", "disp", "disparity", "disparities"),
+    "mask": (
+        "mask",
+        "masks",
+        "seg",
+        "segs",
+        "segmentation",
+        "segmentations",
+        "semantic",
+        "semantics",
+        "label",
+        "labels",
+        "matte",
+        "mattes",
+    ),
+    "normal": ("normal", "normals"),
+    "confidence": ("confidence", "confidences", "conf", "covisible"),
+    "optical flow": ("flow", "flows", "optflow"),
+}
+_COLOUR = ("color", "colour", "rgb", "image", "img", "left")
+_ARRAYS = (".npy", ".npz", ".pfm", ".exr", ".flo", ".tiff", ".tif", ".pgm", ".dpt", ".raw")
+_CLOUDS = (".ply", ".las", ".laz", ".pcd", ".e57", ".pts", ".ptx", ".xyz")
+_MESHES = (".obj", ".glb", ".gltf", ".usd", ".usdz", ".usda", ".usdc", ".fbx", ".stl", ".abc", ".splat", ".spz", ".sog")
+_TRACKS = (".srt", ".vtt", ".ass", ".gpx", ".kml", ".kmz", ".nmea", ".fit")
+_SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus")
+ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst")
+_DATA = r"\.(json|jsonl|txt|csv|tsv|xml|npy|npz|ya?ml|log|toml|mat|out|bin)"
+_POSES = re.compile(
+    rf"(transforms?.*\.json|poses_bounds.*\.npy|models?\.json|(.*_)?meta(data)?\.json|dataset\.json|scene\.json|.*cameras?{_DATA}|cameras?_.*{_DATA}"
+    rf"|(.*[^a-z])?(poses?|traj(ectory|ectories)?|extrinsics?|odometry|ground_?truth|w2c|c2w){_DATA}|(poses?|traj(ectory)?|extrinsics?)[^a-z].*{_DATA}"
+    r"|.*\.nvm|bundle.*\.out|.*\.psx|.*\.psz|.*\.sfm|sfm_data.*|reconstruction.*\.json)"
+)
+_CALIBRATIONS = re.compile(rf"((.*[^a-z])?(intrinsics?|calib|calibration|distortion)([^a-z].*)?{_DATA}|k\.txt)")
+_LISTS = re.compile(
+    r"((.*[^a-z])?(train|test|val|split|splits|images?|rgb|depth|frames?|filenames|file_list|list|associations?|associate|timestamps?|times)"
+    r"([^a-z].*)?\.(txt|lst|csv))|splits?.*\.json"
+)
+_MOTIONS = re.compile(rf"(.*[^a-z])?(imu|accel(erometer)?|gyro(scope)?|gps|gnss|telemetry|tracks?|tracking)([^a-z].*)?{_DATA}")
+_POSE_FOLDERS = ("camera", "cameras", "camera-paths", "camera_paths", "pose", "poses", "extrinsic", "extrinsics", "traj", "w2c", "c2w")
+MODEL = ("cameras", "images", "points3d", "frames", "rigs", "project")  # files of a COLMAP model, by their stems
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file. one, many: its name for one and for several files. advice: what to do with them; empty if some layout reads such
+    files, or nothing is to be done. group: "picture", "video", "pose" or "other"."""
+
+    one: str
+    many: str
+    group: str = "other"
+    advice: str = ""
+
+
+PICTURE = Kind("picture", "pictures", "picture")
+VIDEO = Kind("video", "videos", "video")
+POSE = Kind("pose file", "pose files", "pose")
+COPY = Kind("picture in another size", "pictures in another size", "picture")
+_OTHERS = (
+    ("point cloud", "point clouds", lambda name: name.endswith(_CLOUDS)),
+    ("mesh or splat file", "mesh or splat files", lambda name: name.endswith(_MESHES)),
+    ("subtitle or track", "subtitles or tracks", lambda name: name.endswith(_TRACKS) or _MOTIONS.fullmatch(name)),
+    ("sound file", "sound files", lambda name: name.endswith(_SOUNDS)),
+    ("COLMAP database", "COLMAP databases", lambda name: name.endswith(".db")),
+    ("calibration file", "calibration files", lambda name: _CALIBRATIONS.fullmatch(name)),
+    ("list of files or times", "lists of files or times", lambda name: _LISTS.fullmatch(name)),
+)
+
+
+def kind_of(path: str) -> Kind | None:
+    """The kind of the file at `path` (with `/` between folders), by its name and those of its folders; None if it belongs to no kind that
+    captures have."""
+    folders, name = posixpath.split(path.lower())
+    suffix = posixpath.splitext(name)[1]
+    if suffix in _CLOSED or is_image(name) or suffix in _ARRAYS:
+        role = role_of(name) or next((r for part in folders.split("/") if (r := _role_of_word(part))), None)
+        if role is not None:
+            return Kind(f"{role} map", f"{role} maps", "picture") if role != "mask" else Kind("mask", "masks", "picture")
+    if suffix in _CLOSED:
+        format, advice = _CLOSED[suffix]
+        return Kind(f"{format} picture", f"{format} pictures", "picture", advice)
+    if suffix in _CLOSED_VIDEOS:
+        format, advice = _CLOSED_VIDEOS[suffix]
+        return Kind(f"{format} video", f"{format} videos", "video", advice)
+    if is_image(name):
+        return PICTURE
+    if is_video(name):
+        return VIDEO
+    if name.endswith(ARCHIVES):
+        return Kind("archive", "archives", advice="unpack them, or pass such a file as the capture")
+    if _POSES.fullmatch(name) or (folders.split("/")[-1] in _POSE_FOLDERS and re.search(f"{_DATA}$", name)):
+        return POSE
+    return next((Kind(one, many) for one, many, fits in _OTHERS if fits(name)), None)
+
+
+def role_of(name: str) -> str | None:
+    """What the name of a picture says that it shows in place of colours, such as "depth" for `frame-000000.depth.png`; None if nothing."""
+    words = re.findall(r"[a-z]+", posixpath.splitext(name.lower())[0])
+    return next((role for word in words if (role := _role_of_word(word))), None)
+
+
+@lru_cache(10_000)
+def _role_of_word(word: str) -> str | None:
+    bare = re.sub(r"[-_.]?(maps?|images?)?[-_.]?\d*$", "", word) if word not in ROLES["depth"] else word
+    return next((role for role, words in ROLES.items() if word in words or bare in words), None)
+
+
+def colour_only(names: list[str]) -> list[str]:
+    """`names` of pictures in one folder without those that show depth, masks or normals of another one: their names have a word that says
+    so, and are otherwise the same (`rgb_01.jpg` and `depth_01.png`)."""
+    others = {name for name in names if role_of(name) is not None}
+    if not others:
+        return names
+    colours = {_subject(name) for name in names if name not in others}
+    return [name for name in names if name not in others or _subject(name) not in colours]
+
+
+def _subject(name: str) -> tuple[str, ...]:
+    """The words and numbers of a name that do not say what is shown of it."""
+    parts = re.findall(r"[a-z]+|\d+", posixpath.splitext(name.lower())[0])
+    return tuple(part for part in parts if part not in _COLOUR and part not in ("map", "maps") and not _role_of_word(part))

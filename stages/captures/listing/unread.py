@@ -1,0 +1,172 @@
+"""What lies in a capture and is not read: one line for each known kind of file, so that nothing is ignored in silence."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from .kinds import COPY, MODEL, PICTURE, POSE, Kind, kind_of
+from .names import is_image, natural_key
+from .tree import MOST_DEEP, MOST_FILES, tree
+
+_MASKS = "masks"
+_MASK_PLACES = "masks/ beside images/ (give the folder that holds both), masks/ in a flat folder of photos, mask_path of transforms.json"
+_SCALED = re.compile(r"(.*?)_?(\d+x?)?")  # images_4 and images, or 2x and 4x in rgb/
+_GROUPS = ("pose", "picture", "video", "other")  # the order of the lines
+_POSED_PICTURES = ("dnerf", "panoptic", "nerfstudio", "nerfies", "colmap", "llff")
+
+
+def unread(root: Path, layout: str, read: Iterable[str], spoken_for: Sequence[str] = (), thinned: bool = False) -> tuple[str, ...]:
+    """Lines for people about files in the folder `root` on which the result does not depend.
+
+    read: the capture's files, relative to `root`. spoken_for: files and folders that the reader's own notes name. thinned: pictures of the
+    folders that are read were left out on purpose, and the notes say how many."""
+    found = tree(root)
+    read = set(read)
+    lines = []
+    if (root / _MASKS).is_dir() and not _within(_MASKS, spoken_for) and not any(_within(path, [_MASKS]) for path in read):
+        lines.append(f"the folder {_MASKS}/ is ignored, because the layout is {layout}; masks are read from {_MASK_PLACES}")
+        spoken_for = (*spoken_for, _MASKS)
+    groups, models = _groups(found.files, read, spoken_for, thinned)
+    for kind in sorted(groups, key=lambda kind: (_GROUPS.index(kind.group), kind.many)):
+        lines.append(_line(kind, groups[kind], layout, read, models if kind is POSE else []))
+    if not found.whole:
+        lines.append(
+            f"the folder has more than {MOST_FILES} files, or folders more than {MOST_DEEP} deep: whether others are left "
+            "unread was not checked"
+        )
+    return tuple(lines)
+
+
+def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thinned: bool) -> tuple[dict[Kind, list[str]], list[str]]:
+    """The files that are not read, by kind, and the folders of COLMAP models that are not read."""
+    folders = {posixpath.dirname(path) for path in read if is_image(path)}
+    models, used = _models(files, read)
+    models = [folder for folder in models if not _within(folder, spoken_for)]
+    groups: dict[Kind, list[str]] = {POSE: []} if models else {}
+    for path in files:
+        if path in read or _within(path, spoken_for):
+            continue
+        folder, name = posixpath.split(path)
+        of_model = _stem(name).lower() in MODEL
+        if (folder in models and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
+            continue
+        kind = kind_of(path)
+        if kind is None or (thinned and kind is PICTURE and folder in folders):
+            continue
+        groups.setdefault(COPY if kind is PICTURE and folder not in folders and _copies(folder, folders) else kind, []).append(path)
+    return groups, models
+
+
+def seen(root: Path) -> tuple[str, ...]:
+    """What an unrecognised folder has of the known kinds, a clause for each."""
+    groups, models = _groups(tree(root).files, set(), (), False)
+    clauses = []
+    for kind, paths in sorted(groups.items(), key=lambda item: (not item[0].advice, _GROUPS.index(item[0].group), item[0].many)):
+        if kind.advice:
+            clauses.append(f"{_counted(kind, paths)} cannot be read: {_advice(kind, paths)}")
+        elif kind is not POSE:
+            clauses.append(_counted(kind, paths))
+    named = [_model(folder) for folder in models] + _patterns(groups.get(POSE, []))
+    return (*clauses, *named)
+
+
+def above(root: Path, layout: str) -> tuple[str, ...]:
+    """Lines about what lies beside a video file, or a folder `images/`, that was given in place of the folder that holds both."""
+    if root.is_dir() and root.name.lower() != "images":
+        return ()
+    try:
+        names = sorted(entry.name for entry in root.parent.iterdir())
+    except OSError:
+        return ()
+    lines = []
+    if root.is_dir():
+        poses = [name for name in names if kind_of(name) is POSE and (root.parent / name).is_file()]
+        poses += [f"{name}/" for name in ("sparse", "colmap") if name in names]
+        if poses:
+            verb = "is" if len(poses) == 1 else "are"
+            lines.append(f"{_joined(poses)} beside the folder {root.name}/ {verb} not read; give the folder that holds both")
+    if _MASKS in names and (root.parent / _MASKS).is_dir() and not (root / _MASKS).is_dir():
+        lines.append(f"the folder {_MASKS}/ is ignored, because the layout is {layout}; masks are read from {_MASK_PLACES}")
+    return tuple(lines)
+
+
+def _line(kind: Kind, paths: list[str], layout: str, read: set[str], models: Sequence[str]) -> str:
+    if kind is POSE:
+        named = [_model(folder) for folder in models] + _patterns(paths)
+        many = len(named) > 1 or named[0][0].isdigit()
+        return f"{_joined(named)} {'are' if many else 'is'} not read, because the layout is {layout}"
+    text = f"{_counted(kind, paths)} {'is' if len(paths) == 1 else 'are'} not read"
+    if kind.group == "picture" and kind.advice:
+        twins = {posixpath.splitext(path)[0].lower() for path in read if is_image(path)}
+        if all(posixpath.splitext(path)[0].lower() in twins for path in paths):
+            return f"{text}; each has the name of a picture that is read"
+    if kind.advice:
+        return f"{text}; {_advice(kind, paths)}"
+    if kind is COPY:
+        return f"{text}, because those of another folder are"
+    if kind is PICTURE and layout in _POSED_PICTURES:
+        return f"{text}, because no camera of the layout {layout} uses {'it' if len(paths) == 1 else 'them'}"
+    return f"{text}, because the layout is {layout}"
+
+
+def _advice(kind: Kind, paths: Sequence[str]) -> str:
+    return kind.advice if len(paths) > 1 else re.sub(r"\bthem\b", "it", kind.advice)
+
+
+def _counted(kind: Kind, paths: list[str]) -> str:
+    first = min(paths, key=natural_key)
+    return f"the {kind.one} {first}" if len(paths) == 1 else f"{len(paths)} {kind.many} (first {first})"
+
+
+def _patterns(paths: list[str]) -> list[str]:
+    """Files by name, and those whose names differ in numbers alone together."""
+    alike: dict[str, list[str]] = {}
+    for path in sorted(paths, key=natural_key):
+        alike.setdefault(re.sub(r"\d+", "0", path), []).append(path)
+    result = [group[0] if len(group) == 1 else f"{len(group)} {POSE.many} (first {group[0]})" for group in alike.values()]
+    return result if len(result) <= 4 else [*result[:3], f"{len(result) - 3} more {POSE.many}"]
+
+
+def _models(files: Iterable[str], read: set[str]) -> tuple[list[str], set[str]]:
+    """Folders with a COLMAP model: those of which nothing is read, and those of which something is."""
+    members: dict[str, set[str]] = {}
+    for path in files:
+        folder, name = posixpath.split(path)
+        if name.lower() in ("cameras.bin", "cameras.txt", "images.bin", "images.txt"):
+            members.setdefault(folder, set()).add(_stem(name).lower())
+    whole = [folder for folder, stems in members.items() if len(stems) == 2]
+    used = {folder for folder in whole if any(f"{folder}/{part}".lstrip("/") in read for part in _MODEL_FILES)}
+    return sorted((folder for folder in whole if folder not in used), key=natural_key), used
+
+
+_MODEL_FILES = tuple(f"{part}{suffix}" for part in ("cameras", "images") for suffix in (".bin", ".txt"))
+
+
+def _model(folder: str) -> str:
+    return f"the COLMAP model in {folder}" if folder else "the COLMAP model beside the pictures"
+
+
+def _copies(folder: str, folders: set[str]) -> bool:
+    """Whether a folder is named like one that is read, apart from a factor: images_4 for images, rgb/4x for rgb/2x."""
+
+    def base(path: str) -> str:
+        match = _SCALED.fullmatch(posixpath.basename(path))
+        return f"{posixpath.dirname(path)}/{match[1] if match else ''}"
+
+    scaled = re.search(r"(_\d+|^\d+x)$", posixpath.basename(folder)) is not None
+    return scaled and any(base(folder) == base(other) for other in folders)
+
+
+def _within(path: str, places: Iterable[str]) -> bool:
+    return any(path == place.rstrip("/") or path.startswith(place.rstrip("/") + "/") for place in places)
+
+
+def _stem(name: str) -> str:
+    return posixpath.splitext(name)[0]
+
+
+def _joined(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,119 @@
+"""Names of files: their order, their Unicode forms, and paths that lead into the capture or past it."""
+
+import json
+import os
+import unicodedata
+
+import numpy as np
+import pytest
+from e4dgs.pipeline import CaptureError
+from e4dgs.stages.captures import checks, recognise
+from e4dgs.stages.captures.listing.names import by_value, in_order
+from PIL import Image
+
+
+def pictures(folder, names, size=(16, 12)):
+    for i, name in enumerate(names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", size, (i, 0, 0)).save(folder / name, format="PNG" if name.endswith("png") else None)
+    return folder
+
+
+def scene(root, paths, **head):
+    frames = [{"file_path": path, "transform_matrix": np.eye(4).tolist()} for path in paths]
+    (root / "transforms.json").write_text(json.dumps({"fl_x": 20.0, **head, "frames": frames}), encoding="utf-8")
+    return root
+
+
+@pytest.mark.parametrize(
+    "ordered",
+    [
+        ["0.0.png", "0.03.png", "0.07.png", "0.1.png", "0.13.png", "0.25.png", "1.0.png"],
+        ["t0.9.png", "t0.95.png", "t1.0.png", "t10.25.png"],
+        ["1.25.png", "1.5.png", "10.0.png"],
+        ["1.1.png", "1.2.png", "1.9.png", "1.10.png", "1.11.png", "2.1.png"],  # counters: no decimal number ends in 10
+        ["1.05.png", "1.10.png", "1.20.png"],
+        ["2.png", "9.PNG", "10.png"],
+        ["a1.5.png", "a1.25.png", "b1.1.png"],  # two texts: no numbers alone
+        ["img01.png", "img1.png", "img1a.png", "img02.png", "img2.png"],
+    ],
+)
+def test_order_of_names(ordered):
+    assert in_order(reversed(ordered)) == in_order(ordered) == ordered
+
+
+def test_decimal_numbers_are_times_and_it_is_said(tmp_path):
+    root = pictures(tmp_path / "photos", ["0.1.png", "0.03.png", "0.25.png", "0.0.png"])
+    capture = recognise(root)
+    assert capture.names == ("0.0.png", "0.03.png", "0.1.png", "0.25.png")
+    assert any("sorted by value" in note for note in capture.notes)
+    assert not by_value(["0.10.png", "0.25.png"]) and not by_value([])
+
+
+@pytest.mark.parametrize(("on_disk", "in_file"), [("NFD", "NFC"), ("NFC", "NFD")])
+def test_letters_with_accents_are_found_in_either_form(tmp_path, on_disk, in_file):
+    names = [f"séance/café_{i}.png" for i in range(4)]
+    root = pictures(tmp_path / "s", [unicodedata.normalize(on_disk, name) for name in names])
+    scene(root, [unicodedata.normalize(in_file, name) for name in names])
+    capture = recognise(root)
+    assert capture.images == tuple(unicodedata.normalize(on_disk, name) for name in names)
+    (root / "café").mkdir()
+    assert checks.on_disk(root, unicodedata.normalize("NFD", "café") + "/x") == "café/x"
+
+
+def test_absolute_paths_into_the_capture_are_read(tmp_path):
+    root = pictures(tmp_path / "real", [f"images/{i}.png" for i in range(4)])
+    (tmp_path / "link").symlink_to(root)
+    for given in (root, tmp_path / "link"):
+        scene(root, [f"{given}/images/{i}.png" for i in range(4)])
+        for read in (root, tmp_path / "link"):
+            assert recognise(read).images == tuple(f"images/{i}.png" for i in range(4))
+
+
+@pytest.mark.parametrize(
+    "path", ["/etc/hostname", "/", "{root}", "{root}x/0.png", "{root}/../0.png", "~/0.png", "C:/0.png", "../0.png", "a\0b"]
+)
+def test_paths_out_of_the_capture_are_refused(tmp_path, path):
+    root = pictures(tmp_path / "s", ["0.png"])
+    pictures(tmp_path, ["0.png"])
+    with pytest.raises(CaptureError, match=r"here: the path .* leaves the capture"):
+        checks.seek_image(root, path.format(root=root), "here")
+
+
+def test_the_end_of_another_computers_path(tmp_path):
+    root = pictures(tmp_path / "s", ["images/0.png", "0.png", "train/1.png"])
+    assert checks.tail_inside(root, "/home/me/room/images/0.png") == "images/0.png"
+    assert checks.tail_inside(root, "C:\\Users\\me\\room\\images\\0") == "images/0.png"
+    assert checks.tail_inside(root, "../images/0.png") == "images/0.png"
+    assert checks.tail_inside(root, "/home/me/other/0.png") == "0.png"
+    assert checks.tail_inside(root, "/home/me/1.png") is None
+
+
+def test_a_picture_that_lies_elsewhere_is_named(tmp_path):
+    root = pictures(tmp_path / "s", ["a/0.png", "b/1.png", "c/1.png"])
+    assert checks.elsewhere(root, "images/0.png") == "a/0.png" == checks.elsewhere(root, "0")
+    assert checks.elsewhere(root, "images/1.png") is None and checks.elsewhere(root, "2.png") is None
+    with pytest.raises(CaptureError, match=r"no image 'images/0\.png' in .*; a file of that name is a/0\.png: correct the path"):
+        checks.find_image(root, "images/0.png", "here")
+    with pytest.raises(CaptureError, match="add the file or remove the frame"):
+        checks.find_image(root, "images/1.png", "here")
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".tif"])
+def test_a_size_that_exif_explains(tmp_path, suffix):
+    tags = Image.Exif()
+    for turn in (1, 3, 6):
+        tags[0x0112] = turn
+        Image.new("RGB", (16, 12)).save(tmp_path / f"{turn}{suffix}", exif=tags)
+    hint = checks.size_hint(tmp_path, f"6{suffix}", 24, 32)
+    assert hint.startswith(f"; 6{suffix} is stored as 16x12") and "EXIF orientation 6" in hint and "12x16" in hint
+    assert checks.size_hint(tmp_path, f"6{suffix}", 16, 16) == checks.size_hint(tmp_path, f"1{suffix}", 12, 16) == ""
+    assert checks.size_hint(tmp_path, f"3{suffix}", 12, 16) == checks.size_hint(tmp_path, "absent.jpg", 12, 16) == ""
+
+
+def test_all_suffixes_of_jpeg_are_read(tmp_path):
+    for i, suffix in enumerate((".jpg", ".JPG", ".jpeg", ".jfif", ".jpe", ".JFIF")):
+        Image.new("RGB", (16, 12)).save(tmp_path / f"{i}{suffix}", format="JPEG")
+    assert recognise(tmp_path).facts["frames"] == 6
+    scene(tmp_path, [str(i) for i in range(6)])
+    assert len(recognise(tmp_path).images) == 6 and os.path.exists(tmp_path / "3.jfif")

@@ -1,0 +1,247 @@
+"""Nothing is ignored in silence: a line for each known kind of file that the result does not depend on."""
+
+import shutil
+
+import numpy as np
+import pytest
+from e4dgs.pipeline import CaptureError
+from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures.listing import tree as walking
+from e4dgs.stages.captures.listing.kinds import PICTURE, POSE, VIDEO, colour_only, kind_of
+from e4dgs.stages.captures.listing.unread import unread
+from PIL import Image
+
+
+def pictures(root, names, size=(16, 12)):
+    for i, name in enumerate(names):
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", size, (i, 0, 0)).save(path, format="PNG" if path.suffix.lower() == ".png" else "JPEG")
+    return root
+
+
+def stubs(root, *names):
+    for name in names:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(b"x")
+    return root
+
+
+def lines(root, **options):
+    return [note for note in recognise(root, **options).notes if "not read" in note or "ignored" in note]
+
+
+def photos(tmp_path, *others, count=4):
+    return stubs(pictures(tmp_path / "photos", [f"IMG_{i}.JPG" for i in range(count)]), *others)
+
+
+def test_all_that_is_read_is_not_spoken_of(
+    dnerf_capture, n3v_capture, panoptic_capture, nerfstudio_capture, colmap_capture, images_capture, videos_capture
+):
+    for capture in (
+        *(dnerf_capture, n3v_capture, panoptic_capture, nerfstudio_capture),
+        *(colmap_capture, images_capture, videos_capture),
+    ):
+        assert lines(capture.root) == []
+
+
+CLOSED = {
+    "HEIC": (("a.HEIC", "b.heic", "c.heif", "d.hif"), "4 HEIC pictures (first a.HEIC) are not read; convert them to JPEG"),
+    "AVIF": (("a.avif",), "the AVIF picture a.avif is not read; convert it to JPEG"),
+    "JXL": (("a.jxl", "b.JXL"), "2 JPEG XL pictures (first a.jxl) are not read; convert them to JPEG"),
+    "JP2": (("a.jp2",), "the JPEG 2000 picture a.jp2 is not read; convert it to JPEG"),
+    "DNG": (("a.dng", "b.DNG"), "2 DNG (camera raw) pictures (first a.dng) are not read; develop them to JPEG or to TIFF of 16 bits"),
+    "NEF": (("a.NEF",), "the NEF (camera raw) picture a.NEF is not read; develop it"),
+    "CR3": (("a.CR3", "a2.cr2"), "the CR3 (camera raw) picture a.CR3 is not read; develop it"),
+    "EXR": (("a.exr",), "the EXR picture a.exr is not read; convert it to PNG"),
+    "INSV": (("a.insv",), "the INSV video a.insv is not read; export it as MP4"),
+    "videos": (("a/b.MTS", "a/c.3gp", "a/d.mp4"), "3 videos (first a/b.MTS) are not read, because the layout is images"),
+    "poses": (("poses_bounds.npy",), "poses_bounds.npy is not read, because the layout is images"),
+    "LLFF of several views": (
+        ("poses_bounds_multipleview.npy",),
+        "poses_bounds_multipleview.npy is not read, because the layout is images",
+    ),
+    "transforms": (
+        ("transforms_old.json", "sub/transforms.json"),
+        "sub/transforms.json and transforms_old.json are not read, because the layout is images",
+    ),
+    "a pose a picture": (
+        [f"frame-{i:06d}.pose.txt" for i in range(5)],
+        "5 pose files (first frame-000000.pose.txt) are not read, because the layout is images",
+    ),
+    "cameras of Metashape": (("cameras.xml",), "cameras.xml is not read, because the layout is images"),
+    "immersive light fields": (("models.json",), "models.json is not read, because the layout is images"),
+    "Record3D": (("metadata.json",), "metadata.json is not read, because the layout is images"),
+    "Bundler": (("bundle.out",), "bundle.out is not read, because the layout is images"),
+    "VisualSFM": (("model.nvm",), "model.nvm is not read, because the layout is images"),
+    "a trajectory": (("traj.txt",), "traj.txt is not read, because the layout is images"),
+    "light field": (("a.lfr",), "the LFR picture a.lfr is not read; export it as JPEG"),
+    "model": (
+        ("colmap/sparse/0/cameras.bin", "colmap/sparse/0/images.bin", "colmap/sparse/0/points3D.bin", "colmap/sparse/0/project.ini"),
+        "the COLMAP model in colmap/sparse/0 is not read, because the layout is images",
+    ),
+    "models and others": (
+        ("sparse/1/cameras.txt", "sparse/1/images.txt", "sparse_/cameras.bin", "sparse_/images.bin", "transforms_a.json"),
+        "the COLMAP model in sparse/1, the COLMAP model in sparse_ and transforms_a.json are not read, because the layout is images",
+    ),
+    "database": (("database.db",), "the COLMAP database database.db is not read, because the layout is images"),
+    "lists": (("train_list.txt", "rgb.txt"), "2 lists of files or times (first rgb.txt) are not read, because the layout is images"),
+    "tracks": (("DJI_1.SRT", "a.gpx", "imu.csv"), "3 subtitles or tracks (first DJI_1.SRT) are not read, because the layout is images"),
+    "clouds": (("a.ply", "b.las", "c.pcd"), "3 point clouds (first a.ply) are not read, because the layout is images"),
+    "archives": (("a.zip", "b.7z"), "2 archives (first a.zip) are not read; unpack them, or pass such a file as the capture"),
+    "depth arrays": (("depth/0.npy", "depth/1.npy"), "2 depth maps (first depth/0.npy) are not read, because the layout is images"),
+    "calibration": (("intrinsics.json",), "the calibration file intrinsics.json is not read, because the layout is images"),
+}
+
+
+@pytest.mark.parametrize("case", CLOSED)
+def test_a_line_for_each_kind(tmp_path, case):
+    names, line = CLOSED[case]
+    found = lines(photos(tmp_path, *names))
+    assert any(note.startswith(line) for note in found), found
+    assert len(found) == (2 if case == "CR3" else 1), found
+
+
+def test_files_that_say_nothing_of_a_capture(tmp_path):
+    assert lines(photos(tmp_path, "README.md", "notes.txt", "Thumbs.db2", ".hidden.heic", "__MACOSX/a.heic", "run.py", "LICENSE")) == []
+    root = photos(tmp_path / "b", "work/store/x.ply", "work/scenes/a.png")
+    assert lines(root) == [], "a workspace is no part of the capture"
+
+
+def test_heic_beside_jpeg_of_the_same_photos(tmp_path):
+    (line,) = lines(photos(tmp_path, "IMG_0.HEIC", "IMG_1.heic"))
+    assert line == "2 HEIC pictures (first IMG_0.HEIC) are not read; each has the name of a picture that is read"
+
+
+def test_pictures_that_were_left_out_on_purpose_are_said_once(images_capture, n3v_capture, tmp_path):
+    assert lines(images_capture.root, every=3) == lines(images_capture.root, max_frames=4) == []
+    np.save(tmp_path / "poses_bounds.npy", np.load(n3v_capture.root / "poses_bounds.npy"))
+    pictures(tmp_path, [f"cam{c:02d}/{t}.png" for c in range(4) for t in range(4)], (80, 64))
+    assert lines(tmp_path, every=2) == [] and lines(tmp_path) == []
+
+
+def test_pictures_that_no_camera_uses(nerfstudio_capture, colmap_capture, tmp_path):
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "n")
+    name = nerfstudio_capture.files[0]
+    shutil.copy(root / name, root / "extra.png")
+    assert lines(root) == ["the picture extra.png is not read, because no camera of the layout nerfstudio uses it"]
+    other = shutil.copytree(colmap_capture.root, tmp_path / "c")
+    shutil.copytree(other / "images", other / "images_4")
+    stubs(other, "database.db", "poses_bounds.npy", "sparse/0/points3D.ply")
+    folder = min(path.name for path in (other / "images_4").iterdir())
+    assert lines(other) == [
+        "poses_bounds.npy is not read, because the layout is colmap",
+        f"{len(colmap_capture.files)} pictures in another size (first images_4/{folder}) are not read, because those of another folder are",
+        "the COLMAP database database.db is not read, because the layout is colmap",
+    ]
+
+
+def test_a_folder_images_whose_poses_lie_beside_it(colmap_capture, tmp_path):
+    root = shutil.copytree(colmap_capture.root, tmp_path / "c")
+    stubs(root, "poses_bounds.npy")
+    assert lines(root / "images") == [
+        "poses_bounds.npy and sparse/ beside the folder images/ are not read; give the folder that holds both"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("colour", "other", "what"),
+    [
+        ("frame-{:06d}.color.png", "frame-{:06d}.depth.png", "depth maps"),
+        ("rgb_{:03d}.png", "depth_{:03d}.png", "depth maps"),
+        ("{:03d}.jpg", "{:03d}_depth.png", "depth maps"),
+        ("r_{}.png", "r_{}_normal.png", "normal maps"),
+        ("{:03d}.jpg", "{:03d}_mask.png", "masks"),
+        ("images/{:03d}.png", "depth/{:03d}.png", "depth maps"),
+        ("images/{:03d}.png", "normals/{:03d}.png", "normal maps"),
+        ("images/{:03d}.png", "confidence/{:03d}.png", "confidence maps"),
+    ],
+)
+def test_depth_among_colours(tmp_path, colour, other, what):
+    root = pictures(tmp_path / "s", [name.format(i) for i in range(4) for name in (colour, other)])
+    capture = recognise(root)
+    assert capture.names == tuple(colour.format(i) for i in range(4))
+    assert f"4 {what} (first {other.format(0)}) are not read, because the layout is images" in capture.notes
+
+
+def test_grey_of_16_bits_with_the_name_of_a_picture_is_its_depth(tmp_path):
+    root = pictures(tmp_path / "s", [f"{i}.jpg" for i in range(4)])
+    for i in range(3):
+        Image.fromarray(np.full((12, 16), 1000, np.uint16)).save(root / f"{i}.png")
+    capture = recognise(root)
+    assert capture.names == ("0.jpg", "1.jpg", "2.jpg", "3.jpg")
+    assert capture.notes == (
+        "3 pictures of 16 bits of grey with the name of another picture (first 0.png) are taken for its depth and are not read",
+    )
+    for i in range(4):
+        Image.fromarray(np.full((12, 16), 1000, np.uint16)).save(root / f"{i}.jpg.png")
+    alone = tmp_path / "grey"
+    alone.mkdir()
+    for i in range(3):
+        Image.fromarray(np.full((12, 16), 1000, np.uint16)).save(alone / f"{i}.png")
+    assert recognise(alone).facts["frames"] == 3, "pictures of 16 bits of grey are pictures"
+
+
+def test_every_picture_twice_is_a_question(tmp_path):
+    root = pictures(tmp_path / "s", [f"{i}.{suffix}" for i in range(3) for suffix in ("jpg", "png")])
+    with pytest.raises(CaptureError, match=r"every picture is there twice, with two suffixes \(first 0\.jpg and 0\.png\)"):
+        recognise(root)
+    (root / "1.png").unlink()
+    assert any("2 pictures are there with two suffixes" in note for note in recognise(root).notes)
+
+
+def test_folders_that_nothing_reads(tmp_path):
+    heic = stubs(tmp_path / "heic", *(f"IMG_{i}.HEIC" for i in range(12)))
+    with pytest.raises(
+        CaptureError, match=r"12 HEIC pictures \(first IMG_0\.HEIC\) cannot be read: convert them to JPEG, for example with"
+    ):
+        recognise(heic)
+    for kind in ("avif", "jp2", "NEF", "jxl", "insv"):
+        with pytest.raises(CaptureError, match=rf"(?i){kind.replace('jp2', 'JPEG 2000').replace('jxl', 'JPEG XL')}.*cannot be read"):
+            recognise(stubs(tmp_path / kind, f"a.{kind}", f"b.{kind}"))
+    with pytest.raises(CaptureError, match=r"a\.heic.*one picture of a capture \(HEIC picture\).*convert them to JPEG"):
+        recognise(stubs(tmp_path / "one", "a.heic") / "a.heic")
+    one = stubs(pictures(tmp_path / "mixed", ["a.jpg"]), "b.heic", "c.heic")
+    with pytest.raises(CaptureError, match=r"one image alone.*2 HEIC pictures \(first b\.heic\) cannot be read"):
+        recognise(one)
+    with pytest.raises(CaptureError, match=r"no images here; .*12 HEIC pictures"):
+        recognise(heic, format="images")
+
+
+def test_a_rig_without_poses_is_told_so(tmp_path):
+    root = pictures(tmp_path / "rig", [f"cam{c:02d}/frame_{t:05d}.jpg" for c in range(3) for t in range(3)])
+    stubs(root, "sparse_/cameras.bin", "sparse_/images.bin", "sparse_/points3D.bin", "poses_bounds_multipleview.npy")
+    with pytest.raises(CaptureError) as refused:
+        recognise(root)
+    for words in (
+        "cam00, cam01, cam02",
+        "cameras of a rig",
+        "poses_bounds.npy",
+        "the COLMAP model in sparse_",
+        "poses_bounds_multipleview.npy",
+    ):
+        assert words in str(refused.value)
+
+
+def test_the_search_is_bounded(tmp_path, monkeypatch):
+    root = photos(tmp_path, *(f"{'d/' * deep}a.ply" for deep in range(1, 14)))
+    (root / "circle").symlink_to(root)
+    found = unread(root, "images", [f"IMG_{i}.JPG" for i in range(4)])
+    assert found[0].startswith("8 point clouds (first d/a.ply)") and "more than 8 deep" in found[1]
+    monkeypatch.setattr(walking, "MOST_FILES", 3)
+    assert not walking.tree(root).whole and len(walking.tree(root).files) == 3
+
+
+def test_what_the_readers_notes_name_is_skipped(tmp_path):
+    root = photos(tmp_path, "sparse/1/cameras.bin", "sparse/1/images.bin", "a.ply", "b.ply", "more/c.ply")
+    read = [f"IMG_{i}.JPG" for i in range(4)]
+    assert unread(root, "colmap", read, ("sparse/1", "b.ply", "more/")) == (
+        "the point cloud a.ply is not read, because the layout is colmap",
+    )
+
+
+def test_kinds_of_names():
+    assert kind_of("a/b.JPG") is PICTURE and kind_of("x.M2TS") is VIDEO and kind_of("transforms_train.json") is POSE
+    assert kind_of("cam/README.md") is kind_of("config.json") is kind_of("script.py") is None
+    assert colour_only(["depth_1.png", "depth_2.png"]) == ["depth_1.png", "depth_2.png"], "without colours they are the pictures"
+    assert colour_only(["1.png", "depth_1.png", "depth_2.png"]) == ["1.png", "depth_2.png"]
