@@ -26,6 +26,7 @@ from .listing.names import find_image as find_image
 from .listing.names import in_order as in_order
 from .listing.names import natural_key as natural_key
 from .listing.names import on_disk as on_disk
+from .listing.names import relative as relative
 from .listing.names import resolve_inside as resolve_inside
 from .listing.names import seek_image as seek_image
 from .listing.names import tail_inside as tail_inside

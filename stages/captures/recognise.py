@@ -176,6 +176,6 @@ def _rig(root: Path, folders: list[str]) -> str | None:
         return None
     return (
         f"The folders {', '.join(cameras[:6])}{', ...' if len(cameras) > 6 else ''} have pictures of the same names, so they are the "
-        "cameras of a rig, and no poses that are read: add a COLMAP model in sparse/0/ with these folders in images/, or poses_bounds.npy with "
-        "folders named cam00/, cam01/ and so on"
+        "cameras of a rig, and no poses that are read: add a COLMAP model in sparse/0/ with these folders in images/, or poses_bounds.npy "
+        "with folders named cam00/, cam01/ and so on"
     )

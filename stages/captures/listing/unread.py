@@ -44,14 +44,15 @@ def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thi
     """The files that are not read, by kind, and the folders of COLMAP models that are not read."""
     folders = {posixpath.dirname(path) for path in read if is_image(path)}
     models, used = _models(files, read)
-    models = [folder for folder in models if not _within(folder, spoken_for)]
+    told = {folder for folder in models if any(_within(f"{folder}/{part}".lstrip("/"), spoken_for) for part in _MODEL_FILES)}
+    models = [folder for folder in models if folder not in told]
     groups: dict[Kind, list[str]] = {POSE: []} if models else {}
     for path in files:
         if path in read or _within(path, spoken_for):
             continue
         folder, name = posixpath.split(path)
         of_model = _stem(name).lower() in MODEL
-        if (folder in models and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
+        if ((folder in models or folder in told) and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
             continue
         kind = kind_of(path)
         if kind is None or (thinned and kind is PICTURE and folder in folders):
