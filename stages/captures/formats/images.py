@@ -42,8 +42,7 @@ def read(root: Path, options: Options) -> Reading:
     taken = video.choose(len(found), options, None)
     video.refuse_one(str(root), taken, len(found), options)
     paths = [found[i] for i in taken]
-    upright = checks.turned(root, paths)  # only this format follows EXIF; poses in files apply to the pictures as stored
-    sizes, alpha = checks.image_headers(root, paths, upright)
+    sizes, alpha, upright = checks.upright_headers(root, paths)  # only this format follows EXIF: poses apply to pictures as stored
     hint = _hint(root, prefix + _HINT, *sizes[0])
     if hint is not None and len(set(sizes)) > 1:
         raise CaptureError(
