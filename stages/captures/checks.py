@@ -26,6 +26,7 @@ from .listing.names import find_image as find_image
 from .listing.names import in_order as in_order
 from .listing.names import natural_key as natural_key
 from .listing.names import on_disk as on_disk
+from .listing.names import relative as relative
 from .listing.names import resolve_inside as resolve_inside
 from .listing.names import seek_image as seek_image
 from .listing.names import tail_inside as tail_inside
@@ -211,21 +212,24 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float, where: str, skew: flo
 PIXELS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I;16", "I;16B", "I;16L")  # Pillow modes that `read_picture` takes
 
 
-def image_header(root: Path, name: str, upright: bool = False) -> tuple[int, int, bool]:
-    """(width, height, has alpha) from the header of one image, as stored; nothing is decoded. upright: after the rotation that EXIF data
-    ask for."""
+def image_header(root: Path, name: str) -> tuple[int, int, bool]:
+    """(width, height, has alpha) from the header of one image, as stored; nothing is decoded."""
+    return _header(root, name, turn=False)[:3]
+
+
+def _header(root: Path, name: str, turn: bool) -> tuple[int, int, bool, int]:
+    """As `image_header`, and the EXIF orientation; 1 without `turn`, which takes longer."""
     try:
         with open_image(root / name) as image:
             width, height = stored_size(image)
-            if upright and orientation_of(image) in LYING:
-                width, height = height, width
+            orientation = orientation_of(image) if turn else 1
             mode = image.mode
             alpha = "A" in image.getbands() or "transparency" in image.info
     except BadImageError as error:
         raise CaptureError(f"{name}: not a readable image ({error}); copy it again or remove it from the capture") from error
     if mode not in PIXELS:
         raise CaptureError(f"{name}: pixels of kind {mode!r} are not supported; convert the images to RGB or RGBA of 8 or 16 bits")
-    return width, height, alpha
+    return width, height, alpha, orientation
 
 
 def orientation(root: Path, name: str) -> int:
@@ -237,17 +241,20 @@ def orientation(root: Path, name: str) -> int:
         return 1  # `image_header` reports what is wrong with it
 
 
-def turned(root: Path, names: Iterable[str]) -> bool:
-    """Whether the EXIF data of any image ask for a rotation, as those from a phone held upright do."""
-    return any(orientation(root, name) != 1 for name in names)
-
-
-def image_headers(root: Path, names: Iterable[str], upright: bool = False) -> tuple[list[tuple[int, int]], bool]:
-    """((width, height) of each of `names`, whether any has alpha). upright: as for `image_header`."""
-    headers = [image_header(root, name, upright) for name in names]
+def image_headers(root: Path, names: Iterable[str]) -> tuple[list[tuple[int, int]], bool]:
+    """((width, height) of each of `names` as stored, whether any has alpha)."""
+    headers = [_header(root, name, turn=False) for name in names]
     if not headers:
         raise CaptureError(f"{root}: holds no image")
     return [header[:2] for header in headers], any(header[2] for header in headers)
+
+
+def upright_headers(root: Path, names: Iterable[str]) -> tuple[list[tuple[int, int]], bool, bool]:
+    """As `image_headers`, but the sizes after the rotation that EXIF data ask for, and whether they ask for any rotation or mirroring, as
+    those from a phone held upright do."""
+    headers = [_header(root, name, turn=True) for name in names]
+    sizes = [(height, width) if turn in LYING else (width, height) for width, height, _, turn in headers]
+    return sizes, any(header[2] for header in headers), any(header[3] != 1 for header in headers)
 
 
 def size_hint(root: Path, name: str, width: float, height: float) -> str:

@@ -15,7 +15,7 @@ from .listing import beside
 from .listing.archive_kind import archive_kind
 from .listing.kinds import PICTURE, kind_of
 from .listing.names import is_image, is_video
-from .listing.unread import above, seen, unread
+from .listing.unread import above, described, only_closed, unread
 from .reading import Options, Reading
 from .usual import Usual
 
@@ -151,15 +151,11 @@ def _advice(root: Path) -> str:
             if not (root / part / name).is_file() and not (root / part / name).is_dir():
                 return f"{part}{name} is not a file but a broken link, a pipe or a device; put the file itself there"
     folders = [name for name in names if (root / name).is_dir() and not checks.is_foreign(root / name)]
-    clauses = seen(root)
-    closed = [clause for clause in clauses if "cannot be read" in clause]
-    there = f". It has {'; '.join(clauses)}" if clauses else ""
+    there = described(root)
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
-    if closed:
-        return f"{closed[0][0].upper()}{closed[0][1:]}" + (
-            f". It also has {'; '.join(c for c in clauses if c != closed[0])}" if clauses[1:] else ""
-        )
+    if only_closed(root):
+        return there.removeprefix(". ")
     if rig := _rig(root, folders):
         return f"{rig}{there}"
     if folders:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import stat
 import struct
+import tarfile
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -48,6 +50,21 @@ def cases() -> Iterator[Case]:
     )
     for method, what in ((zipfile.ZIP_DEFLATED, "deflate"), (zipfile.ZIP_BZIP2, "bzip2"), (zipfile.ZIP_LZMA, "LZMA")):
         yield Case(f"archive: damaged {what}", "archive", _changed(_zip(pictures, method), _damage_data), names=(FILE,))
+    for what, name in NAMES.items():
+        if name:
+            yield Case(f"archive: name in a tar: {what}", "archive", _bytes(_tar(name)), names=(FILE,))
+    for what, kind in {"a link": tarfile.SYMTYPE, "a hard link": tarfile.LNKTYPE, "a pipe": tarfile.FIFOTYPE}.items():
+        yield Case(f"archive: {what} in a tar", "archive", _bytes(_tar("2.png", kind)), names=(FILE,))
+    for what, data in {
+        "a terabyte": _tar("2.png", size=2**32),
+        "a header of gigabytes": _tar("2.png", tarfile.XHDTYPE, size=2**32),
+        "zeros": gzip.compress(_tar("2.png") + bytes(150_000_000), 1),
+        "cut": gzip.compress(_tar("2.png"))[:-40],
+        "in cut": _tar("2.png")[:1200],
+        "7z": b"7z\xbc\xaf\x27\x1c" + bytes(100),
+        "RAR": b"Rar!\x1a\7\1\0" + bytes(100),
+    }.items():
+        yield Case(f"archive: tar: {what}", "archive", _bytes(data), names=(FILE,))
     for what, change in {
         "a size of 2^32": lambda d: _central(d, 24, struct.pack("<I", 2**32 - 2)),
         "a size that is too small": lambda d: _central(d, 24, struct.pack("<I", 3)),
@@ -64,6 +81,24 @@ def cases() -> Iterator[Case]:
         "cut in the middle": lambda d: d[: len(d) // 2],
     }.items():
         yield Case(f"archive: {what}", "archive", _changed(_zip(pictures), change), names=(FILE,))
+
+
+def _tar(name: str, kind: bytes = tarfile.REGTYPE, size: int | None = None) -> bytes:
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        for other in ("0.png", "1.png", name):
+            info, data = tarfile.TarInfo(other), png()
+            info.size = len(data)
+            if other == name:
+                info.type, info.linkname = kind, "/etc/hostname"
+            archive.addfile(info, io.BytesIO(data))
+    data = bytearray(buffer.getvalue())
+    if size is not None:  # of the last entry, which the archive does not hold
+        at = data.rindex(name.encode() + b"\0")
+        data[at + 124 : at + 136] = b"%011o\0" % size
+        data[at + 148 : at + 156] = b" " * 8
+        data[at + 148 : at + 156] = b"%06o\0 " % sum(data[at : at + 512])
+    return bytes(data)
 
 
 def _zip(files: dict[str, bytes | str], method: int = zipfile.ZIP_STORED, kind: int = 0, again: str | None = None) -> bytes:

@@ -235,9 +235,11 @@ def test_the_search_is_bounded(tmp_path, monkeypatch):
 def test_what_the_readers_notes_name_is_skipped(tmp_path):
     root = photos(tmp_path, "sparse/1/cameras.bin", "sparse/1/images.bin", "a.ply", "b.ply", "more/c.ply")
     read = [f"IMG_{i}.JPG" for i in range(4)]
-    assert unread(root, "colmap", read, ("sparse/1", "b.ply", "more/")) == (
-        "the point cloud a.ply is not read, because the layout is colmap",
-    )
+    for model in ("sparse/1", "sparse/1/images.bin"):
+        found = unread(root, "colmap", read, (model, "b.ply", "more/"))
+        assert found == ("the point cloud a.ply is not read, because the layout is colmap",)
+    model, clouds = unread(root, "colmap", read)
+    assert model.startswith("the COLMAP model in sparse/1 is not read") and clouds.startswith("3 point clouds")
 
 
 def test_kinds_of_names():

@@ -116,10 +116,13 @@ def test_tar_bombs_and_damage(tmp_path, monkeypatch):
     with pytest.raises(CaptureError, match="too many for a capture"):
         unpacked(bomb, tmp_path / "work")
     whole = tar(tmp_path / "a.tar", [("a", tarfile.REGTYPE, "")], bytes(3_000)).read_bytes()
+    two = tar(tmp_path / "b.tar", [("a", tarfile.REGTYPE, ""), ("b", tarfile.REGTYPE, "")]).read_bytes()
     (tmp_path / "cut.tar").write_bytes(whole[:2000])
+    (tmp_path / "half.tar").write_bytes(two[:1200])  # within the header of the second file
+    (tmp_path / "damaged.tar").write_bytes(two[:1100] + b"\xff" * 10 + two[1110:])
     small = tar(tmp_path / "small.tgz", [("a", tarfile.REGTYPE, "")], b"words", "w:gz").read_bytes()
-    (tmp_path / "cut.tgz").write_bytes(small[: len(small) - 20])
-    for name in ("cut.tar", "cut.tgz"):
+    (tmp_path / "cut.tgz").write_bytes(small[:-6])
+    for name in ("cut.tar", "half.tar", "damaged.tar", "cut.tgz"):
         with pytest.raises(CaptureError, match="cannot be unpacked"):
             unpacked(tmp_path / name, tmp_path / "work")
     header = bytearray(whole[:512])

@@ -40,7 +40,7 @@ def members_of(file: Path, kind: str) -> Iterator[Iterator[Member]]:
             yield iter(_of_zip(archive))
     else:
         with _OPEN.get(kind, open)(file, "rb") as stream, tarfile.open(fileobj=_Guarded(stream), mode="r:") as tar:  # type: ignore[arg-type, operator, call-overload]
-            yield (Member(m.name, m.size, _kind_in_tar(m), _opener(tar, m)) for m in tar)
+            yield _of_tar(tar, stream)
 
 
 class _Guarded:
@@ -53,6 +53,17 @@ class _Guarded:
         if not 0 <= size <= _LARGEST_READ:
             raise ValueError(f"a header of {size} bytes")
         return bytes(self.stream.read(size))
+
+
+def _of_tar(tar: tarfile.TarFile, stream: Any) -> Iterator[Member]:
+    """The entries, and then a check of the end: tarfile takes what is cut short, or damaged between two files, for a shorter archive."""
+    for member in tar:
+        yield Member(member.name, member.size, _kind_in_tar(member), _opener(tar, member))
+    stream.seek(tar.offset)
+    block = stream.read(tarfile.BLOCKSIZE)
+    if len(block) % tarfile.BLOCKSIZE or any(block):
+        raise ValueError(f"it is damaged or cut short at byte {tar.offset}")
+    stream.read(_LARGEST_READ)  # what follows is empty, but compressed data are checked only once their end is reached
 
 
 def _opener(tar: tarfile.TarFile, member: tarfile.TarInfo) -> Callable[[], IO[bytes]]:

@@ -14,7 +14,7 @@ from ..keep_masks import add_masks, turn_masks
 from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import by_value, is_image
 from ..listing.twins import without_depth
-from ..listing.unread import seen
+from ..listing.unread import described
 from ..reading import DEFAULT_FPS, Options, Reading, Shot
 from . import video
 
@@ -33,21 +33,16 @@ def read(root: Path, options: Options) -> Reading:
     if folder is None and options.format == "images" and (root / "images").is_dir() and _images(root / "images"):
         folder = "images"  # the user chose this format, so other folders next to it do not matter
     if folder is None:
-        there = "; ".join(seen(root)) if root.is_dir() else ""
-        raise CaptureError(f"{root}: no images here; pass the folder that holds them" + (f" (it has {there})" if there else ""))
+        there = described(root) if root.is_dir() else ""
+        raise CaptureError(f"{root}: no images here; pass the folder that holds them{there}")
     prefix = f"{folder}/" if folder else ""
     found, deep, said = without_depth(root, [prefix + name for name in _images(root / folder)])
     if len(found) < 2:
-        others = seen(root)
-        raise CaptureError(
-            f"{root}: one image alone has no pose and no depth; add more views of the scene"
-            + (f" (it has {'; '.join(others)})" if len(others) > 1 else "")
-        )
+        raise CaptureError(f"{root}: one image alone has no pose and no depth; add more views of the scene{described(root, 2)}")
     taken = video.choose(len(found), options, None)
     video.refuse_one(str(root), taken, len(found), options)
     paths = [found[i] for i in taken]
-    upright = checks.turned(root, paths)  # only this format follows EXIF; poses in files apply to the pictures as stored
-    sizes, alpha = checks.image_headers(root, paths, upright)
+    sizes, alpha, upright = checks.upright_headers(root, paths)  # only this format follows EXIF: poses apply to pictures as stored
     hint = _hint(root, prefix + _HINT, *sizes[0])
     if hint is not None and len(set(sizes)) > 1:
         raise CaptureError(

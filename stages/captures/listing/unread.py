@@ -44,14 +44,15 @@ def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thi
     """The files that are not read, by kind, and the folders of COLMAP models that are not read."""
     folders = {posixpath.dirname(path) for path in read if is_image(path)}
     models, used = _models(files, read)
-    models = [folder for folder in models if not _within(folder, spoken_for)]
+    told = {folder for folder in models if any(_within(f"{folder}/{part}".lstrip("/"), spoken_for) for part in _MODEL_FILES)}
+    models = [folder for folder in models if folder not in told]
     groups: dict[Kind, list[str]] = {POSE: []} if models else {}
     for path in files:
         if path in read or _within(path, spoken_for):
             continue
         folder, name = posixpath.split(path)
         of_model = _stem(name).lower() in MODEL
-        if (folder in models and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
+        if ((folder in models or folder in told) and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
             continue
         kind = kind_of(path)
         if kind is None or (thinned and kind is PICTURE and folder in folders):
@@ -60,17 +61,28 @@ def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thi
     return groups, models
 
 
-def seen(root: Path) -> tuple[str, ...]:
-    """What an unrecognised folder has of the known kinds, a clause for each."""
+def described(root: Path, least: int = 1) -> str:
+    """Sentences about what an unusable folder has, ". " before each; empty if that is nothing known. least: number of kinds that can
+    be read from which on they are worth a sentence."""
     groups, models = _groups(tree(root).files, set(), (), False)
-    clauses = []
-    for kind, paths in sorted(groups.items(), key=lambda item: (not item[0].advice, _GROUPS.index(item[0].group), item[0].many)):
-        if kind.advice:
-            clauses.append(f"{_counted(kind, paths)} cannot be read: {_advice(kind, paths)}")
-        elif kind is not POSE:
-            clauses.append(_counted(kind, paths))
+    kinds = sorted(groups, key=lambda kind: (_GROUPS.index(kind.group), kind.many))
+    closed = [f"{_counted(kind, groups[kind])} cannot be read: {_advice(kind, groups[kind])}" for kind in kinds if _is_closed(kind)]
     named = [_model(folder) for folder in models] + _patterns(groups.get(POSE, []))
-    return (*clauses, *named)
+    others = named + [_counted(kind, groups[kind]) for kind in kinds if not _is_closed(kind) and kind is not POSE]
+    sentences = [text[0].upper() + text[1:] for text in closed]
+    if others and len(others) >= least:
+        sentences.append(f"In it {'is' if len(others) == 1 and not others[0][0].isdigit() else 'are'} {'; '.join(others)}")
+    return "".join(f". {sentence}" for sentence in sentences)
+
+
+def only_closed(root: Path) -> bool:
+    """Whether a folder has pictures or videos, and none of a kind that is read."""
+    kinds = {kind for path in tree(root).files if (kind := kind_of(path)) is not None and kind.group in ("picture", "video")}
+    return bool(kinds) and all(map(_is_closed, kinds))
+
+
+def _is_closed(kind: Kind) -> bool:
+    return kind.group in ("picture", "video") and bool(kind.advice)
 
 
 def above(root: Path, layout: str) -> tuple[str, ...]:
