@@ -4,24 +4,37 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
+from typing import Literal, get_args
 
 from ...pipeline import CaptureError
 from . import checks
 from .capture import Capture, Options, assemble
-from .formats import colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
+from .formats import colmap, dnerf, images, llff, n3v, nerfies, nerfstudio, panoptic, video, videos
+from .formats.scans import polycam, record3d, rgbd, tum
 from .keep_masks import unread
+from .posed.doubts import doubts
+from .posed.other_poses import other_poses
+from .rigs import rig_without_poses
 
+Format = Literal[
+    "dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "llff", "record3d", "polycam", "rgbd", "tum", "images", "video", "videos"
+]
+FORMATS: tuple[Format, ...] = get_args(Format)
 # Formats with poses are tried first. A plain folder of images or a lone video is the fallback if no other file says more.
-_POSED: dict[str, ModuleType] = {
+_POSED: dict[Format, ModuleType] = {
     "dnerf": dnerf,
     "n3v": n3v,
     "panoptic": panoptic,
     "nerfstudio": nerfstudio,
     "nerfies": nerfies,
     "colmap": colmap,
+    "llff": llff,
+    "record3d": record3d,
+    "polycam": polycam,
+    "rgbd": rgbd,
+    "tum": tum,
 }
-_BARE: dict[str, ModuleType] = {"images": images, "video": video, "videos": videos}
-FORMATS = (*_POSED, *_BARE)
+_BARE: dict[Format, ModuleType] = {"images": images, "video": video, "videos": videos}
 _MASKED = ("nerfstudio", "colmap", "images")  # formats whose readers look for masks/
 _STEPPED = ("n3v", "images", "video", "videos")
 
@@ -62,6 +75,9 @@ def recognise(
     base = root if root.is_dir() else root.parent
     if kind not in _MASKED:
         reading.notes += unread(base, kind)
+    said, named = other_poses(base, kind, reading)
+    reading.notes += (*doubts(reading.shots), *said)
+    reading.spoken_for += named
     return assemble(base, _name(root), kind, reading, options)
 
 
@@ -115,6 +131,8 @@ def _advice(root: Path) -> str:
             if not (root / part / name).is_file() and not (root / part / name).is_dir():
                 return f"{part}{name} is not a file but a broken link, a pipe or a device; put the file itself there"
     folders = [name for name in names if (root / name).is_dir() and not checks.is_foreign(root / name)]
+    if (rig := rig_without_poses(root, folders)) is not None:
+        return rig
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
     if folders:

@@ -1,0 +1,23 @@
+"""Rotations from the quaternions of capture files."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ....pipeline import CaptureError
+
+
+def rotation(w: float, x: float, y: float, z: float, where: str) -> np.ndarray:
+    """[3,3] float64 of a quaternion of any norm. Raises CaptureError for NaN, Inf and a norm of zero."""
+    q = np.array([w, x, y, z], dtype=np.float64)
+    norm = float(np.linalg.norm(q))
+    if not np.isfinite(q).all() or norm < 1e-6:
+        raise CaptureError(f"{where}: holds NaN, Inf or a zero quaternion; remove the image or estimate its pose again")
+    w, x, y, z = q / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
