@@ -171,8 +171,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     common = common_size(sizes)
     crops = [crop(size, common) for size in sizes]
     width, height = _output_size(*common, options.max_size)
-    scale = _scaled((0, 0, *common), width, height)
-    hint = None if reading.K_hint is None else tuple(float(v) for v in (scale @ reading.K_hint).reshape(-1))
+    hint = None if reading.K_hint is None else tuple(map(float, (_scaled((0, 0, *common), width, height) @ reading.K_hint).reshape(-1)))
     background = options.background or ("white" if reading.alpha else None)
     facts = Facts(
         format=kind,

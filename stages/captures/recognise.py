@@ -100,11 +100,12 @@ def _existing(path: Path) -> Path:
     return root
 
 
-def _choose(root: Path, format: str | None) -> str:
+def _choose(root: Path, format: str | None) -> Format:
     if format is not None:
-        if format not in FORMATS:
+        chosen = next((known for known in FORMATS if known == format), None)
+        if chosen is None:
             raise CaptureError(f"--format {format}: unknown; the formats are {', '.join(FORMATS)}")
-        return format
+        return chosen
     if root.is_file():
         return "video"
     if not checks.list_folder(root):
@@ -119,7 +120,7 @@ def _choose(root: Path, format: str | None) -> str:
     return next(iter(found))
 
 
-def _candidates(root: Path, readers: dict[str, ModuleType]) -> dict[str, str]:
+def _candidates(root: Path, readers: dict[Format, ModuleType]) -> dict[Format, str]:
     return {kind: why for kind, reader in readers.items() if (why := reader.detect(root)) is not None}
 
 

@@ -93,13 +93,11 @@ def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
     if len(alike) < 2 or 2 * len(alike) < len(named) or {"images", "masks", "depth"} & set(alike):
         return None
     seen = [name for name in checks.list_folder(root) if re.match(r"(poses_bounds|sparse|colmap|calib|cameras|models)", name)]
+    also = f" (seen: {', '.join(seen[:6])})" if seen else ""
+    shown, count = ", ".join(alike[:4]) + (", ..." if len(alike) > 4 else ""), len(named[alike[0]])
     return (
-        f"The folders {', '.join(alike[:4])}{', ...' if len(alike) > 4 else ''} have {len(named[alike[0]])} pictures of the same names each, as the "
-        f"cameras of a rig do, but no file that is read gives their poses{f' (seen: {_listed(seen)})' if seen else ''}. Add poses_bounds.npy with "
-        "a row for each camera and name the folders cam00/, cam01/, ...; or put them into images/ beside a COLMAP model in sparse/0/; or encode each "
-        "folder as a video and give the folder of videos, whose poses are then estimated"
+        f"The folders {shown} have {count} pictures of the same names each, as the cameras of a rig do, but no file gives their "
+        f"poses{also}. Add poses_bounds.npy with a row for each camera and name the folders cam00/, cam01/, ...; or put them into images/ "
+        "beside a COLMAP model in sparse/0/; or encode each folder as a video and "
+        "give the folder of videos, whose poses are then estimated"
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:6])

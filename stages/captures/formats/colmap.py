@@ -19,18 +19,18 @@ from ..capture import Options, Reading, Shot
 from ..keep_masks import add_masks
 from ..posed.finding import find_pictures
 from ..posed.rotations import rotation
+from ..posed.stated import states_layout
 from ..rigs import Rig, all_fixed, cameras_of, folders_of
 from . import n3v
-from .colmap_model import ImageRecord, Model, choose, lens_of, places
+from .colmap_model import ImageRecord, Model, choose, lens_of, model_places
 
 _OWN = ("sparse/0", "sparse")  # a model here makes a capture COLMAP's, whatever lies beside it
-_OTHERS = ("transforms.json", "transforms_train.json", "train_meta.json", "dataset.json")  # that mention poses of their own
 _SMALLER = re.compile(r"images_\d+")  # copies of the pictures, as Mip-NeRF 360 and LLFF have them
 
 
 def detect(root: Path) -> str | None:
-    found = places(root)
-    if not found or (found[0].folder not in _OWN and any((root / name).is_file() for name in _OTHERS)):
+    found = model_places(root)
+    if not found or (found[0].folder not in _OWN and states_layout(root)):
         return None
     if n3v.detect(root) is not None:
         return None
@@ -38,7 +38,9 @@ def detect(root: Path) -> str | None:
         return f"a COLMAP model in {found[0].folder or 'the folder'}"
     names = [name for name in checks.list_folder(root) if not (root / name).is_dir()]
     beside = any(name.lower().endswith(checks.IMAGE_SUFFIXES) for name in names)
-    return f"a COLMAP model in {found[0].folder or 'the folder'}, beside its pictures" if beside or _in_folders(found[0].root, found) else None
+    return (
+        f"a COLMAP model in {found[0].folder or 'the folder'}, beside its pictures" if beside or _in_folders(found[0].root, found) else None
+    )
 
 
 def read(root: Path, options: Options) -> Reading:
@@ -93,7 +95,7 @@ def _shot(root: Path, image: ImageRecord, path: str, size: tuple[int, int], came
 def pose_of(image: ImageRecord, where: str) -> np.ndarray:
     """[4,4] `cam_from_world`."""
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation(*(float(v) for v in image.pose[:4]), where)
+    matrix[:3, :3] = rotation(image.pose[:4], where)
     matrix[:3, 3] = image.pose[4:7]
     return checks.rigid(matrix, where)
 
@@ -114,7 +116,9 @@ def _copies(root: Path, pictures: str) -> tuple[tuple[str, ...], tuple[str, ...]
     names = [name for name in checks.list_folder(root) if _SMALLER.fullmatch(name) and (root / name).is_dir()]
     if not names:
         return (), ()
-    return (f"{', '.join(names)} hold copies of {pictures or 'the pictures'} and are not read; frames.max_size scales pictures down",), tuple(names)
+    return (
+        f"{', '.join(names)} hold copies of {pictures or 'the pictures'} and are not read; frames.max_size scales pictures down",
+    ), tuple(names)
 
 
 def _in_folders(root: Path, found: Sequence) -> bool:

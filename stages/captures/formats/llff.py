@@ -12,13 +12,14 @@ from ....pipeline import CaptureError
 from .. import checks
 from ..capture import Options, Reading, Shot
 from ..posed.llff_rows import camera_of, rows_of, told_order
+from ..posed.stated import states_layout
 from . import colmap, n3v
 
 _POSES = "poses_bounds.npy"
 
 
 def detect(root: Path) -> str | None:
-    if not (root / _POSES).is_file() or n3v.detect(root) is not None or colmap.detect(root) is not None:
+    if not (root / _POSES).is_file() or states_layout(root) or n3v.detect(root) is not None or colmap.detect(root) is not None:
         return None
     folders = _folders(root)
     return f"{_POSES} and {folders[0] or 'the pictures beside it'}" if folders else None
@@ -46,9 +47,13 @@ def read(root: Path, options: Options) -> Reading:
         shot.K, shot.cam_from_world = camera_of(table[i], f"{_POSES}: row {i} ({name})", root, file, size)
         shots.append(shot)
     others = tuple(other for other in folders if other != folder)
-    told = (f"{', '.join(others)} {'hold' if len(others) > 1 else 'holds'} copies of {folder or 'the pictures'} and are not read",) if others else ()
+    told = (
+        (f"{', '.join(others)} {'hold' if len(others) > 1 else 'holds'} copies of {folder or 'the pictures'} and are not read",)
+        if others
+        else ()
+    )
     return Reading(
-        why=f"{_POSES} and {len(files)} images in {folder or 'the folder'}, {'a static scene' if options.static else 'one camera over time'}",
+        why=f"{_POSES} and {len(files)} images, {'a static scene' if options.static else 'one camera over time'}",
         shots=shots,
         alpha=alpha,
         untimed=True,

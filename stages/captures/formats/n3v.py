@@ -1,5 +1,6 @@
-"""Plenoptic Video (N3V) and the like: `camNN.mp4` or `camNN/`, and a pose for each camera; fixed synchronised cameras, the first is the test
-view.
+"""Plenoptic Video (N3V) and the like: `camNN.mp4` or `camNN/`, and a pose for each camera; fixed synchronised cameras.
+
+The first camera in the plain order of names, cam00, is the test view.
 
 Poses come from `poses_bounds.npy` (rows in the plain order of the cameras' names, see `posed/llff_rows.py`), or, as in the layout
 "multipleview" of 4DGaussians (github.com/hustvl/4DGaussians, `multipleviewprogress.sh` and `scene/multipleview_dataset.py`), from a COLMAP
@@ -19,6 +20,7 @@ from ..capture import TEST, TRAIN, Options, Reading, Shot, Video
 from ..lens import Lens
 from ..ply_points import read_points
 from ..posed.llff_rows import camera_of, rows_of, told_order
+from ..posed.stated import states_layout
 from . import video
 from .colmap_model import model_of_cameras
 
@@ -33,9 +35,9 @@ def detect(root: Path) -> str | None:
     if not count:
         return None
     for file in (_POSES, _MULTIVIEW):
-        if (root / file).is_file():
+        if (root / file).is_file() and not (file == _MULTIVIEW and states_layout(root)):
             return f"{file} and {count} cameras"
-    model = model_of_cameras(root, _cameras(root)[0])
+    model = None if states_layout(root) else model_of_cameras(root, _cameras(root)[0])
     return None if model is None else f"a COLMAP model of {count} cameras in {model.where}"
 
 
@@ -83,8 +85,8 @@ def _add_rest(root: Path, reading: Reading, rows: str | None, modelled: bool, ca
         reading.notes += told_order(rows, cameras)
         if rows == _MULTIVIEW and len(cameras) > 9:
             reading.notes += (
-                f"rows of {rows} are matched to {cameras[0]}, {cameras[1]}, ... in this order, since there is no model of the cameras in sparse_/ "
-                "that names them; a file whose rows are those of image1, image10, image2, ... needs that model",
+                f"rows of {rows} are matched to {cameras[0]}, {cameras[1]}, ... in this order, since no model in sparse_/ names them; "
+                "a file whose rows are those of image1, image10, image2, ... needs that model",
             )
     if modelled and rows is not None:
         reading.notes += (f"{rows} is not read, because the COLMAP model has the poses and names the cameras",)

@@ -1,4 +1,5 @@
-"""Nerfies, HyperNeRF and DyCheck: `dataset.json` (splits), `metadata.json` (times), `camera/<id>.json`, `rgb/<scale>x/<id>.png`, `scene.json`.
+"""Nerfies, HyperNeRF and DyCheck: `dataset.json` (splits), `metadata.json` (times), `camera/<id>.json`, `rgb/<scale>x/<id>.png`, and
+`scene.json`.
 
 A camera file has `orientation` (world to camera, OpenCV axes), `position` (the camera centre in the world), and OpenCV's lens parameters
 for pictures of `image_size`, pixel centres at +0.5. Pictures in `rgb/4x` are a quarter of that size. World positions x of the files are

@@ -70,8 +70,8 @@ def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> tuple[lis
     lengths = {key: len(value) for key, value in table.items()}
     if len(set(lengths.values())) != 1:
         raise CaptureError(f"{file}: k, w2c, fn and cam_id differ in their number of times ({lengths}); the file is damaged")
-    entries = []
-    names = {}
+    entries: list[tuple[int, str, Any, Any, Any]] = []
+    names: dict[int, tuple[str, str]] = {}
     for t in range(lengths["fn"]):
         row = {key: checks.items(value[t], f"{file}: {key}[{t}]") for key, value in table.items()}
         counts = {key: len(value) for key, value in row.items()}

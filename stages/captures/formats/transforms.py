@@ -82,7 +82,7 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Pat
             kind = "fisheye" if fisheye else "OPENCV"
             also = "" if fisheye else " (FULL_OPENCV lenses also have k4, k5, k6)"
             raise CaptureError(
-                f"{where}: {key}: {kind} lenses have {', '.join(used)}{also}; correct camera_model, remove it, or undistort the images first"
+                f"{where}: {key}: {kind} lenses have {', '.join(used)}{also}; correct camera_model, or undistort the images first"
             )
     distortion = [value(key, -LARGEST_TERM, LARGEST_TERM) or 0.0 for key in used]
     return Lens(checks.intrinsics(fx * sx, fy * sy, cx * sx, cy * sy, where), distortion_of(distortion), fisheye)
@@ -155,7 +155,7 @@ def _agreed(focals: dict[str, float], where: str, extent: float) -> float | None
     for other, focal in others:
         if first > 0 and abs(focal / first - 1) > _CONTRADICTION:
             raise CaptureError(
-                f"{where}: {words} and {other} (which is {focal:.4g} px for {extent:g} px) contradict each other; correct or remove one of them"
-                ", or give w and h of the calibrated pictures"
+                f"{where}: {words} and {other} (which is {focal:.4g} px for {extent:g} px) contradict each other; correct or remove one "
+                "of them, or give w and h of the calibrated pictures"
             )
     return first

@@ -46,7 +46,7 @@ def doubts(shots: Sequence[Shot]) -> tuple[str, ...]:
     if oblong:
         name, fx, fy = oblong[0]
         notes.append(
-            f"warning: the focal lengths of {len(oblong)} picture(s) in x and y differ (first {name}: {fx:.1f} and {fy:.1f} px), as if pixels "
-            "were not square; correct them if the camera has square pixels"
+            f"warning: the focal lengths of {len(oblong)} picture(s) in x and y differ (first {name}: {fx:.1f} and {fy:.1f} px), as if "
+            "pixels were not square; correct them if the camera has square pixels"
         )
     return tuple(notes)

@@ -13,7 +13,15 @@ from .. import checks
 
 _LONGEST = 2**24  # characters: some hundred thousand lines of a trajectory
 # K.txt is ours; the others are of 3DMatch, ScanNet, and BundleFusion.
-INTRINSICS = ("K.txt", "camera-intrinsics.txt", "intrinsics.txt", "intrinsic/intrinsic_color.txt", "intrinsic_color.txt", "info.txt", "_info.txt")
+INTRINSICS = (
+    "K.txt",
+    "camera-intrinsics.txt",
+    "intrinsics.txt",
+    "intrinsic/intrinsic_color.txt",
+    "intrinsic_color.txt",
+    "info.txt",
+    "_info.txt",
+)
 
 
 def text_of(root: Path, name: str) -> str:

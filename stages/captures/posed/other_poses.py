@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .. import checks
 from ..capture import Reading
-from ..formats.colmap_model import places
+from ..formats.colmap_model import model_places
 
 # Files with poses or calibrations that some layout, or no layout, reads; with what they are for.
 _KNOWN = {
@@ -36,7 +36,7 @@ def other_poses(root: Path, kind: str, reading: Reading) -> tuple[tuple[str, ...
     why = f"the poses come from {reading.sources[0]}" if posed and reading.sources else f"the layout is {kind}"
     names = [n for n in checks.list_folder(root) if (n in _KNOWN or _TRANSFORMS.fullmatch(n)) and n not in used and (root / n).is_file()]
     notes = [f"{name} ({_KNOWN.get(name, 'nerfstudio')}) is not read, because {why}" for name in names]
-    models = [] if kind == "colmap" else [p for p in places(root) if p.file("images") not in used]
+    models = [] if kind == "colmap" else [p for p in model_places(root) if p.file("images") not in used]
     for place in models:
         notes.append(f"the COLMAP model in {place.folder or 'the folder'} is not read, because {why}")
     files = (place.file(part) for place in models for part in ("cameras", "images", "points3D"))

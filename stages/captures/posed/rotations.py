@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ....pipeline import CaptureError
 
 
-def rotation(w: float, x: float, y: float, z: float, where: str) -> np.ndarray:
-    """[3,3] float64 of a quaternion of any norm. Raises CaptureError for NaN, Inf and a norm of zero."""
-    q = np.array([w, x, y, z], dtype=np.float64)
+def rotation(quaternion: Sequence[float] | np.ndarray, where: str) -> np.ndarray:
+    """[3,3] float64 of a quaternion w, x, y, z of any norm. Raises CaptureError for NaN, Inf and a norm of zero."""
+    q = np.array(quaternion, dtype=np.float64)
     norm = float(np.linalg.norm(q))
     if not np.isfinite(q).all() or norm < 1e-6:
         raise CaptureError(f"{where}: holds NaN, Inf or a zero quaternion; remove the image or estimate its pose again")

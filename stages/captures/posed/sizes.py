@@ -23,7 +23,7 @@ def scale_of(root: Path, picture: str, size: tuple[int, int], made_for: tuple[fl
     turn = checks.orientation(root, picture)
     if turn in checks.LYING and abs((height / w) / (width / h) - 1) <= _SAME:
         advice = (
-            f"because its EXIF orientation ({turn}) asks for a quarter turn, after which it is {height}x{width}. Poses apply to the pixels as "
-            "stored: rotate the pixels themselves and remove the EXIF orientation, then the sizes agree"
+            f"because its EXIF orientation ({turn}) asks for a quarter turn, after which it is {height}x{width}. Poses apply to the pixels "
+            "as stored: rotate the pixels themselves and remove the EXIF orientation, then the sizes agree"
         )
     raise CaptureError(f"{where} {w:g}x{h:g}, but {picture} is {width}x{height}, {advice}")

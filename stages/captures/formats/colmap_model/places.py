@@ -46,13 +46,15 @@ class Place:
         return [*above, ""]
 
 
-def places(root: Path) -> list[Place]:
+def model_places(root: Path) -> list[Place]:
     """All models of a capture, those in sparse/ first and numbered ones in order."""
     found: list[Place] = []
 
     def look(folder: str, depth: int) -> None:
         inside = depth < _DEPTH and (root / folder).is_dir()
-        numbers = [n for n in checks.list_folder(root / folder) if n.isdecimal() and (root / folder / n).is_dir()] if inside and depth else []
+        numbers = (
+            [n for n in checks.list_folder(root / folder) if n.isdecimal() and (root / folder / n).is_dir()] if inside and depth else []
+        )
         for name in numbers:
             look(posixpath.join(folder, name), depth + 1)
         for suffix in (".bin", ".txt"):  # binary before text, as COLMAP
@@ -92,7 +94,7 @@ class Model:
             except text.NotKeypoints as error:
                 found = self._bare(self._path(file), error)
                 self.note = (
-                    f"{file} has no lines of keypoints below its images (COLMAP writes one for each image, which may be empty): each of its "
+                    f"{file} has no lines of keypoints below its images (one for each image, which may be empty): each of its "
                     f"{len(found)} lines is read as an image"
                 )
         return sorted(found, key=lambda image: checks.natural_key(image.name))
@@ -168,7 +170,7 @@ class Model:
 def choose(root: Path) -> tuple[Model | None, tuple[str, ...], tuple[str, ...]]:
     """The model of a capture with most images; the first of equal ones; those whose cameras have the sizes of the pictures before others
     (the distorted model of undistorted pictures is none). Also notes about the others, and their files, from which this follows."""
-    models = [Model(place) for place in places(root)]
+    models = [Model(place) for place in model_places(root)]
     if len(models) < 2:
         return (models[0] if models else None), (), ()
     ranks: dict[int, tuple[bool, int]] = {}

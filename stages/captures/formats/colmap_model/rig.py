@@ -15,7 +15,7 @@ from ... import checks
 from ...lens import Lens
 from ...posed.rotations import rotation
 from .lenses import lens_of
-from .places import Model, places
+from .places import Model, model_places
 from .records import ImageRecord
 
 
@@ -35,7 +35,7 @@ class CameraModel:
             raise CaptureError(f"{file}: image {image.name!r}: camera {image.camera} is not in the model; export it again")
         where = f"{file}: image {image.name!r}: pose"
         pose = np.eye(4)
-        pose[:3, :3] = rotation(*(float(v) for v in image.pose[:4]), where)
+        pose[:3, :3] = rotation(image.pose[:4], where)
         pose[:3, 3] = image.pose[4:7]
         lens_where = f"{self.model.place.file('cameras')}: camera {image.camera}"
         return lens_of(self.model.cameras[image.camera], lens_where, root, picture, size), checks.rigid(pose, where)
@@ -44,7 +44,7 @@ class CameraModel:
 def model_of_cameras(root: Path, cameras: Sequence[str]) -> CameraModel | None:
     """The first model of a capture whose images are one of each of ``cameras`` (`cam01` or `cam01.mp4`), by their names: `cam01.jpg`,
     `cam01/frame_00001.jpg`, or `image1.jpg` as 4DGaussians names them. None if there is none, or if it cannot be read."""
-    for place in places(root):
+    for place in model_places(root):
         model = Model(place)
         try:
             images = model.images

@@ -2,7 +2,8 @@
 
 A camera file has the name of its picture, a time stamp, and the entries `t_00` to `t_23` of the camera-to-world matrix, OpenGL axes
 (ARKit's, y up), and `fx`, `fy`, `cx`, `cy`, `width`, `height`. Facts from github.com/nerfstudio-project/nerfstudio
-(process_data/polycam_utils.py, which also permutes the axes of the world; here the world stays that of the files) and github.com/PolyCam/polyform.
+(process_data/polycam_utils.py, which also permutes the axes of the world; here the world stays that of the files) and
+github.com/PolyCam/polyform.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from ... import checks
 from ...capture import Options, Reading, Shot
 from ...posed.finding import left_out
 from ...posed.sizes import scale_of
+from ...posed.stated import states_layout
 from ..transforms import OPENCV_FROM_OPENGL
 
 _BASE = "keyframes"
@@ -23,7 +25,7 @@ _PAIRS = (("corrected_images", "corrected_cameras"), ("images", "cameras"))
 
 
 def detect(root: Path) -> str | None:
-    base = _base(root)
+    base = None if states_layout(root) else _base(root)
     pictures = [] if base is None else [i for i, _ in _PAIRS if (root / base / i).is_dir()]
     return f"{base or '.'}/ of Polycam" if pictures else None
 
@@ -33,8 +35,8 @@ def read(root: Path, options: Options) -> Reading:
     pair = None if base is None else next((p for p in _PAIRS if all((root / base / name).is_dir() for name in p)), None)
     if base is None or pair is None:
         raise CaptureError(
-            f"{root}: Polycam's raw data without {_BASE}/cameras or {_BASE}/corrected_cameras beside the pictures; export them again (raw data, with "
-            "developer mode on), or give the folder of pictures itself to have poses estimated"
+            f"{root}: Polycam's raw data without {_BASE}/cameras or {_BASE}/corrected_cameras beside the pictures; export the raw data "
+            "again (with developer mode on), or give the folder of pictures itself to have poses estimated"
         )
     prefix = f"{base}/" if base else ""
     images, cameras = (prefix + name for name in pair)
@@ -43,7 +45,9 @@ def read(root: Path, options: Options) -> Reading:
     both = [stem for stem in files if stem in names and (root / names[stem]).is_file()]
     bare, unposed = [s for s in files if s not in both], [s for s in names if s not in files]
     if not both or 2 * len(bare) > len(files):
-        raise CaptureError(f"{cameras}/: {len(bare)} of {len(files)} camera files have no picture of their name in {images}/; add the files")
+        raise CaptureError(
+            f"{cameras}/: {len(bare)} of {len(files)} camera files have no picture of their name in {images}/; add the files"
+        )
     for stem in both:
         checks.resolve_inside(root, names[stem], names[stem])
     sizes, alpha = checks.image_headers(root, [names[stem] for stem in both])
@@ -56,7 +60,11 @@ def read(root: Path, options: Options) -> Reading:
     notes = [left_out([files[s] for s in bare], len(files), "camera files have no picture and are left out")] if bare else []
     notes += [left_out([names[s] for s in unposed], len(names), "pictures have no camera file and are left out")] if unposed else []
     unread = tuple(prefix + name for name in ("depth", "confidence") if (root / base / name).is_dir())
-    notes += [f"{' and '.join(f'{name}/' for name in unread)} {'are' if len(unread) > 1 else 'is'} not read: depth is not used yet"] if unread else []
+    notes += (
+        [f"{' and '.join(f'{name}/' for name in unread)} {'are' if len(unread) > 1 else 'is'} not read: depth is not used yet"]
+        if unread
+        else []
+    )
     others = tuple(prefix + name for other in _PAIRS if other != pair for name in other if (root / base / name).is_dir())
     notes += [f"{', '.join(f'{name}/' for name in others)} not read: {images}/ and {cameras}/ replace them"] if others else []
     return Reading(

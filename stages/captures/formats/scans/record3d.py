@@ -17,6 +17,7 @@ from ... import checks
 from ...capture import Options, Reading, Shot
 from ...posed.rotations import rotation
 from ...posed.sizes import scale_of
+from ...posed.stated import states_layout
 from ..transforms import OPENCV_FROM_OPENGL
 
 _FILES = ("metadata.json", "metadata")
@@ -26,7 +27,7 @@ _UNREAD = (".depth", ".conf", ".exr")
 
 def detect(root: Path) -> str | None:
     file, folder = _file(root), _folder(root)
-    if file is None or folder is None or (root / "dataset.json").is_file():  # Nerfies has a metadata.json as well
+    if file is None or folder is None or states_layout(root):  # Nerfies has a metadata.json as well
         return None
     try:
         data = checks.read_json(root, file)
@@ -42,8 +43,8 @@ def read(root: Path, options: Options) -> Reading:
     data = checks.read_json(root, file)
     if not data.get("poses"):
         raise CaptureError(
-            f"{file}: no poses (a list of [qx, qy, qz, qw, tx, ty, tz]); export the recording again with its poses, or give {folder}/ itself "
-            "to have poses estimated"
+            f"{file}: no poses (a list of [qx, qy, qz, qw, tx, ty, tz]); export the recording again with its poses, or give {folder}/ "
+            "itself to have poses estimated"
         )
     poses = checks.items(data["poses"], f"{file}: poses")
     w, h = (checks.integer(data.get(key), f"{file}: {key}", 1, 10**6) for key in ("w", "h"))
@@ -57,7 +58,7 @@ def read(root: Path, options: Options) -> Reading:
         where = f"{file}: poses[{i}]"
         qx, qy, qz, qw, *centre = _numbers(poses[i], where, 7)
         world_from_cam = np.eye(4)
-        world_from_cam[:3, :3] = rotation(qw, qx, qy, qz, where)
+        world_from_cam[:3, :3] = rotation((qw, qx, qy, qz), where)
         world_from_cam[:3, 3] = centre
         shot = Shot(name=picture, camera=0, time=float(i), size=size, file=picture)
         shot.cam_from_world = checks.inverse(checks.rigid(world_from_cam, where) @ OPENCV_FROM_OPENGL)
@@ -77,7 +78,10 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         fps=fps,
         sources=(file,),
-        notes=(*gone, *((f"{len(unread)} files or folders of depth ({unread[0]}, ...) are not read: depth maps are not used yet",) if unread else ())),
+        notes=(
+            *gone,
+            *((f"{len(unread)} files or folders of depth ({unread[0]}, ...) are not read: depth maps are not used yet",) if unread else ()),
+        ),
         spoken_for=unread,
     )
 
@@ -101,7 +105,9 @@ def _pictures(root: Path, folder: str, count: int, file: str) -> tuple[dict[int,
     stems = [n.rsplit(".", 1)[0] for n in names]
     if not all(stem.isascii() and stem.isdecimal() and len(stem) < 10 for stem in stems):
         if len(names) != count:
-            raise CaptureError(f"{folder}/: {len(names)} pictures for {count} poses of {file}, and their names are no numbers; rename or add them")
+            raise CaptureError(
+                f"{folder}/: {len(names)} pictures for {count} poses of {file}, and their names are no numbers; rename or add them"
+            )
         return {i: f"{folder}/{name}" for i, name in enumerate(names)}, ()
     numbers = [int(stem) for stem in stems]
     first = 1 if numbers == list(range(1, count + 1)) else 0
@@ -111,7 +117,9 @@ def _pictures(root: Path, folder: str, count: int, file: str) -> tuple[dict[int,
     beyond, gone = len(names) - len(found), [i for i in range(count) if i not in found]
     if 2 * len(gone) > count:
         raise CaptureError(f"{file}: {len(gone)} of {count} poses have no picture (first {folder}/{gone[0] + first}.jpg); add the files")
-    notes = [f"{len(gone)} of {count} poses of {file} have no picture and are left out; first {folder}/{gone[0] + first}.jpg"] if gone else []
+    notes = (
+        [f"{len(gone)} of {count} poses of {file} have no picture and are left out; first {folder}/{gone[0] + first}.jpg"] if gone else []
+    )
     return found, (*notes, *([f"{beyond} pictures of {folder}/ have no pose in {file} and are left out"] if beyond else []))
 
 
@@ -131,7 +139,8 @@ def _numbers(value: Any, where: str, count: int) -> list[float]:
 
 
 def _lens(value: Any, where: str) -> np.ndarray:
-    return checks.intrinsics(*_numbers(value, where, 4), where)
+    fx, fy, cx, cy = _numbers(value, where, 4)
+    return checks.intrinsics(fx, fy, cx, cy, where)
 
 
 def _matrix(value: Any, where: str) -> np.ndarray:

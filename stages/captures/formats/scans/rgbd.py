@@ -18,13 +18,14 @@ from ...capture import Options, Reading, Shot
 from ...posed.finding import left_out
 from ...posed.matrix_files import INTRINSICS, intrinsics_of, pose_of
 from ...posed.sizes import scale_of
+from ...posed.stated import states_layout
 
 _COLOURS, _POSES = ("color", "colour", "rgb", "images"), ("pose", "poses")
 _KINECT = np.array([[585.0, 0, 320], [0, 585, 240], [0, 0, 1]])
 
 
 def detect(root: Path) -> str | None:
-    pairs, place = _pairs(root)
+    pairs, place = ({}, "") if states_layout(root) else _pairs(root)
     return f"{len(pairs)} pictures with a pose file each in {place}" if any(pose for _, pose in pairs.values()) else None
 
 
@@ -52,7 +53,9 @@ def read(root: Path, options: Options) -> Reading:
                 f"{root}: the files give poses but no intrinsics; add K.txt, nine numbers of the 3x3 camera matrix in px (also read: "
                 f"{', '.join(INTRINSICS[1:])})"
             )
-        notes.append("no file gives the intrinsics; taken are those of 7-Scenes (585 px, principal point 320, 240); add K.txt to correct them")
+        notes.append(
+            "no file gives the intrinsics; taken are those of 7-Scenes (585 px, principal point 320, 240); add K.txt to correct them"
+        )
     numbers = [int(m[-1]) if (m := re.findall(r"\d+", s)) and len(m[-1]) < 10 else -1 for s in stems]
     counted = min(numbers) >= 0 and len(set(numbers)) == len(numbers)
     shots = []
@@ -95,7 +98,9 @@ def _pairs(root: Path) -> tuple[dict[str, tuple[str | None, str | None]], str]:
     for colour, pose in ((c, p) for c in _COLOURS for p in _POSES if c in names and p in names):
         if not ((root / colour).is_dir() and (root / pose).is_dir()):
             continue
-        pictures = {n.rsplit(".", 1)[0]: f"{colour}/{n}" for n in checks.list_folder(root / colour) if n.lower().endswith(checks.IMAGE_SUFFIXES)}
+        pictures = {
+            n.rsplit(".", 1)[0]: f"{colour}/{n}" for n in checks.list_folder(root / colour) if n.lower().endswith(checks.IMAGE_SUFFIXES)
+        }
         files = {n[:-4]: f"{pose}/{n}" for n in checks.list_folder(root / pose) if n.endswith(".txt")}
         if set(pictures) & set(files):
             return _joined(pictures, files), f"{colour}/ and {pose}/"

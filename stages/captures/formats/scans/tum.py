@@ -19,6 +19,7 @@ from ...posed.finding import find_pictures, left_out
 from ...posed.matrix_files import intrinsics_of, numbers_of, text_of
 from ...posed.rotations import rotation
 from ...posed.sizes import scale_of
+from ...posed.stated import states_layout
 
 _PICTURES, _POSES = "rgb.txt", "groundtruth.txt"
 _GAP = 0.1  # s, longest time between two poses that is interpolated; motion capture has 0.01
@@ -32,22 +33,25 @@ _CAMERAS = {
 
 
 def detect(root: Path) -> str | None:
-    return f"{_PICTURES} and {_POSES}" if all((root / name).is_file() for name in (_PICTURES, _POSES)) else None
+    there = not states_layout(root) and all((root / name).is_file() for name in (_PICTURES, _POSES))
+    return f"{_PICTURES} and {_POSES}" if there else None
 
 
 def read(root: Path, options: Options) -> Reading:
     for name in (_PICTURES, _POSES):
         if not (root / name).is_file():
             raise CaptureError(f"{name}: missing in {root}; the TUM RGB-D layout has {_PICTURES} and {_POSES}")
-    listed = [(line, *words) for line, words in _lines(root, _PICTURES, 2)]
+    listed = _lines(root, _PICTURES, 2)
     stamps, poses = _trajectory(root)
-    names = {i: (words[1], f"{_PICTURES}: line {line}") for i, (line, *words) in enumerate(listed)}
+    names = {i: (words[1], f"{_PICTURES}: line {line}") for i, (line, words) in enumerate(listed)}
     found = find_pictures(root, names, _PICTURES, "lines")
-    times = {i: float(numbers_of(listed[i][1], f"{_PICTURES}: line {listed[i][0]}: time stamp", (1,))[0]) for i in found.paths}
+    times = {i: float(numbers_of(listed[i][1][0], f"{_PICTURES}: line {listed[i][0]}: time stamp", (1,))[0]) for i in found.paths}
     posed = {i: pose for i in found.paths if (pose := _at(times[i], stamps, poses)) is not None}
     unposed = [found.paths[i] for i in found.paths if i not in posed]
     if 2 * len(unposed) > len(found.paths):
-        raise CaptureError(f"{_POSES}: no pose within {_GAP} s of {len(unposed)} of {len(found.paths)} pictures; check that it is of this recording")
+        raise CaptureError(
+            f"{_POSES}: no pose within {_GAP} s of {len(unposed)} of {len(found.paths)} pictures; check that it is of this recording"
+        )
     files = [found.paths[i] for i in posed]
     sizes, alpha = checks.image_headers(root, files)
     source, lens, made_for, note = _lens(root)
@@ -61,7 +65,9 @@ def read(root: Path, options: Options) -> Reading:
         shots.append(shot)
     notes = [left_out(unposed, len(found.paths), f"pictures have no pose within {_GAP} s and are left out")] if unposed else []
     unread = tuple(name for name in ("depth.txt", "depth", "accelerometer.txt") if (root / name).exists())
-    notes += [f"{', '.join(unread)} {'are' if len(unread) > 1 else 'is'} not read: depth and accelerations are not used yet"] if unread else []
+    notes += (
+        [f"{', '.join(unread)} {'are' if len(unread) > 1 else 'is'} not read: depth and accelerations are not used yet"] if unread else []
+    )
     return Reading(
         why=f"{_PICTURES} and {_POSES}, one moving camera",
         shots=shots,
@@ -98,7 +104,7 @@ def _trajectory(root: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _at(time: float, stamps: np.ndarray, poses: np.ndarray) -> np.ndarray | None:
-    """[4,4] `world_from_cam` at a time; None where the poses next to it are too far apart. Beyond the ends, the last pose within half of that."""
+    """[4,4] `world_from_cam` at a time; None where the poses next to it are too far apart, or the nearest is half as far."""
     after = int(np.searchsorted(stamps, time))
     before, after = max(0, after - 1), min(after, len(stamps) - 1)
     span = float(stamps[after] - stamps[before])
@@ -111,7 +117,7 @@ def _at(time: float, stamps: np.ndarray, poses: np.ndarray) -> np.ndarray | None
     qa, qb = a[3:] / max(1e-12, np.linalg.norm(a[3:])), b[3:] / max(1e-12, np.linalg.norm(b[3:]))
     qx, qy, qz, qw = (1 - share) * qa + share * (qb if qa @ qb >= 0 else -qb)
     result = np.eye(4)
-    result[:3, :3] = rotation(qw, qx, qy, qz, f"{_POSES}: pose at {time:.6f}")
+    result[:3, :3] = rotation((qw, qx, qy, qz), f"{_POSES}: pose at {time:.6f}")
     result[:3, 3] = (1 - share) * a[:3] + share * b[:3]
     return result
 
@@ -128,6 +134,6 @@ def _lens(root: Path) -> tuple[str, Lens, tuple[int, int] | None, str | None]:
             told = f"no file gives the intrinsics; taken are those that TUM publishes for {name} ({fx:g} px); add K.txt to correct them"
             return name, Lens(K, distortion_of((k1, k2, p1, p2, k3))), (640, 480), told
     raise CaptureError(
-        f"{root}: the files give poses but no intrinsics, and the folder's name does not say freiburg1, 2 or 3; add K.txt, nine numbers of the 3x3 "
-        "camera matrix in px"
+        f"{root}: the files give poses but no intrinsics, and the folder's name does not say freiburg1, 2 or 3; add K.txt, nine numbers of "
+        "the 3x3 camera matrix in px"
     )
