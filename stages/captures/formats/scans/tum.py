@@ -23,6 +23,7 @@ from ...posed.stated import states_layout
 
 _PICTURES, _POSES = "rgb.txt", "groundtruth.txt"
 _GAP = 0.1  # s, longest time between two poses that is interpolated; motion capture has 0.01
+_ALONE = 0.02  # s, farthest from a single pose, as in the tools of TUM
 _MOST = 2_000_000
 # fx fy cx cy, and k1 k2 p1 p2 k3, for 640x480
 _CAMERAS = {
@@ -50,7 +51,7 @@ def read(root: Path, options: Options) -> Reading:
     unposed = [found.paths[i] for i in found.paths if i not in posed]
     if 2 * len(unposed) > len(found.paths):
         raise CaptureError(
-            f"{_POSES}: no pose within {_GAP} s of {len(unposed)} of {len(found.paths)} pictures; check that it is of this recording"
+            f"{_POSES}: no pose near the times of {len(unposed)} of {len(found.paths)} pictures; check that it is of this recording"
         )
     files = [found.paths[i] for i in posed]
     sizes, alpha = checks.image_headers(root, files)
@@ -63,7 +64,7 @@ def read(root: Path, options: Options) -> Reading:
         shot.K = np.diag([*scale_of(root, file, size, made_for or sizes[0], f"{source}: for"), 1.0]) @ lens.K
         shot.distortion = lens.distortion
         shots.append(shot)
-    notes = [left_out(unposed, len(found.paths), f"pictures have no pose within {_GAP} s and are left out")] if unposed else []
+    notes = [left_out(unposed, len(found.paths), f"pictures have no pose of {_POSES} near their times and are left out")] if unposed else []
     unread = tuple(name for name in ("depth.txt", "depth", "accelerometer.txt") if (root / name).exists())
     notes += (
         [f"{', '.join(unread)} {'are' if len(unread) > 1 else 'is'} not read: depth and accelerations are not used yet"] if unread else []
@@ -104,15 +105,14 @@ def _trajectory(root: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _at(time: float, stamps: np.ndarray, poses: np.ndarray) -> np.ndarray | None:
-    """[4,4] `world_from_cam` at a time; None where the poses next to it are too far apart, or the nearest is half as far."""
+    """[4,4] `world_from_cam` at a time; interpolated; None where no pose is near."""
     after = int(np.searchsorted(stamps, time))
     before, after = max(0, after - 1), min(after, len(stamps) - 1)
     span = float(stamps[after] - stamps[before])
-    if span > _GAP and time not in (stamps[before], stamps[after]):
+    nearest = min(abs(time - float(stamps[before])), abs(time - float(stamps[after])))
+    if nearest > _ALONE and (span > _GAP or not stamps[before] <= time <= stamps[after]):
         return None
     share = min(1.0, max(0.0, (time - float(stamps[before])) / span)) if span > 0 else 0.0
-    if min(abs(time - stamps[before]), abs(time - stamps[after])) > _GAP / 2:
-        return None
     a, b = poses[before], poses[after]
     qa, qb = a[3:] / max(1e-12, np.linalg.norm(a[3:])), b[3:] / max(1e-12, np.linalg.norm(b[3:]))
     qx, qy, qz, qw = (1 - share) * qa + share * (qb if qa @ qb >= 0 else -qb)
