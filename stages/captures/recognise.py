@@ -76,7 +76,7 @@ def recognise(
     if kind not in _MASKED:
         reading.notes += unread(base, kind)
     said, named = other_poses(base, kind, reading)
-    reading.notes += (*doubts(reading.shots), *said)
+    reading.notes += (*doubts(reading.shots, reading.sources), *said)
     reading.spoken_for += named
     return assemble(base, _name(root), kind, reading, options)
 

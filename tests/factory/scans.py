@@ -1,4 +1,4 @@
-"""Lay a synthetic capture out as devices and trackers store it, and as LLFF and 4DGaussians do; every picture is where `Capture.files` says."""
+"""Lay a synthetic capture out as devices and trackers store it, and as LLFF and 4DGaussians do."""
 
 from __future__ import annotations
 

@@ -78,7 +78,10 @@ def test_a_line_that_is_no_list_of_keypoints_is_named(root, doubt):
     def change(rows):
         below = {"keypoints elsewhere": {5: "1.0 2.0 -1"}, "no numbers": {0: "1.0 2.0 here"}}.get(doubt, {})
         blank = {0} if doubt == "keypoints elsewhere" else set()
-        return "\n".join(line for i, row in enumerate(rows) for line in (row, *([below[i]] if i in below else [""] if i in blank else []))) + "\n"
+        return (
+            "\n".join(line for i, row in enumerate(rows) for line in (row, *([below[i]] if i in below else [""] if i in blank else [])))
+            + "\n"
+        )
 
     rewrite(root, change)
     if doubt == "a picture is missing":
@@ -105,7 +108,9 @@ def part(root, folder, keep, points=True):
     (root / folder / "images.txt").write_text("\n\n".join(row for i, row in enumerate(rows) if keep(i)) + "\n\n")
 
 
-@pytest.mark.parametrize("other", ["sparse/1", "sparse/12", "colmap/sparse/0", "dense/sparse", "distorted/sparse/0", "sparse_", "dense/0/sparse"])
+@pytest.mark.parametrize(
+    "other", ["sparse/1", "sparse/12", "colmap/sparse/0", "dense/sparse", "distorted/sparse/0", "sparse_", "dense/0/sparse"]
+)
 def test_the_model_with_most_images_is_read_and_the_others_are_named(root, written, other):
     part(root, other, lambda i: i > 2)
     rewrite(root, lambda rows: "\n\n".join(rows[:3]) + "\n\n")
@@ -129,7 +134,9 @@ def test_a_damaged_model_does_not_stop_the_others(root, written):
     assert any("sparse/0 is not read, since it is damaged" in note for note in capture.notes)
 
 
-@pytest.mark.parametrize("place", ["colmap/sparse/0", "colmap_sparse", "colmap_sparse/0", "sparse/1", "dense/sparse", "distorted/sparse/0", "sparse_", "."])
+@pytest.mark.parametrize(
+    "place", ["colmap/sparse/0", "colmap_sparse", "colmap_sparse/0", "sparse/1", "dense/sparse", "distorted/sparse/0", "sparse_", "."]
+)
 def test_a_model_elsewhere_is_found(root, written, place):
     (root / "sparse/0").rename(root / "moved")
     (root / "sparse").rmdir()

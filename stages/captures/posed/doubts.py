@@ -12,10 +12,11 @@ WIDEST = 150.0  # degrees of view of a lens without fisheye terms; wide action c
 _SQUARE = 1.2  # largest ratio of fx and fy that needs no word
 
 
-def doubts(shots: Sequence[Shot]) -> tuple[str, ...]:
+def doubts(shots: Sequence[Shot], files: Sequence[str] = ()) -> tuple[str, ...]:
     """Notes for people about principal points outside the middle half of their pictures, and about pixels that are far from square.
-    Raises CaptureError for a field of view that only a fisheye lens can have."""
+    files: what was read, the likeliest source of intrinsics first. Raises CaptureError for a field of view that only a fisheye lens can have."""
     off, oblong, seen = [], [], set()
+    given = f" ({files[0]}{', ...' if len(files) > 1 else ''})" if files else ""
     for shot in shots:
         if shot.K is None:
             continue
@@ -30,7 +31,7 @@ def doubts(shots: Sequence[Shot]) -> tuple[str, ...]:
             if view > WIDEST and not shot.fisheye:
                 raise CaptureError(
                     f"{shot.name}: a focal length of {focal:.4g} px for a picture that is {extent} px {name} means a field of view of "
-                    f"{view:.0f} degrees, which only fisheye lenses have; correct the focal length (in pixels of that picture)"
+                    f"{view:.0f} degrees, which only fisheye lenses have; correct the focal length{given}"
                 )
         if abs(cx - width / 2) > width / 4 or abs(cy - height / 2) > height / 4:
             off.append((shot.name, cx, cy, width, height))

@@ -7,6 +7,7 @@ of `w` x `h`; `perFrameIntrinsicCoeffs` has [fx, fy, cx, cy] for each frame. Fac
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,8 @@ def read(root: Path, options: Options) -> Reading:
 
 
 def _file(root: Path) -> str | None:
-    return next((name for name in _FILES if (root / name).is_file()), None)
+    """metadata.json, also if it is no file and reading it says so; "metadata" may be a folder of other captures."""
+    return _FILES[0] if os.path.lexists(root / _FILES[0]) else _FILES[1] if (root / _FILES[1]).is_file() else None
 
 
 def _folder(root: Path) -> str | None:

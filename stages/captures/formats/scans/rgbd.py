@@ -76,7 +76,7 @@ def read(root: Path, options: Options) -> Reading:
         why=f"{len(shots)} pictures with a pose file each in {place}, one moving camera",
         shots=shots,
         alpha=alpha,
-        sources=(*(str(both[stem][1]) for stem in both), *((source,) if source else ())),
+        sources=(*((source,) if source else ()), *(str(both[stem][1]) for stem in both)),
         notes=tuple(notes),
         spoken_for=depth,
     )

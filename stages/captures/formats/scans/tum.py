@@ -46,7 +46,7 @@ def read(root: Path, options: Options) -> Reading:
     stamps, poses = _trajectory(root)
     names = {i: (words[1], f"{_PICTURES}: line {line}") for i, (line, words) in enumerate(listed)}
     found = find_pictures(root, names, _PICTURES, "lines")
-    times = {i: float(numbers_of(listed[i][1][0], f"{_PICTURES}: line {listed[i][0]}: time stamp", (1,))[0]) for i in found.paths}
+    times = {i: _stamp(listed[i][1][0], f"{_PICTURES}: line {listed[i][0]}: time stamp") for i in found.paths}
     posed = {i: pose for i in found.paths if (pose := _at(times[i], stamps, poses)) is not None}
     unposed = [found.paths[i] for i in found.paths if i not in posed]
     if 2 * len(unposed) > len(found.paths):
@@ -73,7 +73,7 @@ def read(root: Path, options: Options) -> Reading:
         why=f"{_PICTURES} and {_POSES}, one moving camera",
         shots=shots,
         alpha=alpha,
-        sources=(_PICTURES, _POSES, *((source,) if note is None else ())),
+        sources=(*((source,) if note is None else ()), _PICTURES, _POSES),
         notes=(*found.notes, *((note,) if note else ()), *notes),
         spoken_for=unread,
     )
@@ -92,6 +92,10 @@ def _lines(root: Path, name: str, least: int) -> list[tuple[int, list[str]]]:
     if not result or len(result) > _MOST:
         raise CaptureError(f"{name}: {len(result)} lines; expected one for each picture or pose")
     return result
+
+
+def _stamp(word: str, where: str) -> float:
+    return checks.number(float(numbers_of(word, where, (1,))[0]), where)
 
 
 def _trajectory(root: Path) -> tuple[np.ndarray, np.ndarray]:
