@@ -14,7 +14,8 @@ _SQUARE = 1.2  # largest ratio of fx and fy that needs no word
 
 def doubts(shots: Sequence[Shot], files: Sequence[str] = ()) -> tuple[str, ...]:
     """Notes for people about principal points outside the middle half of their pictures, and about pixels that are far from square.
-    files: what was read, the likeliest source of intrinsics first. Raises CaptureError for a field of view that only a fisheye lens can have."""
+    files: what was read, the likeliest source of intrinsics first. Raises CaptureError for a field of view that only fisheye lenses have.
+    """
     off, oblong, seen = [], [], set()
     given = f" ({files[0]}{', ...' if len(files) > 1 else ''})" if files else ""
     for shot in shots:
