@@ -206,3 +206,12 @@ def test_deleted_pictures_are_left_out_and_counted(root, written):
 def test_smaller_copies_are_named(root):
     shutil.copytree(root / "images", root / "images_4")
     assert any("images_4" in note and "not read" in note for note in recognise(root).notes)
+
+
+@pytest.mark.parametrize("folder", ["photos", "images_4", "rgb"])
+def test_pictures_may_lie_in_a_folder_of_another_name(root, written, folder):
+    (root / "images").rename(root / folder)
+    (root / "masks").mkdir()
+    capture = recognise(root)
+    assert capture.images[0].startswith(f"{folder}/")
+    assert_truth(capture, written)

@@ -128,3 +128,13 @@ def test_a_size_that_fits_once_exif_turns_the_picture_names_exif(changed, tmp_pa
         CaptureError, match=r"40x32, but images/000\.png is 32x40, because its EXIF orientation \(6\).*after which it is 40x32"
     ):
         recognise(root)
+
+
+def test_what_a_frame_says_comes_before_what_the_file_says(changed):
+    """A camera that zooms: the angle at the head of the file is that of no frame in particular."""
+    root = changed(fl_x=None, fl_y=None, camera_angle_x=math.radians(60))
+    data = json.loads((root / "transforms.json").read_text())
+    data["frames"][2]["fl_x"] = 50.0
+    data["frames"][3]["K"] = [[60, 0, 20], [0, 60, 16], [0, 0, 1]]
+    (root / "transforms.json").write_text(json.dumps(data))
+    np.testing.assert_allclose(recognise(root).K[:, 0, 0], [FOCAL, FOCAL, 50, 60], rtol=1e-6)

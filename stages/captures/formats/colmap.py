@@ -22,7 +22,7 @@ from ..posed.rotations import rotation
 from ..posed.stated import states_layout
 from ..rigs import Rig, all_fixed, cameras_of, folders_of
 from . import n3v
-from .colmap_model import ImageRecord, Model, choose, lens_of, model_places
+from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places
 
 _OWN = ("sparse/0", "sparse")  # a model here makes a capture COLMAP's, whatever lies beside it
 _SMALLER = re.compile(r"images_\d+")  # copies of the pictures, as Mip-NeRF 360 and LLFF have them
@@ -34,13 +34,10 @@ def detect(root: Path) -> str | None:
         return None
     if n3v.detect(root) is not None:
         return None
-    if any(folder for place in found for folder in place.pictures()):
-        return f"a COLMAP model in {found[0].folder or 'the folder'}"
-    names = [name for name in checks.list_folder(root) if not (root / name).is_dir()]
-    beside = any(name.lower().endswith(checks.IMAGE_SUFFIXES) for name in names)
-    return (
-        f"a COLMAP model in {found[0].folder or 'the folder'}, beside its pictures" if beside or _in_folders(found[0].root, found) else None
-    )
+    where = f"a COLMAP model in {found[0].folder or 'the folder'}"
+    if any(folder in place.pictures() for place in found for folder in ("images/", "input/", f"{place.folder.split('/')[0]}/images/")):
+        return where
+    return f"{where} and its pictures" if any(_has_pictures(place) for place in found) else None
 
 
 def read(root: Path, options: Options) -> Reading:
@@ -121,10 +118,8 @@ def _copies(root: Path, pictures: str) -> tuple[tuple[str, ...], tuple[str, ...]
     ), tuple(names)
 
 
-def _in_folders(root: Path, found: Sequence) -> bool:
-    """Whether the first image of the first model lies in a folder of the capture itself, such as `cam0/001.png`."""
+def _has_pictures(place: Place) -> bool:
     try:
-        first = Model(found[0]).images[:1]
-        return bool(first) and "/" in first[0].name and (root / first[0].name).is_file()
-    except (CaptureError, OSError, ValueError):
+        return Model(place).has_pictures()
+    except CaptureError:
         return False

@@ -41,8 +41,8 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Pat
     factor, K is scaled (pictures were resized after calibration).
     """
 
-    def value(key: str, low: float = -1e12, high: float = 1e12) -> float | None:
-        raw = frame.get(key, top.get(key))
+    def value(key: str, low: float = -1e12, high: float = 1e12, of: Mapping[str, Any] | None = None) -> float | None:
+        raw = frame.get(key, top.get(key)) if of is None else of.get(key)
         return None if raw is None else checks.number(raw, f"{where}: {key}", low, high)
 
     model = frame.get("camera_model", top.get("camera_model", "OPENCV"))
@@ -56,8 +56,7 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Pat
     made_for = value("w", 1, 1e6) or float(size[0]), value("h", 1, 1e6) or float(size[1])
     sx, sy = scale_of(root, picture, size, made_for, f"{where}: w, h say")
     matrix = _matrix(frame, top, where)
-    fx = _agreed(_focals(value, "x", made_for[0], matrix), where, made_for[0])
-    fy = _agreed(_focals(value, "y", made_for[1], matrix), where, made_for[1])
+    fx, fy = (_agreed(_focals(value, frame, top, axis, side, matrix), where, side) for axis, side in zip("xy", made_for, strict=True))
     fx, fy = fx if fx is not None else fy, fy if fy is not None else fx
     if fx is None or fy is None:
         raise CaptureError(f"{where}: neither fl_x nor camera_angle_x; add the focal length in pixels as fl_x")
@@ -128,20 +127,30 @@ def _matrix(frame: Mapping[str, Any], top: Mapping[str, Any], where: str) -> np.
     return None
 
 
-def _focals(value: Callable[..., float | None], axis: str, extent: float, matrix: np.ndarray | None) -> dict[str, float]:
-    """All focal lengths, px, that a frame gives for one axis, by the words for a message."""
+def _focals(
+    value: Callable[..., float | None],
+    frame: Mapping[str, Any],
+    top: Mapping[str, Any],
+    axis: str,
+    extent: float,
+    matrix: np.ndarray | None,
+) -> dict[str, float]:
+    """All focal lengths, px, for one axis, by the words for a message: those of the frame, or of the file if the frame has none."""
+    keys = (f"fl_{axis}", f"camera_angle_{axis}", f"{axis}_fov", *(("fov",) if axis == "x" else ()))
+    of = frame if any(frame.get(key) is not None for key in (*keys, *_MATRICES)) else top
+    matrix = matrix if any(isinstance(of.get(key), list) for key in _MATRICES) else None
     found: dict[str, float] = {}
-    pixels = value(f"fl_{axis}")
+    pixels = value(keys[0], of=of)
     if pixels is not None:
         found[f"fl_{axis} = {pixels:g} px"] = pixels
     if matrix is not None:
         entry = float(matrix[0, 0] if axis == "x" else matrix[1, 1])
         found[f"the camera matrix ({entry:g} px)"] = entry
-    radians = value(f"camera_angle_{axis}", 1e-6, math.pi - 1e-6)
+    radians = value(keys[1], 1e-6, math.pi - 1e-6, of)
     if radians is not None:
         found[f"camera_angle_{axis} = {radians:g} rad"] = 0.5 * extent / math.tan(0.5 * radians)
-    for key in (f"{axis}_fov", *(("fov",) if axis == "x" else ())):
-        degrees = value(key, 1e-4, 180 - 1e-4)
+    for key in keys[2:]:
+        degrees = value(key, 1e-4, 180 - 1e-4, of)
         if degrees is not None:
             found[f"{key} = {degrees:g} degrees"] = 0.5 * extent / math.tan(0.5 * math.radians(degrees))
     return found

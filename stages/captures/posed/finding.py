@@ -17,6 +17,7 @@ from .. import checks
 
 _MOST_LISTED = 500_000  # pictures of a capture that are looked through for one that is not where it should be
 _LONGEST = 4096
+_NO_COLOUR = re.compile(r"(^|/)(masks?|segs?|segmentation|depths?|normals?|covisible|conf(idence)?|flow)/", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,11 @@ class _Search:
         chosen = {}
         for i in self.gone:
             places = [path for path in self.folder.named(self.names[i][0]) if path not in taken]
-            if len(places) == 1 and stems.isdisjoint(self.folder.stems[posixpath.dirname(places[0])] - {_stem(places[0])}):
+            if (
+                len(places) == 1
+                and not _NO_COLOUR.search(places[0])
+                and stems.isdisjoint(self.folder.stems[posixpath.dirname(places[0])] - {_stem(places[0])})
+            ):
                 chosen[i] = places[0]
         counts = Counter(chosen.values())
         self.moved = [i for i, path in chosen.items() if counts[path] == 1]

@@ -21,6 +21,8 @@ from .records import CameraRecord, ImageRecord
 
 _FIRST = ("sparse", "sparse_", "colmap", "colmap_sparse", "dense", "undistorted", "distorted")  # folders of models, in this order
 _DEPTH = 4
+_NO_PICTURES = ("masks", "mask", "depth", "depths", "normals", "seg")
+_MOST_FOLDERS = 30  # folders of other names that may hold a model's pictures
 _SAMPLE = 20  # pictures whose sizes are compared with those of a model's cameras
 
 
@@ -43,7 +45,8 @@ class Place:
             base = "/".join(parts[:length])
             names = ("images", "input") if "distorted" not in parts else ("input", "images")
             above += [posixpath.join(base, name) + "/" for name in names if (self.root / base / name).is_dir()]
-        return [*above, ""]
+        others = [name for name in checks.list_folder(self.root) if f"{name}/" not in above and (self.root / name).is_dir()]
+        return [*above, "", *(f"{name}/" for name in others[:_MOST_FOLDERS] if name not in (*_FIRST, *_NO_PICTURES))]
 
 
 def model_places(root: Path) -> list[Place]:
@@ -121,6 +124,10 @@ class Model:
         """The folder of the pictures, with "/" at its end or "": the first that has at least half of the images, before others one in
         which their sizes are those of the cameras."""
         return max(self.place.pictures(), key=lambda folder: (2 * self._present(folder) >= len(self.images), self._fits(folder)))
+
+    def has_pictures(self) -> bool:
+        """Whether at least half of its images are in the folder that is taken for theirs."""
+        return bool(self.images) and 2 * self._present(self.pictures) >= len(self.images)
 
     @property
     def rank(self) -> tuple[bool, int]:
