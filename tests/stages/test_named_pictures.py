@@ -171,3 +171,21 @@ def test_dycheck_says_what_it_does_not_read(tmp_path):
     assert capture.facts["format"] == "nerfies"
     for folder in ("depth/", "covisible/", "splits/"):
         assert any(note.startswith(f"{folder} is not read") for note in capture.notes)
+
+
+@pytest.mark.parametrize("head", ["/data/x", "images"])
+def test_of_equal_names_the_one_with_the_longest_end_is_meant(root, written, head):
+    """Two cameras whose folders moved deeper: 001.png is there twice, cam1/001.png once."""
+    for i in range(12):
+        (root / f"pictures/cam{i % 2}").mkdir(parents=True, exist_ok=True)
+        (root / f"images/{i:03d}.png").rename(root / f"pictures/cam{i % 2}/{i // 2:03d}.png")
+    rename(root, lambda path: f"{head}/cam{int(path[7:10]) % 2}/{int(path[7:10]) // 2:03d}.png")
+    edit(root, lambda data: data.update(train_filenames=[f["file_path"] for f in data["frames"][:10]]))
+    capture = recognise(root)
+    assert_truth(capture, written, left=(10, 11))
+    assert any("12 of 12 frames" in note and "pictures/cam0/000.png" in note for note in capture.notes)
+
+
+def test_lists_may_be_absolute_where_frames_are_relative(root):
+    edit(root, lambda data: data.update(test_filenames=[f"{root}/{f['file_path']}" for f in data["frames"][:3]]))
+    np.testing.assert_array_equal(recognise(root).split, [2] * 3 + [0] * 9)

@@ -194,3 +194,15 @@ def test_tum(path, tmp_path):
     refused(tmp_path, "no intrinsics", "K.txt")
     (tmp_path / "groundtruth.txt").write_text("1 2 3\n")
     refused(tmp_path, "groundtruth.txt: line 1")
+
+
+def test_a_camera_that_the_model_lacks_is_left_out(tmp_path):
+    written = write_multiview(make(RIG), tmp_path)
+    text = (tmp_path / "sparse_/images.txt").read_text().split("\n\n")
+    (tmp_path / "sparse_/images.txt").write_text("\n\n".join(line for line in text if " image4.jpg" not in line))
+    capture = recognise(tmp_path)
+    assert (capture.facts["cameras"], capture.facts["frames"]) == (10, 20)
+    assert any("1 of 11 cameras have no pose" in note and "cam04" in note for note in capture.notes)
+    views = dict(zip(written.files, written.views, strict=True))
+    for i, name in enumerate(capture.names):
+        np.testing.assert_allclose(capture.cam_from_world[i], views[name].camera.cam_from_world, atol=1e-8)

@@ -51,6 +51,8 @@ def read(root: Path, options: Options) -> Reading:
     model = model_of_cameras(root, cameras) if rows != _POSES else None
     if rows is None and model is None:
         raise CaptureError(f"{_POSES}: missing in {root}; the Plenoptic Video layout needs it beside camNN.mp4 or camNN/")
+    unposed = [name for name in cameras if model is not None and name not in model.images]
+    cameras = [name for name in cameras if name not in unposed]
     table = rows_of(root, rows, cameras, "cameras") if model is None and rows is not None else None
     test = cameras[0]  # cam00
     reading = _from_videos(root, cameras, options) if use_movies else _from_folders(root, cameras, options)
@@ -75,6 +77,11 @@ def read(root: Path, options: Options) -> Reading:
     reading.sources = model.files if model is not None else (str(rows),)
     reading.fixed_cameras = True
     reading.has_split = True
+    if unposed:
+        reading.notes += (
+            f"{len(unposed)} of {len(unposed) + len(cameras)} cameras have no pose in {source} and are left out: {', '.join(unposed)}",
+        )
+        reading.spoken_for += tuple(unposed)
     _add_rest(root, reading, rows, model is not None, cameras)
     return reading
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ def read(root: Path, options: Options) -> Reading:
     data = checks.read_json(root, _FILE)
     frames = transforms.frames_of(data, _FILE)
     found = transforms.present(root, frames, _FILE)
-    splits, said = _splits(data, frames, found.paths)
+    splits, said = _splits(root, data, frames, found.paths)
     paths = {i: path for i, path in found.paths.items() if splits is None or i in splits}
     if not paths:
         raise CaptureError(f"{_FILE}: no frame with a picture is in train_filenames, val_filenames or test_filenames; correct the lists")
@@ -78,7 +79,9 @@ def read(root: Path, options: Options) -> Reading:
     )
 
 
-def _splits(data: dict[str, Any], frames: list[dict[str, Any]], paths: dict[int, str]) -> tuple[dict[int, int] | None, tuple[str, ...]]:
+def _splits(
+    root: Path, data: dict[str, Any], frames: list[dict[str, Any]], paths: dict[int, str]
+) -> tuple[dict[int, int] | None, tuple[str, ...]]:
     """Split of each frame, by its index, from nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`, and notes; None without
     any of them.
 
@@ -88,15 +91,15 @@ def _splits(data: dict[str, Any], frames: list[dict[str, Any]], paths: dict[int,
         return None, ()
     numbers: dict[str, list[int]] = {}
     for i, path in paths.items():
-        for name in {_normal(str(frames[i].get("file_path"))), path}:
+        for name in {_normal(root, str(frames[i].get("file_path"))), _normal(root, path)}:
             numbers.setdefault(name, []).append(i)
-    listed = {_normal(str(frame.get("file_path"))) for frame in frames}
+    listed = {_normal(root, str(frame.get("file_path"))) for frame in frames}
     result: dict[int, int] = {}
     unknown: list[str] = []
     for split, (name, entries) in enumerate(lists.items()):
         field = f"{name}_filenames"
         for n, raw in enumerate(checks.items(entries, f"{_FILE}: {field}") if entries else ()):
-            path = _normal(checks.text(raw, f"{_FILE}: {field}[{n}]"))
+            path = _normal(root, checks.text(raw, f"{_FILE}: {field}[{n}]"))
             own = numbers.get(path) or next((numbers[path + s] for s in checks.IMAGE_SUFFIXES if path + s in numbers), [])
             for i in own:
                 # nerfstudio writes the same list for val and test if there is only one held-out set. It counts as test.
@@ -116,8 +119,9 @@ def _splits(data: dict[str, Any], frames: list[dict[str, Any]], paths: dict[int,
     return result, tuple(notes)
 
 
-def _normal(path: str) -> str:
-    return posixpath.normpath(path.replace("\\", "/"))
+def _normal(root: Path, path: str) -> str:
+    """A path in one form of several: composed, relative if it leads into the capture."""
+    return unicodedata.normalize("NFC", posixpath.normpath(path.replace("\\", "/"))).removeprefix(f"{root.as_posix()}/")
 
 
 def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:

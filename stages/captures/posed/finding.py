@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import posixpath
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -96,9 +97,10 @@ class _Search:
                     break
         for i, error in list(self.far.items()):
             name = posixpath.normpath(self.names[i][0].replace("\\", "/"))
-            if not any(name.startswith(head + "/") for head in self.heads):
-                raise CaptureError(f"{error}; no picture of the capture has the end of this path") from error
-            self.gone.append(i)  # of the same place as the others, and deleted since
+            # It may be of the same place as the others and deleted since, or lie in another folder here.
+            if not any(name.startswith(head + "/") for head in self.heads) and self.folder.nearest(self.names[i][0]) is None:
+                raise CaptureError(f"{error}; no picture of the capture, or more than one, has the end of this path") from error
+            self.gone.append(i)
 
     def by_name_alone(self) -> None:
         if not self.gone:
@@ -107,13 +109,11 @@ class _Search:
         taken = set(self.found.values())
         chosen = {}
         for i in self.gone:
-            places = [path for path in self.folder.named(self.names[i][0]) if path not in taken]
-            if (
-                len(places) == 1
-                and not _NO_COLOUR.search(places[0])
-                and stems.isdisjoint(self.folder.stems[posixpath.dirname(places[0])] - {_stem(places[0])})
-            ):
-                chosen[i] = places[0]
+            place = self.folder.nearest(self.names[i][0], taken)
+            if place is None or _NO_COLOUR.search(place):
+                continue
+            if stems.isdisjoint(self.folder.stems[posixpath.dirname(place)] - {_stem(place)}):
+                chosen[i] = place
         counts = Counter(chosen.values())
         self.moved = [i for i, path in chosen.items() if counts[path] == 1]
         self.found |= {i: chosen[i] for i in self.moved}
@@ -134,7 +134,7 @@ class _Search:
         for repaired, words in (
             (self.other_form, "are written with other Unicode characters than the files (é as one or as two) and are read all the same"),
             (self.ends, "have absolute paths of another place, and are read by the ends of their paths"),
-            (self.moved, "name pictures that are not there, and are read from where the one picture of that name lies"),
+            (self.moved, "name pictures that are not there, and are read from where the one picture of their name lies"),
         ):
             if repaired:
                 first = f"first {self.names[repaired[0]][0][:200]!r}, read from {self.found[repaired[0]]}"
@@ -179,6 +179,17 @@ class _Pictures:
 
     def in_another_form(self, name: str) -> str | None:
         return self.paths.get(_composed(posixpath.normpath(name)))
+
+    def nearest(self, raw: str, taken: Collection[str] = ()) -> str | None:
+        """The one picture whose path has more of the end of ``raw`` than all others, at least its name; None if there is none."""
+        wanted = _composed(raw.replace("\\", "/")).split("/")[-2::-1]
+        lengths: dict[int, list[str]] = {}
+        for path in self.named(raw):
+            if path not in taken:
+                same = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(wanted, _composed(path).split("/")[-2::-1], strict=False))
+                lengths.setdefault(sum(1 for _ in same), []).append(path)
+        best = lengths[max(lengths)] if lengths else []
+        return best[0] if len(best) == 1 else None
 
     def named(self, raw: str) -> list[str]:
         """Paths of the pictures with the name at the end of a path, which may lack its suffix."""

@@ -12,10 +12,11 @@ from ....pipeline import CaptureError
 from .. import checks
 
 _LONGEST = 2**24  # characters: some hundred thousand lines of a trajectory
-# K.txt is ours; the others are of 3DMatch, ScanNet, and BundleFusion.
+# K.txt is ours; the others are of 3DMatch, ETH3D, ScanNet and BundleFusion.
 INTRINSICS = (
     "K.txt",
     "camera-intrinsics.txt",
+    "calibration.txt",
     "intrinsics.txt",
     "intrinsic/intrinsic_color.txt",
     "intrinsic_color.txt",

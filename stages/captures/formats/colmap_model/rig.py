@@ -42,8 +42,8 @@ class CameraModel:
 
 
 def model_of_cameras(root: Path, cameras: Sequence[str]) -> CameraModel | None:
-    """The first model of a capture whose images are one of each of ``cameras`` (`cam01` or `cam01.mp4`), by their names: `cam01.jpg`,
-    `cam01/frame_00001.jpg`, or `image1.jpg` as 4DGaussians names them. None if there is none, or if it cannot be read."""
+    """The first model of a capture whose images are one of each of ``cameras`` (`cam01` or `cam01.mp4`), or of at least half of them. Their
+    names tell: `cam01.jpg`, `cam01/frame_00001.jpg`, or `image1.jpg` as 4DGaussians has it. None if there is none, or if it is damaged."""
     for place in model_places(root):
         model = Model(place)
         try:
@@ -58,7 +58,7 @@ def model_of_cameras(root: Path, cameras: Sequence[str]) -> CameraModel | None:
 
 
 def _matched(images: Sequence[ImageRecord], cameras: Sequence[str]) -> dict[str, ImageRecord] | None:
-    if len(images) != len(cameras):
+    if not len(cameras) <= 2 * len(images) <= 2 * len(cameras):
         return None
     stems = {posixpath.splitext(name)[0] if name.lower().endswith(checks.VIDEO_SUFFIXES) else name: name for name in cameras}
     numbers = {_number(stem): name for stem, name in stems.items()}
