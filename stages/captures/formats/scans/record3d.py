@@ -16,6 +16,7 @@ import numpy as np
 from .....pipeline import CaptureError
 from ... import checks
 from ...capture import Options, Reading, Shot
+from ...posed.depth import told_depth
 from ...posed.rotations import rotation
 from ...posed.sizes import scale_of
 from ...posed.stated import states_layout
@@ -79,10 +80,7 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         fps=fps,
         sources=(file,),
-        notes=(
-            *gone,
-            *((f"{len(unread)} files or folders of depth ({unread[0]}, ...) are not read: depth maps are not used yet",) if unread else ()),
-        ),
+        notes=(*gone, *told_depth(root, unread)),
         spoken_for=unread,
     )
 
