@@ -13,7 +13,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Given, Resources, Settings, Stage
-from .captures import Capture, recognise
+from .captures import Capture, Format, recognise
 from .captures.usual import USUAL
 from .decoding.videos import video_parts
 from .facts import Facts
@@ -22,9 +22,7 @@ from .facts import Facts
 class FramesSettings(Settings):
     """How the capture is read. All names but ``watermark`` match the arguments of `captures.recognise`."""
 
-    format: Literal["dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "images", "video", "videos"] | None = Field(
-        None, description="format of the capture; recognised from the files if it is not given"
-    )
+    format: Format | None = Field(None, description="format of the capture; recognised from the files if it is not given")
     static: bool = Field(False, description="nothing moves: all frames count as one time, without flow and deformation")
     holdout: int = Field(8, ge=0, le=100_000, description="every N-th frame is a test frame if the files define no split; 0: none")
     background: Literal["white", "black"] | None = Field(None, description="colour behind pictures with alpha; white if there is alpha")

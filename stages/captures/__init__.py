@@ -5,6 +5,6 @@ from __future__ import annotations
 
 from .capture import Capture
 from .reading import Options, Shot, Video
-from .recognise import FORMATS, recognise
+from .recognise import FORMATS, Format, recognise
 
-__all__ = ["FORMATS", "Capture", "Options", "Shot", "Video", "recognise"]
+__all__ = ["FORMATS", "Capture", "Format", "Options", "Shot", "Video", "recognise"]

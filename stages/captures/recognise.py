@@ -5,31 +5,44 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Literal, get_args
 
 from ...pipeline import CaptureError
 from . import checks
 from .capture import Capture, assemble
-from .formats import colmap, dnerf, images, n3v, nerfies, nerfstudio, panoptic, video, videos
+from .formats import colmap, dnerf, images, llff, n3v, nerfies, nerfstudio, panoptic, video, videos
+from .formats.scans import polycam, record3d, rgbd, tum
 from .keep_masks import FOLDER
 from .listing import beside
 from .listing.archive_kind import archive_kind
-from .listing.kinds import PICTURE, kind_of
-from .listing.names import is_image, is_video
+from .listing.kinds import kind_of
+from .listing.names import is_video
 from .listing.unread import above, described, only_closed, unread
+from .posed.doubts import doubts
+from .posed.other_poses import other_poses
 from .reading import Options, Reading
+from .rigs import rig_without_poses
 from .usual import Usual
 
+Format = Literal[
+    "dnerf", "n3v", "panoptic", "nerfstudio", "nerfies", "colmap", "llff", "record3d", "polycam", "rgbd", "tum", "images", "video", "videos"
+]
+FORMATS: tuple[Format, ...] = get_args(Format)
 # Formats with poses are tried first. A plain folder of images or a lone video is the fallback if no other file says more.
-_POSED: dict[str, ModuleType] = {
+_POSED: dict[Format, ModuleType] = {
     "dnerf": dnerf,
     "n3v": n3v,
     "panoptic": panoptic,
     "nerfstudio": nerfstudio,
     "nerfies": nerfies,
     "colmap": colmap,
+    "llff": llff,
+    "record3d": record3d,
+    "polycam": polycam,
+    "rgbd": rgbd,
+    "tum": tum,
 }
-_BARE: dict[str, ModuleType] = {"images": images, "video": video, "videos": videos}
-FORMATS = (*_POSED, *_BARE)
+_BARE: dict[Format, ModuleType] = {"images": images, "video": video, "videos": videos}
 _STEPPED = ("n3v", "images", "video", "videos")
 
 
@@ -68,7 +81,11 @@ def recognise(
     if sync != "auto" and kind != "videos":
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
     reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
-    capture = assemble(root if root.is_dir() else root.parent, _name(root), kind, reading, options)
+    base = root if root.is_dir() else root.parent
+    said, named = other_poses(base, kind, reading)
+    reading.notes += (*doubts(reading.shots, reading.sources), *said)
+    reading.spoken_for += named
+    capture = assemble(base, _name(root), kind, reading, options)
     return replace(capture, notes=(*capture.notes, *_not_read(root, capture, reading)))
 
 
@@ -116,11 +133,12 @@ def _existing(path: Path) -> Path:
     return root
 
 
-def _choose(root: Path, format: str | None) -> str:
+def _choose(root: Path, format: str | None) -> Format:
     if format is not None:
-        if format not in FORMATS:
+        chosen = next((known for known in FORMATS if known == format), None)
+        if chosen is None:
             raise CaptureError(f"--format {format}: unknown; the formats are {', '.join(FORMATS)}")
-        return format
+        return chosen
     if root.is_file():
         return "video"
     if not checks.list_folder(root):
@@ -139,7 +157,7 @@ def _choose(root: Path, format: str | None) -> str:
     return next(iter(found))
 
 
-def _candidates(root: Path, readers: dict[str, ModuleType]) -> dict[str, str]:
+def _candidates(root: Path, readers: dict[Format, ModuleType]) -> dict[Format, str]:
     return {kind: why for kind, reader in readers.items() if (why := reader.detect(root)) is not None}
 
 
@@ -152,30 +170,13 @@ def _advice(root: Path) -> str:
                 return f"{part}{name} is not a file but a broken link, a pipe or a device; put the file itself there"
     folders = [name for name in names if (root / name).is_dir() and not checks.is_foreign(root / name)]
     there = described(root)
+    if (rig := rig_without_poses(root, folders)) is not None:
+        return f"{rig}{there}"
     if "poses_bounds.npy" in names:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
     if only_closed(root):
         return there.removeprefix(". ")
-    if rig := _rig(root, folders):
-        return f"{rig}{there}"
     if folders:
         return f"It has the folders {', '.join(folders[:6])}: pass the one that holds images, or add transforms.json{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
     return f"Expected a video or several of one event, images, {known}{there}"
-
-
-def _rig(root: Path, folders: list[str]) -> str | None:
-    """What to do with several folders whose pictures have the same names, as those of synchronised cameras."""
-    alike: dict[tuple[str, ...], list[str]] = {}
-    for folder in folders:
-        names = tuple(name for name in checks.list_folder(root / folder) if is_image(name))
-        if names and kind_of(f"{folder}/0.png") is PICTURE:
-            alike.setdefault(names, []).append(folder)
-    cameras = max(alike.values(), key=len, default=[])
-    if len(cameras) < 2:
-        return None
-    return (
-        f"The folders {', '.join(cameras[:6])}{', ...' if len(cameras) > 6 else ''} have pictures of the same names, so they are the "
-        "cameras of a rig, and no poses that are read: add a COLMAP model in sparse/0/ with these folders in images/, or poses_bounds.npy "
-        "with folders named cam00/, cam01/ and so on"
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,20 +27,22 @@ class Rig:
     others: tuple[str, ...] = ()
 
 
-def cameras_of(root: Path, images: Sequence[str]) -> Rig:
+def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -> Rig:
     """Whether `images`, paths relative to `root`, lie in several folders that contain files of the same names: `cam0/0001.jpg` and
     `cam1/0001.jpg` show the same time.
 
     The folders are compared as well as `images`, from which structure from motion may have dropped some frames of some cameras. One of
-    the two must agree, so a picture too many in one folder does no harm if it has no pose."""
+    the two must agree, so a picture too many in one folder does no harm if it has no pose. deleted: pictures that have a pose and are no
+    longer there; they count as if they were, so that the rig remains one."""
     folders = folders_of(images)
     if len(folders) < 2:
         return Rig()
     listed = {folder: _pictures(root, folder) for folder in folders}
     frames = {folder: {_frame(name) for name in names} for folder, names in listed.items()}
     posed: dict[str, set[str]] = {folder: set() for folder in folders}
-    for name in images:
+    for name in (*images, *(name for name in deleted if posixpath.dirname(name) in frames)):
         posed[posixpath.dirname(name)].add(_frame(name))
+        frames[posixpath.dirname(name)].add(_frame(name))
     others = tuple(sorted({name for names in listed.values() for name in names} - set(images)))
     number = {frame: i for i, frame in enumerate(sorted(set.intersection(*frames.values()), key=checks.natural_key))}
     same = any(all(names[folder] == names[folders[0]] for folder in folders) for names in (frames, posed))
@@ -77,3 +80,24 @@ def _pictures(root: Path, folder: str) -> list[str]:
 
 def _frame(name: str) -> str:
     return posixpath.splitext(posixpath.basename(name))[0]
+
+
+def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
+    """What is missing where several folders have files of the same names, as those of a rig do, and no file gives poses; None elsewhere."""
+    named: dict[str, frozenset[str]] = {}
+    for folder in folders:
+        pictures = frozenset(_frame(name) for name in _pictures(root, folder))
+        if pictures:
+            named[folder] = pictures
+    alike = [folder for folder in named if sum(names == named[folder] for names in named.values()) > 1]
+    if len(alike) < 2 or 2 * len(alike) < len(named) or {"images", "masks", "depth"} & set(alike):
+        return None
+    seen = [name for name in checks.list_folder(root) if re.match(r"(poses_bounds|sparse|colmap|calib|cameras|models)", name)]
+    also = f" (seen: {', '.join(seen[:6])})" if seen else ""
+    shown, count = ", ".join(alike[:4]) + (", ..." if len(alike) > 4 else ""), len(named[alike[0]])
+    return (
+        f"The folders {shown} have {count} pictures of the same names each, as the cameras of a rig do, but no file gives their "
+        f"poses{also}. Add poses_bounds.npy with a row for each camera and name the folders cam00/, cam01/, ...; or put them into images/ "
+        "beside a COLMAP model in sparse/0/; or encode each folder as a video and "
+        "give the folder of videos, whose poses are then estimated"
+    )

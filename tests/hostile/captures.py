@@ -15,6 +15,7 @@ from PIL import Image
 
 SIZE = (12, 8)
 FOCAL = 10.0
+CLOUD = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 -1\n1 0 -2\n"
 
 
 def pose(i: int) -> np.ndarray:
@@ -98,8 +99,7 @@ def nerfstudio(root: Path) -> None:
     images(root)
     frames = [{"file_path": f"{i}.png", "time": i / 3, "transform_matrix": pose(i).tolist()} for i in range(4)]
     put(root, "transforms.json", {"fl_x": FOCAL, "w": 12, "h": 8, "ply_file_path": "cloud.ply", "frames": frames})
-    header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    put(root, "cloud.ply", header + "0 0 -1\n1 0 -2\n")
+    put(root, "cloud.ply", CLOUD)
 
 
 def dnerf(root: Path) -> None:
@@ -177,6 +177,56 @@ def archive(root: Path) -> None:
             file.writestr(f"scene/{i}.png", png(i))
 
 
+def llff(root: Path) -> None:
+    for i in range(4):
+        put(root, f"images/{i}.png", png(i))
+    np.save(root / "poses_bounds.npy", np.stack([pose_row(i) for i in range(4)]))
+
+
+def multiview(root: Path) -> None:
+    for camera in range(1, 4):
+        for t in range(2):
+            put(root, f"cam0{camera}/frame_0000{t + 1}.png", png(camera))
+    put(root, "sparse_/cameras.txt", "1 PINHOLE 12 8 10 10 6 4\n")
+    put(root, "sparse_/images.txt", "".join(f"{i} 1 0 0 0 {0.1 * i} 0 0 1 image{i}.jpg\n\n" for i in range(1, 4)))
+    np.save(root / "poses_bounds_multipleview.npy", np.stack([pose_row(i) for i in range(3)]))
+    put(root, "points3D_multipleview.ply", CLOUD)
+
+
+def pose_row(i: int) -> np.ndarray:
+    matrix = np.column_stack([[0, 1, 0], [1, 0, 0], [0, 0, -1], [0.1 * i, 0, 0], [SIZE[1], SIZE[0], FOCAL]])
+    return np.append(matrix.ravel(), [0.1, 9.0])
+
+
+def record3d(root: Path) -> None:
+    for i in range(4):
+        put(root, f"rgbd/{i}.png", png(i))
+    data = {"w": 12, "h": 8, "K": [10, 0, 0, 0, 10, 0, 6, 4, 1], "fps": 30, "frameTimestamps": [0, 1, 2, 3]}
+    put(root, "metadata.json", {**data, "poses": [[0, 0, 0, 1, 0.1 * i, 0, 0] for i in range(4)]})
+
+
+def polycam(root: Path) -> None:
+    for i in range(4):
+        put(root, f"keyframes/images/{i}.png", png(i))
+        matrix = {f"t_{r}{c}": float(pose(i)[r, c]) for r in range(3) for c in range(4)}
+        put(root, f"keyframes/cameras/{i}.json", {**matrix, "fx": 10, "fy": 10, "cx": 6, "cy": 4, "width": 12, "height": 8})
+
+
+def rgbd(root: Path) -> None:
+    put(root, "K.txt", "10 0 6 0 10 4 0 0 1\n")
+    for i in range(4):
+        put(root, f"frame-{i}.color.png", png(i))
+        put(root, f"frame-{i}.pose.txt", f"1 0 0 {0.1 * i}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+
+
+def tum(root: Path) -> None:
+    put(root, "K.txt", "10 0 6 0 10 4 0 0 1\n")
+    for i in range(4):
+        put(root, f"rgb/{i}.png", png(i))
+    put(root, "rgb.txt", "".join(f"{i}.0 rgb/{i}.png\n" for i in range(4)))
+    put(root, "groundtruth.txt", "".join(f"{i}.0 {0.1 * i} 0 0 0 0 0 1\n" for i in range(4)))
+
+
 LAYOUTS: dict[str, Callable[[Path], None]] = {
     "images": images,
     "nerfstudio": nerfstudio,
@@ -192,6 +242,12 @@ LAYOUTS: dict[str, Callable[[Path], None]] = {
     "hinted": hinted,
     "masked": masked,
     "colmap_rig": colmap_rig,
+    "llff": llff,
+    "multiview": multiview,
+    "record3d": record3d,
+    "polycam": polycam,
+    "rgbd": rgbd,
+    "tum": tum,
 }
 
 

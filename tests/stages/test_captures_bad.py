@@ -218,8 +218,8 @@ def test_one_frame_is_too_few_and_only_a_setting_that_was_made_is_blamed(images_
         assert "frames." not in str(refusal.value)
 
 
-def test_split_that_leaves_a_frame_out(tmp_path):
-    refused(scene(tmp_path / "s", train_filenames=["0.png"], test_filenames=["1.png"]), "2.png", "train_filenames")
+def test_lists_that_name_no_frame(tmp_path):
+    refused(scene(tmp_path / "s", train_filenames=["5.png"], test_filenames=["6.png"]), "transforms.json", "train_filenames")
 
 
 def test_bad_hint_of_intrinsics(tmp_path):

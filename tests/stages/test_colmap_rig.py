@@ -131,3 +131,13 @@ def test_folders_with_one_frame_each_show_one_time(rig):
     (root / "sparse/0/images.txt").write_text("\n".join(kept) + "\n")
     facts = recognise(root, holdout=0).facts
     assert (facts["cameras"], facts["times"], facts["static"]) == (3, 1, True)
+
+
+def test_a_deleted_picture_leaves_the_rig_one(rig):
+    root, views = rig
+    (root / "images/cam1/001.png").unlink()
+    capture = recognise(root)
+    assert (capture.facts["cameras"], capture.facts["times"], capture.facts["frames"]) == (3, 4, 11)
+    np.testing.assert_allclose(capture.time, [views[name].time_index / 3 for name in capture.names])
+    (note,) = capture.notes
+    assert "1 of 12 images" in note and "cam1/001.png" in note

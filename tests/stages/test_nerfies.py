@@ -118,7 +118,7 @@ BAD = {
     "no focal length": (CAMERA, lambda d: d.pop("focal_length") and None, f"{CAMERA}: focal_length: expected a number"),
     "skew": (CAMERA, lambda d: d.update(skew=5.0), f"{CAMERA}: skew 5 is not supported"),
     "radial": (CAMERA, lambda d: d.update(radial_distortion=[0, 0, 1e9]), f"{CAMERA}: radial_distortion[2]: 1e+09 lies outside"),
-    "image size": (CAMERA, lambda d: d.update(image_size=[64, 80]), f"{CAMERA}: image_size says 64x80, but the picture is 80x64"),
+    "image size": (CAMERA, lambda d: d.update(image_size=[64, 80]), f"{CAMERA}: image_size says 64x80, but rgb/1x/0_000003.png is 80x64"),
 }
 
 

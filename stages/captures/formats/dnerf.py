@@ -31,20 +31,20 @@ def read(root: Path, options: Options) -> Reading:
     loaded = [(split, file, checks.read_json(root, file)) for split, file in files]
     listed = {file: transforms.frames_of(data, file) for _, file, data in loaded}
     there = {file: transforms.present(root, frames, file) for file, frames in listed.items()}
-    entries = [(split, file, data, i, listed[file][i]) for split, file, data in loaded for i in there[file][0]]
-    paths = [there[file][0][i] for _, file, _, i, _ in entries]
+    entries = [(split, file, data, i, listed[file][i]) for split, file, data in loaded for i in there[file].paths]
+    paths = [there[file].paths[i] for _, file, _, i, _ in entries]
     sizes, alpha = checks.image_headers(root, paths)
 
     per_file = [transforms.times_of(frames, file) for file, frames in listed.items()]
     if any(t is None for t in per_file) != all(t is None for t in per_file):
         bare = next(file for (_, file, _), t in zip(loaded, per_file, strict=True) if t is None)
         raise CaptureError(f"{bare}: frame 0: time is missing, but the other split files have times; add it, or remove it everywhere")
-    times = [found[i] for found, file in zip(per_file, listed, strict=True) if found is not None for i in there[file][0]]
+    times = [found[i] for found, file in zip(per_file, listed, strict=True) if found is not None for i in there[file].paths]
     times = times or [0.0] * len(entries)
 
     shots = []
     for number, ((split, file, data, i, frame), path, time, size) in enumerate(zip(entries, paths, times, sizes, strict=True)):
-        lens = transforms.lens(frame, data, f"{file}: frame {i}", *size)
+        lens = transforms.lens(frame, data, f"{file}: frame {i}", root, path, size)
         shots.append(
             Shot(
                 name=path,
@@ -68,7 +68,7 @@ def read(root: Path, options: Options) -> Reading:
         has_split=len(files) > 1,
         fps=None if raw_fps is None else checks.number(raw_fps, f"{files[0][1]}: fps", 1e-3, 1e6),
         sources=tuple(file for _, file in files),
-        notes=tuple(note for _, notes in there.values() for note in notes),
+        notes=tuple(note for found in there.values() for note in found.notes),
     )
 
 

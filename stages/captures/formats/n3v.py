@@ -1,7 +1,10 @@
-"""Plenoptic Video (N3V): `camNN.mp4` or `camNN/` and `poses_bounds.npy`; fixed synchronised cameras, cam00 is the test view.
+"""Plenoptic Video (N3V) and the like: `camNN.mp4` or `camNN/`, and a pose for each camera; fixed synchronised cameras.
 
-`poses_bounds.npy` has LLFF's format: [N,17], for each camera (sorted by name) a 3x5 matrix whose columns are the camera's
-down, right and back axes in the world, its centre, and (h, w, focal); then near and far.
+The first camera in the plain order of names, cam00, is the test view.
+
+Poses come from `poses_bounds.npy` (rows in the plain order of the cameras' names, see `posed/llff_rows.py`), or, as in the layout
+"multipleview" of 4DGaussians (github.com/hustvl/4DGaussians, `multipleviewprogress.sh` and `scene/multipleview_dataset.py`), from a COLMAP
+model with one image for each camera in `sparse_/`, or from `poses_bounds_multipleview.npy`.
 """
 
 from __future__ import annotations
@@ -13,45 +16,93 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks
-from ..arrays import load_array
+from ..lens import Lens
+from ..ply_points import read_points
+from ..posed.llff_rows import camera_of, rows_of, told_order
+from ..posed.stated import states_layout
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
 from . import video
+from .colmap_model import model_of_cameras
 
 _POSES = "poses_bounds.npy"
-_MOST_CAMERAS = 100_000
-_NAME = re.compile(r"cam\d+")
+_MULTIVIEW = "poses_bounds_multipleview.npy"
+_CLOUD = "points3D_multipleview.ply"
+_NAME = re.compile(r"cam(era)?[_-]?\d+", re.IGNORECASE)
 
 
 def detect(root: Path) -> str | None:
-    if not (root / _POSES).is_file():
-        return None
     count = max(len(_videos(root)), len(_folders(root)))
-    return f"{_POSES} and {count} cameras" if count else None
+    if not count:
+        return None
+    for file in (_POSES, _MULTIVIEW):
+        if (root / file).is_file() and not (file == _MULTIVIEW and states_layout(root)):
+            return f"{file} and {count} cameras"
+    model = None if states_layout(root) else model_of_cameras(root, _cameras(root)[0])
+    return None if model is None else f"a COLMAP model of {count} cameras in {model.where}"
 
 
 def read(root: Path, options: Options) -> Reading:
-    if not (root / _POSES).is_file():
-        raise CaptureError(f"{_POSES}: missing in {root}; the Plenoptic Video layout needs it beside camNN.mp4 or camNN/")
-    movies, folders = _videos(root), _folders(root)
-    if not movies and not folders:
+    cameras, use_movies = _cameras(root)
+    if not cameras:
         raise CaptureError(f"{root}: no camNN.mp4 and no camNN/ beside {_POSES}; rename the cameras or give another --format")
-    use_movies = len(movies) >= len(folders)
-    cameras = movies if use_movies else folders
     if len(cameras) < 2:
         raise CaptureError(f"{root}: one camera ({cameras[0]}), and it is the test view; at least two are needed")
-    poses = _poses(root, cameras)
+    rows = next((file for file in (_POSES, _MULTIVIEW) if (root / file).is_file()), None)
+    model = model_of_cameras(root, cameras) if rows != _POSES else None
+    if rows is None and model is None:
+        raise CaptureError(f"{_POSES}: missing in {root}; the Plenoptic Video layout needs it beside camNN.mp4 or camNN/")
+    unposed = [name for name in cameras if model is not None and name not in model.images]
+    cameras = [name for name in cameras if name not in unposed]
+    table = rows_of(root, rows, cameras, "cameras") if model is None and rows is not None else None
     test = cameras[0]  # cam00
     reading = _from_videos(root, cameras, options) if use_movies else _from_folders(root, cameras, options)
-    sizes = {shot.camera: shot.size for shot in reading.shots}
-    by_camera = {name: _camera(poses[i], f"{_POSES}: row {i} ({name})", sizes[name]) for i, name in enumerate(cameras)}
+    first: dict[str, Shot] = {}
+    for shot in reading.shots:
+        first.setdefault(shot.camera, shot)
+    lenses: dict[str, Lens] = {}
+    poses: dict[str, np.ndarray] = {}
+    for i, name in enumerate(cameras):
+        picture = first[name].file or name
+        if model is not None:
+            lenses[name], poses[name] = model.camera(name, root, picture, first[name].size)
+        elif table is not None:
+            K, poses[name] = camera_of(table[i], f"{rows}: row {i} ({name})", root, picture, first[name].size)
+            lenses[name] = Lens(K, np.zeros(4))
     for shot in reading.shots:
         shot.split = TEST if shot.camera == test else TRAIN
-        shot.K, shot.cam_from_world = by_camera[shot.camera]
-    reading.why = f"{len(cameras)} cameras {'as videos' if use_movies else 'as folders'} + {_POSES}, {test} is test"
-    reading.sources = (_POSES,)
+        shot.K, shot.distortion, shot.fisheye = lenses[shot.camera]
+        shot.cam_from_world = poses[shot.camera]
+    source = f"the COLMAP model in {model.where}" if model is not None else str(rows)
+    reading.why = f"{len(cameras)} cameras {'as videos' if use_movies else 'as folders'} + {source}, {test} is test"
+    reading.sources = model.files if model is not None else (str(rows),)
     reading.fixed_cameras = True
     reading.has_split = True
+    if unposed:
+        reading.notes += (
+            f"{len(unposed)} of {len(unposed) + len(cameras)} cameras have no pose in {source} and are left out: {', '.join(unposed)}",
+        )
+        reading.spoken_for += tuple(unposed)
+    _add_rest(root, reading, rows, model is not None, cameras)
     return reading
+
+
+def _add_rest(root: Path, reading: Reading, rows: str | None, modelled: bool, cameras: list[str]) -> None:
+    """Points of the layout "multipleview", and notes about what is matched by order or not read."""
+    if rows is not None and not modelled:
+        reading.notes += told_order(rows, cameras)
+        if rows == _MULTIVIEW and len(cameras) > 9:
+            reading.notes += (
+                f"rows of {rows} are matched to {cameras[0]}, {cameras[1]}, ... in this order, since no model in sparse_/ names them; "
+                "a file whose rows are those of image1, image10, image2, ... needs that model",
+            )
+    if modelled and rows is not None:
+        reading.notes += (f"{rows} is not read, because the COLMAP model has the poses and names the cameras",)
+        reading.spoken_for += (rows,)
+    if (root / _CLOUD).is_file() and (modelled or rows == _MULTIVIEW):
+        points, colors = read_points(root, _CLOUD)
+        reading.sources += (_CLOUD,)
+        if len(points):
+            reading.points, reading.point_colors = points, colors
 
 
 def _from_videos(root: Path, cameras: list[str], options: Options) -> Reading:
@@ -81,7 +132,18 @@ def _from_folders(root: Path, cameras: list[str], options: Options) -> Reading:
                 f"{shot.name}: {shot.size[0]}x{shot.size[1]}, but {one.name} of the same camera is {one.size[0]}x{one.size[1]}; "
                 "one row of poses cannot serve both, bring them to one size"
             )
-    return Reading("", shots, alpha=alpha, notes=_note(taken, total))
+    return Reading("", shots, alpha=alpha, notes=(*_note(taken, total), *_other_names(files)))
+
+
+def _other_names(files: dict[str, list[str]]) -> tuple[str, ...]:
+    """A note for people if the frames of the cameras have other names, and so are matched by their order alone."""
+    stems = {camera: [Path(file).stem for file in names] for camera, names in files.items()}
+    first = next(iter(stems))
+    other = next((camera for camera in stems if stems[camera] != stems[first]), None)
+    if other is None:
+        return ()
+    pair = next((a, b) for a, b in zip(stems[first], stems[other], strict=True) if a != b)
+    return (f"frames of {first} and {other} have different names ({pair[0]}, {pair[1]}), and are matched in the order of their numbers",)
 
 
 def _note(taken: tuple[int, ...], total: int) -> tuple[str, ...]:
@@ -97,35 +159,11 @@ def _same_counts(counts: dict[str, int]) -> None:
         )
 
 
-def _poses(root: Path, cameras: list[str]) -> np.ndarray:
-    """[N,17] float64, one row per camera."""
-    table = load_array(root, _POSES, (17,), most=_MOST_CAMERAS)
-    if len(table) != len(cameras):
-        raise CaptureError(
-            f"{_POSES}: {len(table)} rows for {len(cameras)} cameras ({cameras[0]} .. {cameras[-1]}); add or remove cameras to match"
-        )
-    return table
-
-
-def _camera(row: np.ndarray, where: str, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """(K, cam_from_world) of one row. The focal length is scaled from the file's h, w to the size of the pictures."""
-    if not (np.abs(row) < 1e12).all():
-        raise CaptureError(f"{where}: holds NaN, Inf or impossibly large numbers; estimate the poses again")
-    width, height = size
-    matrix = row[:15].reshape(3, 5)
-    down, right, back = matrix[:, 0], matrix[:, 1], matrix[:, 2]
-    file_height, file_width, focal = matrix[:, 4]
-    if min(file_height, file_width) < 1:
-        raise CaptureError(f"{where}: image size {file_width:g}x{file_height:g} makes no sense; correct columns h and w")
-    world_from_cam = np.column_stack([right, down, -back, matrix[:, 3]])
-    cam_from_world = checks.inverse(checks.rigid(world_from_cam, where))
-    sx, sy = width / file_width, height / file_height
-    if abs(sx / sy - 1) > 0.02:
-        raise CaptureError(
-            f"{where}: made for {file_width:g}x{file_height:g}, but the pictures are {width}x{height}, "
-            "which have another aspect ratio; correct h and w"
-        )
-    return checks.intrinsics(focal * sx, focal * sy, width / 2, height / 2, where), cam_from_world
+def _cameras(root: Path) -> tuple[list[str], bool]:
+    """The cameras in the plain order of their names (as the loaders of this layout sort), and whether they are videos."""
+    movies, folders = _videos(root), _folders(root)
+    use_movies = len(movies) > 0 and len(movies) >= len(folders)
+    return sorted(movies if use_movies else folders), use_movies
 
 
 def _videos(root: Path) -> list[str]:

@@ -1,4 +1,5 @@
-"""Nerfies and HyperNeRF: `dataset.json` (splits), `metadata.json` (times), `camera/<id>.json`, `rgb/<scale>x/<id>.png`, `scene.json`.
+"""Nerfies, HyperNeRF and DyCheck: `dataset.json` (splits), `metadata.json` (times), `camera/<id>.json`, `rgb/<scale>x/<id>.png`, and
+`scene.json`.
 
 A camera file has `orientation` (world to camera, OpenCV axes), `position` (the camera centre in the world), and OpenCV's lens parameters
 for pictures of `image_size`, pixel centres at +0.5. Pictures in `rgb/4x` are a quarter of that size. World positions x of the files are
@@ -19,11 +20,21 @@ from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
 from ..lens import LARGEST_TERM, Lens, distortion_of
+from ..posed.finding import find_pictures
+from ..posed.sizes import scale_of
 from ..reading import TRAIN, VAL, Options, Reading, Shot
 
 _DATASET, _METADATA, _SCENE, _POINTS = "dataset.json", "metadata.json", "scene.json", "points.npy"
 _SPLITS = ((TRAIN, "train_ids"), (VAL, "val_ids"))
 _GREY = 128  # the points have no colours
+# Folders that DyCheck adds (github.com/KAIR-BAIR/dycheck, docs/DATASETS.md).
+_UNREAD = {
+    "depth": "depth maps are not used yet",
+    "covisible": "metrics count all pixels, not only those that training views see (covisibility masks)",
+    "keypoint": "keypoints are not evaluated",
+    "flow": "optical flow is measured instead",
+    "splits": "the splits are those of dataset.json",
+}
 _FAR = 1e9  # world units; larger positions are errors
 
 
@@ -40,7 +51,9 @@ def read(root: Path, options: Options) -> Reading:
     moment = _moment(metadata, split)
     center, scale = _scene(root)
     folder = _folder(root, next(iter(split)), options.size_limit)
-    images = {name: checks.find_image(root, f"{folder}/{name}", f"{_DATASET}: {name!r}") for name in split}
+    ids = list(split)
+    found = find_pictures(root, {i: (name, f"{_DATASET}: {name!r}") for i, name in enumerate(ids)}, _DATASET, "ids", f"{folder}/")
+    images = {ids[i]: path for i, path in found.paths.items()}
     sizes, alpha = checks.image_headers(root, images.values())
     shots, cameras = [], []
     for (name, image), size in zip(images.items(), sizes, strict=True):
@@ -54,7 +67,7 @@ def read(root: Path, options: Options) -> Reading:
         camera = checks.integer(entry.get("camera_id", 0), f"{where}: camera_id", 0, 10**6) if isinstance(entry, dict) else 0
         shot = Shot(name=image, camera=camera, time=time, size=size, split=split[name], file=image)
         shot.cam_from_world = _pose(data, file, center, scale)
-        shot.K, shot.distortion, shot.fisheye = _lens(data, file, size)
+        shot.K, shot.distortion, shot.fisheye = _lens(data, file, root, image, size)
         shots.append(shot)
         cameras.append(file)
     shots.sort(key=lambda s: (s.time, s.camera, checks.natural_key(s.name)))
@@ -71,7 +84,14 @@ def read(root: Path, options: Options) -> Reading:
         sources=tuple(sources),
         points=points,
         point_colors=None if points is None else np.full(points.shape, _GREY, np.uint8),
+        notes=(*found.notes, *_unread(root)),
+        spoken_for=tuple(name for name in _UNREAD if (root / name).is_dir()),
     )
+
+
+def _unread(root: Path) -> tuple[str, ...]:
+    """Notes about what DyCheck has beside the files of Nerfies."""
+    return tuple(f"{name}/ is not read: {what}" for name, what in _UNREAD.items() if (root / name).is_dir())
 
 
 def _ids(data: dict[str, Any]) -> dict[str, int]:
@@ -142,17 +162,12 @@ def _pose(data: dict[str, Any], file: str, center: np.ndarray, scale: float) -> 
     return checks.rigid(result, f"{file}: position")
 
 
-def _lens(data: dict[str, Any], file: str, size: tuple[int, int]) -> Lens:
+def _lens(data: dict[str, Any], file: str, root: Path, picture: str, size: tuple[int, int]) -> Lens:
     """The lens, with K for a picture of `size`."""
     width, height = _vector(data.get("image_size"), f"{file}: image_size", (2,), 1e6)
     if min(width, height) < 1:
         raise CaptureError(f"{file}: image_size: {width:g}x{height:g} makes no sense; correct the file")
-    sx, sy = size[0] / width, size[1] / height
-    if abs(sx / sy - 1) > 0.02:
-        raise CaptureError(
-            f"{file}: image_size says {width:g}x{height:g}, but the picture is {size[0]}x{size[1]}, "
-            "which has another aspect ratio; correct either"
-        )
+    sx, sy = scale_of(root, picture, size, (width, height), f"{file}: image_size says")
     focal = checks.number(data.get("focal_length"), f"{file}: focal_length", 1e-3, 1e7)
     ratio = checks.number(data.get("pixel_aspect_ratio", 1.0), f"{file}: pixel_aspect_ratio", 0.01, 100)
     cx, cy = _vector(data.get("principal_point"), f"{file}: principal_point", (2,), 1e6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks, keep_masks
 from ..ply_points import read_points
-from ..reading import SPLITS, Options, Reading, Shot
+from ..reading import SPLITS, TRAIN, Options, Reading, Shot
 from . import transforms
 
 _FILE = "transforms.json"
@@ -27,18 +28,21 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(f"{root}: no {_FILE}, which the nerfstudio layout needs; pass its folder or another --format")
     data = checks.read_json(root, _FILE)
     frames = transforms.frames_of(data, _FILE)
-    paths, notes = transforms.present(root, frames, _FILE)
+    found = transforms.present(root, frames, _FILE)
+    splits, said = _splits(root, data, frames, found.paths)
+    paths = {i: path for i, path in found.paths.items() if splits is None or i in splits}
+    if not paths:
+        raise CaptureError(f"{_FILE}: no frame with a picture is in train_filenames, val_filenames or test_filenames; correct the lists")
     headers, alpha = checks.image_headers(root, paths.values())
     sizes = dict(zip(paths, headers, strict=True))
     times = transforms.times_of(frames, _FILE)
     # Files of this kind are often unsorted, so frames are sorted by time, or by the natural order of their names.
     keys: dict[int, Any] = {i: checks.natural_key(p) if times is None else (times[i], checks.natural_key(p)) for i, p in paths.items()}
     order = sorted(paths, key=lambda i: keys[i])
-    splits = _splits(data, root)
     shots = []
     for rank, i in enumerate(order):
         where = f"{_FILE}: frame {i}"
-        lens = transforms.lens(frames[i], data, where, *sizes[i])
+        lens = transforms.lens(frames[i], data, where, root, paths[i], sizes[i])
         shots.append(
             Shot(
                 name=paths[i],
@@ -51,17 +55,13 @@ def read(root: Path, options: Options) -> Reading:
                 cam_from_world=transforms.pose(frames[i], where),
                 distortion=lens.distortion,
                 fisheye=lens.fisheye,
+                split=TRAIN if splits is None else splits[i],
             )
         )
-    if splits is not None:
-        for shot in shots:
-            if shot.file not in splits:
-                raise CaptureError(f"{_FILE}: {shot.file} is in none of train_filenames, val_filenames, test_filenames; add it to one")
-            shot.split = splits[shot.file]
     fixed = _cameras(shots)
     of_frames = keep_masks.told(shots, "(mask_path)")
     masked = (of_frames,) if of_frames else keep_masks.add_masks(root, shots)
-    cloud, said = _cloud(root, data)
+    cloud, missing = _cloud(root, data)
     points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     fps = data.get("fps")
     return Reading(
@@ -75,27 +75,53 @@ def read(root: Path, options: Options) -> Reading:
         sources=(_FILE, *([cloud] if cloud else [])),
         points=points if len(points) else None,
         point_colors=colors if len(points) else None,
-        notes=(*notes, *masked, *said),
+        notes=(*found.notes, *said, *masked, *missing),
     )
 
 
-def _splits(data: dict[str, Any], root: Path) -> dict[str, int] | None:
-    """Split of each file, from nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`; None without `train_filenames`."""
-    result: dict[str, int] = {}
-    if data.get("train_filenames") is None:
-        return None
-    for split, name in enumerate(SPLITS):
+def _splits(
+    root: Path, data: dict[str, Any], frames: list[dict[str, Any]], paths: dict[int, str]
+) -> tuple[dict[int, int] | None, tuple[str, ...]]:
+    """Split of each frame, by its index, from nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`, and notes; None without
+    any of them.
+
+    Without `train_filenames`, frames in no list train. With it they are left out, as in nerfstudio, and counted."""
+    lists = {name: data.get(f"{name}_filenames") for name in SPLITS}
+    if not any(lists.values()):
+        return None, ()
+    numbers: dict[str, list[int]] = {}
+    for i, path in paths.items():
+        for name in {_normal(root, str(frames[i].get("file_path"))), _normal(root, path)}:
+            numbers.setdefault(name, []).append(i)
+    listed = {_normal(root, str(frame.get("file_path"))) for frame in frames}
+    result: dict[int, int] = {}
+    unknown: list[str] = []
+    for split, (name, entries) in enumerate(lists.items()):
         field = f"{name}_filenames"
-        if not data.get(field):
-            continue
-        for i, path in enumerate(checks.items(data[field], f"{_FILE}: {field}")):
-            where = f"{_FILE}: {field}[{i}]"
-            file = checks.seek_image(root, checks.text(path, where), where)
-            if file is None:
-                continue  # `transforms.present` has counted it
-            # nerfstudio writes the same list for val and test if there is only one held-out set. It counts as test.
-            result[file] = max(split, result.get(file, 0))
-    return result
+        for n, raw in enumerate(checks.items(entries, f"{_FILE}: {field}") if entries else ()):
+            path = _normal(root, checks.text(raw, f"{_FILE}: {field}[{n}]"))
+            own = numbers.get(path) or next((numbers[path + s] for s in checks.IMAGE_SUFFIXES if path + s in numbers), [])
+            for i in own:
+                # nerfstudio writes the same list for val and test if there is only one held-out set. It counts as test.
+                result[i] = max(split, result.get(i, 0))
+            if not own and path not in listed:  # one whose picture is missing has been counted already
+                unknown.append(f"{field}[{n}]: {path[:200]!r}")
+    notes = []
+    if unknown:
+        notes.append(f"{len(unknown)} entries of the lists of {_FILE} name no frame and are ignored; first {unknown[0]}")
+    rest = [i for i in paths if i not in result]
+    given = " and ".join(f"{name}_filenames" for name, entries in lists.items() if entries)
+    if rest and not lists["train"]:
+        result |= dict.fromkeys(rest, TRAIN)
+        notes.append(f"{_FILE} has {given} but no train_filenames: the {len(rest)} frames that are in no list train")
+    elif rest:
+        notes.append(f"{len(rest)} of {len(paths)} frames of {_FILE} are in none of {given} and are left out; first {paths[rest[0]]}")
+    return result, tuple(notes)
+
+
+def _normal(root: Path, path: str) -> str:
+    """A path in one form of several: composed, relative if it leads into the capture."""
+    return unicodedata.normalize("NFC", posixpath.normpath(path.replace("\\", "/"))).removeprefix(f"{root.as_posix()}/")
 
 
 def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:

@@ -15,6 +15,8 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
+from ..posed.finding import find_pictures
+from ..posed.sizes import scale_of
 from ..reading import TEST, TRAIN, Options, Reading, Shot
 from ..rigs import all_fixed
 
@@ -30,25 +32,24 @@ def read(root: Path, options: Options) -> Reading:
     shots: list[Shot] = []
     sizes: list[tuple[float, float]] = []
     sources = []
+    notes: tuple[str, ...] = ()
     for split, file in _FILES:
         if not (root / file).is_file():
             raise CaptureError(f"{file}: missing beside train_meta.json; copy it into {root}")
         data = checks.read_json(root, file)
         sources.append(file)
         sizes.append((checks.number(data.get("w"), f"{file}: w", 1, 1e6), checks.number(data.get("h"), f"{file}: h", 1, 1e6)))
-        shots += _shots(root, file, data, split)
+        own, said = _shots(root, file, data, split)
+        shots += own
+        notes += said
     shots.sort(key=lambda s: (s.camera, s.time))
     headers, alpha = checks.image_headers(root, [str(s.file) for s in shots])
     for shot, (width, height) in zip(shots, headers, strict=True):
         shot.size = width, height
-        file_width, file_height = sizes[0 if shot.split == TRAIN else 1]
-        if abs(width * file_height / (height * file_width) - 1) > 0.02:
-            raise CaptureError(
-                f"{_FILES[shot.split == TEST][1]}: w, h say {file_width:g}x{file_height:g}, {shot.file} is {width}x{height}; "
-                "correct w and h or the images"
-            )
+        where = f"{_FILES[shot.split == TEST][1]}: w, h say"
+        sx, sy = scale_of(root, str(shot.file), shot.size, sizes[0 if shot.split == TRAIN else 1], where)
         if shot.K is not None:
-            shot.K = np.diag([width / file_width, height / file_height, 1.0]) @ shot.K
+            shot.K = np.diag([sx, sy, 1.0]) @ shot.K
     points, colors = _points(root)
     return Reading(
         why="train_meta.json + test_meta.json",
@@ -59,15 +60,18 @@ def read(root: Path, options: Options) -> Reading:
         sources=(*sources, *([_POINTS] if points is not None else [])),
         points=points,
         point_colors=colors,
+        notes=notes,
     )
 
 
-def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> list[Shot]:
+def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> tuple[list[Shot], tuple[str, ...]]:
+    """The frames of one file, without those whose picture is missing, and notes."""
     table = {key: checks.items(data.get(key), f"{file}: {key}") for key in ("k", "w2c", "fn", "cam_id")}
     lengths = {key: len(value) for key, value in table.items()}
     if len(set(lengths.values())) != 1:
         raise CaptureError(f"{file}: k, w2c, fn and cam_id differ in their number of times ({lengths}); the file is damaged")
-    shots = []
+    entries: list[tuple[int, str, Any, Any, Any]] = []
+    names: dict[int, tuple[str, str]] = {}
     for t in range(lengths["fn"]):
         row = {key: checks.items(value[t], f"{file}: {key}[{t}]") for key, value in table.items()}
         counts = {key: len(value) for key, value in row.items()}
@@ -75,25 +79,28 @@ def _shots(root: Path, file: str, data: dict[str, Any], split: int) -> list[Shot
             raise CaptureError(f"{file}: time {t}: k, w2c, fn and cam_id differ in their number of cameras ({counts}); the file is damaged")
         for c in range(counts["fn"]):
             where = f"{file}: time {t}, camera {c}"
-            name = checks.text(row["fn"][c], f"{where}: fn")
-            image = checks.find_image(root, "ims/" + name, f"{where}: fn")
-            K = checks.matrix(row["k"][c], f"{where}: k", ((3, 3),))
-            w2c = checks.matrix(row["w2c"][c], f"{where}: w2c", ((4, 4), (3, 4)))
-            mask = ("seg/" + name).rsplit(".", 1)[0] + ".png"
-            shots.append(
-                Shot(
-                    name=image,
-                    camera=checks.integer(row["cam_id"][c], f"{where}: cam_id", 0, 10**6),
-                    time=float(t),
-                    size=(0, 0),  # set by `read`, which reads all image headers together
-                    split=split,
-                    file=image,
-                    mask=mask if (root / mask).is_file() else None,
-                    K=checks.intrinsics(K[0, 0], K[1, 1], K[0, 2], K[1, 2], f"{where}: k", skew=K[0, 1]),
-                    cam_from_world=checks.rigid(w2c, f"{where}: w2c"),
-                )
+            names[len(entries)] = checks.text(row["fn"][c], f"{where}: fn"), f"{where}: fn"
+            entries.append((t, where, row["k"][c], row["w2c"][c], row["cam_id"][c]))
+    found = find_pictures(root, names, file, "pictures", "ims/")
+    shots = []
+    for i, image in found.paths.items():
+        t, where, raw, pose, camera = entries[i]
+        K = checks.matrix(raw, f"{where}: k", ((3, 3),))
+        mask = ("seg/" + names[i][0]).rsplit(".", 1)[0] + ".png"
+        shots.append(
+            Shot(
+                name=image,
+                camera=checks.integer(camera, f"{where}: cam_id", 0, 10**6),
+                time=float(t),
+                size=(0, 0),  # set by `read`, which reads all image headers together
+                split=split,
+                file=image,
+                mask=mask if (root / mask).is_file() else None,
+                K=checks.intrinsics(K[0, 0], K[1, 1], K[0, 2], K[1, 2], f"{where}: k", skew=K[0, 1]),
+                cam_from_world=checks.rigid(checks.matrix(pose, f"{where}: w2c", ((4, 4), (3, 4))), f"{where}: w2c"),
             )
-    return shots
+        )
+    return shots, found.notes
 
 
 def _points(root: Path) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -7,7 +7,7 @@ z forward). Intrinsics in these files assume pixel centres at +0.5 (COLMAP's con
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,14 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..lens import LARGEST_TERM, Lens, distortion_of
+from ..posed.finding import Found, find_pictures
+from ..posed.sizes import scale_of
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _PERSPECTIVE = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
-_FISHEYE = ("OPENCV_FISHEYE", "FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE")
+_FISHEYE = ("OPENCV_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE")
+_MATRICES = ("K", "intrinsics", "intrinsic", "camera_intrinsics", "intrinsic_matrix")  # fields for a camera matrix
+_CONTRADICTION = 0.05  # largest relative difference of two values for one thing; angles are often given with two digits
 
 
 def pose(frame: Mapping[str, Any], where: str) -> np.ndarray:
@@ -29,14 +33,16 @@ def pose(frame: Mapping[str, Any], where: str) -> np.ndarray:
     return checks.inverse(world_from_cam @ OPENCV_FROM_OPENGL)
 
 
-def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: int, height: int) -> Lens:
-    """The lens of one frame. Values of the frame take precedence over those at the top of the file.
+def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, root: Path, picture: str, size: tuple[int, int]) -> Lens:
+    """The lens of one frame for its `picture` of `size`. Values of the frame take precedence over those at the top of the file.
 
-    If `w` and `h` differ from the size of the images by a common factor, K is scaled (images were resized after calibration).
+    Focal lengths may be given in pixels (`fl_x`), as an angle (`camera_angle_x` in radians, `x_fov` and `fov` in degrees) or in a matrix
+    (`K`, `intrinsics`); two that contradict each other are an error. If `w` and `h` differ from the size of the picture by a common
+    factor, K is scaled (pictures were resized after calibration).
     """
 
-    def value(key: str, low: float = -1e12, high: float = 1e12) -> float | None:
-        raw = frame.get(key, top.get(key))
+    def value(key: str, low: float = -1e12, high: float = 1e12, of: Mapping[str, Any] | None = None) -> float | None:
+        raw = frame.get(key, top.get(key)) if of is None else of.get(key)
         return None if raw is None else checks.number(raw, f"{where}: {key}", low, high)
 
     model = frame.get("camera_model", top.get("camera_model", "OPENCV"))
@@ -47,33 +53,35 @@ def lens(frame: Mapping[str, Any], top: Mapping[str, Any], where: str, width: in
             "undistort the images to a pinhole camera first"
         )
     fisheye = name in _FISHEYE or bool(frame.get("is_fisheye", top.get("is_fisheye")))
-    file_width = value("w", 1, 1e6) or float(width)
-    file_height = value("h", 1, 1e6) or float(height)
-    sx, sy = width / file_width, height / file_height
-    if abs(sx / sy - 1) > 0.02:
-        raise CaptureError(
-            f"{where}: w, h say {file_width:g}x{file_height:g}, but the images are {width}x{height}, which have another aspect ratio; "
-            "correct w and h or the images"
-        )
-    fx = _focal(value("fl_x"), value("camera_angle_x", 1e-6, math.pi - 1e-6), file_width)
-    fy = _focal(value("fl_y"), value("camera_angle_y", 1e-6, math.pi - 1e-6), file_height)
+    made_for = value("w", 1, 1e6) or float(size[0]), value("h", 1, 1e6) or float(size[1])
+    sx, sy = scale_of(root, picture, size, made_for, f"{where}: w, h say")
+    matrix = _matrix(frame, top, where)
+    fx, fy = (_agreed(_focals(value, frame, top, axis, side, matrix), where, side) for axis, side in zip("xy", made_for, strict=True))
     fx, fy = fx if fx is not None else fy, fy if fy is not None else fx
     if fx is None or fy is None:
         raise CaptureError(f"{where}: neither fl_x nor camera_angle_x; add the focal length in pixels as fl_x")
-    cx, cy = value("cx"), value("cy")
-    cx = file_width / 2 if cx is None else cx
-    cy = file_height / 2 if cy is None else cy
-    if not (-file_width <= cx <= 2 * file_width and -file_height <= cy <= 2 * file_height):
+    centre = []
+    for key, extent, place in (("cx", made_for[0], (0, 2)), ("cy", made_for[1], (1, 2))):
+        given = value(key)
+        centre.append(given if given is not None else extent / 2 if matrix is None else float(matrix[place]))
+        if given is not None and matrix is not None and abs(given - matrix[place]) > _CONTRADICTION * extent:
+            raise CaptureError(f"{where}: {key} = {given:g}, but the camera matrix says {matrix[place]:g}; correct or remove one of them")
+    cx, cy = centre
+    width, height = made_for
+    if not (-width <= cx <= 2 * width and -height <= cy <= 2 * height):
         raise CaptureError(
-            f"{where}: cx, cy = {cx:g}, {cy:g} lie far outside the {file_width:g}x{file_height:g} image; "
+            f"{where}: cx, cy = {cx:g}, {cy:g} lie far outside the {width:g}x{height:g} image; "
             "give w and h of the calibrated image, or correct cx and cy"
         )
     used = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    if name == "FULL_OPENCV" and not fisheye:
+        used = (*used, "k4", "k5", "k6")
     for key in ("k4", "k5", "k6", "p1", "p2"):
         if key not in used and value(key):
+            kind = "fisheye" if fisheye else "OPENCV"
+            also = "" if fisheye else " (FULL_OPENCV lenses also have k4, k5, k6)"
             raise CaptureError(
-                f"{where}: {key}: {'fisheye' if fisheye else 'OPENCV'} lenses have {', '.join(used)}; "
-                "remove it, or undistort the images first"
+                f"{where}: {key}: {kind} lenses have {', '.join(used)}{also}; correct camera_model, or undistort the images first"
             )
     distortion = [value(key, -LARGEST_TERM, LARGEST_TERM) or 0.0 for key in used]
     return Lens(checks.intrinsics(fx * sx, fy * sy, cx * sx, cy * sy, where), distortion_of(distortion), fisheye)
@@ -88,24 +96,14 @@ def frames_of(data: Mapping[str, Any], file: str) -> list[dict[str, Any]]:
     return frames
 
 
-def present(root: Path, frames: list[dict[str, Any]], file: str) -> tuple[dict[int, str], tuple[str, ...]]:
-    """The image of each frame that has one, by index of the frame, and a note with the number of the others: instant-ngp's own captures
-    list frames whose images were removed because of blur. Raises CaptureError if more than half are missing."""
-    found: dict[int, str] = {}
-    gone: list[str] = []
+def present(root: Path, frames: list[dict[str, Any]], file: str) -> Found:
+    """The picture of each frame that has one, by index of the frame, and notes: instant-ngp's own captures list frames whose images were
+    removed because of blur. Raises CaptureError if more than half are missing."""
+    names = {}
     for i, frame in enumerate(frames):
         where = f"{file}: frame {i}: file_path"
-        name = checks.text(frame.get("file_path"), where)
-        path = checks.seek_image(root, name, where)
-        if path is None:
-            gone.append(f"{where}: no image {name[:200]!r}")
-        else:
-            found[i] = path
-    if 2 * len(gone) > len(frames):
-        raise CaptureError(
-            f"{gone[0]} in {root}, and so for {len(gone)} of {len(frames)} frames; add the files, correct the paths or remove the frames"
-        )
-    return found, (f"{len(gone)} of {len(frames)} frames of {file} have no image and are left out; first {gone[0]}",) if gone else ()
+        names[i] = checks.text(frame.get("file_path"), where), where
+    return find_pictures(root, names, file)
 
 
 def times_of(frames: list[dict[str, Any]], file: str) -> list[float] | None:
@@ -118,7 +116,55 @@ def times_of(frames: list[dict[str, Any]], file: str) -> list[float] | None:
     return [checks.number(frame["time"], f"{file}: frame {i}: time") for i, frame in enumerate(frames)]
 
 
-def _focal(pixels: float | None, angle: float | None, extent: float) -> float | None:
+def _matrix(frame: Mapping[str, Any], top: Mapping[str, Any], where: str) -> np.ndarray | None:
+    """[3,3] px of a frame or file that gives a camera matrix; None without one."""
+    for key in _MATRICES:
+        raw = frame.get(key, top.get(key))
+        if isinstance(raw, list):
+            matrix = checks.matrix(raw, f"{where}: {key}", ((3, 3), (3, 4), (4, 4)))[:3, :3]
+            checks.intrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], f"{where}: {key}", skew=matrix[0, 1])
+            return matrix
+    return None
+
+
+def _focals(
+    value: Callable[..., float | None],
+    frame: Mapping[str, Any],
+    top: Mapping[str, Any],
+    axis: str,
+    extent: float,
+    matrix: np.ndarray | None,
+) -> dict[str, float]:
+    """All focal lengths, px, for one axis, by the words for a message: those of the frame, or of the file if the frame has none."""
+    keys = (f"fl_{axis}", f"camera_angle_{axis}", f"{axis}_fov", *(("fov",) if axis == "x" else ()))
+    of = frame if any(frame.get(key) is not None for key in (*keys, *_MATRICES)) else top
+    matrix = matrix if any(isinstance(of.get(key), list) for key in _MATRICES) else None
+    found: dict[str, float] = {}
+    pixels = value(keys[0], of=of)
     if pixels is not None:
-        return pixels
-    return None if angle is None else 0.5 * extent / math.tan(0.5 * angle)
+        found[f"fl_{axis} = {pixels:g} px"] = pixels
+    if matrix is not None:
+        entry = float(matrix[0, 0] if axis == "x" else matrix[1, 1])
+        found[f"the camera matrix ({entry:g} px)"] = entry
+    radians = value(keys[1], 1e-6, math.pi - 1e-6, of)
+    if radians is not None:
+        found[f"camera_angle_{axis} = {radians:g} rad"] = 0.5 * extent / math.tan(0.5 * radians)
+    for key in keys[2:]:
+        degrees = value(key, 1e-4, 180 - 1e-4, of)
+        if degrees is not None:
+            found[f"{key} = {degrees:g} degrees"] = 0.5 * extent / math.tan(0.5 * math.radians(degrees))
+    return found
+
+
+def _agreed(focals: dict[str, float], where: str, extent: float) -> float | None:
+    """The first of several focal lengths. Raises CaptureError if another contradicts it."""
+    if not focals:
+        return None
+    (words, first), *others = focals.items()
+    for other, focal in others:
+        if first > 0 and abs(focal / first - 1) > _CONTRADICTION:
+            raise CaptureError(
+                f"{where}: {words} and {other} (which is {focal:.4g} px for {extent:g} px) contradict each other; correct or remove one "
+                "of them, or give w and h of the calibrated pictures"
+            )
+    return first

@@ -1,0 +1,10 @@
+"""COLMAP models on disk: where they lie in a capture, and what their text and binary files hold."""
+
+from __future__ import annotations
+
+from .lenses import lens_of
+from .places import Model, Place, choose, model_places
+from .records import ImageRecord
+from .rig import model_of_cameras
+
+__all__ = ["ImageRecord", "Model", "Place", "choose", "lens_of", "model_of_cameras", "model_places"]

@@ -1,0 +1,81 @@
+"""COLMAP's binary files."""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from .....pipeline import CaptureError
+from ...arrays import MOST_POINTS
+from .records import LAYOUT, MODELS, MOST_IMAGES, CameraRecord, ImageRecord, refusal
+
+_LONGEST_NAME = 4096
+
+
+class _Bytes:
+    """Reads little-endian records. Running past the end raises `struct.error`. The file is memory-mapped, since the images file also
+    contains every feature and may be larger than the memory."""
+
+    def __init__(self, path: Path) -> None:
+        with path.open("rb") as file:
+            self.data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # ValueError for an empty file
+        self.at = 0
+
+    def count(self, what: str, most: int, least: int) -> int:
+        """Reads the number of records that follow, each of at least ``least`` bytes."""
+        count = int(self.take("Q")[0])
+        if count > most:
+            raise ValueError(f"{count} {what}, which are more than a capture has")
+        if count * least > len(self.data) - self.at:
+            raise ValueError(f"{count} {what} in {len(self.data)} bytes")
+        return count
+
+    def take(self, layout: str) -> tuple:
+        values = struct.unpack_from("<" + layout, self.data, self.at)
+        self.at += struct.calcsize("<" + layout)
+        return values
+
+    def skip(self, count: int) -> None:
+        self.at += count
+        if self.at > len(self.data):
+            raise struct.error(f"ends after {len(self.data)} bytes")
+
+    def name(self) -> str:
+        end = self.data.find(b"\0", self.at, self.at + _LONGEST_NAME)
+        if end < 0:
+            raise ValueError(f"a name without an end at byte {self.at}")
+        text = self.data[self.at : end].decode("utf-8")
+        self.at = end + 1
+        return text
+
+
+def cameras(path: Path) -> Iterator[tuple[int, CameraRecord]]:
+    source = _Bytes(path)
+    for _ in range(source.count("cameras", MOST_IMAGES, 48)):
+        number, kind, width, height = source.take("iiQQ")
+        model = MODELS[kind] if 0 <= kind < len(MODELS) else f"number {kind}"
+        if model not in LAYOUT:  # the length of its record is unknown, so it cannot be skipped
+            raise CaptureError(f"camera {number}: {refusal(model)}")
+        one_focal, count = LAYOUT[model]
+        yield number, (model, float(width), float(height), list(source.take(f"{4 - one_focal + count}d")))
+
+
+def images(path: Path) -> Iterator[ImageRecord]:
+    source = _Bytes(path)
+    for _ in range(source.count("images", MOST_IMAGES, 73)):
+        _, *pose, camera = source.take("i7di")
+        name = source.name()
+        source.skip(24 * source.take("Q")[0])
+        yield ImageRecord(name, camera, np.array(pose))
+
+
+def points(path: Path) -> Iterator[list[float]]:
+    source = _Bytes(path)
+    for _ in range(source.count("points", MOST_POINTS, 51)):
+        _, *values = source.take("Q3d3Bd")
+        source.skip(8 * source.take("Q")[0])
+        yield [float(v) for v in values[:6]]

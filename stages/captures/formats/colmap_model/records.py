@@ -1,0 +1,31 @@
+"""What one record of a COLMAP file holds, and the limits that hold for all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+MOST_IMAGES = 1_000_000
+# COLMAP's camera models in the order of their ids. For the supported models: whether fx and fy are one value, and how many distortion
+# terms follow cx, cy. The terms are OpenCV's in OpenCV's order. Models with fisheye terms are listed separately.
+MODELS = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE"),
+    *("RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE"),
+)
+_BROWN = {"SIMPLE_PINHOLE": (True, 0), "PINHOLE": (False, 0), "SIMPLE_RADIAL": (True, 1), "RADIAL": (True, 2), "OPENCV": (False, 4)}
+_FISHEYE = {"SIMPLE_FISHEYE": (True, 0), "FISHEYE": (False, 0), "SIMPLE_RADIAL_FISHEYE": (True, 1), "RADIAL_FISHEYE": (True, 2)}
+LAYOUT = {**_BROWN, "FULL_OPENCV": (False, 8), **_FISHEYE, "OPENCV_FISHEYE": (False, 4)}
+
+CameraRecord = tuple[str, float, float, list[float]]  # model, width, height, parameters
+
+
+@dataclass(frozen=True)
+class ImageRecord:
+    name: str
+    camera: int
+    pose: np.ndarray  # [7] qw qx qy qz tx ty tz, cam_from_world
+
+
+def refusal(model: str) -> str:
+    return f"model {model[:40]} is not supported ({', '.join(LAYOUT)} are); undistort the images with colmap image_undistorter first"

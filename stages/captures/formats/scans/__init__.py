@@ -1,0 +1,1 @@
+"""Recordings of devices and trackers that know their own poses, as they store or export them."""

@@ -1,0 +1,216 @@
+"""`find_pictures`: the pictures that a capture's files name, also where their names are not quite those on disk."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import posixpath
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from ....pipeline import CaptureError
+from .. import checks
+
+_MOST_LISTED = 500_000  # pictures of a capture that are looked through for one that is not where it should be
+_LONGEST = 4096
+_NO_COLOUR = re.compile(r"(^|/)(masks?|segs?|segmentation|depths?|normals?|covisible|conf(idence)?|flow)/", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Found:
+    """paths: the picture of each entry that has one, relative to the capture, by the entry's key. notes: for people. gone: keys of entries
+    without a picture."""
+
+    paths: dict[int, str]
+    notes: tuple[str, ...] = ()
+    gone: tuple[int, ...] = ()
+
+
+def find_pictures(root: Path, names: Mapping[int, tuple[str, str]], file: str, what: str = "frames", beside: str = "") -> Found:
+    """The picture of each of ``names`` (name as in ``file``, words that say where it stands), relative to ``beside``, a prefix.
+
+    A picture is looked for as it is named; under another Unicode form of its name; if the path is absolute, inside the capture and by the
+    end of the path; and by its name alone, if only one picture has it, in a folder that holds no counterpart of the others (so that
+    no mask or depth map takes the place of a deleted picture). Every kind of repair is counted in a note. Entries without a
+    picture are left out and counted. Raises CaptureError if these are more than half, and for paths that leave the capture.
+    """
+    search = _Search(root, dict(names), beside)
+    search.as_named()
+    search.by_ends_of_absolute_paths()
+    search.by_name_alone()
+    return search.result(file, what)
+
+
+@dataclass
+class _Search:
+    root: Path
+    names: dict[int, tuple[str, str]]
+    beside: str
+    found: dict[int, str] = field(default_factory=dict)
+    gone: list[int] = field(default_factory=list)
+    far: dict[int, CaptureError] = field(default_factory=dict)  # absolute paths outside the capture
+    heads: set[str] = field(default_factory=set)  # what was cut off absolute paths whose ends lie in the capture
+    other_form: list[int] = field(default_factory=list)
+    ends: list[int] = field(default_factory=list)
+    moved: list[int] = field(default_factory=list)
+
+    def as_named(self) -> None:
+        for i, (raw, where) in self.names.items():
+            name = raw.replace("\\", "/")
+            absolute = _absolute(name)
+            relative = self._inside(name) if absolute else self.beside + name
+            if relative is None:
+                try:
+                    checks.resolve_inside(self.root, name, where)
+                except CaptureError as error:
+                    self.far[i] = error
+                continue
+            path = checks.seek_image(self.root, relative, where)
+            if path is None and not name.isascii():
+                path = self.folder.in_another_form(relative)
+                self.other_form += [i] if path else []
+            if path is None:
+                self.gone.append(i)
+            else:
+                self.found[i] = path
+                if absolute:
+                    self.heads.add(name[: len(name) - len(posixpath.normpath(relative))].rstrip("/"))
+
+    def by_ends_of_absolute_paths(self) -> None:
+        for i in list(self.far):
+            raw, where = self.names[i]
+            parts = posixpath.normpath(raw.replace("\\", "/")).split("/")
+            for cut in range(1, len(parts) if len(raw) <= _LONGEST else 1):
+                end = "/".join(parts[cut:])
+                path = checks.seek_image(self.root, end, where) if not _absolute(end) else None
+                path = path or (self.folder.in_another_form(end) if not end.isascii() else None)
+                if path is not None:
+                    self.found[i] = path
+                    self.ends.append(i)
+                    self.heads.add("/".join(parts[:cut]))
+                    del self.far[i]
+                    break
+        for i, error in list(self.far.items()):
+            name = posixpath.normpath(self.names[i][0].replace("\\", "/"))
+            # It may be of the same place as the others and deleted since, or lie in another folder here.
+            if not any(name.startswith(head + "/") for head in self.heads) and self.folder.nearest(self.names[i][0]) is None:
+                raise CaptureError(f"{error}; no picture of the capture, or more than one, has the end of this path") from error
+            self.gone.append(i)
+
+    def by_name_alone(self) -> None:
+        if not self.gone:
+            return
+        stems = {_stem(path) for path in self.found.values()}
+        taken = set(self.found.values())
+        chosen = {}
+        for i in self.gone:
+            place = self.folder.nearest(self.names[i][0], taken)
+            if place is None or _NO_COLOUR.search(place):
+                continue
+            if stems.isdisjoint(self.folder.stems[posixpath.dirname(place)] - {_stem(place)}):
+                chosen[i] = place
+        counts = Counter(chosen.values())
+        self.moved = [i for i, path in chosen.items() if counts[path] == 1]
+        self.found |= {i: chosen[i] for i in self.moved}
+        self.gone = sorted(set(self.gone) - set(self.moved))
+
+    def result(self, file: str, what: str) -> Found:
+        total, notes = len(self.names), []
+        if self.gone:
+            raw, where = self.names[self.gone[0]]
+            first = f"{where}: no image {(self.beside + raw if not _absolute(raw) else raw)[:200]!r}"
+            places = self.folder.named(raw)[:3]
+            if places:
+                first += f", but {' and '.join(places)} {'have' if len(places) > 1 else 'has'} its name"
+            if 2 * len(self.gone) > total:
+                others = f", and so for {len(self.gone)} of {total} {what}"
+                raise CaptureError(f"{first} in {self.root}{others}; add the files, correct the paths or remove the {what}")
+            notes.append(f"{len(self.gone)} of {total} {what} of {file} have no image and are left out; first {first}")
+        for repaired, words in (
+            (self.other_form, "are written with other Unicode characters than the files (é as one or as two) and are read all the same"),
+            (self.ends, "have absolute paths of another place, and are read by the ends of their paths"),
+            (self.moved, "name pictures that are not there, and are read from where the one picture of their name lies"),
+        ):
+            if repaired:
+                first = f"first {self.names[repaired[0]][0][:200]!r}, read from {self.found[repaired[0]]}"
+                notes.append(f"{len(repaired)} of {total} {what} of {file} {words}; {first}")
+        order = {i: self.found[i] for i in self.names if i in self.found}
+        return Found(order, tuple(notes), tuple(self.gone))
+
+    def _inside(self, name: str) -> str | None:
+        """An absolute path into the capture as a relative one."""
+        normal = posixpath.normpath(name)
+        start = self.root.as_posix().rstrip("/") + "/"
+        return normal[len(start) :] if normal.startswith(start) and "\0" not in normal else None
+
+    @cached_property
+    def folder(self) -> _Pictures:
+        return _Pictures(self.root)
+
+
+class _Pictures:
+    """All pictures of a capture by name, listed at the first question."""
+
+    def __init__(self, root: Path) -> None:
+        self.paths: dict[str, str] = {}  # by the composed form of the path
+        self.stems: dict[str, set[str]] = {}
+        self._named: dict[str, list[str]] = {}
+        count = 0
+        for base, folders, files in os.walk(root):
+            folders[:] = sorted(f for f in folders if not f.startswith(".") and not checks.is_foreign(Path(base) / f))
+            at = Path(base).relative_to(root).as_posix()
+            at = "" if at == "." else f"{at}/"
+            for file in sorted(files):
+                if file.startswith(".") or not file.lower().endswith(checks.IMAGE_SUFFIXES) or not (Path(base) / file).is_file():
+                    continue
+                path = at + file
+                self.paths.setdefault(_composed(path), path)
+                self.paths.setdefault(_composed(posixpath.splitext(path)[0]), path)
+                self.stems.setdefault(at.rstrip("/"), set()).add(_stem(path))
+                self._named.setdefault(_stem(path), []).append(path)
+                count += 1
+            if count > _MOST_LISTED:
+                break
+
+    def in_another_form(self, name: str) -> str | None:
+        return self.paths.get(_composed(posixpath.normpath(name)))
+
+    def nearest(self, raw: str, taken: Collection[str] = ()) -> str | None:
+        """The one picture whose path has more of the end of ``raw`` than all others, at least its name; None if there is none."""
+        wanted = _composed(raw.replace("\\", "/")).split("/")[-2::-1]
+        lengths: dict[int, list[str]] = {}
+        for path in self.named(raw):
+            if path not in taken:
+                same = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(wanted, _composed(path).split("/")[-2::-1], strict=False))
+                lengths.setdefault(sum(1 for _ in same), []).append(path)
+        best = lengths[max(lengths)] if lengths else []
+        return best[0] if len(best) == 1 else None
+
+    def named(self, raw: str) -> list[str]:
+        """Paths of the pictures with the name at the end of a path, which may lack its suffix."""
+        name = _composed(posixpath.basename(posixpath.normpath(raw.replace("\\", "/"))))
+        suffixed = name.lower().endswith(checks.IMAGE_SUFFIXES)
+        places = self._named.get(posixpath.splitext(name)[0] if suffixed else name, [])
+        return [path for path in places if not suffixed or _composed(posixpath.basename(path)) == name]
+
+
+def left_out(names: Sequence[str], total: int, words: str) -> str:
+    """A note about entries that are left out, with the first one."""
+    return f"{len(names)} of {total} {words}; first {names[0]}"
+
+
+def _absolute(name: str) -> bool:
+    return name.startswith("/") or re.match(r"^[A-Za-z]:", name) is not None
+
+
+def _composed(text: str) -> str:
+    return unicodedata.normalize("NFC", text)
+
+
+def _stem(path: str) -> str:
+    return _composed(posixpath.splitext(posixpath.basename(path))[0])

@@ -1,0 +1,140 @@
+"""Lenses of transforms.json, and intrinsics that contradict each other or the pictures."""
+
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+from e4dgs.pipeline import CaptureError
+from e4dgs.stages.captures import recognise
+from factory import Options, make, write_colmap, write_nerfstudio
+from PIL import Image
+
+PATH = Options(backdrop="room", rig="path", times=4, width=40, height=32, samples=1, fov_degrees=60.0)
+FOCAL = 20 / math.tan(math.radians(30))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_nerfstudio(make(PATH), tmp_path_factory.mktemp("nerfstudio"))
+
+
+@pytest.fixture
+def changed(written, tmp_path):
+    """`changed(key=value, ...)` is a copy of the capture with these fields; None removes one."""
+
+    def change(**fields):
+        root = shutil.copytree(written.root, tmp_path / "capture", dirs_exist_ok=True)
+        data = json.loads((written.root / "transforms.json").read_text())
+        data = {k: v for k, v in {**data, **fields}.items() if v is not None}
+        (root / "transforms.json").write_text(json.dumps(data))
+        return root
+
+    return change
+
+
+MATRIX = [[FOCAL, 0, 20], [0, FOCAL, 16], [0, 0, 1]]
+WAYS = {
+    "pixels": {},
+    "angle": {"fl_x": None, "fl_y": None, "camera_angle_x": math.radians(60)},
+    "both": {"camera_angle_x": 1.05, "camera_angle_y": 2 * math.atan(16 / FOCAL)},
+    "degrees": {"fl_x": None, "fl_y": None, "x_fov": 60.0},
+    "fov": {"fl_x": None, "fl_y": None, "fov": 60.0},
+    "matrix": {"fl_x": None, "fl_y": None, "cx": None, "cy": None, "K": MATRIX},
+    "matrix and pixels": {"intrinsics": MATRIX},
+    "matrix of another size": {
+        "fl_x": None,
+        "fl_y": None,
+        "cx": None,
+        "cy": None,
+        "w": 80,
+        "h": 64,
+        "K": [[2 * v for v in r] for r in MATRIX],
+    },
+}
+
+
+@pytest.mark.parametrize("case", WAYS)
+def test_ways_to_give_one_focal_length(changed, case):
+    np.testing.assert_allclose(recognise(changed(**WAYS[case])).K[0], [*MATRIX[:2], [0, 0, 1]], rtol=1e-3)
+
+
+CONTRADICTIONS = {
+    "angle": ({"fl_x": 10.0, "fl_y": 10.0, "camera_angle_x": 0.85}, ("fl_x = 10 px", "camera_angle_x = 0.85 rad", "44.19 px")),
+    "vertical angle": ({"camera_angle_y": 1.4}, ("fl_y = ", "camera_angle_y = 1.4 rad")),
+    "degrees": ({"x_fov": 80.0}, ("fl_x = ", "x_fov = 80 degrees")),
+    "matrix": ({"K": [[50, 0, 20], [0, 50, 16], [0, 0, 1]]}, ("fl_x = ", "the camera matrix (50 px)")),
+    "centre": ({"K": [[FOCAL, 0, 30], [0, FOCAL, 16], [0, 0, 1]]}, ("cx = 20", "camera matrix says 30")),
+    "angle of pictures twice as large": (
+        {"fl_x": 2 * FOCAL, "fl_y": 2 * FOCAL, "camera_angle_x": math.radians(60), "w": None, "h": None},
+        ("w and h",),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CONTRADICTIONS)
+def test_contradictions_name_both(changed, case):
+    fields, words = CONTRADICTIONS[case]
+    with pytest.raises(CaptureError) as caught:
+        recognise(changed(**fields))
+    assert all(word in str(caught.value) for word in ("transforms.json: frame 0", *words)), str(caught.value)
+
+
+def test_a_view_that_only_a_fisheye_has_is_refused(changed):
+    with pytest.raises(CaptureError, match=r"images/000\.png: a focal length of 3 px .* 163 degrees"):
+        recognise(changed(fl_x=3.0, fl_y=3.0))
+    assert recognise(changed(fl_x=3.0, fl_y=3.0, camera_model="OPENCV_FISHEYE")).fisheye.all()
+
+
+def test_a_principal_point_far_from_the_middle_is_told(changed):
+    """cx equals the width: the intrinsics are those of pictures twice as large, whose size is missing."""
+    root = changed(w=None, h=None, fl_x=2 * FOCAL, fl_y=2 * FOCAL, cx=40.0, cy=32.0)
+    (note,) = recognise(root).notes
+    assert "principal point of 4 picture(s) lies outside the middle half" in note and "give that size (w and h)" in note
+    assert not recognise(changed(cx=28.0)).notes
+    (note,) = recognise(changed(fl_y=2 * FOCAL)).notes
+    assert "pixels were not square" in note
+
+
+def test_the_rational_model_has_six_radial_terms(changed):
+    terms = {"k1": 0.01, "k2": -0.02, "p1": 0.001, "p2": -0.002, "k3": 0.003, "k4": 0.02, "k5": -0.01, "k6": 0.004}
+    capture = recognise(changed(camera_model="FULL_OPENCV", **terms))
+    np.testing.assert_allclose(capture.distortion[0], [0.01, -0.02, 0.001, -0.002, 0.003, 0.02, -0.01, 0.004])
+    with pytest.raises(CaptureError, match="FULL_OPENCV lenses also have k4, k5, k6"):
+        recognise(changed(camera_model="OPENCV", **terms))
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "opencv"])
+def test_perspective_models(changed, model):
+    capture = recognise(changed(camera_model=model, k1=0.02))
+    assert capture.distortion[0, 0] == 0.02 and capture.fisheye is None
+
+
+@pytest.mark.parametrize("model", ["EQUIRECTANGULAR", "THIN_PRISM_FISHEYE", "FISHEYE624"])
+def test_unknown_models_are_refused_by_name(changed, model):
+    with pytest.raises(CaptureError, match=f"camera_model: {model} is not supported"):
+        recognise(changed(camera_model=model))
+
+
+@pytest.mark.parametrize("layout", ["nerfstudio", "colmap"])
+def test_a_size_that_fits_once_exif_turns_the_picture_names_exif(changed, tmp_path, layout):
+    root = changed() if layout == "nerfstudio" else write_colmap(make(PATH), tmp_path / "colmap").root
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    for file in (root / "images").iterdir():
+        Image.open(file).resize((32, 40)).save(file, exif=exif)
+    with pytest.raises(
+        CaptureError, match=r"40x32, but images/000\.png is 32x40, because its EXIF orientation \(6\).*after which it is 40x32"
+    ):
+        recognise(root)
+
+
+def test_what_a_frame_says_comes_before_what_the_file_says(changed):
+    """A camera that zooms: the angle at the head of the file is that of no frame in particular."""
+    root = changed(fl_x=None, fl_y=None, camera_angle_x=math.radians(60))
+    data = json.loads((root / "transforms.json").read_text())
+    data["frames"][2]["fl_x"] = 50.0
+    data["frames"][3]["K"] = [[60, 0, 20], [0, 60, 16], [0, 0, 1]]
+    (root / "transforms.json").write_text(json.dumps(data))
+    np.testing.assert_allclose(recognise(root).K[:, 0, 0], [FOCAL, FOCAL, 50, 60], rtol=1e-6)
