@@ -19,7 +19,7 @@ from . import sound
 
 KEPT_FROM = 60.0  # s of sound from which the result is cached; shorter sound is analysed again in a tenth of a second
 _TOGETHER = 2  # most videos at a time; one of twenty minutes takes 0.3 GB
-_VERSION = 1  # of the result of `sound.onsets`
+_VERSION = 2  # of the result of `sound.onsets`
 _DIGEST = 64  # characters of the BLAKE3 digest in front of the values
 
 

@@ -15,6 +15,7 @@ from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
 from ..capture import TEST, TRAIN, Options, Reading, Shot, Video
+from ..video.rates import rig_told
 from . import video
 
 _POSES = "poses_bounds.npy"
@@ -63,7 +64,7 @@ def _from_videos(root: Path, cameras: list[str], options: Options) -> Reading:
     taken = video.choose(total, options, None)
     shots = [Shot(f"{name}#{i}", name, float(i), sizes[name], seconds=first.seconds[i]) for name in cameras for i in taken]
     movies = tuple(Video(name, n * len(taken), taken, total) for n, name in enumerate(cameras))
-    return Reading("", shots, fps=first.fps, videos=movies, notes=_note(taken, total))
+    return Reading("", shots, fps=first.fps, videos=movies, notes=(*_note(taken, total), *rig_told(headers)))
 
 
 def _from_folders(root: Path, cameras: list[str], options: Options) -> Reading:
