@@ -14,7 +14,7 @@ from ..capture import Video
 from ..video_files import open_video
 from .colour import frame_tags, rgb_of
 from .fields import deinterlaced
-from .shape import alike, shape_of
+from .shape import STRAIGHT, alike, shape_of
 from .survey import Survey, decoded_frames, survey
 from .tracks import best_track
 
@@ -51,7 +51,7 @@ def decode(
             stream.codec_context.thread_count = thread_count()
             frames = _numbered(decoded_frames(container, stream), found)
             frames = checked.pass_on(frames, stream.codec_context)
-            frames = deinterlaced(frames) if found.interlaced else frames
+            frames = deinterlaced(frames, found.parity) if found.parity else frames
             for frame in _taken(frames, video, found, say):
                 yield _picture(frame, found, width, height, crop)
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -141,7 +141,10 @@ def _picture(frame: Any, found: Survey, width: int, height: int, crop: np.ndarra
     from ....vision.images.pictures import resize
 
     tags = frame_tags(frame, found.tags)
-    rgb = np.ascontiguousarray(shape_of(frame, found.pixel).turned(rgb_of(frame, tags)))
+    shape = shape_of(frame, found.pixel)
+    rgb = rgb_of(frame, tags)
+    if shape.turn != STRAIGHT:
+        rgb = np.ascontiguousarray(shape.turned(rgb))
     if crop is not None:  # it is in pixels of the shape as shown
         rgb = resize(rgb, *found.shape.shown)
-    return np.ascontiguousarray(resize(rgb, width, height, crop))
+    return resize(rgb, width, height, crop)

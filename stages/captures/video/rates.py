@@ -28,6 +28,6 @@ def rig_told(headers: Mapping[str, Header]) -> tuple[str, ...]:
     who = f"{worst} and {others} more" if others else worst
     return (
         *lines,
-        f"{who}: {len(one.seconds)} frames in {headers[worst].seconds[-1]:.2f} s, but {first} has as many in {one.seconds[-1]:.2f} s; frames "
-        "of one number are taken to be of one time, so check that all cameras ran at one rate",
+        f"{who}: {len(one.seconds)} frames in {headers[worst].seconds[-1]:.2f} s, but {first} has as many in {one.seconds[-1]:.2f} s; "
+        "frames of one number are taken to be of one time, so check that all cameras ran at one rate",
     )

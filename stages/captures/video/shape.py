@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,14 +24,14 @@ class Shape:
     pixel: Fraction = Fraction(1)
     turn: tuple[int, int, int, int] = STRAIGHT
 
-    @property
+    @cached_property
     def square(self) -> tuple[int, int]:
         """Width and height, px, with square pixels, before turning. The longer side is kept."""
         width, height = self.stored
         longer, aspect = max(self.stored), width * self.pixel / height
         return (longer, max(1, round(longer / aspect))) if aspect >= 1 else (max(1, round(longer * aspect)), longer)
 
-    @property
+    @cached_property
     def shown(self) -> tuple[int, int]:
         """Width and height, px, with square pixels, as shown."""
         width, height = self.square
@@ -58,9 +59,12 @@ def alike(first: tuple[int, int], second: tuple[int, int]) -> bool:
 
 def shape_of(frame: Any, pixel: Fraction | None) -> Shape:
     """pixel: the aspect ratio of a pixel that the stream gives; None, 0 and impossible ones count as 1."""
-    if pixel is None or not is_plausible(pixel):
-        pixel = Fraction(1)
-    return Shape((frame.width, frame.height), pixel, _turn(frame))
+    return _shape(frame.width, frame.height, pixel, _turn(frame))
+
+
+@lru_cache(64)  # every frame asks
+def _shape(width: int, height: int, pixel: Fraction | None, turn: tuple[int, int, int, int]) -> Shape:
+    return Shape((width, height), pixel if pixel is not None and is_plausible(pixel) else Fraction(1), turn)
 
 
 def is_plausible(pixel: Fraction) -> bool:

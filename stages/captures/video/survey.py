@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from .times import Times, frame_rate, picture_times
 from .tracks import best_track, other_tracks
 
 DEFAULT_RATE = 30.0  # frames per second of a raw stream that gives none
+_KEPT = 32  # surveys
 _INTERLACED = (2, 3, 4, 5)  # FFmpeg's field orders
 _LEAST_DECODED = 0.5  # share of the packets from the first picture on
 _FIELDS = 0.8  # fewer pictures than this per packet: packets are fields
@@ -26,7 +28,8 @@ _FIELDS = 0.8  # fewer pictures than this per packet: packets are fields
 @dataclass(frozen=True)
 class Survey:
     """seconds: time of each picture in the order shown, the first at 0. raw: their time stamps in the file, ticks. by_order: pictures are
-    to be counted, because their stamps say nothing. pixel: width over height of a pixel, if the container says. late: seconds by which
+    to be counted, because their stamps say nothing. pixel: width over height of a pixel, if the container says. parity: of the fields of
+    interlaced video, None for whole frames. late: seconds by which
     the first picture comes after the start of the track. notes: a line for every repair and for everything that is not read."""
 
     shape: Shape
@@ -36,7 +39,7 @@ class Survey:
     fps: float | None
     tags: Tags
     pixel: Fraction | None
-    interlaced: bool
+    parity: str | None
     late: float
     notes: tuple[str, ...]
 
@@ -50,12 +53,21 @@ class _First:
     pixel: Fraction | None
     colours: str | None
     flagged: bool
-    interlaced: bool
+    parity: str | None
     shown: list[int | None]  # stamps of the pictures that were decoded
 
 
 def survey(root: Path, name: str) -> Survey:
     """Decodes the first picture alone, or some seconds if it is flagged as interlaced. Raises CaptureError for broken files."""
+    try:
+        state = (root / name).stat()
+    except OSError as error:
+        raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
+    return _survey(root, name, (state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns))
+
+
+@lru_cache(_KEPT)  # planning and decoding in one process both need it
+def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
     import av
 
     try:
@@ -86,7 +98,7 @@ def survey(root: Path, name: str) -> Survey:
         fps=fps,
         tags=tags,
         pixel=first.pixel,
-        interlaced=first.interlaced,
+        parity=first.parity,
         late=behind if abs(behind) < 1e6 else 0.0,
         notes=(*notes, *_told(times, packets, late, first, stated)),
     )
@@ -120,7 +132,7 @@ def _first(root: Path, name: str, tags: Tags, pixel: Fraction | None) -> _First:
             raise CaptureError(f"{name}: frame 0: the picture is damaged; copy or record the video again")
         pixel = pixel or stream.codec_context.sample_aspect_ratio
         shape, colours = shape_of(frame, pixel), colours_told(frame_tags(frame, tags), name, codec_tag)
-        found = _First(shape, frame.pts, pixel, colours, False, False, [frame.pts])
+        found = _First(shape, frame.pts, pixel, colours, False, None, [frame.pts])
         if frame.interlaced_frame or field_order in _INTERLACED:
             test = FieldTest()
             while frame is not None and not test.is_over:
@@ -128,7 +140,7 @@ def _first(root: Path, name: str, tags: Tags, pixel: Fraction | None) -> _First:
                 test.add(frame)
                 frame = next(frames, None)
                 found.shown += [] if frame is None else [frame.pts]
-            found.interlaced = found.flagged and test.is_interlaced
+            found.parity = test.parity if found.flagged else None
     return found
 
 
@@ -188,5 +200,5 @@ def _told(times: Times, packets: Packets, late: int, first: _First, stated: floa
     if shape.is_mirrored:
         told.append("it is shown mirrored, as the file asks")
     if first.flagged:
-        told.append("interlaced: deinterlaced" if first.interlaced else "flagged as interlaced, but its frames are whole: left as they are")
+        told.append("interlaced: deinterlaced" if first.parity else "flagged as interlaced, but its frames are whole: left as they are")
     return [*told, *([first.colours] if first.colours else [])]
