@@ -136,7 +136,7 @@ def balls(count):
     pictures = []
     for k in range(count):
         picture = wall.copy()
-        cv2.circle(picture, (20 + 3 * k, 48), 14, (230, 30, 30), -1, cv2.LINE_AA)
+        cv2.circle(picture, (20 + 3 * k, 48), 14, (240, 240, 240), -1, cv2.LINE_AA)
         pictures.append(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
     return pictures
 
