@@ -134,7 +134,10 @@ def _taken(frames: Iterator[tuple[int | None, Any]], video: Video, found: Survey
         yield before[1]
         target = next(wanted, None)
     if missing:
-        say(f"{video.file}: {missing} of {video.total} frames cannot be decoded; {replaced} are replaced by the nearest one")
+        verb = "is" if replaced == 1 else "are"
+        say(
+            f"{video.file}: {missing} of {video.total} frames cannot be decoded; {replaced} of those taken {verb} replaced by the nearest one"
+        )
 
 
 def _picture(frame: Any, found: Survey, width: int, height: int, crop: np.ndarray | None) -> np.ndarray:

@@ -56,6 +56,6 @@ def read_packets(container: Any, stream: Any, path: Path, name: str) -> Packets:
         )
     if not found.stamps:
         raise CaptureError(f"{name}: holds no frames; copy or record the video again")
-    if counts and stream.frames > there:
-        found.trimmed += stream.frames - there
+    if counts and stream.frames:  # an index with several edits has some packets twice, to decode what follows
+        found.trimmed = max(0, stream.frames - len(found.stamps))
     return found

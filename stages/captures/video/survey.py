@@ -177,16 +177,20 @@ def _pictures(root: Path, name: str) -> list[int | None]:
         return [frame.pts for frame in decoded_frames(container, stream)]
 
 
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' if count != 1 else ''}"
+
+
 def _told(times: Times, packets: Packets, late: int, first: _First, stated: float | None) -> list[str]:
     shape, told = first.shape, []
     if packets.trimmed:
-        told.append(f"{packets.trimmed} frames that its edit list hides are left out")
+        told.append(f"{_frames(packets.trimmed)} that its edit list hides: left out")
     if late:
-        told.append(f"{late} frames before the first that can be decoded are left out")
+        told.append(f"{_frames(late)} before the first that can be decoded: left out")
     if times.untimed:
         told.append(f"it has no time stamps: frames count as 1/{stated or DEFAULT_RATE:g} s apart")
     if times.jumps:
-        told.append(f"its clock begins again {times.jumps} times; it is continued")
+        told.append(f"its clock begins again {times.jumps} time{'s' if times.jumps != 1 else ''}; it is continued")
     if times.repaired:
         told.append(
             f"{times.repaired} of {len(times.raw) + late} time stamps are doubled, missing or out of order; they are placed between "
