@@ -156,7 +156,7 @@ def test_a_few_lost_pictures_are_replaced_by_their_neighbours(tmp_path):
     assert capture.facts["frames"] == 40 == len(found)
     np.testing.assert_allclose(np.delete(found, 20), np.delete(np.arange(40) / 2, 20), atol=0.6)
     assert found[20] == found[19]
-    assert lines == ["clip.mkv: 1 of 40 frames cannot be decoded; 1 of those taken is replaced by the nearest one"]
+    assert lines == ["clip.mkv: 1 of 40 frames lack pictures; 1 of those taken is replaced by the nearest one"]
 
 
 def test_many_lost_pictures_are_an_error(tmp_path):

@@ -135,9 +135,7 @@ def _taken(frames: Iterator[tuple[int | None, Any]], video: Video, found: Survey
         target = next(wanted, None)
     if missing:
         verb = "is" if replaced == 1 else "are"
-        say(
-            f"{video.file}: {missing} of {video.total} frames cannot be decoded; {replaced} of those taken {verb} replaced by the nearest one"
-        )
+        say(f"{video.file}: {missing} of {video.total} frames lack pictures; {replaced} of those taken {verb} replaced by the nearest one")
 
 
 def _picture(frame: Any, found: Survey, width: int, height: int, crop: np.ndarray | None) -> np.ndarray:

@@ -49,8 +49,8 @@ class FieldTest:
 
     @property
     def parity(self) -> str | None:
-        """ "tff" or "bff", the field that comes first as the pictures show it, whatever the file says; None for whole frames; "auto", as the
-        file says, if nothing moves."""
+        """ "tff" or "bff": the field that comes first as the pictures show it, whatever the file says. None for whole frames. "auto", as
+        the file says, if nothing moves."""
         if not self._moving:
             return "auto"
         upper, lower = self._misfit  # of the earlier frame's upper lines with the lower lines, and the reverse
