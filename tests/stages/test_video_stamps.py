@@ -73,6 +73,19 @@ def test_pictures_stored_in_another_order_keep_their_times():
         assert [times.raw.index(stamp) for stamp in broken] == [order[k] if k != 4 or broken[4] is None else 4 for k in range(13)]
 
 
+def test_many_bad_stamps_are_placed_in_one_pass():
+    """Many doubled stamps must not take hours."""
+    stamps = [10 * (k - k % 2) for k in range(60_000)]
+    for reordered in (False, True):
+        times = picture_times(stamps, reordered)
+        assert times.repaired == 30_000 and (np.diff(times.ticks) > 0).all()
+
+
+def test_streams_that_hide_their_reordering_are_sorted():
+    order = [0, 3, 1, 2, 6, 4, 5, 9, 7, 8, 12, 10, 11]
+    assert picture_times([10 * k for k in order], False).ticks.tolist() == [10.0 * k for k in range(13)]
+
+
 def test_no_stamps_at_all():
     assert picture_times([None] * 5, True).untimed
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 _MOST_BOXES = 100_000
+_SLACK = 16  # bytes; some programs count the header of an AVI, or a padding byte, too
 _HOLD_MEDIA = (b"mdat", b"moov", b"moof")
 
 
@@ -52,7 +53,7 @@ def _riff_ends(file: BinaryIO, size: int) -> bool:
         (length,) = struct.unpack("<I", head[4:8])
         if length in (0, 2**32 - 1):  # a recorder that was stopped hard never wrote it
             return False
-        if at + 8 + length > size:
+        if at + 8 + length > size + _SLACK:
             return True
         at += 8 + length + length % 2
     return False

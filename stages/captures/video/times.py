@@ -14,6 +14,8 @@ MOST_REORDERED = 40  # places by which a picture may be shown later or earlier t
 _LOST = 0.34  # share of missing stamps from which nothing can be placed between the others
 _PAUSE = 1.6  # a gap this many times the usual one is where a moved stamp is missing
 _NEAR = 5  # places around a doubled stamp in which its own place is looked for
+_MOST_PLACED = 200  # stamps whose place is looked for one by one; more of them stay behind the stamp before them
+_FALLING = 0.1  # share of falling steps from which pictures are stored in another order, whatever the stream says
 _RATE_ERROR = 0.02
 
 
@@ -35,7 +37,8 @@ def picture_times(stamps: Sequence[int | None], reordered: bool) -> Times:
     if len(known) < 2 or len(stamps) - len(known) > _LOST * len(stamps):
         return Times(tuple(stamps), np.arange(len(stamps), dtype=np.float64), untimed=True)
     clock, jumps = _one_clock(stamps)
-    if not reordered:
+    steps = np.diff([value for value in clock if value is not None])
+    if not reordered and np.mean(steps < 0) < _FALLING:
         order = list(range(len(stamps)))
         values = clock
     else:
@@ -78,27 +81,28 @@ def _shown_order(clock: Sequence[float | None]) -> tuple[list[int], list[float |
     known = [i for i, value in enumerate(clock) if value is not None]
     ranked = sorted(known, key=lambda i: (clock[i], i))
     place = {i: rank for rank, i in enumerate(ranked)}
-    lost = [i for i, value in enumerate(clock) if value is None]
-    lost += [i for rank, i in enumerate(known) if abs(place[i] - rank) > MOST_REORDERED]
-    gone = set(lost)
+    lost = {i for i, value in enumerate(clock) if value is None}
+    lost |= {i for rank, i in enumerate(known) if abs(place[i] - rank) > MOST_REORDERED}
     order: list[int] = []
-    doubled: list[int] = []
+    homeless: list[tuple[int, int]] = [(i, i) for i in sorted(lost)]  # near which place, which picture
     for i in ranked:
-        if i in gone:
+        if i in lost:
             continue
-        (doubled if order and clock[order[-1]] == clock[i] else order).append(i)
+        if order and clock[order[-1]] == clock[i]:
+            homeless.append((len(order) - 1, i))
+        else:
+            order.append(i)
     values = [clock[i] for i in order]
     usual = float(np.median(np.diff(np.array(values, np.float64)))) if len(values) > 1 else 1.0
-    for i in sorted([*lost, *doubled]):
-        stamp = clock[i]
-        middle = bisect_left([clock[j] for j in order], stamp) if i in doubled and stamp is not None else i  # type: ignore[type-var]
-        at = _gap(values, middle, usual)
+    homeless.sort()
+    if len(homeless) > _MOST_PLACED:
+        keyed = [(float(k), i, clock[i]) for k, i in enumerate(order)] + [(near + 0.5, i, None) for near, i in homeless]
+        keyed.sort(key=lambda entry: entry[:2])
+        return [i for _, i, _ in keyed], [value for _, _, value in keyed]
+    for done, (near, i) in enumerate(homeless):
+        at = _gap(values, near + done, usual)
         order.insert(at, i)
         values.insert(at, None)
-        if i in doubled and stamp is not None:
-            doubled.remove(i)
-        if len(values) - values.count(None) < 2:
-            break
     return order, values
 
 
