@@ -88,6 +88,7 @@ def test_streams_that_hide_their_reordering_are_sorted():
 
 def test_no_stamps_at_all():
     assert picture_times([None] * 5, True).untimed
+    assert picture_times([7] * 20, False).untimed and picture_times([7] * 20, False).ticks.tolist() == list(range(20))
 
 
 @pytest.mark.parametrize("stated", [1000.0, 90000.0, 600.0, None])
@@ -131,7 +132,7 @@ def test_a_doubled_stamp_costs_a_folder_of_videos_no_time(tmp_path):
 
 def test_raw_streams_say_that_their_times_are_assumed(tmp_path):
     capture = recognise(encode(tmp_path / "clip.h264", levels(8)))
-    assert any("no time stamps: frames count as 1/" in note for note in capture.notes) and capture.facts["frames"] == 8
+    assert any("no time stamps that can be used: frames count as 1/" in note for note in capture.notes) and capture.facts["frames"] == 8
 
 
 def test_cameras_of_a_rig_at_two_rates_are_warned_of(n3v_capture, tmp_path):

@@ -19,6 +19,7 @@ from .times import Times, frame_rate, picture_times
 from .tracks import best_track, other_tracks
 
 DEFAULT_RATE = 30.0  # frames per second of a raw stream that gives none
+MOST_RATE = 480.0  # frames per second of a phone; higher ones, such as 1000 and 90000, are units of time
 _KEPT = 32  # surveys
 _INTERLACED = (2, 3, 4, 5)  # FFmpeg's field orders
 _LEAST_DECODED = 0.5  # share of the packets from the first picture on
@@ -86,9 +87,9 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
     except (av.FFmpegError, OSError, ValueError) as error:
         raise CaptureError(f"{name}: not a readable video, perhaps cut short ({error}); copy it again or convert it to MP4") from error
     ticks = times.ticks
-    seconds = (ticks - ticks[0]) * (base if not times.untimed and base > 0 else 1 / (stated or DEFAULT_RATE))
+    seconds = (ticks - ticks[0]) * (base if not times.untimed and base > 0 else 1 / _even_rate(stated))
     by_order = counted or times.untimed or first.stamp is None or first.stamp not in times.raw
-    fps = stated if times.untimed else frame_rate(seconds.tolist(), stated)
+    fps = _even_rate(stated) if times.untimed else frame_rate(seconds.tolist(), stated)
     behind = 0.0 if times.untimed or start is None else float(ticks[0] - start) * base
     return Survey(
         shape=first.shape,
@@ -177,6 +178,11 @@ def _pictures(root: Path, name: str) -> list[int | None]:
         return [frame.pts for frame in decoded_frames(container, stream)]
 
 
+def _even_rate(stated: float | None) -> float:
+    """Frames per second of a video without times."""
+    return stated if stated is not None and 1 <= stated <= MOST_RATE else DEFAULT_RATE
+
+
 def _frames(count: int) -> str:
     return f"{count} frame{'s' if count != 1 else ''}"
 
@@ -188,7 +194,7 @@ def _told(times: Times, packets: Packets, late: int, first: _First, stated: floa
     if late:
         told.append(f"{_frames(late)} before the first that can be decoded: left out")
     if times.untimed:
-        told.append(f"it has no time stamps: frames count as 1/{stated or DEFAULT_RATE:g} s apart")
+        told.append(f"it has no time stamps that can be used: frames count as 1/{_even_rate(stated):g} s apart")
     if times.jumps:
         told.append(f"its clock begins again {times.jumps} time{'s' if times.jumps != 1 else ''}; it is continued")
     if times.repaired:

@@ -12,6 +12,7 @@ import numpy as np
 WRAP = 2**33  # ticks after which the clock of MPEG-TS begins again
 MOST_REORDERED = 40  # places by which a picture may be shown later or earlier than it is decoded; H.264 and HEVC allow 16
 _LOST = 0.34  # share of missing stamps from which nothing can be placed between the others
+_LEAST_GOOD = 0.3  # share of good stamps
 _PAUSE = 1.6  # a gap this many times the usual one is where a moved stamp is missing
 _NEAR = 5  # places around a doubled stamp in which its own place is looked for
 _MOST_PLACED = 200  # stamps whose place is looked for one by one; more of them stay behind the stamp before them
@@ -22,7 +23,8 @@ _RATE_ERROR = 0.02
 @dataclass(frozen=True)
 class Times:
     """Pictures in the order in which they are shown. raw: each one's stamp as the file has it, ticks or None. ticks [N] float64: the
-    repaired clock. repaired: how many stamps were replaced. jumps: how often the clock began again. untimed: the file has no stamps."""
+    repaired clock. repaired: how many stamps were replaced. jumps: how often the clock began again. untimed: the file has no
+    stamps that could be used; `ticks` counts the pictures."""
 
     raw: tuple[int | None, ...]
     ticks: np.ndarray
@@ -45,6 +47,8 @@ def picture_times(stamps: Sequence[int | None], reordered: bool) -> Times:
         order, values = _shown_order(clock)
     good = _rising(values)
     raw = tuple(stamps[i] for i in order)
+    if len(good) < _LEAST_GOOD * len(values):  # such as all alike
+        return Times(raw, np.arange(len(stamps), dtype=np.float64), untimed=True)
     return Times(raw, _filled(values, good), len(values) - len(good), jumps)
 
 
