@@ -73,6 +73,15 @@ def test_pictures_stored_in_another_order_keep_their_times():
         assert [times.raw.index(stamp) for stamp in broken] == [order[k] if k != 4 or broken[4] is None else 4 for k in range(13)]
 
 
+def test_a_clock_that_begins_again_is_continued_in_any_order():
+    """As in transport streams that were put together; pictures are stored in another order."""
+    order = [0] + [k + d for k in range(1, 61, 3) for d in (2, 0, 1)]
+    stamps = [6000 * k for k in order]
+    times = picture_times(stamps * 2, True)
+    assert times.ticks.tolist() == [6000.0 * k for k in range(122)] and (times.jumps, times.repaired) == (1, 0)
+    assert times.raw == tuple(sorted(stamps)) * 2
+
+
 def test_many_bad_stamps_are_placed_in_one_pass():
     """Many doubled stamps must not take hours."""
     stamps = [10 * (k - k % 2) for k in range(60_000)]

@@ -63,7 +63,8 @@ def frame_rate(seconds: Sequence[float], stated: float | None) -> float | None:
 def _one_clock(stamps: Sequence[int | None]) -> tuple[list[float | None], int]:
     """Stamps whose clock wraps or begins again, continued as one clock. Single wrong stamps stay as they are."""
     known = np.array([s for s in stamps if s is not None], np.float64)
-    usual = float(np.median(np.abs(np.diff(known)))) or 1.0
+    distinct = np.unique(known)
+    usual = float(np.median(np.diff(distinct))) if len(distinct) > 1 else 1.0
     limit = MOST_REORDERED * usual
     candidates = np.flatnonzero(np.diff(known) < -limit) + 1
     # a clock that began again stays behind; after a single wrong stamp the next ones go on
