@@ -120,6 +120,25 @@ def test_pictures_that_were_not_coded_are_none(tmp_path, suffix):
     check(remux(source, tmp_path / f"clip.{suffix}", change), [k for k in range(16) if k not in (6, 7)], atol=0.6)
 
 
+def test_packed_pictures_are_unpacked(tmp_path):
+    """DivX stores a picture together with the next one, and a placeholder that is not coded behind them."""
+    options = {"qmin": "2", "qmax": "2", "bf": "1", "g": "30", "sc_threshold": "1000000000", "b_strategy": "0"}
+    source = encode(tmp_path / "source.avi", levels(15), "mpeg4", options)
+
+    def change(packets):
+        contents = [bytes(p)[bytes(p).index(b"\0\0\1\xb6") :] for p in packets]
+        head = bytes(packets[0])[: -len(contents[0])] + b"\0\0\1\xb2DivX503b1393p"
+        packed = [head + contents[0]]
+        for first, second in zip(contents[1::2], contents[2::2], strict=True):
+            assert (first[4] >> 6, second[4] >> 6) == (1, 2), "a P and a B picture"
+            packed += [first + second, not_coded(first, 0)]
+        for k, (packet, data) in enumerate(zip(packets, packed, strict=True)):
+            packet.pts = packet.dts = k
+            yield with_data(packet, data)
+
+    assert check(remux(source, tmp_path / "clip.avi", lambda packets: list(change(packets))), list(range(15))) == ()
+
+
 @pytest.mark.parametrize("codec", ["libvpx", "libvpx-vp9"])
 def test_hidden_pictures_are_none(tmp_path, codec):
     options = {"lag-in-frames": "0", "auto-alt-ref": "0", "crf": "4", "b": "1M"}
