@@ -17,7 +17,7 @@ DEFAULT_FPS = 30.0  # for numbered images, and for cameras whose files give no f
 
 @dataclass(frozen=True)
 class Options:
-    """How a capture is to be read: the settings of the `frames` stage, and `heard`, a folder that caches sounds (`heard.py`)."""
+    """How a capture is to be read: the settings of the `frames` stage, and `heard`, a folder that caches sounds (`sound/cache.py`)."""
 
     format: str | None = None
     static: bool = False

@@ -35,7 +35,7 @@ def decode_videos(capture: Capture, ctx: Context) -> zarr.Array:
                 progress.advance(len(video.taken), video.file)
                 continue
             part = None if capture.crop is None else capture.crop[video.start]
-            for offset, picture in enumerate(decode(capture.root, video, facts.width, facts.height, part)):
+            for offset, picture in enumerate(decode(capture.root, video, facts.width, facts.height, part, ctx.log)):
                 images[video.start + offset] = picture
                 progress.advance(1, video.file)
     if taken:

@@ -60,6 +60,11 @@ LIES: dict[str, tuple[bytes, int, bytes]] = {
     "broken parameters": (b"avcC", 8, b"\xff" * 20),
     "another track's kind": (b"hdlr", 12, b"soun"),
     "an edit of 2^32": (b"elst", 8, b"\xff" * 12),
+    "an edit of nothing": (b"elst", 8, bytes(12)),
+    "a million edits": (b"elst", 4, struct.pack(">I", 10**6)),
+    "an edit behind the end": (b"elst", 8, struct.pack(">Ii", 1000, 2**31 - 1)),
+    "a matrix that mirrors": (b"tkhd", 44, struct.pack(">9i", -(1 << 16), 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)),
+    "a matrix that maps all to a line": (b"tkhd", 44, struct.pack(">9i", 1 << 16, 1 << 16, 0, 1 << 16, 1 << 16, 0, 0, 0, 1 << 30)),
 }
 
 

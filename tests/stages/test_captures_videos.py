@@ -6,10 +6,12 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.captures import heard, recognise, sound
+from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.formats.video import decode
 from e4dgs.stages.captures.formats.videos import clocks
 from e4dgs.stages.captures.reading import TEST
+from e4dgs.stages.captures.sound import cache as heard
+from e4dgs.stages.captures.sound import onsets as sound
 from factory.writers import write_mp4
 
 RATE = 16000
@@ -177,7 +179,7 @@ def test_long_sounds_are_heard_once(tmp_path, monkeypatch):
     for n, begin in enumerate((0.5, 0.0)):
         grey_video(tmp_path / "videos" / f"{n}.mp4", 50, 25, recorded(sounds, begin, 2.0, 0.5, n))
     times = []
-    monkeypatch.setattr(heard.sound, "onsets", lambda *file, listen=heard.sound.onsets: times.append(file[1]) or listen(*file))
+    monkeypatch.setattr(heard.onsets, "onsets", lambda *file, listen=heard.onsets.onsets: times.append(file[1]) or listen(*file))
 
     def shifts():
         times.clear()
@@ -204,7 +206,7 @@ def test_long_sounds_are_heard_once(tmp_path, monkeypatch):
 def test_what_was_heard_is_heard_again_where_a_bit_has_flipped(tmp_path, monkeypatch, damage):
     samples = np.arange(6.0), 0.25
     monkeypatch.setattr(heard, "KEPT_FROM", 0.0)
-    monkeypatch.setattr(heard.sound, "onsets", lambda root, name: times.append(name) or samples)
+    monkeypatch.setattr(heard.onsets, "onsets", lambda root, name: times.append(name) or samples)
     (tmp_path / "a.mp4").write_bytes(b"a video")
     times: list[str] = []
 

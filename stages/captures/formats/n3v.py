@@ -21,6 +21,7 @@ from ..ply_points import read_points
 from ..posed.llff_rows import camera_of, rows_of, told_order
 from ..posed.stated import states_layout
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
+from ..video.rates import rig_told
 from . import video
 from .colmap_model import model_of_cameras
 
@@ -114,7 +115,7 @@ def _from_videos(root: Path, cameras: list[str], options: Options) -> Reading:
     taken = video.choose(total, options, None)
     shots = [Shot(f"{name}#{i}", name, float(i), sizes[name], seconds=first.seconds[i]) for name in cameras for i in taken]
     movies = tuple(Video(name, n * len(taken), taken, total) for n, name in enumerate(cameras))
-    return Reading("", shots, fps=first.fps, videos=movies, notes=_note(taken, total))
+    return Reading("", shots, fps=first.fps, videos=movies, notes=(*_note(taken, total), *rig_told(headers)))
 
 
 def _from_folders(root: Path, cameras: list[str], options: Options) -> Reading:

@@ -3,31 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from ....pipeline import CaptureError, thread_count
+from ....pipeline import CaptureError
 from .. import checks
 from ..reading import Options, Reading, Shot, Video
-from ..video_files import MOST_FRAMES, open_video
+from ..video.decode import decode
+from ..video.probe import Header, probe, told_together
+
+__all__ = ["DEFAULT_MAX_FRAMES", "Header", "choose", "decode", "detect", "probe", "read", "refuse_one"]
 
 DEFAULT_MAX_FRAMES = 200
-_LARGE = 10 * 2**30  # bytes
-_LEAST_USED = 0.01  # least share of a large file that must be video data
-
-
-@dataclass(frozen=True)
-class Header:
-    """Facts about a video: size after rotation, time in seconds of every frame in display order, and frame rate."""
-
-    width: int
-    height: int
-    seconds: tuple[float, ...]
-    fps: float | None
 
 
 def detect(root: Path) -> str | None:
@@ -58,7 +45,10 @@ def read(root: Path, options: Options) -> Reading:
         fps=header.fps,
         usual_frames=most if options.usual and total > most and not (options.max_frames or options.every) else None,
         videos=(Video(path.name, 0, taken, total),),
-        notes=(f"took {len(taken)} of {total} video frames (every {step}); frames.every and frames.max_frames change it",),
+        notes=(
+            f"took {len(taken)} of {total} video frames (every {step}); frames.every and frames.max_frames change it",
+            *told_together({path.name: header}),
+        ),
     )
 
 
@@ -75,96 +65,6 @@ def refuse_one(name: str, taken: Sequence[int], total: int, options: Options) ->
         cause = "max_frames" if options.every is None else "every"
         change = "raise" if options.every is None else "lower"
         raise CaptureError(f"{name}: frames.{cause}={getattr(options, cause)} leaves {len(taken)} of {total} frames, too few; {change} it")
-
-
-def probe(root: Path, name: str) -> Header:
-    """Reads all packets, but decodes only the first frame, which has the rotation. Refuses broken and truncated files."""
-    import av
-
-    try:
-        with open_video(root, name) as container:
-            stream = _stream(container, name)
-            promised = stream.frames
-            base = float(stream.time_base or 0)
-            stamps: list[int | None] = []
-            size, used, there = (root / name).stat().st_size, 0, 0
-            for packet in container.demux(stream):
-                there += packet.size > 0
-                if packet.size and not packet.is_discard:  # an edit list discards what was trimmed without encoding again
-                    if packet.is_corrupt:
-                        raise CaptureError(f"{name}: frame {len(stamps)}: the file is damaged or cut short here; copy it again")
-                    stamps.append(packet.pts)
-                    used += packet.size
-                    if len(stamps) > MOST_FRAMES:
-                        raise CaptureError(f"{name}: more than {MOST_FRAMES} frames; cut the video to the part that you mean")
-            rate = float(stream.average_rate) if stream.average_rate else None
-        with open_video(root, name) as container:
-            frame = next(container.decode(_stream(container, name)), None)
-            if frame is None:
-                raise CaptureError(f"{name}: frame 0: nothing can be decoded; copy or record the video again")
-            width, height = (frame.height, frame.width) if frame.rotation % 180 else (frame.width, frame.height)
-    except (av.FFmpegError, OSError, ValueError) as error:
-        raise CaptureError(f"{name}: not a readable video, perhaps cut short ({error}); copy it again or convert it to MP4") from error
-    if there < promised:
-        raise CaptureError(f"{name}: frame {len(stamps)}: the file promises {promised} frames and ends here, cut short; copy it again")
-    if size > _LARGE and used < _LEAST_USED * size:  # every command reads the whole file to see whether it changed
-        raise CaptureError(
-            f"{name}: {used} bytes of pictures in a file of {size / 1e9:.0f} GB, damaged; copy it again or convert it to MP4"
-        )
-    if not stamps:
-        raise CaptureError(f"{name}: holds no frames; copy or record the video again")
-    known = sorted(p for p in stamps if p is not None)
-    if len(known) == len(stamps) and len(set(known)) == len(known) and base > 0:
-        seconds = tuple((p - known[0]) * base for p in known)
-    else:  # raw streams carry no time stamps
-        seconds = tuple(i / (rate or 30.0) for i in range(len(stamps)))
-    return Header(width, height, seconds, rate)
-
-
-def decode(root: Path, video: Video, width: int, height: int, crop: np.ndarray | None = None) -> Iterator[np.ndarray]:
-    """Yields the taken frames in order, uint8 [H,W,3] RGB, upright, scaled to width x height. crop: left, top, width, height of the part
-    of each frame that is used, px; None for the whole frame.
-
-    Only one frame is in memory at a time. Raises `CaptureError`, naming file and frame, for damaged data and if fewer frames can be
-    decoded than the file has.
-    """
-    import av
-
-    wanted = iter(video.taken)
-    target = next(wanted, None)
-    index = 0
-    try:
-        with open_video(root, video.file) as container:
-            stream = _stream(container, video.file)
-            stream.thread_type = "AUTO"
-            stream.codec_context.thread_count = thread_count()
-            for frame in container.decode(stream):
-                if frame.is_corrupt:
-                    raise CaptureError(f"{video.file}: frame {index}: the picture is damaged; copy or record the video again")
-                if index == target:
-                    yield _picture(frame, width, height, crop)
-                    target = next(wanted, None)
-                index += 1
-    except (av.FFmpegError, OSError, ValueError) as error:
-        raise CaptureError(f"{video.file}: frame {index}: cannot be decoded ({error}); copy or record the video again") from error
-    if index < video.total:
-        raise CaptureError(f"{video.file}: frame {index}: {video.total} frames in the file, only {index} decode; copy or record it again")
-
-
-def _picture(frame: Any, width: int, height: int, crop: np.ndarray | None) -> np.ndarray:
-    from ....vision.images.pictures import resize
-
-    rgb = frame.to_ndarray(format="rgb24")
-    turns = round(frame.rotation / 90) % 4  # counter-clockwise, as for np.rot90
-    if turns:
-        rgb = np.rot90(rgb, turns)
-    return np.ascontiguousarray(resize(np.ascontiguousarray(rgb), width, height, crop))
-
-
-def _stream(container: Any, name: str) -> Any:
-    if not container.streams.video:
-        raise CaptureError(f"{name}: holds no video stream; pass a video file")
-    return container.streams.video[0]
 
 
 def _file(root: Path) -> Path | None:

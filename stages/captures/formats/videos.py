@@ -12,12 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from ....pipeline import CaptureError
-from .. import checks, sound
-from ..heard import onsets_of
+from .. import checks
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
+from ..sound import onsets
+from ..sound.cache import onsets_of
+from ..video.probe import told_together
 from . import video
 
 _POSES = "poses_bounds.npy"  # if this file exists, the capture belongs to n3v, whatever the names of the videos
+_BY_SOUND = "aligned by their sound"
 
 
 def detect(root: Path) -> str | None:
@@ -34,6 +37,8 @@ def read(root: Path, options: Options) -> Reading:
         checks.resolve_inside(root, name, name)
         headers[name] = video.probe(root, name)
     shifts, how = clocks(root, names, options.sync, options.heard)
+    if how == _BY_SOUND:  # sound is timed from the start of the track, of which the first pictures may be lost
+        shifts = [shift + headers[name].late - headers[names[0]].late for name, shift in zip(names, shifts, strict=True)]
     local = [np.asarray(headers[name].seconds) for name in names]
     times, taken = _shared(names, local, shifts, options)
     late = max(float(np.abs(s[list(t)] + shift - times).max()) for s, t, shift in zip(local, taken, shifts, strict=True))
@@ -55,7 +60,7 @@ def read(root: Path, options: Options) -> Reading:
         has_split=not options.static,  # times are held out for all cameras together, so each time has all of them or none
         fps=headers[names[0]].fps,
         videos=tuple(Video(name, n * len(times), taken[n], len(headers[name].seconds)) for n, name in enumerate(names)),
-        notes=(_told(names, shifts, times, taken, headers, how, late),),
+        notes=(_told(names, shifts, times, taken, headers, how, late), *told_together(headers)),
     )
 
 
@@ -63,7 +68,7 @@ def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | Non
     """Seconds to add to each video's own times to bring them to one clock, and how they were found.
 
     sync: if the sound does not determine the clocks, "sound" raises CaptureError and "auto" aligns by the first frames. "frames" ignores
-    the sound. heard_before: folder that caches the envelopes of long sounds (`heard.py`).
+    the sound. heard_before: folder that caches the envelopes of long sounds (`sound/cache.py`).
     """
     zero = [0.0] * len(names)
     if sync == "frames":
@@ -78,7 +83,7 @@ def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | Non
     longest = max(range(len(names)), key=lambda n: len(heard[n][0]))
     shifts = []
     for name, envelope in zip(names, heard, strict=True):
-        shift = 0.0 if envelope is heard[longest] else sound.offset(heard[longest], envelope)
+        shift = 0.0 if envelope is heard[longest] else onsets.offset(heard[longest], envelope)
         if shift is None:
             if sync == "sound":
                 raise CaptureError(
@@ -87,7 +92,7 @@ def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | Non
                 )
             return zero, f"aligned by their first frames (the sound of {name} does not determine its clock)"
         shifts.append(shift)
-    return [shift - shifts[0] for shift in shifts], "aligned by their sound"
+    return [shift - shifts[0] for shift in shifts], _BY_SOUND
 
 
 def _shared(

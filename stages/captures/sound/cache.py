@@ -13,18 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ...pipeline import thread_count
-from ...pipeline.files import digest_bytes, digest_file
-from . import sound
+from ....pipeline import thread_count
+from ....pipeline.files import digest_bytes, digest_file
+from . import onsets
 
 KEPT_FROM = 60.0  # s of sound from which the result is cached; shorter sound is analysed again in a tenth of a second
 _TOGETHER = 2  # most videos at a time; one of twenty minutes takes 0.3 GB
-_VERSION = 1  # of the result of `sound.onsets`
+_VERSION = 2  # of the result of `onsets.onsets`
 _DIGEST = 64  # characters of the BLAKE3 digest in front of the values
 
 
 def onsets_of(root: Path, names: Sequence[str], folder: Path | None) -> Iterator[tuple[np.ndarray, float] | None]:
-    """`sound.onsets` of every name, in order. folder: cache for long ones, each stored under the digest of the video's content. Failing to
+    """`onsets.onsets` of every name, in order. folder: cache for long ones, each stored under the digest of the video's content. Failing to
     write the cache is not an error, and a damaged entry is ignored and computed again."""
     with ThreadPoolExecutor(thread_count(_TOGETHER)) as pool:
         yield from pool.map(lambda name: _onsets(root, name, folder), names)
@@ -34,8 +34,8 @@ def _onsets(root: Path, name: str, folder: Path | None) -> tuple[np.ndarray, flo
     place = None if folder is None else folder / f"{_key(root / name)}.onsets"
     if place is not None and (known := _read(place)) is not None:
         return known
-    found = sound.onsets(root, name)
-    if place is not None and found is not None and len(found[0]) * sound.HOP >= KEPT_FROM * sound.RATE:
+    found = onsets.onsets(root, name)
+    if place is not None and found is not None and len(found[0]) * onsets.HOP >= KEPT_FROM * onsets.RATE:
         with suppress(OSError):
             _write(place, found)
     return found

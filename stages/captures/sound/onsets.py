@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .video_files import open_video
+from ....pipeline import CaptureError
+from ..video.tracks import best_track
+from ..video_files import open_video
 
 RATE = 8000  # samples per second used for the analysis
 HOP, WINDOW = 32, 128  # samples: one value of the envelope every 4 ms, each from 16 ms
@@ -76,7 +78,7 @@ def _samples(root: Path, name: str) -> tuple[np.ndarray, float] | None:
         with open_video(root, name) as container:
             if not container.streams.audio:
                 return None
-            stream, picture = container.streams.audio[0], container.streams.video[0]
+            stream, picture = container.streams.audio[0], best_track(container, name)
             begin = float((picture.start_time or 0) * (picture.time_base or 0))
             resampler = av.AudioResampler(format="flt", layout="mono", rate=RATE)
             count = 0
@@ -90,6 +92,6 @@ def _samples(root: Path, name: str) -> tuple[np.ndarray, float] | None:
                     break
             else:
                 pieces += [part.to_ndarray().reshape(-1) for part in resampler.resample(None)]
-    except (av.FFmpegError, OSError, ValueError, IndexError):
+    except (av.FFmpegError, OSError, ValueError, IndexError, CaptureError):
         return None  # the pictures can be used without sound
     return (np.concatenate(pieces), start) if pieces and start is not None else None

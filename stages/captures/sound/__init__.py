@@ -1,0 +1,1 @@
+"""Aligns the clocks of several videos of one event by their sound."""

@@ -1,0 +1,102 @@
+"""How the colours of a decoded frame are to be read: by its own tags, or by those of its container where it has none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ....pipeline import CaptureError
+from ....vision.images.wide_colour import HLG_PEAK, WHITE, Curve, Gamut, to_sdr
+
+# Values of ITU-T H.273, as FFmpeg gives them.
+_UNSPECIFIED = (0, 2)
+_CURVES: dict[int, Curve] = {16: "PQ", 18: "HLG"}
+_GAMUTS: dict[int, Gamut] = {9: "BT.2020", 12: "P3"}
+_UNREAD_CURVES = {8: "linear", 9: "logarithmic", 10: "logarithmic", 17: "SMPTE 428"}
+_UNREAD_MATRICES = {8: "YCgCo", 10: "BT.2020 with constant luminance", 11: "SMPTE 2085", 14: "ICtCp"}
+_BT2020 = 9
+_FULL_RANGE = 2
+_DOLBY_VISION = ("dvh1", "dvhe", "dva1", "dvav", "dav1")
+
+
+@dataclass(frozen=True)
+class Tags:
+    """transfer, primaries, matrix: numbers of H.273; 2 if unspecified."""
+
+    transfer: int = 2
+    primaries: int = 2
+    matrix: int = 2
+
+    @property
+    def curve(self) -> Curve:
+        return _CURVES.get(self.transfer, "SDR")
+
+    @property
+    def gamut(self) -> Gamut:
+        if self.primaries in _UNSPECIFIED and self.curve != "SDR":
+            return "BT.2020"
+        return _GAMUTS.get(self.primaries, "BT.709")
+
+    @property
+    def is_plain(self) -> bool:
+        """SDR with the primaries of BT.709 or close to them: the codes are used as they are."""
+        return self.curve == "SDR" and self.gamut == "BT.709"
+
+
+def stream_tags(context: Any) -> Tags:
+    """Those of the container. They must be read before the decoder, which replaces them by its own, has begun."""
+    return Tags(int(context.color_trc), int(context.color_primaries), int(context.colorspace))
+
+
+def frame_tags(frame: Any, container: Tags) -> Tags:
+    """Those of the frame, with those of the container in place of unspecified ones."""
+    own = (int(frame.color_trc), int(frame.color_primaries), int(frame.colorspace))
+    given = (container.transfer, container.primaries, container.matrix)
+    return Tags(
+        *(
+            other if value in _UNSPECIFIED and (k < 2 or value == 2) else value
+            for k, (value, other) in enumerate(zip(own, given, strict=True))
+        )
+    )
+
+
+def colours_told(tags: Tags, name: str, codec_tag: str) -> str | None:
+    """A line about what is done with the colours; None if they are plain. Raises CaptureError for colours that cannot be shown."""
+    if tags.matrix in _UNREAD_MATRICES:
+        raise CaptureError(
+            f"{name}: colours coded as {_UNREAD_MATRICES[tags.matrix]}, which is not read; convert the video to BT.709 or HLG"
+        )
+    if codec_tag in _DOLBY_VISION and tags.transfer in _UNSPECIFIED and tags.matrix in _UNSPECIFIED:
+        raise CaptureError(
+            f"{name}: Dolby Vision without an HDR or SDR base (profile 5), which is not read; convert the video to HLG or SDR"
+        )
+    if tags.transfer in _UNREAD_CURVES:
+        return f"its transfer curve ({_UNREAD_CURVES[tags.transfer]}) is not converted, so its contrast differs from that of other cameras"
+    if tags.curve != "SDR":
+        shown = f", shown at {HLG_PEAK:.0f} cd/m2" if tags.curve == "HLG" else ""
+        return f"HDR ({tags.curve}{shown}, {tags.gamut}) is converted to SDR (sRGB, BT.709); {WHITE:.0f} cd/m2 becomes white"
+    return None if tags.is_plain else f"its wide gamut ({tags.gamut}) is converted to that of sRGB (BT.709); what lies outside is clipped"
+
+
+def rgb_of(frame: Any, tags: Tags) -> np.ndarray:
+    """The picture as stored, uint8 [H,W,3], SDR with the primaries of BT.709, coded as sRGB."""
+    matrix = tags.matrix
+    if matrix in _UNSPECIFIED and not tags.is_plain and tags.gamut == "BT.2020" and not _is_rgb(frame):
+        matrix = _BT2020
+    if matrix != int(frame.colorspace):
+        frame.colorspace = matrix
+    if tags.is_plain:
+        return frame.to_ndarray(format="rgb24")
+    bits = max(component.bits for component in frame.format.components)
+    if bits <= 8:
+        return to_sdr(frame.to_ndarray(format="rgb24").astype(np.uint16), tags.curve, tags.gamut, white=255)
+    # FFmpeg's conversion to 16 bits shifts full range to the left, and takes the white of limited range to 255/256 of the way
+    full = frame.color_range == _FULL_RANGE or _is_rgb(frame)
+    white = (2**bits - 1) << (16 - bits) if full else 255 << 8
+    return to_sdr(frame.to_ndarray(format="rgb48le"), tags.curve, tags.gamut, white)
+
+
+def _is_rgb(frame: Any) -> bool:
+    return bool(frame.format.is_rgb)

@@ -1,0 +1,214 @@
+"""Surveys a video file: all of its packets and its first pictures, from which everything follows that decoding needs to know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ....pipeline import CaptureError, thread_count
+from ..video_files import open_video
+from .colour import Tags, colours_told, frame_tags, stream_tags
+from .fields import FieldTest
+from .packets import Packets, read_packets
+from .shape import Shape, is_plausible, shape_of
+from .times import Times, frame_rate, picture_times
+from .tracks import best_track, other_tracks
+
+DEFAULT_RATE = 30.0  # frames per second of a raw stream that gives none
+MOST_RATE = 480.0  # frames per second of a phone; higher ones, such as 1000 and 90000, are units of time
+_KEPT = 32  # surveys
+_INTERLACED = (2, 3, 4, 5)  # FFmpeg's field orders
+_LEAST_DECODED = 0.5  # share of the packets from the first picture on
+_FIELDS = 0.8  # fewer pictures than this per packet: packets are fields
+
+
+@dataclass(frozen=True)
+class Survey:
+    """seconds: time of each picture in the order shown, the first at 0. raw: their time stamps in the file, ticks. by_order: pictures are
+    to be counted, because their stamps say nothing. pixel: width over height of a pixel, if the container says. parity: of the fields of
+    interlaced video, None for whole frames. late: seconds by which
+    the first picture comes after the start of the track. notes: a line for every repair and for everything that is not read."""
+
+    shape: Shape
+    seconds: tuple[float, ...]
+    raw: tuple[int | None, ...]
+    by_order: bool
+    fps: float | None
+    tags: Tags
+    pixel: Fraction | None
+    parity: str | None
+    late: float
+    notes: tuple[str, ...]
+
+
+@dataclass
+class _First:
+    """What the first pictures tell."""
+
+    shape: Shape
+    stamp: int | None
+    pixel: Fraction | None
+    colours: str | None
+    flagged: bool
+    parity: str | None
+    shown: list[int | None]  # stamps of the pictures that were decoded
+
+
+def survey(root: Path, name: str) -> Survey:
+    """Decodes the first picture alone, or some seconds if it is flagged as interlaced. Raises CaptureError for broken files."""
+    try:
+        state = (root / name).stat()
+    except OSError as error:
+        raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
+    return _survey(root, name, (state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns))
+
+
+@lru_cache(_KEPT)  # planning and decoding in one process both need it
+def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
+    import av
+
+    try:
+        with open_video(root, name) as container:
+            stream = best_track(container, name)
+            tags, pixel, notes = stream_tags(stream.codec_context), stream.sample_aspect_ratio, other_tracks(container, stream)
+            packets = read_packets(container, stream, root / name, name)
+            stated = float(stream.average_rate) if stream.average_rate else None
+            base, start = float(stream.time_base or 0), stream.start_time
+            reordered = bool(stream.codec_context.has_b_frames)
+            counted = container.format.name == "avi"  # stamps of AVI are those of decoding
+        first = _first(root, name, tags, pixel)
+        if packets.doubtful or len(first.shown) < _FIELDS * _until(packets, first):
+            packets.stamps, reordered = _pictures(root, name), False
+        times, late = _times(packets, first, reordered, counted, name)
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise CaptureError(f"{name}: not a readable video, perhaps cut short ({error}); copy it again or convert it to MP4") from error
+    ticks = times.ticks
+    seconds = (ticks - ticks[0]) * (base if not times.untimed and base > 0 else 1 / _even_rate(stated))
+    by_order = counted or times.untimed or first.stamp is None or first.stamp not in times.raw
+    fps = _even_rate(stated) if times.untimed else frame_rate(seconds.tolist(), stated)
+    behind = 0.0 if times.untimed or start is None else float(ticks[0] - start) * base
+    return Survey(
+        shape=first.shape,
+        seconds=tuple(seconds.tolist()),
+        raw=times.raw,
+        by_order=by_order,
+        fps=fps,
+        tags=tags,
+        pixel=first.pixel,
+        parity=first.parity,
+        late=behind if abs(behind) < 1e6 else 0.0,
+        notes=(*notes, *_told(times, packets, late, first, stated)),
+    )
+
+
+def _times(packets: Packets, first: _First, reordered: bool, counted: bool, name: str) -> tuple[Times, int]:
+    """The times from the first picture on, and how many packets before it have no picture."""
+    if counted:  # stamps of AVI are those of decoding, which are those of showing in another order
+        known = sorted(p for p in packets.stamps if p is not None)
+        return picture_times(known if len(known) == len(packets.stamps) else packets.stamps, False), 0
+    times = picture_times(packets.stamps, reordered)
+    if times.untimed or first.stamp is None or first.stamp not in times.raw:
+        return times, 0
+    late = times.raw.index(first.stamp)
+    if len(times.raw) - late < _LEAST_DECODED * len(times.raw):
+        raise CaptureError(
+            f"{name}: frame 0: of {len(times.raw)} frames the first {late} cannot be decoded; copy or record the video again"
+        )
+    return Times(times.raw[late:], times.ticks[late:], times.repaired, times.jumps), late
+
+
+def _first(root: Path, name: str, tags: Tags, pixel: Fraction | None) -> _First:
+    with open_video(root, name) as container:
+        stream = best_track(container, name)
+        field_order, codec_tag = stream.codec_context.field_order, stream.codec_context.codec_tag
+        frames = decoded_frames(container, stream)
+        frame = next(frames, None)
+        if frame is None:
+            raise CaptureError(f"{name}: frame 0: nothing can be decoded; copy or record the video again")
+        if frame.is_corrupt:
+            raise CaptureError(f"{name}: frame 0: the picture is damaged; copy or record the video again")
+        pixel = pixel or stream.codec_context.sample_aspect_ratio
+        shape, colours = shape_of(frame, pixel), colours_told(frame_tags(frame, tags), name, codec_tag)
+        found = _First(shape, frame.pts, pixel, colours, False, None, [frame.pts])
+        if frame.interlaced_frame or field_order in _INTERLACED:
+            test = FieldTest()
+            while frame is not None and not test.is_over:
+                found.flagged |= frame.interlaced_frame
+                test.add(frame)
+                frame = next(frames, None)
+                found.shown += [] if frame is None else [frame.pts]
+            found.parity = test.parity if found.flagged else None
+    return found
+
+
+def _until(packets: Packets, first: _First) -> int:
+    """How many packets have stamps between those of the first and the last picture that was decoded."""
+    known = [p for p in first.shown if p is not None]
+    if len(known) < 4:
+        return 0
+    return sum(p is None or known[0] <= p <= known[-1] for p in packets.stamps if p is None or p <= known[-1])
+
+
+def decoded_frames(container: Any, stream: Any) -> Iterator[Any]:
+    """Frames in the order shown. Packets before the first key picture, which a cut leaves behind, may be impossible to decode."""
+    import av
+
+    begun = False
+    for packet in container.demux(stream):
+        begun |= packet.is_keyframe
+        try:
+            frames = packet.decode()
+        except av.FFmpegError:
+            if begun or not packet.size:
+                raise
+            continue
+        yield from frames
+
+
+def _pictures(root: Path, name: str) -> list[int | None]:
+    """The time stamp of every picture, in the order shown. This decodes the whole file."""
+    with open_video(root, name) as container:
+        stream = best_track(container, name)
+        stream.thread_type = "AUTO"
+        stream.codec_context.thread_count = thread_count()
+        return [frame.pts for frame in decoded_frames(container, stream)]
+
+
+def _even_rate(stated: float | None) -> float:
+    """Frames per second of a video without times."""
+    return stated if stated is not None and 1 <= stated <= MOST_RATE else DEFAULT_RATE
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' if count != 1 else ''}"
+
+
+def _told(times: Times, packets: Packets, late: int, first: _First, stated: float | None) -> list[str]:
+    shape, told = first.shape, []
+    if packets.trimmed:
+        told.append(f"{_frames(packets.trimmed)} that its edit list hides: left out")
+    if late:
+        told.append(f"{_frames(late)} before the first that can be decoded: left out")
+    if times.untimed:
+        told.append(f"it has no time stamps that can be used: frames count as 1/{_even_rate(stated):g} s apart")
+    if times.jumps:
+        told.append(f"its clock begins again {times.jumps} time{'s' if times.jumps != 1 else ''}; it is continued")
+    if times.repaired:
+        told.append(
+            f"{times.repaired} of {len(times.raw) + late} time stamps are doubled, missing or out of order; they are placed between "
+            "their neighbours"
+        )
+    if first.pixel and not is_plausible(first.pixel):
+        told.append(f"pixels {first.pixel} times as wide as high are impossible; they count as square")
+    if shape.square != shape.stored:
+        ratio, stored, square = shape.pixel, "x".join(map(str, shape.stored)), "x".join(map(str, shape.square))
+        told.append(f"pixels are {ratio.numerator}:{ratio.denominator} as wide as high: {stored} is scaled to {square}")
+    if shape.is_mirrored:
+        told.append("it is shown mirrored, as the file asks")
+    if first.flagged:
+        told.append("interlaced: deinterlaced" if first.parity else "flagged as interlaced, but its frames are whole: left as they are")
+    return [*told, *([first.colours] if first.colours else [])]

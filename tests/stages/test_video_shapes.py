@@ -1,0 +1,186 @@
+"""The shape in which a video is shown: pixels that are not square, turned, mirrored, interlaced, and sizes that change."""
+
+import shutil
+from fractions import Fraction
+
+import av
+import cv2
+import numpy as np
+import pytest
+from e4dgs.pipeline import CaptureError
+from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures.formats.video import decode
+from e4dgs.stages.captures.video.shape import Shape, axis_turn
+from run_stage import run_frames
+from tiny_videos import encode, turn
+
+
+def corner():
+    """[48,64,3]: bright above, red on the left, so that every turn looks different."""
+    picture = np.full((48, 64, 3), 60, np.uint8)
+    picture[:12] = 200
+    picture[:, :16] = (220, 40, 40)
+    return picture
+
+
+def first(file):
+    capture = recognise(file)
+    size = capture.facts["width"], capture.facts["height"]
+    return capture, next(decode(capture.root, capture.videos[0], *size)).astype(int)
+
+
+def test_wide_pixels_are_made_square(tmp_path):
+    """A disc is stored as an ellipse and comes out as a disc."""
+    disc = np.zeros((96, 128, 3), np.uint8)
+    cv2.circle(disc, (64, 48), 30, (255, 255, 255), -1)
+    stored = cv2.resize(disc, (96, 96), interpolation=cv2.INTER_AREA)
+    capture, picture = first(encode(tmp_path / "clip.mp4", [stored] * 3, pixel=Fraction(4, 3)))
+    assert (capture.facts["width"], capture.facts["height"]) == (96, 72)
+    bright = picture[..., 0] > 127
+    assert abs(np.ptp(np.flatnonzero(bright.any(0))) - np.ptp(np.flatnonzero(bright.any(1)))) <= 1
+    assert capture.notes[1:] == ("clip.mp4: pixels are 4:3 as wide as high: 96x96 is scaled to 96x72",)
+
+
+def test_wide_pixels_turn_with_the_picture(tmp_path):
+    file = turn(encode(tmp_path / "clip.mp4", [corner()] * 3, pixel=Fraction(4, 3)), 0, 1, -1, 0)
+    capture, picture = first(file)
+    assert (capture.facts["width"], capture.facts["height"]) == (36, 64), "64x48 shows as 64x36, then upright"
+    assert picture[32, 34, 1] > 150 and picture[2, 10, 0] > 180 > 90 > picture[2, 10, 1], "turned clockwise: red above, bright on the right"
+
+
+@pytest.mark.parametrize("ratio", [Fraction(1), Fraction(1, 8), Fraction(9, 1)])
+def test_square_and_impossible_pixels_change_nothing(tmp_path, ratio):
+    capture, _ = first(encode(tmp_path / "clip.mp4", [corner()] * 3, pixel=ratio))
+    assert (capture.facts["width"], capture.facts["height"]) == (64, 48)
+    assert len(capture.notes) == (1 if ratio == 1 else 2)
+
+
+def test_the_longer_side_is_kept():
+    assert Shape((1440, 1080), Fraction(4, 3)).shown == (1440, 810)
+    assert Shape((720, 480), Fraction(8, 9)).shown == (720, 540)
+    assert Shape((720, 576), Fraction(16, 15), (0, 1, -1, 0)).shown == (540, 720)
+
+
+TURNS = {
+    (1, 0, 0, 1): lambda p: p,
+    (-1, 0, 0, 1): lambda p: p[:, ::-1],
+    (1, 0, 0, -1): lambda p: p[::-1],
+    (-1, 0, 0, -1): lambda p: p[::-1, ::-1],
+    (0, 1, -1, 0): lambda p: np.rot90(p, -1),  # clockwise, as FFmpeg's transpose=clock
+    (0, -1, 1, 0): np.rot90,
+    (0, 1, 1, 0): lambda p: p.transpose(1, 0, 2),  # FFmpeg's transpose=cclock_flip
+    (0, -1, -1, 0): lambda p: p.transpose(1, 0, 2)[::-1, ::-1],
+}
+
+
+@pytest.mark.parametrize("matrix", TURNS)
+@pytest.mark.parametrize("suffix", ["mp4", "mov"])
+def test_every_display_matrix_is_followed(tmp_path, matrix, suffix):
+    plain = encode(tmp_path / f"plain.{suffix}", [corner()] * 2)
+    stored = first(plain)[1]
+    file = turn(shutil.copy(plain, tmp_path / f"clip.{suffix}"), *matrix)
+    capture, picture = first(file)
+    assert (picture == TURNS[matrix](stored)).all()
+    mirrored = matrix[0] * matrix[3] - matrix[1] * matrix[2] < 0
+    assert any("mirrored" in note for note in capture.notes) == mirrored
+
+
+def test_matrices_are_taken_to_the_nearest_axes():
+    one = 1 << 16
+    assert axis_turn((0, 0, 0, 0)) == (1, 0, 0, 1)
+    assert axis_turn((one, 9, -9, one)) == (1, 0, 0, 1)
+    assert axis_turn((-2 * one, 0, 0, one)) == (-1, 0, 0, 1)
+    assert axis_turn((100, one, -one, -100)) == (0, 1, -1, 0)
+
+
+def joined(file, sizes):
+    """VP8, as a browser records a call: the size changes at a key frame."""
+    with av.open(str(file), "w") as container:
+        stream = container.add_stream("libvpx", rate=10)
+        stream.width, stream.height, stream.pix_fmt = *sizes[0], "yuv420p"
+        number = 0
+        for width, height in sizes:
+            context = av.CodecContext.create("libvpx", "w")
+            context.width, context.height, context.pix_fmt = width, height, "yuv420p"
+            context.time_base, context.options = Fraction(1, 10), {"lag-in-frames": "0", "auto-alt-ref": "0"}
+            packets = []
+            for k, picture in enumerate([cv2.resize(corner(), (width, height))] * 4):
+                frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+                frame.pts, frame.time_base = k, Fraction(1, 10)
+                packets += context.encode(frame)
+            for packet in packets + context.encode():
+                packet.pts = packet.dts = number
+                packet.time_base, packet.stream = Fraction(1, 10), stream
+                number += 1
+                container.mux(packet)
+    return file
+
+
+def test_another_shape_in_the_middle_is_refused_by_frame_and_sizes(tmp_path):
+    with pytest.raises(CaptureError, match=r"clip\.webm: frame 4: 48x64, but the video begins with 64x48; cut it"):
+        run_frames(joined(tmp_path / "clip.webm", [(64, 48), (48, 64)]), tmp_path / "out")
+
+
+def test_another_size_of_one_shape_is_scaled_and_told(tmp_path):
+    capture = recognise(joined(tmp_path / "clip.webm", [(64, 48), (32, 24)]))
+    lines = []
+    pictures = [p.astype(int) for p in decode(tmp_path, capture.videos[0], 64, 48, None, lines.append)]
+    assert len(pictures) == 8 and np.abs(pictures[0] - pictures[7]).mean() < 12
+    assert lines == ["clip.webm: 4 frames have another size and the same shape; they are scaled"]
+
+
+def balls(count):
+    """A camera that stands still, with noise of its own, and a ball that moves."""
+    rng = np.random.default_rng(0)
+    wall = cv2.resize(rng.integers(40, 216, (12, 16, 3), np.uint8), (128, 96), interpolation=cv2.INTER_CUBIC)
+    pictures = []
+    for k in range(count):
+        picture = wall.copy()
+        cv2.circle(picture, (20 + 3 * k, 48), 14, (240, 240, 240), -1, cv2.LINE_AA)
+        pictures.append(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
+    return pictures
+
+
+FLAGGED = {"qp": "8", "x264-params": "interlaced=1:tff=1"}
+
+
+def test_fields_of_two_times_are_deinterlaced(tmp_path):
+    pictures = balls(24)
+    woven = [pictures[2 * k].copy() for k in range(12)]
+    for k in range(12):
+        woven[k][1::2] = pictures[2 * k + 1][1::2]
+    capture = recognise(encode(tmp_path / "clip.mp4", woven, options=FLAGGED))
+    assert capture.notes[1:] == ("clip.mp4: interlaced: deinterlaced",) and capture.facts["frames"] == 12
+    result = list(decode(tmp_path, capture.videos[0], 128, 96))
+    assert len(result) == 12
+    for k in range(2, 10):
+        moved = np.abs(pictures[2 * k].astype(int) - pictures[2 * k + 1]).max(2) > 60
+        off, combed = (np.abs(p.astype(int) - pictures[2 * k])[moved].mean() for p in (result[k], woven[k]))
+        assert off < 0.7 * combed, "the picture of the first field's time"
+
+
+def test_whole_frames_that_are_flagged_stay_as_they_are(tmp_path):
+    file = encode(tmp_path / "clip.mp4", balls(12), options=FLAGGED)
+    with av.open(str(file)) as container:
+        frames = list(container.decode(video=0))
+        assert all(frame.interlaced_frame for frame in frames)
+        expected = [frame.to_ndarray(format="rgb24") for frame in frames]
+    capture = recognise(file)
+    assert capture.notes[1:] == ("clip.mp4: flagged as interlaced, but its frames are whole: left as they are",)
+    assert all((a == b).all() for a, b in zip(decode(tmp_path, capture.videos[0], 128, 96), expected, strict=True))
+
+
+def test_poses_are_held_against_the_shape_as_shown(n3v_capture, tmp_path):
+    """Anamorphic videos with poses for the stored shape do not fit; with poses for the shown shape they do."""
+    root = shutil.copytree(n3v_capture.root, tmp_path / "rig")
+    table = np.load(root / "poses_bounds.npy")
+    for file in sorted(root.glob("cam*.mp4")):
+        with av.open(str(file)) as container:
+            pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        encode(file, pictures, pixel=Fraction(4, 3))
+    with pytest.raises(CaptureError, match=r"which have another aspect ratio; correct h and w"):
+        recognise(root)
+    table[:, 9] *= 4 / 3  # w
+    np.save(root / "poses_bounds.npy", table)
+    capture = recognise(root)
+    assert any("pixels are 4:3" in note for note in capture.notes)
