@@ -96,11 +96,12 @@ def spiral(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     return np.stack([look_at(eye + s @ axes, target, up) for s in shift])
 
 
-def along(poses: np.ndarray, count: int) -> np.ndarray:
-    """[count, 4, 4] through ``poses`` [n, 4, 4] in order, from the first to the last, in even steps between them."""
+def along(poses: np.ndarray, count: int, at: np.ndarray | None = None) -> np.ndarray:
+    """[count, 4, 4] through ``poses`` [n, 4, 4] in order, from the first to the last, in even steps between them; or at the places ``at``
+    [count] in [0, n - 1] of the way. Between neighbours it goes straight."""
     if len(poses) == 1:
         return np.repeat(poses, count, axis=0)
-    known, wanted = np.arange(len(poses)), np.linspace(0, len(poses) - 1, count)
+    known, wanted = np.arange(len(poses)), np.linspace(0, len(poses) - 1, count) if at is None else at
     eyes = centres(poses)
     result = np.tile(np.eye(4), (count, 1, 1))
     result[:, :3, :3] = Slerp(known, Rotation.from_matrix(poses[:, :3, :3]))(wanted).as_matrix()
