@@ -47,7 +47,7 @@ def test_opposite_cameras_are_joined_around_the_scene():
 
 
 def test_a_camera_straight_above_is_a_stop_too():
-    above = look_at(CENTRE + [0.0, 0, 4], CENTRE, np.array([0.0, 1, 0]))
+    above = look_at(CENTRE + np.array([0.0, 0, 4]), CENTRE, np.array([0.0, 1, 0]))
     pair = np.stack([facing(0.2, 1.0), above])
     way = travelled(pair, np.linspace(0, 1, 9), CENTRE, UP)
     np.testing.assert_allclose(way[[0, -1]], pair, atol=1e-2)
@@ -63,8 +63,8 @@ def test_near_cameras_are_joined_straight():
 
 def test_cameras_that_look_outwards_from_one_place_turn_without_leaving_it():
     eye = np.array([0.0, 0, 1])
-    poses = np.stack([look_at(eye, eye + [np.cos(a), np.sin(a), 0], UP) for a in np.radians([0, 60, 120])])
-    way = travelled(poses, np.linspace(0, 2, 9), eye + [3.0, 0, 0], UP)
+    poses = np.stack([look_at(eye, eye + np.array([np.cos(a), np.sin(a), 0]), UP) for a in np.radians([0, 60, 120])])
+    way = travelled(poses, np.linspace(0, 2, 9), eye + np.array([3.0, 0, 0]), UP)
     np.testing.assert_allclose(centres(way), np.tile(eye, (9, 1)), atol=1e-9)
 
 

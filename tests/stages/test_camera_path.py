@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from e4dgs.scene.camera_paths import centres
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.camera_paths import centres
 from e4dgs.stages.exports.camera_path import followed, named_path, seconds_of
 
 

@@ -53,7 +53,7 @@ COLOURS = np.array([[203, 48, 34], [30, 200, 60], [20, 40, 220], [255, 255, 255]
 
 @pytest.mark.parametrize("width", [160, 1280])
 def test_colours_come_back_for_whoever_reads_the_tags(width):
-    """The tags say what the pixels are, so that a player that takes large pictures for BT.709 and small ones for BT.601 has nothing to guess."""
+    """Whatever the size, by which players guess where there are no tags."""
     wide = width // len(COLOURS)
     picture = np.repeat(np.repeat(COLOURS[None], 64, 0), wide, 1)
     with av.open(io.BytesIO(encode_movie([picture] * 3, 30.0))) as movie:

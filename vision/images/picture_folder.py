@@ -28,7 +28,7 @@ class PictureFolder:
 
     alpha: the PNG files are RGBA with straight alpha, and ``masks/0000.png`` is alpha alone. depth: ``0000.exr`` beside each, float32
     channel Z: world units along the optical axis, `NOTHING` where nothing is; with ``alpha`` also R, G, B, A: half floats, linear light,
-    premultiplied, as compositing programs expect of EXR. The header says what the channels mean. The folder appears only when it is complete.
+    premultiplied, as compositing programs expect of EXR. The header says what the channels mean. The folder appears only when complete.
 
     Raises StageError if the folder already holds something, or the package for EXR is missing.
     """

@@ -29,16 +29,16 @@ QUIET = (
     *("keyframes", "default_fov", "default_transition_sec", "is_cycle", "smoothness_value"),
 )
 NERFSTUDIO = (
-    "the poses of camera_path are taken to be in the world of the capture's files; nerfstudio's viewer writes them in its own, which is the "
-    "same only if it was trained without turning, centring and scaling (--orientation-method none --center-method none "
+    "the poses of camera_path are taken to be in the world of the capture's files; nerfstudio's viewer writes them in its own, which is "
+    "the same only if it was trained without turning, centring and scaling (--orientation-method none --center-method none "
     "--auto-scale-poses False)"
 )
 
 
 @dataclass
 class FilePath(CameraPath):
-    """The path in a file. size: (width, height) px of the pictures, to which K refers. fps: pictures per second, if the file says so. notes:
-    what was assumed and what was not read, a line each."""
+    """The path in a file. size: (width, height) px of the pictures, to which K refers. fps: pictures per second, if it says so. notes: what
+    was assumed and what was not read, a line each."""
 
     size: tuple[int, int]
     fps: float | None

@@ -79,9 +79,8 @@ class Asked:
         assert self.seconds is not None
         if self.fps is not None:
             if round(self.seconds * self.fps) != count:
-                raise SettingsError(
-                    f"--seconds {self.seconds:g} --fps {self.fps:g}: that makes {self.seconds * self.fps:.6g} pictures, not {count}; {ANSWER}"
-                )
+                made = f"{self.seconds * self.fps:.6g}"
+                raise SettingsError(f"--seconds {self.seconds:g} --fps {self.fps:g}: that makes {made} pictures, not {count}; {ANSWER}")
             return Film(count, self.fps, "--seconds")
         self._bounded(count / self.seconds, f"{count} pictures in --seconds {self.seconds:g}")
         return Film(count, count / self.seconds, "--seconds")
