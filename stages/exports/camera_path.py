@@ -58,7 +58,7 @@ def seconds_of(name: str, frames: FrameSet, moves: bool) -> float | None:
 def followed(frames: FrameSet) -> np.ndarray | None:
     """The training frames [n], in order of time, of the camera that moves, that with the most frames if several do. None if no camera
     moves: if all stand still, or every picture was taken from quite another place."""
-    from ...scene.camera_tours import separate
+    from .camera_tours import separate
 
     assert frames.cam_from_world is not None
     train = frames.train
@@ -74,7 +74,7 @@ def followed(frames: FrameSet) -> np.ndarray | None:
 
 def _along_capture(frames: FrameSet, model: Model, count: int, seconds: float) -> CameraPath:
     from ...scene.camera_paths import along, upward
-    from ...scene.camera_tours import tour, travelled
+    from .camera_tours import tour, travelled
 
     assert frames.cam_from_world is not None and frames.K is not None
     own = followed(frames)
@@ -102,7 +102,7 @@ def _along_capture(frames: FrameSet, model: Model, count: int, seconds: float) -
 
 def _centre(frames: FrameSet, model: Model, own: np.ndarray) -> np.ndarray:
     """`looked_at`, if a gap in the way of the frames ``own`` makes it needed; it takes some renders."""
-    from ...scene.camera_tours import JUMP, turns
+    from .camera_tours import JUMP, turns
 
     assert frames.cam_from_world is not None
     return looked_at(frames, model) if (turns(frames.cam_from_world[own]) > JUMP).any() else np.zeros(3)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from .camera_paths import along, centres, look_at
+from ...scene.camera_paths import along, centres, look_at
 
 JUMP = 20.0  # degrees by which one camera does not turn from one picture to the next
 STEEPEST = np.radians(89.9)  # above or below the horizon; straight above, "around" has no meaning

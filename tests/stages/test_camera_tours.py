@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.scene.camera_paths import centres, look_at
-from e4dgs.scene.camera_tours import separate, tour, travelled, turns
+from e4dgs.stages.exports.camera_tours import separate, tour, travelled, turns
 
 UP = np.array([0.0, 0, 1])
 CENTRE = np.array([0.5, -0.2, 0.3])
