@@ -65,7 +65,7 @@ def addresses(host: str, port: int) -> list[str]:
     return [_page(host, port)]
 
 
-def _reachable(family: int) -> str:
+def _reachable(family: socket.AddressFamily) -> str:
     """This machine's address in the direction of other networks, or its name if there is none."""
     with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
         probe.connect((ELSEWHERE[family], 9))  # sends nothing

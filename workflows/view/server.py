@@ -63,6 +63,7 @@ class Viewer:
         self.rows = np.concatenate([frames.train, frames.val, frames.test])
         self.rows.sort()
         self.rendering = threading.Lock()  # kernels use all cores; two pictures at once would only take turns
+        assert frames.cam_from_world is not None
         self.up = upward(frames.cam_from_world[frames.train])
         hush()
         with unsaid():  # the command prints the address
