@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 REACH, MOST_REACH = 0.12, 0.25  # of the viewing distance: how far a spiral goes to the side, at least and at most
 BETWEEN = 0.7  # of the way from the mean camera to the outermost, so that a spiral stays between the cameras
+TRUST = 0.005  # in the mean up direction, against the squared sine of the cameras' roll
 GAP = 90.0  # degrees; with a gap this wide between cameras around the target, the path does not close around it
 SWING = 12.0  # degrees to either side, at least
 TURNS = 2  # of a spiral
@@ -38,10 +39,13 @@ def centres(poses: np.ndarray) -> np.ndarray:
 
 
 def upward(poses: np.ndarray) -> np.ndarray:
-    """Unit vector [3]: the mean up direction of the cameras ``poses`` [n, 4, 4]."""
-    up = -poses[:, 1, :3].mean(0)
-    length = np.linalg.norm(up)
-    return up / length if length > 1e-6 else -poses[0, 1, :3]
+    """Unit vector [3] that points upwards in the scene: near the mean up direction of the cameras ``poses`` [n, 4, 4], and as far as they
+    tell level for their right directions. The mean alone is off by some degrees if more of them look down from one side than from the
+    other, while people seldom roll a camera."""
+    right, up = poses[:, 0, :3], -poses[:, 1, :3].mean(0)
+    up = np.linalg.solve(right.T @ right / len(right) + TRUST * np.eye(3), up)
+    length = np.linalg.norm(up) * TRUST
+    return up / np.linalg.norm(up) if length > 1e-6 else -poses[0, 1, :3]
 
 
 def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
@@ -96,11 +100,12 @@ def spiral(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     return np.stack([look_at(eye + s @ axes, target, up) for s in shift])
 
 
-def along(poses: np.ndarray, count: int) -> np.ndarray:
-    """[count, 4, 4] through ``poses`` [n, 4, 4] in order, from the first to the last, in even steps between them."""
+def along(poses: np.ndarray, count: int, at: np.ndarray | None = None) -> np.ndarray:
+    """[count, 4, 4] through ``poses`` [n, 4, 4] in order, from the first to the last, in even steps between them; or at the places ``at``
+    [count] in [0, n - 1] of the way. Between neighbours it goes straight."""
     if len(poses) == 1:
         return np.repeat(poses, count, axis=0)
-    known, wanted = np.arange(len(poses)), np.linspace(0, len(poses) - 1, count)
+    known, wanted = np.arange(len(poses)), np.linspace(0, len(poses) - 1, count) if at is None else at
     eyes = centres(poses)
     result = np.tile(np.eye(4), (count, 1, 1))
     result[:, :3, :3] = Slerp(known, Rotation.from_matrix(poses[:, :3, :3]))(wanted).as_matrix()

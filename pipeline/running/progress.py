@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
 _QUIET_SECONDS = 1.0  # a loop that ends sooner shows nothing
 _LINE_SECONDS = 10.0
+_LABEL = 4  # what is being done takes at most this part of the terminal
+_ROOM_FOR_A_BAR = 100  # columns of the terminal from which there is a bar; below, the numbers and the note take its place
 
 
 class Progress:
@@ -37,16 +39,22 @@ class Progress:
     def _show_bar(self, note: str) -> None:
         if self._bar is None:
             from rich import progress
+            from rich.table import Column
 
-            self._bar = progress.Progress(
-                progress.TextColumn("  {task.description}"),
-                progress.BarColumn(),
-                progress.MofNCompleteColumn(),
-                progress.TimeRemainingColumn(),
-                progress.TextColumn("{task.fields[note]}"),
-                console=self._console,
-                transient=True,
-            )
+            assert self._console is not None
+            whole = [Column(no_wrap=True, min_width=width) for width in (4, 2 * len(str(self.total)) + 1, 7)]  # never cut
+            columns: list[progress.ProgressColumn] = [
+                progress.TextColumn(
+                    "  {task.description}", table_column=Column(no_wrap=True, overflow="ellipsis", max_width=self._console.width // _LABEL)
+                ),
+                progress.TaskProgressColumn(table_column=whole[0]),
+                progress.MofNCompleteColumn(table_column=whole[1]),
+                progress.TimeRemainingColumn(table_column=whole[2]),
+            ]
+            if self._console.width >= _ROOM_FOR_A_BAR:
+                columns.insert(1, progress.BarColumn(bar_width=24))
+            columns.append(progress.TextColumn("{task.fields[note]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)))
+            self._bar = progress.Progress(*columns, console=self._console, transient=True, expand=True)
             self._task = self._bar.add_task(self.label, total=self.total, note=note)
             self._bar.start()
         self._bar.update(self._task, completed=self.done, total=self.total, **({"note": note} if note else {}))

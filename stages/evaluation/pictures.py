@@ -40,7 +40,8 @@ class PictureBook:
         self.add(f"{stem}/error", error_picture(color, truth, kept), self.size)
         self.add(f"{stem}/edges", edges_picture(shown[1], shown[0]), self.size)
         self.add(f"{stem}/depth", depth_picture(frame.depth.numpy(), frame.alpha.numpy()), self.size)
-        self.stored.views.append({"stem": stem, "split": split, "name": name, "time": time, "psnr": row["psnr"], "ssim": row["ssim"]})
+        view = {"stem": stem, "split": split, "name": name, "time": time, "psnr": row["psnr"], "ssim": row["ssim"]}
+        self.stored.views.append(view | {"depth_range": depth_range(frame.depth.numpy(), frame.alpha.numpy())})
 
     def add_strip(self, camera: str, items: list[tuple[float, np.ndarray, np.ndarray | None]]) -> None:
         """``items``: (time, render float [H, W, 3], ground truth uint8 [H, W, 3] or None)."""
@@ -74,14 +75,23 @@ def error_picture(color: np.ndarray, truth: np.ndarray, kept: np.ndarray | None 
     return np.ascontiguousarray(cv2.applyColorMap(scaled, cv2.COLORMAP_INFERNO)[..., ::-1])
 
 
-def depth_picture(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Inverse depth as colours, uint8 [H, W, 3] RGB, faded to black by alpha [H, W]. The colours span the 2nd to the 98th percentile of the
-    opaque pixels."""
+def depth_range(depth: np.ndarray, alpha: np.ndarray) -> list[float] | None:
+    """[nearest, farthest] depth of the colours of `depth_picture`, world units: the 2nd and the 98th percentile of the opaque pixels; None
+    without any."""
     opaque = (alpha > 0.5) & np.isfinite(depth) & (depth > 0)
     if not opaque.any():
+        return None
+    low, high = np.percentile(1.0 / np.maximum(depth[opaque], 1e-6), (2, 98))
+    return [float(1.0 / high), float(1.0 / low)]
+
+
+def depth_picture(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Inverse depth as colours, uint8 [H, W, 3] RGB, faded to black by alpha [H, W]. The colours span `depth_range`."""
+    span = depth_range(depth, alpha)
+    if span is None:
         return np.zeros((*depth.shape, 3), np.uint8)
     inverse = 1.0 / np.maximum(np.nan_to_num(depth, nan=np.inf), 1e-6)
-    low, high = np.percentile(inverse[opaque], (2, 98))
+    low, high = 1.0 / span[1], 1.0 / span[0]
     scaled = to_bytes((inverse - low) / max(float(high - low), 1e-12))
     colours = cv2.applyColorMap(scaled, cv2.COLORMAP_TURBO)[..., ::-1]
     return np.rint(colours * np.clip(np.nan_to_num(alpha), 0, 1)[..., None]).astype(np.uint8)

@@ -28,6 +28,7 @@ FLOW_KINDS = (
 MEASURED_AS = ("metrics", "colours", "moving", "flicker")  # entries of the protocol that are sentences, shown in small print
 VIEW_COLUMNS = (("truth", "ground truth"), ("render", "render"), ("error", "error × 4"), ("edges", "edges"), ("depth", "depth"))
 KINDS = (("gaussians", "Gaussians"), ("convexes", "convexes"))
+NEAR_TO_FAR = "#7a0403,#d23105,#fb8122,#ecd13a,#a4fc3c,#32f298,#28bceb,#466be3,#30123b"  # of pictures of depth: turbo, from its end
 VIEWS_OPEN = 6  # the others are folded away
 DATA, MOVIE = "data:image/png;base64,", "data:video/mp4;base64,"
 MOVIES = (("over_time", "held-out views in order of time: ground truth, render"), ("turntable", "a turn about the scene"))
@@ -91,6 +92,7 @@ def render_report(
         views_open=VIEWS_OPEN,
         columns=[column for column in VIEW_COLUMNS if any(name.endswith(f"/{column[0]}") for name in pictures)],
         edge_keys=KEYS,
+        depth_colours=NEAR_TO_FAR,
         command=command,
         over_time=drawn(over_time(metrics)),
         no_flicker="flicker" in metrics and metrics["flicker"] is None,

@@ -10,6 +10,8 @@ from typing import Any
 
 WIDTH, HEIGHT = 420, 230
 LEFT, RIGHT, TOP, BOTTOM = 56, 12, 14, 34
+CHARACTER = 7.2  # px at most of a digit of a tick's text, which is 11 px high, in the fonts that browsers use
+LEAST_TICKS = 3  # on the x axis
 MOST_POINTS = 600  # per polyline; longer curves are thinned, keeping both ends
 
 
@@ -61,19 +63,24 @@ def svg(plot: Plot) -> str:
     y_low, y_high = min(scale(min(ys)), scale(y_ticks[0])), max(scale(max(ys)), scale(y_ticks[-1]))
     y_high = max(y_high, y_low + 1e-9)
 
+    y_texts = [_labels([tick])[0] for tick in y_ticks] if plot.log else _labels(y_ticks)
+    left = max(LEFT, 24 + CHARACTER * max(map(len, y_texts)))  # right of the axis' own text
+
     def place(x: float, y: float) -> tuple[float, float]:
-        across = LEFT + (x - x_low) / (x_high - x_low) * (WIDTH - LEFT - RIGHT)
+        across = left + (x - x_low) / (x_high - x_low) * (WIDTH - left - RIGHT)
         return across, HEIGHT - BOTTOM - (scale(y) - y_low) / (y_high - y_low) * (HEIGHT - TOP - BOTTOM)
 
     parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(plot.title)}">']
-    for tick in y_ticks:
+    for tick, text in zip(y_ticks, y_texts):
         _, y = place(x_low, tick)
-        parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text class="tick" x="{LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{_short(tick)}</text>')
-    for tick in _ticks(x_low, x_high):
-        if x_low <= tick <= x_high:
-            x, _ = place(tick, ys[0])
-            parts.append(f'<text class="tick" x="{x:.1f}" y="{HEIGHT - BOTTOM + 15}" text-anchor="middle">{_short(tick)}</text>')
+        parts.append(f'<line class="grid" x1="{left:g}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
+        parts.append(f'<text class="tick" x="{left - 6:g}" y="{y + 3.5:.1f}" text-anchor="end">{text}</text>')
+    x_ticks = _inside(x_low, x_high)
+    for tick, text in zip(x_ticks, _labels(x_ticks)):
+        x, _ = place(tick, ys[0])
+        half = 0.5 * CHARACTER * len(text)  # the text stays inside the picture
+        x = min(max(x, half), WIDTH - half)
+        parts.append(f'<text class="tick" x="{x:.1f}" y="{HEIGHT - BOTTOM + 15}" text-anchor="middle">{text}</text>')
     for at, label in plot.marks:
         if x_low < at < x_high:
             x, _ = place(at, ys[0])
@@ -82,7 +89,9 @@ def svg(plot: Plot) -> str:
     for s in series:
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(*p) for p in s.points))
         parts.append(f'<polyline class="curve {escape(s.style)}" points="{path}"><title>{escape(s.label)}</title></polyline>')
-    parts.append(f'<text class="tick" x="{(LEFT + WIDTH - RIGHT) / 2}" y="{HEIGHT - 4}" text-anchor="middle">{escape(plot.x_label)}</text>')
+    parts.append(
+        f'<text class="tick" x="{(left + WIDTH - RIGHT) / 2:g}" y="{HEIGHT - 4}" text-anchor="middle">{escape(plot.x_label)}</text>'
+    )
     middle = (TOP + HEIGHT - BOTTOM) / 2
     parts.append(
         f'<text class="tick" x="12" y="{middle}" text-anchor="middle" transform="rotate(-90 12 {middle})">{escape(plot.y_label)}</text>'
@@ -116,9 +125,25 @@ def _log_ticks(low: float, high: float) -> list[float]:
     return inside if len(inside) >= 2 else [below[-1] if below else low, above[0] if above else high]
 
 
-def _short(value: float) -> str:
-    if abs(value) >= 1e6:
-        return f"{value / 1e6:g}M"
-    if abs(value) >= 1e4:
-        return f"{value / 1e3:g}k"
-    return f"{value:.4g}"
+def _inside(low: float, high: float) -> list[float]:
+    """Round values in [low, high], at least `LEAST_TICKS` and as few as that allows, with one step; both ends if there are none."""
+    for count in range(4, 16):
+        margin = 1e-6 * (high - low)
+        found = [tick for tick in _ticks(low, high, count) if low - margin <= tick <= high + margin]
+        if len(found) >= LEAST_TICKS:
+            return found
+    return [low, high]
+
+
+def _labels(ticks: Sequence[float]) -> list[str]:
+    """The ticks as text, with as many digits as tell them apart."""
+    largest = max(abs(tick) for tick in ticks)
+    unit, ending = next(((u, e) for u, e in ((1e9, "G"), (1e6, "M"), (1e4, "k")) if largest >= u), (1.0, ""))
+    unit = 1e3 if ending == "k" else unit
+    for digits in range(4, 12):
+        texts = [f"{tick / unit:.{digits}g}" for tick in ticks]
+        if len(set(texts)) == len(texts) and all(
+            math.isclose(float(t) * unit, v, rel_tol=1e-6, abs_tol=1e-12) for t, v in zip(texts, ticks)
+        ):
+            break
+    return [text if text == "0" else text + ending for text in texts]

@@ -94,7 +94,7 @@ def test_a_camera_path_is_refused_at_once(case, tmp_path):
     file = tmp_path / "path.json"
     text = json.dumps({"frames": content}) if isinstance(content, list) else content
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
-    frames = SimpleNamespace(K=np.eye(3)[None], train=np.array([0]), origin=None)
+    frames = SimpleNamespace(K=np.eye(3)[None], train=np.array([0]), origin=None, width=64, height=48)
     with at_most(10), pytest.raises(CaptureError, match=words) as caught:
         path_of_file(file, frames)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 1100

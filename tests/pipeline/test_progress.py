@@ -49,3 +49,20 @@ def test_peak_memory_is_that_of_the_block_alone(monkeypatch, ignored):
     with PeakMemory() as second:
         pass
     assert first.mb > second.mb + 250
+
+
+@pytest.mark.parametrize("width", [40, 60, 80])
+@pytest.mark.parametrize(("total", "label"), [(4000, "coarse"), (30_000, "coarse: first motion of everything that moves")])
+def test_a_narrow_terminal_keeps_the_percentage_and_the_time_left(monkeypatch, width, total, label):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    shown = io.StringIO()
+    with Progress(total, label, Console(file=io.StringIO(), force_terminal=True, width=width)) as bar:
+        for _ in range(30):
+            now[0] += 3.0
+            bar.advance(total // 40, note="deformation, loss 0.1225, 12345 Gaussians, 0 convexes")
+        Console(file=shown, width=width).print(bar._bar.get_renderable())
+    (line,) = shown.getvalue().splitlines()
+    assert len(line) <= width and " 75% " in line and f" {total * 3 // 4}/{total} " in line, line
+    assert any(part.count(":") == 2 for part in line.split()), "the time left"
+    assert "…" in line, "what is cut has a mark"

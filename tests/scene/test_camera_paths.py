@@ -90,3 +90,22 @@ def test_along_passes_through_every_pose():
 def test_upward_is_what_the_cameras_hold_upwards():
     up = upward(ring(12))
     np.testing.assert_allclose(up, UP, atol=1e-9)
+
+
+@pytest.mark.parametrize("roll", [0.0, 3.0])
+def test_upward_does_not_follow_cameras_that_look_down_from_one_side(roll):
+    """Ten cameras look steeply down from one side, two from the other: their mean up direction is 20 degrees off."""
+    rng = np.random.default_rng(0)
+    angles = [*rng.uniform(-1, 1, 10), 2.5, 3.5]
+    eyes = TARGET + np.stack([3 * np.cos(angles), 3 * np.sin(angles), np.full(12, 3.0)], 1)
+    rolled = [UP + np.tan(np.radians(rng.normal(0, roll))) * np.array([-np.sin(a), np.cos(a), 0]) for a in angles]
+    poses = np.stack([look_at(eye, TARGET, up) for eye, up in zip(eyes, rolled)])
+    mean = -poses[:, 1, :3].mean(0)
+    assert np.degrees(np.arccos(mean[2] / np.linalg.norm(mean))) > 15
+    assert np.degrees(np.arccos(upward(poses)[2])) < 1 + roll
+
+
+def test_upward_of_cameras_side_by_side_is_their_own():
+    """They say nothing about how far they are tilted."""
+    poses = np.stack([look_at(np.array([x, -4.0, 3.0]), np.array([x, 0, 0.0]), UP) for x in (0.0, 1.0)])
+    np.testing.assert_allclose(upward(poses), [0, 0.6, 0.8], atol=1e-9)

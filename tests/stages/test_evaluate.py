@@ -23,7 +23,7 @@ from e4dgs.stages.evaluate import Evaluate, EvaluateSettings
 from e4dgs.stages.evaluation.evaluate import means
 from e4dgs.stages.evaluation.flicker import measure_flicker
 from e4dgs.stages.evaluation.judge import LEAST_TIMES, Judge
-from e4dgs.stages.evaluation.pictures import depth_picture, error_picture
+from e4dgs.stages.evaluation.pictures import depth_picture, depth_range, error_picture
 from e4dgs.stages.evaluation.spread import most_measured, spread, stretches, worst_and_others
 from e4dgs.stages.evaluation.views import choose_views
 from run_stage import run_stage
@@ -373,7 +373,8 @@ def test_error_and_depth_pictures():
     alpha[0] = 0
     picture = depth_picture(depth, alpha)
     assert (picture[0] == 0).all() and (picture[3, 0] != picture[3, 7]).any()
-    assert not depth_picture(depth, np.zeros((8, 8))).any()
+    assert depth_range(depth, alpha) == pytest.approx([2.0, 6.0])
+    assert not depth_picture(depth, np.zeros((8, 8))).any() and depth_range(depth, np.zeros((8, 8))) is None
 
 
 @pytest.mark.parametrize(("test_camera", "looked_at"), [(False, 2), (True, 1)])

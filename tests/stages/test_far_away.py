@@ -88,7 +88,7 @@ def test_a_path_file_is_in_the_world_of_the_far_captures_files(far, tmp_path):
     capture, path = recognise(far), tmp_path / "path.json"
     row = json.loads((far / "transforms.json").read_text())["frames"][0]
     path.write_text(json.dumps({"frames": [{"transform_matrix": row["transform_matrix"]}]}))
-    frames = SimpleNamespace(K=capture.K, train=np.array([0]), origin=capture.origin)
+    frames = SimpleNamespace(K=capture.K, train=np.array([0]), origin=capture.origin, width=64, height=64)
     found = path_of_file(path, frames).cam_from_world[0]
     assert np.abs(capture.cam_from_world - found).max(axis=(1, 2)).min() < 1e-6
 

@@ -289,6 +289,51 @@ def test_plots_are_valid_and_stay_inside_their_frame(points, log):
     assert sum(element.tag.endswith("line") and element.get("class") == "grid" for element in root.iter()) >= 2
 
 
+@pytest.mark.parametrize(
+    ("xs", "labels"),
+    [
+        ((0, 6000), ["0", "2000", "4000", "6000"]),
+        ((0.2, 0.8), ["0.2", "0.4", "0.6", "0.8"]),  # a step of 0.5 would leave one
+        ((0.0625, 0.9375), ["0.2", "0.4", "0.6", "0.8"]),
+        ((0, 30000), ["0", "10k", "20k", "30k"]),
+        ((0, 12_000_000), ["0", "5M", "10M"]),
+        ((7, 7.0001), ["7", "7.00005", "7.0001"]),
+    ],
+)
+def test_the_x_axis_has_several_ticks_that_are_not_cut(xs, labels):
+    root = ET.fromstring(svg(Plot("t", "step", "dB", [Series("s", [(float(x), 10.0 + k) for k, x in enumerate(xs)])])))
+    texts = [element for element in root.iter() if element.tag.endswith("text") and element.get("text-anchor") == "middle"]
+    below = [(element.text, float(element.get("x"))) for element in texts if element.text not in ("step", "dB")]
+    assert [text for text, _ in below] == labels
+    width = float(root.attrib["viewBox"].split()[2])
+    for (text, x), (_, following) in zip(below, [*below[1:], ("", np.inf)]):
+        assert 3.5 * len(text) <= x <= width - 3.5 * len(text), "a digit is 7 px wide"
+        assert following - x > 7 * len(text), "they do not run into one another"
+
+
+def test_the_ticks_of_narrow_and_of_logarithmic_axes_can_be_told_apart():
+    def left(points, log=False):
+        root = ET.fromstring(svg(Plot("t", "x", "y", [Series("s", points)], log=log)))
+        return [(e.text, float(e.get("x"))) for e in root.iter() if e.tag.endswith("text") and e.get("text-anchor") == "end"]
+
+    narrow = left([(0.0, 30.0001), (1.0, 30.0004)])
+    assert [text for text, _ in narrow] == ["30.0001", "30.0002", "30.0003", "30.0004"]
+    assert min(x - 7 * len(text) for text, x in narrow) > 16, "the axis' own text is left of them"
+    assert [text for text, _ in left([(0.0, 0.001), (1.0, 20000.0)], log=True)][-3:] == ["100", "1000", "10k"]
+
+
+def test_the_colours_of_depth_have_a_scale():
+    class Deep(Evaluation):
+        def __init__(self):
+            super().__init__()
+            self.attrs["views"] = [view | {"depth_range": span} for view, span in zip(self.attrs["views"], ([2.345, 10.5], None))]
+
+    shown = render_report("robot", Deep(), infos(), PLAN, metrics())  # type: ignore[arg-type]
+    text = " ".join(parse(shown).text)
+    assert shown.count('class="scale"') == 1 and "2.35" in text and "10.5" in text and "units of the capture's world" in text
+    assert "units of the capture" not in " ".join(parse(render_report("robot", Evaluation(), infos(), PLAN, metrics())).text)  # type: ignore[arg-type]
+
+
 def test_plots_without_two_points_are_left_out():
     assert svg(Plot("t", "x", "y", [Series("s", [(0.0, 1.0)])])) == ""
     assert svg(Plot("t", "x", "y", [Series("s", [(0.0, -1.0), (1.0, 0.0)])], log=True)) == ""

@@ -76,6 +76,15 @@ def test_a_page_fits_and_can_be_read(opened, name, size, scheme):
     assert (paper == "rgb(255, 255, 255)") == (scheme == "light")
 
 
+def test_no_text_of_a_curve_is_cut(opened):
+    page = opened("report")
+    cut = """() => [...document.querySelectorAll("svg text")].filter(text => {
+      const box = text.getBoundingClientRect(), frame = text.ownerSVGElement.getBoundingClientRect();
+      return box.left < frame.left - 1 || box.right > frame.right + 1 || box.top < frame.top - 1 || box.bottom > frame.bottom + 1;
+    }).map(text => text.textContent)"""
+    assert page.evaluate("document.querySelectorAll('svg text').length") > 10 and page.evaluate(cut) == []
+
+
 def test_the_slider_and_the_buttons_change_the_picture(opened):
     page = opened("report", 640, 700)
     wipe = page.locator("#wipe")

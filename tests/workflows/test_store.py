@@ -1,5 +1,6 @@
 """`e4dgs list`, `show`, `diff`: what is there, how it was made, and in what two results differ."""
 
+import io
 import json
 import shutil
 from pathlib import Path
@@ -97,3 +98,40 @@ def test_diff_names_settings_inputs_and_whether_the_content_differs(cli, capture
 
 def record(scene: str) -> str:
     return (Path("e4dgs-workspace/scenes") / scene / "records" / "fine.json").read_text()
+
+
+def test_a_narrow_list_leaves_columns_out_and_says_so_and_cuts_nothing():
+    from e4dgs.workflows.storage.store import TITLES
+    from e4dgs.workflows.storage.table import fitted
+    from rich.console import Console
+
+    row = {"stage": "evaluate", "key": "491820f85183", "size": "112.9 MB", "took": "2 min 50 s", "memory": "1526 MB", "pins": ""}
+    row |= {"made": "2026-11-28T21:03:57Z", "age": "41 min", "scenes": "a-scene-with-a-long-name, another-one, the-third"}
+    for width, names in (
+        (180, [*TITLES]),
+        (92, ["stage", "key", "size", "took", "memory", "made", "scenes"]),
+        (60, ["stage", "key", "size", "age", "scenes"]),
+        (45, ["stage", "key", "size", "age"]),
+    ):
+        table, missing = fitted([row, row | {"stage": "fine"}], TITLES, width)
+        shown = io.StringIO()
+        Console(width=width, file=shown).print(table)
+        lines = shown.getvalue().splitlines()
+        assert lines[0].split() == names and max(map(len, lines)) <= width
+        begin = lines[0].index("scenes") if "scenes" in names else width
+        scenes = "".join("".join(line[begin:] for line in lines[1:]).split())
+        assert scenes == 2 * "".join(row["scenes"].split()) if "scenes" in names else not scenes, "folded, not cut"
+        for name in {*names} - {"scenes", "stage"}:
+            assert sum(row[name] in line for line in lines[1:]) == (0 if name == "pins" else 2) or not row[name]
+        assert {*names, *missing} >= {"stage", "key", "size", "took", "memory", "scenes"} and "…" not in shown.getvalue()
+    assert missing == ["memory", "took", "scenes"]
+
+
+def test_ages_are_short():
+    from datetime import UTC, datetime
+
+    from e4dgs.workflows.storage.amounts import age
+
+    now = datetime(2026, 11, 28, 12, 0, 0, tzinfo=UTC)
+    made = ("2026-11-28T11:59:20Z", "2026-11-28T11:48:00Z", "2026-11-28T07:00:00Z", "2026-11-25T12:00:00Z", "2027-01-01T00:00:00Z", "")
+    assert [age(one, now) for one in made] == ["40 s", "12 min", "5 h", "3 d", "0 s", ""]

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -48,8 +49,27 @@ def test_flow_is_that_of_the_primitives_that_are_chosen(finished_scene):
 
     model, camera = finished_scene
     shown = {name: picture(model, camera, 0.5, "flow", name) for name in ("all", "dynamic", "static")}
-    assert shown["static"].min() == 255
+    assert shown["static"][: round(0.8 * camera.height)].min() == 255, "below, it is said that nothing moves"
     assert shown["dynamic"].min() < 200 and not np.array_equal(shown["dynamic"], shown["all"])
+
+
+def test_a_layer_with_nothing_in_it_says_so(finished_scene):
+    """Convexes alone of a model without convexes were a white page."""
+    from e4dgs.scene.model import Model
+    from e4dgs.scene.primitives import ConvexSet
+    from e4dgs.workflows.view.looks import absent, picture
+
+    model, camera = finished_scene
+    for look in ("colour", "depth", "edges"):
+        assert absent(model, look, "all", True) is None and absent(model, look, "convexes", False) is None
+    without = Model(model.gaussians, ConvexSet.empty(6, 0), model.field, model.sh_degree, model.near, model.background)
+    assert absent(without, "colour", "convexes", False) == "this model has no convexes"
+    assert absent(without, "colour", "all", True) == "this model has no convexes to outline"
+    assert absent(without, "colour", "all", False) is None
+    still = Model(model.gaussians, model.convexes, None, model.sh_degree, model.near, model.background)
+    assert absent(still, "flow", "all", False) == absent(model, "flow", "static", False) == "no flow: nothing of what is shown moves"
+    shown = picture(without, camera, 0.5, primitives="convexes")
+    assert np.ptp(shown) > 150, "there is something to read"
 
 
 def test_a_photo_lies_where_the_render_of_its_camera_lies(finished_scene):
@@ -95,7 +115,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 def test_without_a_model_it_says_how_to_make_one(dnerf_capture, tmp_path, capsys):
     assert main(["view", str(dnerf_capture.root), "--workspace", str(tmp_path / "none"), "--no-browser"]) == 1
-    assert "e4dgs run all" in capsys.readouterr().err
+    assert "e4dgs run coarse" in capsys.readouterr().err
 
 
 def test_a_run_that_trains_is_seen_by_its_checkpoints(finished_run):
@@ -130,3 +150,37 @@ def wait_for(ask, seconds: float = 60.0):
         assert time.monotonic() < until, "nothing came"
         time.sleep(0.2)
     return found
+
+
+def rolled(degrees: float) -> np.ndarray:
+    """A camera at (0, -5, 3) that looks at the origin of a world whose z points upwards, turned about its axis."""
+    from e4dgs.scene.camera_paths import look_at
+
+    pose = look_at(np.array([0.0, -5, 3]), np.zeros(3), np.array([0.0, 0, 1]))
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn = np.eye(4)
+    turn[:2, :2] = [[c, -s], [s, c]]
+    return turn @ pose
+
+
+def test_a_camera_keeps_its_roll_until_the_first_drag_then_stands_upright():
+    """About its own up direction, a drag to the side would roll the scene and end under its floor."""
+    import viser.transforms as tf
+    from e4dgs.workflows.view.server import View, Viewer, _Browser
+
+    viewer = object.__new__(Viewer)
+    viewer.frames = SimpleNamespace(cam_from_world=np.stack([rolled(0), rolled(30)]), time=np.zeros(2))
+    viewer.up, viewer.distance = np.array([0.0, 0, 1]), 5.0
+    assert [viewer.leans(i) for i in range(2)] == [False, True]
+    browser = object.__new__(_Browser)
+    browser.viewer, browser.leaning, browser.sent = viewer, 1, time.monotonic() - 1
+    browser.client = SimpleNamespace(camera=SimpleNamespace(up_direction=None))
+
+    def view(pose: np.ndarray, t: float) -> View:
+        eye = -pose[:3, :3].T @ pose[:3, 3]
+        return View(tuple(tf.SO3.from_matrix(pose[:3, :3].T).wxyz), tuple(eye), 1.0, 10, 10, SimpleNamespace(time=t), 0)
+
+    browser._straighten(view(rolled(30), 0.7))
+    assert browser.client.camera.up_direction is None, "another time is no drag"
+    browser._straighten(view(rolled(31), 0.0))
+    assert browser.client.camera.up_direction is viewer.up and browser.leaning is None

@@ -7,6 +7,7 @@ import sys
 import time
 from contextlib import contextmanager
 from io import BytesIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -65,6 +66,14 @@ class Panel:
         self.page.get_by_role("option", name=wanted, exact=True).click()
         return self.settled()
 
+    def drag(self, across: int) -> None:
+        """With the mouse, to the side, over ``across`` px."""
+        self.page.mouse.move(150, 400)
+        self.page.mouse.down()
+        for k in range(1, 11):
+            self.page.mouse.move(150 + across * k / 10, 400)
+        self.page.mouse.up()
+
     def press(self, name: str) -> None:
         self.page.get_by_label(name).first.click()
 
@@ -115,6 +124,37 @@ def test_the_page_shows_our_render_and_follows_frame_and_time(finished_run, fini
     assert psnr(shown, own[FREE]) >= 30
     later = panel.turn(TIME, 1.0 if t < 0.5 else 0.0)
     assert np.abs(later - shown).max() > 30, "another time, another picture"
+
+
+def test_a_drag_to_the_side_goes_around_the_scene_upright(finished_run, finished_scene, panel):
+    """Half the window's height is half a turn: the camera then stands opposite, as high as before, and the scene is not rolled."""
+    from e4dgs.rasterizer import Camera
+    from e4dgs.scene.camera_paths import centres, look_at
+    from e4dgs.stages.exports.camera_path import looked_at
+
+    capture, model, i = finished_run[0], finished_scene[0], 3
+    panel.turn(FRAME, i)
+    train = [view for view in capture.views if view.split == "train"]
+    poses = np.stack([view.camera.cam_from_world for view in train])
+    K = np.stack([view.camera.K for view in train])
+    first = train[0].camera
+    times = np.array([view.time for view in train])
+    frames = SimpleNamespace(cam_from_world=poses, K=K, train=np.arange(len(train)), time=times, width=first.width, height=first.height)
+    truth = capture.views[i]
+    pose, up = truth.camera.cam_from_world, np.array([0.0, 0, 1])
+    start = train[0].camera.cam_from_world
+    distance = np.linalg.norm(looked_at(frames, model) - centres(start[None])[0])
+    eye = centres(pose[None])[0]
+    target = eye + distance * pose[2, :3]
+    offset = eye - target
+    opposite = look_at(target + np.array([-offset[0], -offset[1], offset[2]]), target, up)
+    panel.drag(HEIGHT // 2)
+    shown = panel.settled()
+    focal = HEIGHT / truth.camera.height * truth.camera.K[1, 1]
+    lens = torch.tensor([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]], dtype=torch.float32)
+    camera = Camera(lens, torch.tensor(opposite).float(), WIDTH, HEIGHT, model.near)
+    own = (model.render(camera, float(truth.time)).color.clamp(0, 1) * 255).numpy()
+    assert psnr(shown, own[FREE]) >= 28
 
 
 def test_the_toggles_the_photo_and_play_change_the_picture(panel):

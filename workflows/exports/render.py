@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -12,9 +13,14 @@ from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, StageError
 from ..options import of_last_run
-from ..results import results, trained_stage
-from ..session import Options, open_session
-from .trained import writing
+from ..session import Options
+from .film import Asked, Film
+from .trained import open_trained, writing
+
+if TYPE_CHECKING:
+    from ...scene.model import Model
+    from ...stages.artifacts.frameset import FrameSet
+    from ...stages.exports.camera_path import CameraPath
 
 
 @of_last_run("coarse")
@@ -22,20 +28,67 @@ def render(
     options: Options,
     out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
     path: Annotated[str, typer.Option("--path", metavar="NAME|FILE.json", help="turntable, spiral, capture, or a file.")] = "spiral",
-    frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures; 120 by default.")] = None,
+    frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=0.001, max=1e6, help="Duration; by default that of the capture, or 4 s.")
+    ] = None,
     size: Annotated[
-        int | None, typer.Option("--size", min=16, max=16_384, help="Longer side in px; by default that of the capture.")
+        int | None, typer.Option("--size", min=16, max=16_384, help="Longer side in px; by default that of the path file or the capture.")
     ] = None,
     time: Annotated[
         float | None, typer.Option("--time", min=0, max=1, help="Only this time, 0 to 1; by default time runs from 0 to 1.")
     ] = None,
-    fps: Annotated[float, typer.Option("--fps", min=1, max=240, help="Frames per second of a video.")] = 30.0,
+    fps: Annotated[float | None, typer.Option("--fps", min=1, max=240, help="Pictures per second; 30 by default.")] = None,
+    alpha: Annotated[bool, typer.Option("--alpha", help="PNG files without background, with alpha, and masks.")] = False,
     depth: Annotated[bool, typer.Option("--depth", help="Write depth as EXR beside each PNG.")] = False,
 ) -> None:
-    """Render a trained scene along a path of the camera: a video, or pictures and depth."""
+    """Render a trained scene along a path of the camera: a video, or pictures, alpha and depth."""
+    if time is not None and not 0 <= time <= 1:  # NaN passes the option's own check
+        raise SettingsError(f"--time {time}: give a number from 0 to 1")
+    asked = Asked(frames, seconds, fps)
+    video = _checked(out, alpha, depth)
+    trained = open_trained(options)
+
+    import torch
+
+    from ...rasterizer import Camera
+    from ...vision.images.movie import Movie, even
+    from ...vision.images.picture_folder import PictureFolder
+
+    if not len(trained.frames.train):
+        raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
+    model = trained.model.to(trained.session.job.device)
+    views, (width, height), film, notes = _planned(path, trained.frames, model, asked, time)
+    console = Console()
+    for note in notes:
+        console.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+    wanted = (width, height) if size is None else _scaled(width, height, size)
+    scale = np.diag([wanted[0] / width, wanted[1] / height, 1.0])  # pixel centres are at +0.5, so there is no offset
+    width, height = (even(wanted[0]), even(wanted[1])) if video else wanted
+    black = torch.zeros(3) if alpha else None
+    with writing(out, "render"), Progress(film.count, "render", console) as bar, ExitStack() as stack:
+        movie = stack.enter_context(Movie(out, film.fps)) if video else None
+        folder = None if video else stack.enter_context(PictureFolder(out, depth, alpha))
+        for K, pose, t in zip(views.K, views.cam_from_world, views.time):
+            camera = Camera(torch.tensor(scale @ K).float(), torch.tensor(pose).float(), width, height, model.near)
+            frame = model.render(camera, float(t) if time is None else time, black)
+            if movie is not None:
+                movie.add((frame.color.clamp(0, 1) * 255).round().byte().cpu().numpy())
+            elif folder is not None:
+                folder.add(*(part.cpu().numpy() for part in (frame.color, frame.alpha, frame.depth)))
+            bar.advance(1)
+    cut = "" if (width, height) == wanted else f" (not {wanted[0]}x{wanted[1]}: the sizes of a video are even)"
+    length = f", {film.seconds:.4g} s at {film.fps:.4g} a second ({film.why})" if video or film.why != "--frames" else ""
+    console.print(f"{film.count} pictures of {width}x{height}{cut}{length}: {out}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _checked(out: Path, alpha: bool, depth: bool) -> bool:
+    """Whether ``out`` is a video. Raises SettingsError or StageError if it cannot be written, or cannot hold what is asked for."""
     video = out.suffix.lower() == ".mp4"
     if depth and video:
         raise SettingsError("--depth: a video holds no depth; give a folder as --out")
+    if alpha and video:
+        raise SettingsError("--alpha: an mp4 video holds no transparency; give a folder as --out, for PNG files with alpha")
     if out.suffix and not video and not out.is_dir():
         raise SettingsError(f"--out {out}: the file must end in .mp4; without an ending it is a folder for PNG files")
     if video and out.is_dir():
@@ -45,38 +98,26 @@ def render(
         raise SettingsError(f"--out {out}: {place} is a file, not a folder; give another --out")
     if not os.access(place, os.W_OK | os.X_OK):  # the library that writes videos would say that there is no such file
         raise StageError(f"render: --out {out}: {place} cannot be written; give another --out")
-    session = open_session(options)
-    trained = trained_stage(session)
-    found = results(session, trained)
+    return video
 
-    import torch
 
-    from ...rasterizer import Camera
-    from ...stages.artifacts.frameset import FrameSet
-    from ...stages.artifacts.model import read_model
-    from ...vision.images.movie import Movie, Pictures
-    from .camera_path import resolve
+def _planned(
+    path: str, frames: FrameSet, model: Model, asked: Asked, time: float | None
+) -> tuple[CameraPath, tuple[int, int], Film, tuple[str, ...]]:
+    """The views that ``--path`` asks for, their size, the film that they make, and notes. Raises SettingsError for a name that is neither a
+    known path nor a file, and for options that do not fit."""
+    from ...stages.exports.camera_path import NAMES, named_path, seconds_of
+    from .camera_path import path_of_file
 
-    artifact, frame_artifact = found[trained], found["frames"]
-    assert artifact is not None and frame_artifact is not None  # `results` guarantees the first, and no stage runs without the second
-    capture_frames = FrameSet(frame_artifact, session.job.capture.root, found.get("poses"))
-    if not len(capture_frames.train):
-        raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
-    model = read_model(artifact).to(session.job.device)
-    views = resolve(path, capture_frames, model, frames)
-    width, height = capture_frames.width, capture_frames.height
-    if size is not None:
-        width, height = (max(1, round(side * size / max(capture_frames.width, capture_frames.height))) for side in (width, height))
-    scale = np.diag([width / capture_frames.width, height / capture_frames.height, 1.0])  # pixel centres are at +0.5, so there is no offset
-    console = Console()
-    with (
-        writing(out, "render"),
-        Progress(len(views.time), "render", console) as bar,
-        Movie(out, fps) if video else Pictures(out, depth) as target,
-    ):
-        for K, pose, t in zip(views.K, views.cam_from_world, views.time):
-            camera = Camera(torch.tensor(scale @ K).float(), torch.tensor(pose).float(), width, height, model.near)
-            frame = model.render(camera, float(t) if time is None else time)
-            target.add((frame.color.clamp(0, 1) * 255).round().byte().cpu().numpy(), frame.depth.cpu().numpy().astype(np.float32))
-            bar.advance(1)
-    console.print(f"{len(views.time)} pictures of {width}x{height}: {out}", markup=False, highlight=False, soft_wrap=True)
+    if path in NAMES:
+        film = asked.film(seconds_of(path, frames, moves=time is None and model.field is not None))
+        return named_path(path, frames, model, film.count, film.seconds), (frames.width, frames.height), film, ()
+    if not Path(path).is_file():
+        raise SettingsError(f"--path {path}: neither one of {', '.join(NAMES)} nor a file")
+    views = path_of_file(Path(path), frames)
+    return views, views.size, asked.film_of(len(views.time), views.fps), views.notes
+
+
+def _scaled(width: int, height: int, size: int) -> tuple[int, int]:
+    """(width, height) with a longer side of ``size``."""
+    return max(1, round(width * size / max(width, height))), max(1, round(height * size / max(width, height)))

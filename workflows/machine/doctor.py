@@ -38,20 +38,20 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
     return found
 
 
-_MODULES = {"opencv-contrib-python-headless": "cv2", "open3d-cpu": "open3d"}  # modules that other distributions provide as well
+# Distributions that provide one module: any of them will do.
+_MODULES = {"opencv-contrib-python-headless": "cv2", "open3d-cpu": "open3d", "open3d": "open3d"}
 _OWN_ROWS = ("cuda12", "cuda13", "dev")  # extras left out: the CUDA kernels have their own rows, and users need no developer tools
 
 
 def _libraries() -> list[tuple[str, bool | None, str]]:
-    """The dependencies of the installed e4dgs: required ones first, then those of its extras."""
+    """The dependencies of the installed e4dgs on this machine: required ones first, then those of its extras."""
     try:
         asked = metadata.requires("e4dgs") or []
     except metadata.PackageNotFoundError:
         return [("libraries", None, "e4dgs runs from its source folder, so its requirements were not checked; pip install . installs them")]
     needed: list[tuple[str, bool | None, str]] = []
     optional: dict[str, tuple[str, bool | None, str]] = {}
-    for requirement in asked:
-        name, extra = _name_and_extra(requirement)
+    for name, extra in filter(None, map(_name_and_extra, asked)):
         version = _version(name)
         if extra is None:
             needed.append((name, version is not None, version or "not installed; install e4dgs again with its dependencies"))
@@ -60,12 +60,16 @@ def _libraries() -> list[tuple[str, bool | None, str]]:
     return needed + list(optional.values())
 
 
-def _name_and_extra(requirement: str) -> tuple[str, str | None]:
-    """``open3d-cpu>=0.18; platform_system == "Linux" and extra == "mesh"`` -> ("open3d-cpu", "mesh")."""
-    name = re.match(r"[\w.-]+", requirement)
-    extra = re.search(r"extra == ['\"]([\w-]+)['\"]", requirement)
-    assert name is not None
-    return name[0], None if extra is None else extra[1]
+def _name_and_extra(requirement: str) -> tuple[str, str | None] | None:
+    """``open3d-cpu>=0.18; platform_system == "Linux" and extra == "mesh"`` -> ("open3d-cpu", "mesh"); None on machines that need not
+    have it, here all but Linux."""
+    from packaging.requirements import Requirement
+
+    parsed = Requirement(requirement)
+    if parsed.marker is None or parsed.marker.evaluate({"extra": ""}):
+        return parsed.name, None
+    found = re.search(r"extra == ['\"]([\w-]+)['\"]", str(parsed.marker))
+    return (parsed.name, found[1]) if found is not None and parsed.marker.evaluate({"extra": found[1]}) else None
 
 
 def _version(name: str) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime
 
 from ...pipeline import SettingsError
 
@@ -29,3 +30,17 @@ def seconds_of(option: str, text: str) -> float:
 def megabytes(size: int) -> str:
     """``12.3 MB``; from 1000 MB on, ``1.23 GB``."""
     return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.2f} GB"
+
+
+def age(made: str, now: datetime | None = None) -> str:
+    """How long ago ``made``, a date as provenance has it, was: ``40 s``, ``12 min``, ``5 h``, ``3 d``; "" if it is no date."""
+    try:
+        then = datetime.fromisoformat(made)
+    except ValueError:
+        return ""
+    then = then.replace(tzinfo=UTC) if then.tzinfo is None else then
+    seconds = max(0.0, ((now or datetime.now(UTC)) - then).total_seconds())
+    for unit, name in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= unit:
+            return f"{seconds / unit:.0f} {name}"
+    return f"{seconds:.0f} s"

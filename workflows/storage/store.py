@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, duration
 from ...pipeline.records import differences
@@ -17,10 +16,12 @@ from ..last_run import scene_of
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
-from .amounts import megabytes
+from .amounts import age, megabytes
 from .stored import Stored, every, find, users
+from .table import fitted
 
 SHORT = 12  # digits of a key or digest that are shown in tables
+TITLES = ("stage", "key", "size", "took", "memory", "made", "scenes", "pins")
 WIDTH = 180  # columns of a table written to a file or pipe
 
 Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
@@ -37,19 +38,21 @@ def list_(
     if as_json:
         print(json.dumps([_facts(stored) for stored in found], indent=2, ensure_ascii=False))
         return
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     pinned = Pins(Store(workspace.resolve() / "store")).results()
-    numbers = ("size", "took", "memory")
-    for title in ("stage", "key", *numbers, "made", "scenes", "pins"):
-        table.add_column(title, no_wrap=title not in ("scenes", "pins"), overflow="fold", justify="right" if title in numbers else "left")
+    rows = []
     for stored in found:
         facts = _facts(stored)
-        spent = duration(facts["seconds"] or 0.0), f"{facts['peak_rss_mb'] or 0.0:.0f} MB"
-        where = facts["made"] or "", ", ".join(stored.scenes), ", ".join(pinned.get((stored.stage, stored.key), ()))
-        table.add_row(stored.stage, stored.key[:SHORT], megabytes(stored.size), *spent, *where)
+        row = {"stage": stored.stage, "key": stored.key[:SHORT], "size": megabytes(stored.size), "made": facts["made"] or ""}
+        row |= {"took": duration(facts["seconds"] or 0.0), "memory": f"{facts['peak_rss_mb'] or 0.0:.0f} MB", "age": age(row["made"])}
+        row |= {"scenes": ", ".join(stored.scenes), "pins": ", ".join(pinned.get((stored.stage, stored.key), ()))}
+        rows.append(row)
     console = Console()
-    (console if console.is_terminal else Console(width=WIDTH)).print(table)
+    console = console if console.is_terminal else Console(width=WIDTH)
+    table, missing = fitted(rows, TITLES, console.width)
+    console.print(table)
     _say(f"{len(found)} results, {megabytes(sum(stored.size for stored in found))}")
+    if missing:
+        _say(f"not shown in {console.width} columns: {', '.join(missing)}; --json has them")
 
 
 def show_result(

@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, SettingsError
+from ...pipeline import CaptureError
 from ..options import of_last_run
 from ..session import Options, open_session
+from .address import addresses, listening, over_ssh
 
 LOOK_AGAIN = 2.0  # s between two checks for a newer model
 
@@ -25,6 +26,7 @@ def view(
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a model that a run is about to make.")] = False,
 ) -> None:
     """Look at a scene in a browser: any view, any time. Also while it trains. Ends with Ctrl-C."""
+    place = listening(host, port)
     session = open_session(options)
 
     from ...stages.artifacts.frameset import FrameSet
@@ -44,14 +46,14 @@ def view(
         frames = FrameSet(artifacts[0], session.job.capture.root, artifacts[1])
         if not len(frames.train):
             raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
-        try:
-            viewer = Viewer(frames, found, host, port)
-        except OSError as error:
-            raise SettingsError(f"--host {host} --port {port}: cannot listen there ({error})") from error
-        address = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{viewer.port}"
-        console.print(f"{found.title}: {address} (Ctrl-C ends)", markup=False, highlight=False, soft_wrap=True)
+        viewer = Viewer(frames, found, *place)
+        pages = addresses(host, viewer.port)
+        also = "".join(f", from other machines {page}" for page in pages[1:])
+        lines = [f"{found.title}: {pages[0]}{also} (Ctrl-C ends)", over_ssh(host, viewer.port)]
+        for line in filter(None, lines):
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
         if not no_browser:
-            webbrowser.open(address)
+            webbrowser.open(pages[0])
         try:
             while True:
                 time.sleep(LOOK_AGAIN)

@@ -47,7 +47,41 @@ def picture(model: Model, camera: Camera, time: float, look: str = "colour", pri
                 shown[edges] = EDGE
         if outlines:
             draw_outlines(shown, model, camera, time)
-    return shown
+    told = absent(model, look, primitives, outlines)
+    return shown if told is None else written_on(shown, told)
+
+
+def absent(model: Model, look: str, primitives: str, outlines: bool) -> str | None:
+    """Why a picture with these choices lacks what was chosen, whatever the view and the time: a line. None if it need not lack anything."""
+    gaussians, convexes = len(model.gaussians), len(model.convexes)
+    keep = named(model, primitives)
+    chosen = gaussians + convexes if keep is None else int(keep[0].sum()) + int(keep[1].sum())
+    if not chosen:
+        return {
+            "all": "this model is empty",
+            "Gaussians": "this model has no Gaussians",
+            "convexes": "this model has no convexes",
+            "dynamic": "nothing moves in this model",
+            "static": "nothing stands still in this model",
+        }[primitives]
+    moving = int(model.gaussians.dynamic.sum()) + int(model.convexes.dynamic.sum())
+    if look == "flow" and (model.field is None or not moving or primitives == "static"):
+        return "no flow: nothing of what is shown moves"
+    return "this model has no convexes to outline" if outlines and not convexes else None
+
+
+def written_on(picture: np.ndarray, text: str) -> np.ndarray:
+    """``picture`` with a line of text near its lower edge, dark on a light band so that it can be read on any picture."""
+    height, width = picture.shape[:2]
+    scale = 0.8 * width / max(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 1.0, 1)[0][0], 1)
+    scale = min(scale, height / 500)
+    (across, up), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    place, pad = ((width - across) // 2, round(0.9 * height)), max(round(0.5 * up), 2)
+    result = np.ascontiguousarray(picture).copy()
+    corners = (place[0] - pad, place[1] - up - pad), (place[0] + across + pad, place[1] + below + pad)
+    cv2.rectangle(result, *corners, (250, 250, 250), cv2.FILLED)
+    cv2.putText(result, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, (20, 20, 20), 1, cv2.LINE_AA)
+    return result
 
 
 def chosen(model: Model, camera: Camera, time: float, primitives: str) -> tuple[Gaussians, Convexes]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import threading
 import time
-from contextlib import redirect_stdout
 from typing import NamedTuple
 
 import numpy as np
@@ -14,16 +12,20 @@ import viser
 import viser.transforms as tf
 
 from ...rasterizer import Camera
+from ...scene.camera_paths import upward
 from ...scene.model import Model
 from ...stages.artifacts.frameset import FrameSet
 from ...stages.exports.camera_path import looked_at
 from .looks import photo_beside, picture
 from .panel import Choice, Panel
+from .quiet import hush, unsaid
 from .source import Found
 
 SETTLED = 0.25  # s without a change after which the picture is drawn at full size
 PER_SECOND = 20.0  # pictures per second while something moves; their size is chosen to reach this
 SMALLEST, FIRST_SCALE = 0.15, 0.5  # of the full size
+UPRIGHT = np.sin(np.radians(0.2))  # the roll up to which a camera counts as upright
+SENT = 0.5  # s in which a browser may still report where its camera was before
 QUALITY = (80, 95)  # of JPEG, while something moves and at rest
 
 
@@ -31,6 +33,11 @@ def next_scale(scale: float, seconds: float) -> float:
     """Scale of the next picture while something moves, as a share of the full side length, if one of ``scale`` took ``seconds``. The time
     depends only partly on the number of pixels. Steps are small, so that one slow picture causes no jump."""
     return float(np.clip(scale * np.clip((1 / PER_SECOND / seconds) ** 0.5, 0.7, 1.2), SMALLEST, 1.0))
+
+
+def leans(pose: np.ndarray, up: np.ndarray) -> bool:
+    """Whether the camera ``pose`` [4, 4], OpenCV, is rolled against the direction ``up`` [3], or looks along it."""
+    return abs(float(pose[0, :3] @ up)) > UPRIGHT or float(-pose[1, :3] @ up) < UPRIGHT
 
 
 class View(NamedTuple):
@@ -48,7 +55,7 @@ class View(NamedTuple):
 class Viewer:
     """Serves ``frames`` and the model last given to `show`, until `stop`.
 
-    Raises OSError if it cannot listen on the port.
+    host, port: as from `listening`. The scene is turned about the mean up direction of the cameras.
     """
 
     def __init__(self, frames: FrameSet, found: Found, host: str, port: int) -> None:
@@ -56,7 +63,10 @@ class Viewer:
         self.rows = np.concatenate([frames.train, frames.val, frames.test])
         self.rows.sort()
         self.rendering = threading.Lock()  # kernels use all cores; two pictures at once would only take turns
-        with redirect_stdout(io.StringIO()):  # hides its banner; the command prints the address
+        assert frames.cam_from_world is not None
+        self.up = upward(frames.cam_from_world[frames.train])
+        hush()
+        with unsaid():  # the command prints the address
             self.server = viser.ViserServer(host=host, port=port, label="e4dgs", verbose=False)
         self.port = self.server.get_port()
         self._look_from(frames.train[0])
@@ -66,20 +76,25 @@ class Viewer:
         """Makes browsers start where frame ``i`` was taken and orbit around the point that the cameras look at."""
         assert self.frames.cam_from_world is not None and self.frames.K is not None
         pose, K = self.frames.cam_from_world[i], self.frames.K[i]
-        ups = -self.frames.cam_from_world[self.frames.train][:, 1, :3].mean(0)
         position = -pose[:3, :3].T @ pose[:3, 3]
         self.distance = max(float(np.linalg.norm(looked_at(self.frames, self.found.model) - position)), 1e-6)
-        self.server.scene.set_up_direction(tuple(ups / np.linalg.norm(ups)))
+        self.server.scene.set_up_direction(tuple(self.up.tolist()))
         camera = self.server.initial_camera
         camera.position, camera.look_at = position, position + self.distance * pose[2, :3]
-        camera.up, camera.fov = -pose[1, :3], 2 * float(np.arctan(0.5 * self.frames.height / K[1, 1]))
+        camera.up, camera.fov = -pose[1, :3] if self.leans(i) else self.up, 2 * float(np.arctan(0.5 * self.frames.height / K[1, 1]))
+
+    def leans(self, i: int) -> bool:
+        """Whether frame ``i`` was taken with a roll against the scene's up direction."""
+        assert self.frames.cam_from_world is not None
+        return leans(self.frames.cam_from_world[i], self.up)
 
     def show(self, found: Found) -> None:
         """Continues with another model."""
         self.found, self.version = found, self.version + 1
 
     def stop(self) -> None:
-        self.server.stop()
+        with unsaid():
+            self.server.stop()
 
 
 class _Browser:
@@ -91,6 +106,8 @@ class _Browser:
         seconds = float(np.ptp(frames.seconds)) if len(frames.seconds) else 0.0
         self.panel = Panel(client.gui, [frames.names[i] for i in viewer.rows], seconds, self._go)
         self.frame: int | None = None  # of the capture, to which the camera was last sent
+        self.leaning = viewer.frames.train[0] if viewer.leans(viewer.frames.train[0]) else None  # rolled like this frame until one drags
+        self.sent = time.monotonic()
         self.scale = FIRST_SCALE  # of the full size, while something moves
 
     def _go(self, row: int) -> None:
@@ -101,10 +118,18 @@ class _Browser:
         with self.client.atomic():
             camera.position = -pose[:3, :3].T @ pose[:3, 3]
             camera.look_at = camera.position + self.viewer.distance * pose[2, :3]
-            camera.up_direction = -pose[1, :3]
+            camera.up_direction = -pose[1, :3] if self.viewer.leans(i) else self.viewer.up
             camera.fov = 2 * float(np.arctan(0.5 * frames.height / frames.K[i][1, 1]))
-        self.frame = i
+        self.frame, self.sent = i, time.monotonic()
+        self.leaning = i if self.viewer.leans(i) else None
         self.panel.at_frame(row, float(frames.time[i]))
+
+    def _straighten(self, view: View) -> None:
+        """Gives the camera the scene's up direction once a person moves it away from a frame that was taken with a roll: about the camera's
+        own, a drag to the side would roll the scene and end under its floor."""
+        if self.leaning is not None and time.monotonic() - self.sent > SENT and not self._looks_like(view, self.leaning):
+            self.leaning = None
+            self.client.camera.up_direction = self.viewer.up
 
     def _view(self) -> View:
         camera = self.client.camera
@@ -125,6 +150,7 @@ class _Browser:
             view = self._view()
             if view != seen:
                 seen, changed = view, now
+                self._straighten(view)
             moving = now - changed < SETTLED
             if view == drawn and (moving or sharp):
                 time.sleep(0.01)
@@ -165,10 +191,13 @@ class _Browser:
 
     def _stands_at(self, view: View, i: int) -> bool:
         """Whether the camera is where frame ``i`` was taken, and at its time."""
+        return self._looks_like(view, i) and abs(view.choice.time - self.viewer.frames.time[i]) < 1e-3
+
+    def _looks_like(self, view: View, i: int) -> bool:
+        """Whether the camera is where frame ``i`` was taken."""
         frames = self.viewer.frames
         assert frames.cam_from_world is not None
         pose = frames.cam_from_world[i]
         turned = tf.SO3(np.array(view.wxyz)).as_matrix() @ pose[:3, :3]
         away = np.linalg.norm(np.array(view.position) + pose[:3, :3].T @ pose[:3, 3])
-        same_time = abs(view.choice.time - frames.time[i]) < 1e-3
-        return bool(same_time and np.abs(turned - np.eye(3)).max() < 2e-3 and away < 2e-3 * self.viewer.distance)
+        return bool(np.abs(turned - np.eye(3)).max() < 2e-3 and away < 2e-3 * self.viewer.distance)
