@@ -124,7 +124,7 @@ def _sog_encoder(antialiased: bool) -> Callable[[Gaussians], tuple[bytes, int]]:
     forge = gaussforge.GaussForge()
 
     def encode(gaussians: Gaussians) -> tuple[bytes, int]:
-        plain, number = ply_bytes(gaussians)
+        plain, number = ply_bytes(gaussians, padded=False)
         converted = forge.convert(plain, "ply", "sog")
         if "data" not in converted:
             raise StageError(f"export sog: {converted.get('error', 'the conversion failed')}")
