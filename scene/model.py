@@ -21,6 +21,7 @@ from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 from .views import inside_image
 
+TOLERANCE = 1e-6  # beyond 0 and 1 that a time may lie, as sums of steps do
 KINDS: Mapping[str, Any] = {"planes": DeformationField, "nodes": ControlNodes, "free": FreeMotion}
 
 
@@ -74,8 +75,9 @@ class Model:
         """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
 
         Only dynamic primitives move. If a ``camera`` is given, and culling pays off for this motion, those whose rest position it cannot
-        see are skipped. move=False renders the rest state.
+        see are skipped. move=False renders the rest state. Raises ValueError if ``t`` is a number that is not in [0, 1].
         """
+        check_time(t)
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         g, c = self.gaussians, self.convexes
         means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
@@ -229,7 +231,8 @@ class Model:
 
     def render(self, camera: Camera, time: float, background: Tensor | None = None, backend: str = "auto") -> Frame:
         """One view at ``time`` in [0, 1], without gradients, as the mean camera would record it. ``background`` [3] in [0, 1]; None uses
-        the model's own. The farther of the camera's and the model's near plane is used."""
+        the model's own. The farther of the camera's and the model's near plane is used. Raises ValueError if ``time`` is not in [0, 1]."""
+        check_time(time)
         camera = replace(camera, near=max(camera.near, self.near))
         background = torch.tensor(self.background) if background is None else background
         with torch.no_grad():
@@ -283,6 +286,12 @@ class Model:
         sets = GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays)
         antialiased = bool(config.get("antialiased", False))  # models from before that mode are for the default one
         return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, antialiased)
+
+
+def check_time(t: Time) -> None:
+    """Raises ValueError if ``t`` is a number outside [0, 1], or none. A tensor is not looked at: the host would wait for the device."""
+    if not isinstance(t, Tensor) and not -TOLERANCE <= t <= 1 + TOLERANCE:
+        raise ValueError(f"time {t:g}: a model has times from 0 (first of the capture) to 1 (last)")
 
 
 def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes | FreeMotion:

@@ -18,8 +18,8 @@ def ply_bytes(gaussians: Gaussians, comments: Sequence[str] = (), padded: bool =
     """The file with the visible ones among ``gaussians`` (with sh), and their number. comments: lines of its header. padded: write SH up to
     degree 3, which are 0 above the degree of ``gaussians``; some readers expect all 45.
 
-    Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_0.. (SH by channel, then coefficient), opacity (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit).
-    """
+    Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_0.. (SH by channel, then coefficient), opacity
+    (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit)."""
     shown = seen(gaussians)
     assert shown.sh is not None
     rows, sh = len(shown.means), shown.sh

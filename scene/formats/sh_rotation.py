@@ -17,7 +17,10 @@ def rotated_sh(sh: Tensor, rotation: np.ndarray) -> Tensor:
 
     C is 1, 4, 9 or 16. Rotation does not mix degrees.
     """
-    parts = [torch.einsum("jk,nkc->njc", one.to(sh), sh[:, degree**2 : (degree + 1) ** 2]) for degree, one in enumerate(mixes(sh.shape[1], rotation))]
+    parts = [
+        torch.einsum("jk,nkc->njc", one.to(sh), sh[:, degree**2 : (degree + 1) ** 2])
+        for degree, one in enumerate(mixes(sh.shape[1], rotation))
+    ]
     return torch.cat(parts, 1)
 
 

@@ -10,12 +10,15 @@ META = "meta.json"
 
 
 def tagged_sog(file: bytes, antialiased: bool) -> bytes:
-    """``file`` with "antialias" in its meta.json, and if that is true also "model", which splat-transform reads and writes (3.2 and later)."""
+    """``file`` with "antialias" in its meta.json, and if that is true also "model", which splat-transform reads and writes (3.2 and
+    later)."""
     made = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(file)) as old, zipfile.ZipFile(made, "w", zipfile.ZIP_STORED) as new:
         for entry in old.infolist():
             data = old.read(entry)
             if entry.filename == META:
-                data = json.dumps(json.loads(data) | {"antialias": antialiased} | ({"model": "antialiased"} if antialiased else {})).encode()
+                data = json.dumps(
+                    json.loads(data) | {"antialias": antialiased} | ({"model": "antialiased"} if antialiased else {})
+                ).encode()
             new.writestr(zipfile.ZipInfo(entry.filename), data)
     return made.getvalue()

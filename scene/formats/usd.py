@@ -26,8 +26,8 @@ NOTE = (
 def stage_turn(up: np.ndarray, wanted: str | None = None) -> Turn:
     """The turn of /World for a scene with the up direction ``up`` [3].
 
-    wanted: the stage's up axis, "Y" or "Z"; "capture" leaves the scene as it is; by default the axis nearest to ``up`` stays if it is one of
-    the two, and becomes +Y otherwise. Raises ValueError for other axes, which USD does not know as up axes."""
+    wanted: the stage's up axis, "Y" or "Z"; "capture" leaves the scene as it is; by default the axis nearest to ``up`` stays if it is one
+    of the two, and becomes +Y otherwise. Raises ValueError for other axes, which USD does not know as up axes."""
     axis = nearest_axis(up)
     if wanted not in (None, "Y", "Z", "capture"):
         raise ValueError(f"{wanted} cannot be the up axis of a USD stage, which is Y or Z")

@@ -71,8 +71,8 @@ def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:
 
     if antialiased and not model.antialiased:
         raise SettingsError(
-            "--antialiased: this model was trained in the default mode (coarse.antialiased=false), so its Gaussians are not for such viewers; "
-            "leave out --antialiased"
+            "--antialiased: this model was trained in the default mode (coarse.antialiased=false), so its Gaussians are not for such "
+            "viewers; leave out --antialiased"
         )
     reference = model.convexes.points.detach()
     plain = PlainLook.unchanged(len(model.gaussians)) if antialiased else PlainLook.of(model, frames)

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from ...pipeline import SettingsError, StageError
+from ...pipeline import StageError
 from ...pipeline.files import write_atomically
 from ...scene.formats.axes import Turn, nearest_axis
 from .bake import Loss, bake, loss_of
@@ -51,9 +51,8 @@ def export_splats(
 
     kind: one of `KINDS`; all but ply and gltf are slightly lossy. up: the axis of the file that points up in the scene, `UP` by default, or
     "capture" for the capture's own axes. antialiased: write the Gaussians of an antialiased model as they are; see `bake`. Nothing is left
-    of an export that does not come to its end, and an earlier sequence is replaced as a whole. Raises StageError if ``kind`` needs a package
-    that is not installed, SettingsError as `bake` does, OSError if a file cannot be written.
-    """
+    of an export that does not come to its end, and an earlier sequence is replaced as a whole. Raises StageError if ``kind`` needs a
+    package that is not installed, SettingsError as `bake` does, OSError if a file cannot be written."""
     if single and len(moments) != 1:
         raise ValueError(f"one file holds one time, not {len(moments)}")
     turn = turn_of(frames, up, UP[kind])
@@ -92,8 +91,8 @@ def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:
 def encoder(kind: Kind, turn: Turn | None = None, antialiased: bool = False) -> Callable[[Gaussians], tuple[bytes, int]]:
     """A function from Gaussians to the bytes of a file of ``kind`` and the number of Gaussians in it.
 
-    turn: from their axes to those of the file; none is turned without it. In a .glb file the node turns, and the Gaussians stay as they are.
-    antialiased: say in the file, where the format can, that they are meant for renderers that compensate opacity."""
+    turn: from their axes to those of the file; none is turned without it. In a .glb file the node turns, and the Gaussians stay as they
+    are. antialiased: say in the file, where the format can, that they are meant for renderers that compensate opacity."""
     from ...scene.formats.compressed_ply import compressed_ply_bytes
     from ...scene.formats.gltf import glb_bytes
     from ...scene.formats.ply import ply_bytes

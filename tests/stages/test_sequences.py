@@ -19,7 +19,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def test_a_new_sequence_replaces_the_earlier_one_and_nothing_else(tmp_path):
-    others = {name: "mine" for name in ("frame0009.ply.bak", "frame9.ply", "frame00009.ply", "frame0009.PLY", "frame0001.spz")}
+    others = dict.fromkeys(("frame0009.ply.bak", "frame9.ply", "frame00009.ply", "frame0009.PLY", "frame0001.spz"), "mine")
     for name, text in others.items():
         (tmp_path / name).write_text(text)
     for count in (5, 2, 3):

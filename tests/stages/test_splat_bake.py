@@ -39,9 +39,7 @@ def fitted(frames) -> Baked:
 def test_the_fit_is_nearer_than_uniform_gaussians_from_cameras_it_has_not_seen(frames, fitted):
     model = made_of_convexes()
     loss, plain = loss_of(fitted, frames, 0.0), PlainLook.unchanged(10)
-    uniform = [
-        loss_of(Baked(model, GaussianFit.uniform(model.convexes.points.detach(), spread), plain), frames, 0.0) for spread in SPREADS
-    ]
+    uniform = [loss_of(Baked(model, GaussianFit.uniform(model.convexes.points.detach(), spread), plain), frames, 0.0) for spread in SPREADS]
     assert (loss.cameras, loss.convexes) == (4, 40)
     assert loss.psnr > max(one.psnr for one in uniform) + 0.7
     assert "40 convexes became Gaussians" in str(loss)
@@ -86,11 +84,13 @@ def test_what_such_viewers_compensate_is_gsplat_s_formula(frames):
     inverse = torch.linalg.inv(camera.cam_from_world)
     ball.means = (inverse @ torch.tensor([0.0, 0, 2, 1]))[:3].expand(3000, 3)
     variance = float(camera.K[0, 0] * 0.01 / 2) ** 2
-    torch.testing.assert_close(compensated(camera, ball).opacities, torch.full((3000,), 0.5 * variance / (variance + 0.3)), rtol=1e-3, atol=0)
+    torch.testing.assert_close(
+        compensated(camera, ball).opacities, torch.full((3000,), 0.5 * variance / (variance + 0.3)), rtol=1e-3, atol=0
+    )
 
 
 def test_a_model_for_the_default_mode_has_nothing_for_antialiased_viewers(frames):
-    with pytest.raises(SettingsError, match="coarse.antialiased=false"):
+    with pytest.raises(SettingsError, match=r"coarse\.antialiased=false"):
         bake(made_of_convexes(), frames, antialiased=True)
 
 

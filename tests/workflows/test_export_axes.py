@@ -119,7 +119,10 @@ def test_splats_stand_upright_in_the_program_they_are_for(tmp_path, kind, captur
     np.testing.assert_allclose(shown[:, 1], places()[:, 1], atol=TOLERANCE[kind] * 2)
     assert shown[HEAD, 1] > 1 and shown[:HEAD, 1].max() < -0.45, "the head is above the floor"
     # Seen from above, the corner lies on the same side of head and middle: nothing is mirrored.
-    turning = np.cross(shown[CORNER] - shown[12], shown[HEAD] - shown[12])[1], np.cross(places()[CORNER] - places()[12], places()[HEAD] - places()[12])[1]
+    turning = (
+        np.cross(shown[CORNER] - shown[12], shown[HEAD] - shown[12])[1],
+        np.cross(places()[CORNER] - places()[12], places()[HEAD] - places()[12])[1],
+    )
     assert turning[0] == pytest.approx(turning[1], abs=0.05)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from e4dgs.stages.exports.splats import KINDS
 from e4dgs.workflows.cli import main
+from open3d_here import problem
 from scipy.spatial import KDTree
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -100,7 +101,9 @@ def test_a_file_as_folder_is_refused(finished, tmp_path, capsys):
     assert "name a folder" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("words", "name"), [(["ply"], "a.ply"), (["ply", "--compressed"], "a.ply"), (["spz"], "a.SPZ"), (["gltf"], "a.glb")])
+@pytest.mark.parametrize(
+    ("words", "name"), [(["ply"], "a.ply"), (["ply", "--compressed"], "a.ply"), (["spz"], "a.SPZ"), (["gltf"], "a.glb")]
+)
 def test_one_time_is_one_file(finished, tmp_path, words, name):
     command = ["export", words[0], *finished[1:], *words[1:], "--out", str(tmp_path / name)]
     assert main([*command, "--time", "0.3"]) == 0
@@ -161,5 +164,6 @@ def test_the_benchmark_reads_every_export_back_by_other_programs(finished, tmp_p
     monkeypatch.setattr(sys, "argv", ["exports.py", workspace, "--times", "1", "--out", str(out)])
     assert exports.main() == 0, capsys.readouterr().out
     rows = json.loads(out.read_text())["rows"]
-    assert {*KINDS, "baked", "mesh glb", "convexes glb"} <= {row["format"] for row in rows}
+    wanted = {*KINDS, "baked", "convexes glb", *([] if problem() else ["mesh glb"])}
+    assert wanted <= {row["format"] for row in rows}
     assert all(row["psnr"] >= 45 for row in rows if row["format"] in ("ply", "gltf", "usd"))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
-from e4dgs.scene.formats.ply import LEAST_ALPHA
 from e4dgs.scene.formats.axes import Turn, nearest_axis
+from e4dgs.scene.formats.ply import LEAST_ALPHA
 from e4dgs.scene.formats.usd import stage_turn, write_usd
 from e4dgs.workflows.cli import main
 

@@ -86,9 +86,7 @@ def mesh(
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def write_meshes(
-    trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn
-) -> list[int]:
+def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn) -> list[int]:
     """Writes ``meshes`` at ``moments`` in [0, 1] to ``target``: a .glb file with all of them, a .ply file with one, or a folder of numbered
     .ply files in place of those of an earlier export. turn: from the capture's axes to those of the files. Returns the number of triangles
     of each."""
