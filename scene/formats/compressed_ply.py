@@ -22,8 +22,7 @@ BOXES = [f"{end}_{of}" for group in (("x", "y", "z"), ("scale_x", "scale_y", "sc
 
 def compressed_ply_bytes(gaussians: Gaussians, comments: Sequence[str] = ()) -> tuple[bytes, int]:
     """The file with the visible ones among ``gaussians`` (with sh), and their number. comments: lines of its header. Neighbours are stored
-    one after another, so that the
-    bounds are tight. SH is ordered by channel, then coefficient, as in the PLY file of 3D Gaussian Splatting."""
+    one after another, so that the bounds are tight. SH is ordered by channel, then coefficient, as in the PLY file of 3DGS."""
     shown = seen(gaussians)
     assert shown.sh is not None
     means, quats, sh = (a.detach().cpu().double().numpy() for a in (shown.means, shown.quats, shown.sh))

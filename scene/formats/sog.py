@@ -17,8 +17,7 @@ def tagged_sog(file: bytes, antialiased: bool) -> bytes:
         for entry in old.infolist():
             data = old.read(entry)
             if entry.filename == META:
-                data = json.dumps(
-                    json.loads(data) | {"antialias": antialiased} | ({"model": "antialiased"} if antialiased else {})
-                ).encode()
+                said = {"antialias": antialiased, **({"model": "antialiased"} if antialiased else {})}
+                data = json.dumps(json.loads(data) | said).encode()
             new.writestr(zipfile.ZipInfo(entry.filename), data)
     return made.getvalue()

@@ -43,9 +43,8 @@ def new_sequence(folder: Path, ending: str) -> Iterator[Path]:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """A hidden folder inside ``folder``, which is made if it is not there, for files that are not complete. It goes at the end, and what
-    was
-    made for it goes if nothing else came into it."""
+    """A hidden folder inside ``folder``, which is made if it is not there, for files that are not complete. It goes at the end, and the
+    folders that were made for it go if nothing came into them."""
     made = [folder, *folder.parents][: next(k for k, one in enumerate([folder, *folder.parents]) if one.exists())]
     folder.mkdir(parents=True, exist_ok=True)
     part = Path(tempfile.mkdtemp(prefix=PART, dir=folder))

@@ -73,8 +73,7 @@ class PlainLook:
 
 def compensated(camera: Camera, gaussians: Gaussians) -> Gaussians:
     """``gaussians`` with opacities with which the default mode draws them before ``camera`` as antialiased viewers do: these add 0.3 px^2
-    to
-    the projected covariance S, too, and lower opacity by sqrt(det S / det(S + 0.3 I)) (gsplat's rasterize_mode "antialiased", Spark)."""
+    to the projected covariance S, too, and lower opacity by sqrt(det S / det(S + 0.3 I)) (gsplat's rasterize_mode "antialiased", Spark)."""
     from ...scene.training.control.hidden import footprint
 
     share = footprint(camera, gaussians, dilation=0.0) / footprint(camera, gaussians).clamp(min=1e-12)

@@ -81,6 +81,9 @@ def test_convexes_are_an_animated_mesh_of_their_hulls(finished, tmp_path, capsys
     times = len({view.time for view in capture.views})
     assert len(content["nodes"]) - 1 == len(content["animations"][0]["channels"]) == times
     assert content["nodes"][-1]["children"] == list(range(times)) and content["scenes"][0]["nodes"] == [times], "the parent of all turns"
+    np.testing.assert_allclose(content["nodes"][-1]["rotation"], [-(0.5**0.5), 0, 0, 0.5**0.5], err_msg="z of D-NeRF becomes y")
+    assert export(finished, "--convexes", "--up", "capture", "--time", 0, "--out", tmp_path / "as_it_is.glb") == 0
+    assert "rotation" not in parsed((tmp_path / "as_it_is.glb").read_bytes())[0]["nodes"][-1]
     model = e4dgs.load(capture.root, workspace=workspace)
     for k in (0, times // 2):
         _, convexes = model.at(k / (times - 1))

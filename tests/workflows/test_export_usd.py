@@ -84,6 +84,19 @@ def test_time_samples_are_the_model_at_these_times(finished, tmp_path, capsys):
     assert np.ptp([gaussians_of(splats, t * last).means.numpy() for t in (0, 1)], axis=0).max() > 1e-3, "something moves"
 
 
+def test_one_time_is_one_sample_at_its_frame(finished, tmp_path, capsys):
+    capture, _ = finished
+    last = len({view.time for view in capture.views}) - 1
+    assert export(finished, "--time", 0.25, "--antialiased", "--out", tmp_path / "scene.usdc") == 0
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usdc"))
+    assert splats_of(stage).GetPositionsAttr().GetTimeSamples() == [0.25 * last] == [stage.GetStartTimeCode()] == [stage.GetEndTimeCode()]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Gaussians at one time" in said and "axes: up is Z, and all axes are those of the capture" in said
+    for options, words in ((("--up", "X"), "is Y or Z"), (("--time", 2), "from 0"), (("--time", 0, "--times", 2), "give one of them")):
+        assert export(finished, *options, "--out", tmp_path / "other.usdc") == 2
+        assert words in " ".join(capsys.readouterr().err.split()) and not (tmp_path / "other.usdc").exists()
+
+
 def moving(t: float) -> Gaussians:
     """Gaussians that drift, spin and fade; the first is never seen, the last only at the end."""
     generator = torch.Generator().manual_seed(5)
