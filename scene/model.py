@@ -16,12 +16,11 @@ from .cuda.renders import Renders
 from .motion.field import DeformationField
 from .motion.free import FreeMotion
 from .motion.in_view import in_view
-from .motion.interface import Moved, Rest, Time
+from .motion.interface import Moved, Rest, Time, check_time
 from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 from .views import inside_image
 
-TOLERANCE = 1e-6  # beyond 0 and 1 that a time may lie, as sums of steps do
 KINDS: Mapping[str, Any] = {"planes": DeformationField, "nodes": ControlNodes, "free": FreeMotion}
 
 
@@ -286,12 +285,6 @@ class Model:
         sets = GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays)
         antialiased = bool(config.get("antialiased", False))  # models from before that mode are for the default one
         return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, antialiased)
-
-
-def check_time(t: Time) -> None:
-    """Raises ValueError if ``t`` is a number outside [0, 1], or none. A tensor is not looked at: the host would wait for the device."""
-    if not isinstance(t, Tensor) and not -TOLERANCE <= t <= 1 + TOLERANCE:
-        raise ValueError(f"time {t:g}: a model has times from 0 (first of the capture) to 1 (last)")
 
 
 def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes | FreeMotion:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 PART = ".export-"  # begins the name of the folder that holds files until all are written
@@ -47,13 +48,31 @@ def staged(folder: Path) -> Iterator[Path]:
     folders that were made for it go if nothing came into them."""
     made = [folder, *folder.parents][: next(k for k, one in enumerate([folder, *folder.parents]) if one.exists())]
     folder.mkdir(parents=True, exist_ok=True)
+    _remove_leftovers(folder)
     part = Path(tempfile.mkdtemp(prefix=PART, dir=folder))
+    held = os.open(part, os.O_RDONLY)
     try:
+        with suppress(OSError):  # some file systems have no locks
+            fcntl.flock(held, fcntl.LOCK_SH)
         yield part
     finally:
+        os.close(held)
         shutil.rmtree(part, ignore_errors=True)
         for one in made:
             try:
                 one.rmdir()
             except OSError:  # it has files now
                 break
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Removes what exports that were killed have left in ``folder``: their lock is gone."""
+    for part in folder.glob(f"{PART}*"):
+        held = os.open(part, os.O_RDONLY)
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(part, ignore_errors=True)
+        except OSError:  # another export is at work
+            continue
+        finally:
+            os.close(held)

@@ -69,6 +69,9 @@ def test_a_killed_export_leaves_the_earlier_sequence(tmp_path):
     assert subprocess.run([sys.executable, "-c", code, str(tmp_path)]).returncode == 9
     assert contents(tmp_path) == {f"frame000{k + 1}.ply": "earlier" for k in range(3)}
     assert [file.name for file in sequence_in(tmp_path, ".ply")] == ["frame0001.ply", "frame0002.ply", "frame0003.ply"]
+    with staged(tmp_path) as one, staged(tmp_path) as other:
+        folders = {path for path in tmp_path.iterdir() if path.is_dir()}
+        assert folders == {one, other}, "what it left goes with the next export, and what another export writes stays"
 
 
 def test_a_folder_for_parts_goes(tmp_path):

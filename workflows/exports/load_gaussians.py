@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .exports.trained import open_trained
-from .last_run import Given, options_of_last_run
-from .session import DEFAULT_WORKSPACE
+from ..last_run import Given, options_of_last_run
+from ..session import DEFAULT_WORKSPACE
+from .trained import open_trained
 
 if TYPE_CHECKING:
-    from ..stages.exports.bake import Baked
+    from ...stages.exports.bake import Baked
 
 
 def load_gaussians(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, classic: bool = False) -> Baked:
@@ -26,6 +26,6 @@ def load_gaussians(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, 
     """
     trained = open_trained(options_of_last_run(Given(Path(path).expanduser(), Path(workspace).expanduser()), "coarse"))
 
-    from ..stages.exports.bake import bake
+    from ...stages.exports.bake import bake
 
     return bake(trained.model, trained.frames, antialiased=trained.model.antialiased and not classic)
