@@ -16,6 +16,7 @@ _PUBLIC = {
     "rasterize": ".rasterizer",
     "Model": ".scene",
     "load": ".workflows.load",
+    "load_gaussians": ".workflows.exports.load_gaussians",
     "recognise": ".stages.captures",
 }
 

@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from e4dgs.pipeline import Records, StageError, Store
 from e4dgs.rasterizer import Camera, Gaussians
+from e4dgs.scene.formats.axes import Turn
 from e4dgs.scene.formats.ply import seen
 from e4dgs.scene.formats.usd import write_usd
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
@@ -76,7 +77,7 @@ def smaller(camera: Camera, size: int) -> Camera:
 def splat_rows(scene: Scene, moments: list[float], folder: Path) -> Iterator[dict[str, Any]]:
     """A row for each format, reader and time, and first one of what baking costs."""
     baked = bake(scene.model, scene.frames)
-    loss = loss_of(scene.model, baked.at(moments[0]), scene.frames, moments[0])
+    loss = loss_of(baked, scene.frames, moments[0])
     yield {"format": "baked", "reader": "none", "time": moments[0], "psnr": loss.psnr, "convexes": loss.convexes}
     transform, modules = readers.splat_transform(), readers.node_modules()
     for kind, suffix in KINDS.items():
@@ -96,7 +97,7 @@ def splat_rows(scene: Scene, moments: list[float], folder: Path) -> Iterator[dic
                 yield row | {"reader": f"plyfile {version}"} | compared(scene, written, readers.by_plyfile(file))
     if version := readers.installed("usd-core"):
         file = folder / "scene.usdc"
-        write_usd(file, baked.at, moments, 1.0, 24.0, np.array([0.0, 0.0, 1.0]))
+        write_usd(file, baked.at, moments, 1.0, 24.0, Turn("Z", "Z"))
         for t in moments:
             row = {"format": "usd", "reader": f"usd-core {version}", "time": t, "bytes": file.stat().st_size}
             yield row | compared(scene, baked.at(t), seen(readers.by_usd(file, t)))

@@ -1,6 +1,7 @@
 // Reads a .glb file with three.js and checks it with the Khronos validator: node read_gltf.mjs NODE_MODULES FILE.glb OUT
-// OUT.json: versions, the validator's issues, every mesh with its attributes (and indices), the covariances that three's own reader of
-// KHR_gaussian_splatting made of scales and rotations, and animations. Arrays are {start, length, width} in OUT.bin, float64.
+// OUT.json: versions, the validator's issues, every mesh with its attributes (and indices) and the columns of the matrix that places it, the
+// covariances that three's own reader of KHR_gaussian_splatting made of scales and rotations, and animations. Arrays are
+// {start, length, width} in OUT.bin, float64.
 import fs from 'node:fs';
 import path from 'node:path';
 import { createRequire } from 'node:module';
@@ -31,6 +32,7 @@ const keep = (values, width) => {
     return { start: total - values.length, length: values.length, width };
 };
 const meshes = [];
+scene.scene.updateMatrixWorld(true);
 scene.scene.traverse((object) => {
     if (!object.geometry) return;
     const attributes = {};
@@ -39,7 +41,8 @@ scene.scene.traverse((object) => {
         for (let i = 0; i < attribute.count; i++) for (let k = 0; k < attribute.itemSize; k++) values.push(attribute.getComponent(i, k));
         attributes[name] = keep(values, attribute.itemSize);
     }
-    meshes.push({ name: object.name, kind: object.type, attributes, indices: object.geometry.index ? keep(object.geometry.index.array, 3) : null });
+    const indices = object.geometry.index ? keep(object.geometry.index.array, 3) : null;
+    meshes.push({ name: object.name, kind: object.type, attributes, indices, matrix: keep(object.matrixWorld.elements, 4) });
 });
 const animations = scene.animations.map((one) => ({
     name: one.name,

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .formats.axes import Turn
 from .formats.glb import CORNERS, FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, VERTICES, Glb
+from .formats.gltf import node_rotation
 
 TRIANGLES = 4  # a mode of glTF 2.0
 UNLIT = "KHR_materials_unlit"  # the colours already contain the light of the capture
@@ -23,10 +25,10 @@ class Mesh:
     triangles: np.ndarray
 
 
-def mesh_ply_bytes(mesh: Mesh) -> bytes:
-    """Binary, little-endian: x y z float32, red green blue alpha uint8, and the list vertex_indices."""
+def mesh_ply_bytes(mesh: Mesh, turn: Turn | None = None) -> bytes:
+    """Binary, little-endian: x y z float32, red green blue alpha uint8, and the list vertex_indices. turn: of the vertices."""
     vertex = np.zeros(len(mesh.vertices), [("place", "<f4", 3), ("colour", "u1", 4)])
-    vertex["place"] = mesh.vertices
+    vertex["place"] = mesh.vertices if turn is None else mesh.vertices @ turn.matrix.T
     vertex["colour"] = (mesh.colors.clip(0, 1) * 255).round()
     face = np.zeros(len(mesh.triangles), [("count", "u1"), ("corners", "<i4", 3)])
     face["count"], face["corners"] = 3, mesh.triangles
@@ -36,9 +38,10 @@ def mesh_ply_bytes(mesh: Mesh) -> bytes:
     return ("\n".join(header) + "\n").encode() + vertex.tobytes() + face.tobytes()
 
 
-def mesh_glb_bytes(meshes: Sequence[Mesh], seconds: Sequence[float] = (0.0,)) -> bytes:
+def mesh_glb_bytes(meshes: Sequence[Mesh], seconds: Sequence[float] = (0.0,), turn: Turn | None = None) -> bytes:
     """Binary glTF 2.0 with a node for each of ``meshes``. An animation shows one node at a time, each starting at its entry in ``seconds``
     (increasing). A viewer that ignores the animation shows the first. Hidden nodes have scale 0, which is how glTF hides nodes.
+    turn: the rotation of their common parent, which brings the capture's axes to those of glTF, where +Y is up.
 
     Colours are linear, as glTF requires, and unlit; meshes with opacities below 1 are blended.
     """
@@ -74,8 +77,8 @@ def mesh_glb_bytes(meshes: Sequence[Mesh], seconds: Sequence[float] = (0.0,)) ->
     content: dict[str, object] = {
         "extensionsUsed": [UNLIT],
         "scene": 0,
-        "scenes": [{"nodes": list(range(len(nodes)))}],
-        "nodes": nodes,
+        "scenes": [{"nodes": [len(nodes)]}],
+        "nodes": [*nodes, {"name": "scene", "children": list(range(len(nodes))), **node_rotation(turn)}],
         "materials": [{"name": "solid", **look}, {"name": "translucent", "alphaMode": "BLEND", **look}],
     }
     if shapes:

@@ -16,7 +16,7 @@ from .cuda.renders import Renders
 from .motion.field import DeformationField
 from .motion.free import FreeMotion
 from .motion.in_view import in_view
-from .motion.interface import Moved, Rest, Time
+from .motion.interface import Moved, Rest, Time, check_time
 from .motion.nodes import ControlNodes
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 from .views import inside_image
@@ -74,8 +74,9 @@ class Model:
         """Both kinds at time ``t`` in [0, 1], ready for `rasterize`, attached to autograd.
 
         Only dynamic primitives move. If a ``camera`` is given, and culling pays off for this motion, those whose rest position it cannot
-        see are skipped. move=False renders the rest state.
+        see are skipped. move=False renders the rest state. Raises ValueError if ``t`` is a number that is not in [0, 1].
         """
+        check_time(t)
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
         g, c = self.gaussians, self.convexes
         means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
@@ -229,7 +230,8 @@ class Model:
 
     def render(self, camera: Camera, time: float, background: Tensor | None = None, backend: str = "auto") -> Frame:
         """One view at ``time`` in [0, 1], without gradients, as the mean camera would record it. ``background`` [3] in [0, 1]; None uses
-        the model's own. The farther of the camera's and the model's near plane is used."""
+        the model's own. The farther of the camera's and the model's near plane is used. Raises ValueError if ``time`` is not in [0, 1]."""
+        check_time(time)
         camera = replace(camera, near=max(camera.near, self.near))
         background = torch.tensor(self.background) if background is None else background
         with torch.no_grad():

@@ -70,6 +70,7 @@ RUN = {
     "e4dgs render CAPTURE --path turntable --time 0.5 --out pictures/ --depth": f"{TINY} --frames 5",
     "e4dgs render CAPTURE --path capture --seconds 10 --alpha --out cutout/": f"{TINY} --fps 1",
     "e4dgs export ply CAPTURE --times 30 --out DIR": f"{TINY} --times 2",
+    "e4dgs export ply CAPTURE --time 0.5 --out one.ply": TINY,
     "e4dgs export gltf CAPTURE": f"{TINY} --times 2",
     "e4dgs export spz CAPTURE": f"{TINY} --times 2",
     "e4dgs export usd CAPTURE --out scene.usdc": f"{TINY} --times 2",

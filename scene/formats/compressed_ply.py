@@ -6,6 +6,8 @@ are quantised within these bounds to 10 or 11 bits (colours to 8).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...rasterizer import Gaussians
@@ -18,9 +20,9 @@ SH_REACH = 4.0  # SH coefficients after the constant one have 8 bits for -4 to 4
 BOXES = [f"{end}_{of}" for group in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), "rgb") for end in ("min", "max") for of in group]
 
 
-def compressed_ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
-    """The file with the visible ones among ``gaussians`` (with sh), and their number. Neighbours are stored one after another, so that the
-    bounds are tight. SH is ordered by channel, then coefficient, as in the PLY file of 3D Gaussian Splatting."""
+def compressed_ply_bytes(gaussians: Gaussians, comments: Sequence[str] = ()) -> tuple[bytes, int]:
+    """The file with the visible ones among ``gaussians`` (with sh), and their number. comments: lines of its header. Neighbours are stored
+    one after another, so that the bounds are tight. SH is ordered by channel, then coefficient, as in the PLY file of 3DGS."""
     shown = seen(gaussians)
     assert shown.sh is not None
     means, quats, sh = (a.detach().cpu().double().numpy() for a in (shown.means, shown.quats, shown.sh))
@@ -43,7 +45,8 @@ def compressed_ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     rest = sh[order, 1:].transpose(0, 2, 1).reshape(rows, 3 * (sh.shape[1] - 1))
     coded = np.floor((rest / (2 * SH_REACH) + 0.5) * 256).clip(0, 255).astype("u1")  # readers use the middle of each step
     boxes = np.concatenate([part for k in (0, 3, 6) for part in (low[:, k : k + 3], high[:, k : k + 3])], 1)
-    header = ["ply", "format binary_little_endian 1.0", f"element chunk {chunks}", *(f"property float {n}" for n in BOXES)]
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
+    header += [f"element chunk {chunks}", *(f"property float {n}" for n in BOXES)]
     header += [f"element vertex {rows}", *(f"property uint packed_{n}" for n in ("position", "rotation", "scale", "color"))]
     if rest.shape[1]:
         header += [f"element sh {rows}", *(f"property uchar f_rest_{k}" for k in range(rest.shape[1]))]

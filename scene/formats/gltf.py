@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Gaussians
+from .axes import Turn
 from .glb import FLOAT, VERTICES, Glb
 from .ply import seen
 
@@ -14,8 +15,9 @@ POINTS = 0  # a mode of glTF 2.0
 SH_0 = 0.28209479177387814  # the constant spherical harmonic
 
 
-def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
-    """The file with the visible ones among ``gaussians`` (with sh), and their number.
+def glb_bytes(gaussians: Gaussians, turn: Turn | None = None) -> tuple[bytes, int]:
+    """The file with the visible ones among ``gaussians`` (with sh), and their number. turn: the rotation of the node, which brings the
+    capture's axes to those of glTF, where +Y is up.
 
     POSITION in world units and the capture's axes; ROTATION x y z w, unit; SCALE, standard deviations in world units; OPACITY in [0, 1];
     SH_DEGREE_l_COEF_n RGB, where n counts from the order -l upwards. COLOR_0 has colour and opacity for readers that only support points.
@@ -46,7 +48,12 @@ def glb_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"name": "splats", "mesh": 0, **node_rotation(turn)}],
         "meshes": [{"primitives": [primitive]}],
     }
     return file.bytes(content), len(sh)
+
+
+def node_rotation(turn: Turn | None) -> dict[str, list[float]]:
+    """What a node says of ``turn``: its quaternion x y z w, or nothing if it does not turn."""
+    return {"rotation": [float(c) for c in turn.quat[[1, 2, 3, 0]]]} if turn is not None and turn.degrees else {}

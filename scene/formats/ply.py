@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -9,24 +11,28 @@ from torch import Tensor
 from ...rasterizer import Gaussians
 
 LEAST_ALPHA = 1 / 255  # the rasterizer draws nothing below this
+COEFFICIENTS = 16  # of degree 3, which readers of this layout expect
 
 
-def ply_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
-    """The file with the visible ones among ``gaussians`` (with sh), and their number.
+def ply_bytes(gaussians: Gaussians, comments: Sequence[str] = (), padded: bool = True) -> tuple[bytes, int]:
+    """The file with the visible ones among ``gaussians`` (with sh), and their number. comments: lines of its header. padded: write SH up to
+    degree 3, which are 0 above the degree of ``gaussians``; some readers expect all 45.
 
-    Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_* (SH by channel, then coefficient),
-    opacity (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit).
-    """
+    Binary, little-endian float32: x y z (world units), nx ny nz (0), f_dc_0..2 and f_rest_0.. (SH by channel, then coefficient), opacity
+    (logit), scale_0..2 (ln of world units), rot_0..3 (w x y z, unit)."""
     shown = seen(gaussians)
     assert shown.sh is not None
     rows, sh = len(shown.means), shown.sh
+    if padded:
+        sh = torch.cat([sh, sh.new_zeros(rows, COEFFICIENTS - sh.shape[1], 3)], 1)
     rest = sh[:, 1:].transpose(1, 2).reshape(rows, 3 * (sh.shape[1] - 1))
     logit = torch.logit(shown.opacities.clamp(LEAST_ALPHA / 2, 1 - 1e-6))
     columns = [shown.means, torch.zeros(rows, 3), sh[:, 0], rest, logit[:, None], shown.scales.log(), shown.quats]
     names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest.shape[1]))]
     names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
     table = torch.cat([column.detach().cpu().float() for column in columns], 1).numpy().astype("<f4")
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {rows}", *(f"property float {n}" for n in names), "end_header"]
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments), f"element vertex {rows}"]
+    header += [*(f"property float {n}" for n in names), "end_header"]
     return ("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes(), rows
 
 

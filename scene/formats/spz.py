@@ -14,15 +14,12 @@ from .smallest_three import LARGEST, smallest_three
 MAGIC, VERSION = 0x5053474E, 3
 MOST = 2**23 - 1  # greatest coordinate: signed 24 bits
 FRACTION = 20  # most fraction bits of a coordinate
-# SPZ's axes are right, up, back; those of PLY files are right, down, front. A half turn about x converts between them. Readers turn back,
-# so files of both kinds look the same. Signs of the turned values:
-TURNED_MEANS = np.array([1, -1, -1])
-TURNED_QUATS = np.array([1, 1, -1, -1])  # w x y z
-TURNED_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])  # basis functions odd in y and z together
+ANTIALIASED = 1  # a flag of the header
 
 
-def spz_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
-    """The file with the visible ones among ``gaussians`` (with sh), and their number.
+def spz_bytes(gaussians: Gaussians, antialiased: bool = False) -> tuple[bytes, int]:
+    """The file with the visible ones among ``gaussians`` (with sh), and their number. SPZ's axes are right, up, back; nothing is turned
+    here. antialiased: set the flag that tells that the Gaussians are meant for renderers that compensate opacity.
 
     gzip of a header and of all positions (24 bits, with as many fraction bits as the farthest one allows), opacities, colours, scales (ln
     in steps of 1/16), rotations (three components of 10 bits) and SH (8 bits for -1 to 1; by coefficient, then channel). Raises ValueError
@@ -33,11 +30,10 @@ def spz_bytes(gaussians: Gaussians) -> tuple[bytes, int]:
     means, quats, sh = (a.detach().cpu().double().numpy() for a in (shown.means, shown.quats, shown.sh))
     scales, opacities = (a.detach().cpu().double().numpy() for a in (shown.scales, shown.opacities))
     rows, degree = len(means), round(sh.shape[1] ** 0.5) - 1
-    means, quats, sh = means * TURNED_MEANS, quats * TURNED_QUATS, sh * TURNED_SH[: sh.shape[1], None]
     fraction = fraction_bits(float(np.abs(means).max(initial=0.0)))
     fixed = np.rint(means * 2.0**fraction).astype("<i4")
     parts = [
-        struct.pack("<IIIBBBB", MAGIC, VERSION, rows, degree, fraction, 0, 0),
+        struct.pack("<IIIBBBB", MAGIC, VERSION, rows, degree, fraction, ANTIALIASED * antialiased, 0),
         np.ascontiguousarray(fixed.reshape(-1, 1).view("u1")[:, :3]).tobytes(),
         _bytes(opacities * 255),
         _bytes((0.5 + 0.15 * sh[:, 0]) * 255),

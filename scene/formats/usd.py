@@ -14,27 +14,40 @@ from torch import Tensor
 
 from ...pipeline.files import sync_file
 from ...rasterizer import Gaussians
+from .axes import Turn, nearest_axis
 from .ply import seen_rows
 
 REACH = 3.0  # standard deviations around each Gaussian that the bounding box includes
-QUARTER = {"X": ("Z", 90.0), "-X": ("Z", -90.0), "-Y": ("X", 180.0), "-Z": ("X", 90.0)}  # axis and degrees that bring each to +Y
 NOTE = (
     "Positions have the capture's own axes and unit of length (taken as a metre, which nobody measured); colours are display values (sRGB)."
 )
 
 
-def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[float], last_code: float, rate: float, up: np.ndarray) -> int:
+def stage_turn(up: np.ndarray, wanted: str | None = None) -> Turn:
+    """The turn of /World for a scene with the up direction ``up`` [3].
+
+    wanted: the stage's up axis, "Y" or "Z"; "capture" leaves the scene as it is; by default the axis nearest to ``up`` stays if it is one
+    of the two, and becomes +Y otherwise. Raises ValueError for other axes, which USD does not know as up axes."""
+    axis = nearest_axis(up)
+    if wanted not in (None, "Y", "Z", "capture"):
+        raise ValueError(f"{wanted} cannot be the up axis of a USD stage, which is Y or Z")
+    if wanted == "capture":
+        return Turn(axis, axis)
+    return Turn(axis, wanted or (axis if axis in ("Y", "Z") else "Y"))
+
+
+def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[float], last_code: float, rate: float, turn: Turn) -> int:
     """Write ``path`` (.usdc or .usda), completely or not at all, and return the number of Gaussians.
 
     at: returns the Gaussians (with sh) at a time in [0, 1], always the same number in the same order. times: increasing; time t becomes
-    time code t * last_code. rate: time codes a second. up [3]: the up direction. If +Y or +Z is the axis nearest to it, that becomes the
-    stage's up axis; otherwise quarter turns of /World bring the nearest axis to +Y.
+    time code t * last_code. rate: time codes a second. turn: that of /World, see `stage_turn`; its last axis is the stage's up axis (Y if
+    that is neither Y nor Z).
 
     /World/Splats has positions, orientations (unit), scales (standard deviations), opacities in [0, 1] and SH (0.5 is added, as in 3DGS).
     All are time samples of the same Gaussians, those visible at any of the times, so programs can interpolate between samples. Raises
     ImportError without usd-core, OSError if the file cannot be written.
     """
-    from pxr import Usd, UsdGeom, UsdVol, Vt
+    from pxr import Gf, Usd, UsdGeom, UsdVol, Vt
 
     stage = Usd.Stage.CreateInMemory()
     layer = stage.GetRootLayer()
@@ -46,14 +59,16 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     root = UsdGeom.Xform.Define(stage, "/World")
     stage.SetDefaultPrim(root.GetPrim())
-    axis = nearest_axis(up)
-    UsdGeom.SetStageUpAxis(stage, axis if axis in ("Y", "Z") else "Y")
-    if axis in QUARTER:
-        about, degrees = QUARTER[axis]
-        (root.AddRotateXOp() if about == "X" else root.AddRotateZOp()).Set(degrees)
+    UsdGeom.SetStageUpAxis(stage, turn.after if turn.after in ("Y", "Z") else "Y")
+    if turn.degrees:
+        about = nearest_axis(turn.about)
+        add = {"X": root.AddRotateXOp, "Y": root.AddRotateYOp, "Z": root.AddRotateZOp}[about[-1]]
+        add().Set(float(-turn.degrees if about[0] == "-" else turn.degrees))
 
     keep = torch.stack([seen_rows(at(t)) for t in times]).any(0)
     splats = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/World/Splats")
+    # Without it, colours are taken as linear. There is no token for display values; this one has their primaries and curve.
+    Usd.ColorSpaceAPI.Apply(splats.GetPrim()).CreateColorSpaceNameAttr(Gf.ColorSpaceNames.SRGBRec709)
     sh_degree = 0
     written: dict[str, tuple[np.ndarray, Any]] = {}
 
@@ -88,12 +103,6 @@ def write_usd(path: Path, at: Callable[[float], Gaussians], times: Sequence[floa
     splats.GetSortingModeHintAttr().Set("zDepth")
     _export(layer, path)
     return int(keep.sum())
-
-
-def nearest_axis(up: np.ndarray) -> str:
-    """Whichever of X, Y, Z, -X, -Y, -Z is nearest to ``up`` [3]."""
-    k = int(np.abs(up).argmax())
-    return ("" if up[k] > 0 else "-") + "XYZ"[k]
 
 
 def as_float32(value: Tensor) -> np.ndarray:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...pipeline import SettingsError
 from .capture_cameras import camera_of, distinct_views
-from .plain import PlainLook
+from .plain import PlainLook, compensated
 
 if TYPE_CHECKING:
     from ...rasterizer import Frame, Gaussians
@@ -24,14 +25,16 @@ RATE = 0.04  # learning rate of Adam, decays to a twentieth; in ln of standard d
 
 @dataclass
 class Baked:
-    """``model``, with its convexes replaced by Gaussians according to ``fit``. plain: what changes in its other Gaussians."""
+    """``model``, with its convexes replaced by Gaussians according to ``fit``. plain: what changes in its other Gaussians. antialiased:
+    whether the result is for programs that compensate opacity."""
 
     model: Model
     fit: GaussianFit
     plain: PlainLook
+    antialiased: bool = False
 
     def at(self, t: float) -> Gaussians:
-        """The Gaussians, with SH, at time ``t`` in [0, 1]. Their number and order are the same at all times."""
+        """The Gaussians, with SH, at time ``t`` in [0, 1], detached. Their number and order are the same at all times."""
         import torch
 
         from ...scene.formats.ply import joined
@@ -43,48 +46,62 @@ class Baked:
 
 @dataclass
 class Loss:
-    """psnr: dB, renders of the export against renders of the full model, over ``cameras`` cameras. convexes: how many became Gaussians."""
+    """psnr: dB, renders of the export against renders of the full model, over ``cameras`` cameras. convexes: how many became Gaussians.
+    antialiased: the export is rendered as programs with compensated opacity do, otherwise as those in the default mode do."""
 
     psnr: float
     cameras: int
     convexes: int
+    antialiased: bool = False
 
     def __str__(self) -> str:
-        said = f"{self.psnr:.1f} dB from the full model, first time, {self.cameras} cameras"
+        mode = "antialiased (compensated opacity)" if self.antialiased else "classic (0.3 px² added)"
+        said = f"{self.psnr:.1f} dB from the full model in {mode} viewers, first time, {self.cameras} cameras"
         return f"{self.convexes} convexes became Gaussians: {said}" if self.convexes else said
 
 
-def bake(model: Model, frames: FrameSet) -> Baked:
+def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:
     """Replaces each convex by a Gaussian, with mean, covariance and opacity fitted so that renders from training cameras at all times are
-    closest to those of the full ``model``. The rest of the model does not change."""
+    closest to those of the full ``model``.
+
+    antialiased: for programs that compensate opacity (`compensated`); the model's own Gaussians stay as they were trained. Otherwise for
+    those in the default mode, and the Gaussians of an antialiased model are adjusted (`PlainLook`). Raises SettingsError if ``antialiased``
+    is asked of a model that was trained in the default mode."""
     from ...scene.convex_gaussians import GaussianFit
 
-    reference, plain = model.convexes.points.detach(), PlainLook.of(model, frames)
+    if antialiased and not model.antialiased:
+        raise SettingsError(
+            "--antialiased: this model was trained in the default mode (coarse.antialiased=false), so its Gaussians are not for such "
+            "viewers; leave out --antialiased"
+        )
+    reference = model.convexes.points.detach()
+    plain = PlainLook.unchanged(len(model.gaussians)) if antialiased else PlainLook.of(model, frames)
     if not len(model.convexes):
-        return Baked(model, GaussianFit.uniform(reference, 1.0), plain)
+        return Baked(model, GaussianFit.uniform(reference, 1.0), plain, antialiased)
     few = frames.train[np.linspace(0, len(frames.train) - 1, min(LOOKS, len(frames.train))).round().astype(int)]
-    starts = [GaussianFit.uniform(reference, spread) for spread in SPREADS]
-    best = starts[int(np.argmin([_error(Baked(model, start, plain), frames, few) for start in starts]))]
-    fits = best, _fitted(model, frames, best, plain)
-    return min((Baked(model, fit, plain) for fit in fits), key=lambda baked: _error(baked, frames, few))
+    starts = [Baked(model, GaussianFit.uniform(reference, spread), plain, antialiased) for spread in SPREADS]
+    best = starts[int(np.argmin([_error(start, frames, few) for start in starts]))]
+    return min((best, replace(best, fit=_fitted(best, frames))), key=lambda baked: _error(baked, frames, few))
 
 
-def _fitted(model: Model, frames: FrameSet, start: GaussianFit, plain: PlainLook) -> GaussianFit:
-    """``start`` after gradient descent on the squared difference of colour and alpha. The full model provides the ground truth from any
-    camera at any time."""
+def _fitted(baked: Baked, frames: FrameSet) -> GaussianFit:
+    """The fit of ``baked`` after gradient descent on the squared difference of colour and alpha. The full model provides the ground truth
+    from any camera at any time."""
     import torch
 
     from ...scene.formats.ply import joined
 
+    model, start = baked.model, baked.fit
     learned = {name: getattr(start, name).clone().requires_grad_() for name in ("log_spread", "offset", "opacity")}
     optimiser = torch.optim.Adam(list(learned.values()), lr=RATE)
     rng = np.random.default_rng(0)
     for step in range(STEPS):
         i, t = int(rng.choice(frames.train)), float(rng.uniform())
-        wanted = _render(model, None, frames, i, t)
+        wanted = _render(baked, None, frames, i, t)
         with torch.no_grad():
             gaussians, convexes = model.at(t)
-        seen = _render(model, joined(plain(gaussians), replace(start, **learned).gaussians(convexes)), frames, i, t)
+        shown = joined(baked.plain(gaussians), replace(start, **learned).gaussians(convexes))
+        seen = _render(baked, shown, frames, i, t)
         loss = (seen.color - wanted.color).square().mean() + (seen.alpha - wanted.alpha).square().mean()
         optimiser.param_groups[0]["lr"] = RATE * (1 - 0.95 * step / STEPS)
         optimiser.zero_grad()
@@ -93,38 +110,40 @@ def _fitted(model: Model, frames: FrameSet, start: GaussianFit, plain: PlainLook
     return replace(start, **{name: value.detach() for name, value in learned.items()})
 
 
-def loss_of(model: Model, gaussians: Gaussians, frames: FrameSet, t: float) -> Loss:
-    """How far renders of ``gaussians`` are from those of ``model`` at time ``t``, over held-out cameras if there are enough of them."""
+def loss_of(baked: Baked, frames: FrameSet, t: float) -> Loss:
+    """How far renders of ``baked`` are from those of its model at time ``t``, over held-out cameras if there are enough of them."""
     chosen = distinct_views(frames, np.concatenate([frames.test, frames.val]), LOOKS)
     if len(chosen) < LOOKS:
         chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), LOOKS)
-    error = sum(_squared_error(model, gaussians, frames, int(i), t) for i in chosen) / len(chosen)
-    return Loss(float(-10 * np.log10(max(error, 1e-10))), len(chosen), len(model.convexes))
+    error = sum(_squared_error(baked, frames, int(i), t) for i in chosen) / len(chosen)
+    return Loss(float(-10 * np.log10(max(error, 1e-10))), len(chosen), len(baked.model.convexes), baked.antialiased)
 
 
 def _error(baked: Baked, frames: FrameSet, chosen: np.ndarray) -> float:
     """Mean of `_squared_error` over the frames ``chosen``, at their own times."""
     times = [float(frames.time[i]) for i in chosen]
-    return sum(_squared_error(baked.model, baked.at(t), frames, int(i), t) for i, t in zip(chosen, times)) / len(chosen)
+    return sum(_squared_error(baked, frames, int(i), t) for i, t in zip(chosen, times)) / len(chosen)
 
 
-def _squared_error(model: Model, gaussians: Gaussians, frames: FrameSet, i: int, t: float) -> float:
-    """Mean squared difference in [0, 1] between renders of ``gaussians`` and of ``model`` from the camera of frame ``i`` at time ``t``."""
+def _squared_error(baked: Baked, frames: FrameSet, i: int, t: float) -> float:
+    """Mean squared difference in [0, 1] between renders of ``baked`` and of its model from the camera of frame ``i`` at time ``t``."""
     import torch
 
     with torch.no_grad():
-        colors = [_render(model, shown, frames, i, t).color.clamp(0, 1) for shown in (gaussians, None)]
+        colors = [_render(baked, shown, frames, i, t).color.clamp(0, 1) for shown in (baked.at(t), None)]
     return float((colors[0] - colors[1]).square().mean())
 
 
-def _render(model: Model, gaussians: Gaussians | None, frames: FrameSet, i: int, t: float) -> Frame:
-    """Renders ``gaussians``, or if None the full ``model`` at time ``t``, from the camera of frame ``i`` on the model's background."""
+def _render(baked: Baked, gaussians: Gaussians | None, frames: FrameSet, i: int, t: float) -> Frame:
+    """Renders ``gaussians`` as the programs do that ``baked`` is for, or if None the full model at time ``t``, from the camera of frame
+    ``i`` on the model's background."""
     import torch
 
     from ...rasterizer import rasterize
 
+    model = baked.model
     camera, background = camera_of(model, frames, i), torch.tensor(model.background)
     if gaussians is not None:
-        return rasterize(camera, gaussians, None, background)
+        return rasterize(camera, compensated(camera, gaussians) if baked.antialiased else gaussians, None, background)
     with torch.no_grad():
         return rasterize(camera, *model.at(t), background, antialiased=model.antialiased)

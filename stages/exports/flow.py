@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +16,7 @@ from ...vision.images.overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, 
 from ...vision.images.png import encode_png
 from ..artifacts.flow import StoredFlow
 from ..artifacts.frameset import FrameSet
+from .numbered import staged
 
 SUFFIXES = (".flo", ".png", "_backward.flo", "_backward.png", "_edges.png", "_moving.png")
 WHEEL = "wheel.png"
@@ -26,11 +28,18 @@ def export_flow(fields: StoredFlow, frames: FrameSet, out: Path, largest: float,
     """Writes the files of every pair, named by `pair_stems` plus one of `SUFFIXES`, and the legend `WHEEL`. Returns the number of files.
 
     .flo files hold the measured flow in px, .png files its colours, with full colour at ``largest`` px. Edges, and moving pixels if known,
-    are drawn over the first frame. Files are written atomically and replace existing ones. ``advance`` is called after each pair.
-    Raises OSError if a file cannot be written, and ArtifactError or CaptureError if one cannot be read.
+    are drawn over the first frame. Files go to ``out`` when all are written, and replace existing ones. ``advance`` is called after each
+    pair. Raises OSError if a file cannot be written, and ArtifactError or CaptureError if one cannot be read.
     """
+    with staged(out) as part:
+        written = _write_pairs(fields, frames, part, largest, advance)
+        for file in sorted(part.iterdir()):
+            os.replace(file, out / file.name)
+    return written
+
+
+def _write_pairs(fields: StoredFlow, frames: FrameSet, out: Path, largest: float, advance: Callable[[], None]) -> int:
     stems = pair_stems(frames.names, fields.pairs)
-    out.mkdir(parents=True, exist_ok=True)
     write_atomically(out / WHEEL, encode_png(colour_wheel(WHEEL_SIZE)))
 
     def write(p: int) -> int:

@@ -1,9 +1,17 @@
-"""Numbered files of an export, one per time: ``frame0001.ply`` and so on."""
+"""Numbered files of an export, one per time: ``frame0001.ply`` and so on. A folder has the whole of a new sequence, or the earlier one."""
 
 from __future__ import annotations
 
+import fcntl
+import os
 import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+PART = ".export-"  # begins the name of the folder that holds files until all are written
 
 
 def numbered(folder: Path, k: int, ending: str) -> Path:
@@ -11,13 +19,60 @@ def numbered(folder: Path, k: int, ending: str) -> Path:
     return folder / f"frame{k + 1:04d}{ending}"
 
 
-def remove_later(folder: Path, count: int, ending: str) -> None:
-    """Removes the files that an earlier export of more than ``count`` times has left, or programs would play them after the new ones.
-
-    Only files with exactly such a name go. Raises OSError if one cannot be removed.
-    """
+def sequence_in(folder: Path, ending: str) -> list[Path]:
+    """The files of a sequence in ``folder``, in order. Only files with exactly such a name count."""
     name = re.compile(rf"frame([0-9]{{4,}}){re.escape(ending)}")
-    for file in sorted(folder.iterdir()):
-        found = name.fullmatch(file.name)
-        if found is not None and int(found[1]) > count and file == numbered(folder, int(found[1]) - 1, ending) and file.is_file():
+    found = {int(match[1]): file for file in folder.iterdir() if (match := name.fullmatch(file.name)) is not None}
+    return [file for k, file in sorted(found.items()) if file == numbered(folder, k - 1, ending) and file.is_file()]
+
+
+@contextmanager
+def new_sequence(folder: Path, ending: str) -> Iterator[Path]:
+    """A folder for the files of a sequence, which at the end go to ``folder`` in place of those that an earlier export left there.
+
+    If the block is left by an error or Ctrl-C, nothing has changed. If the process is killed while files go to ``folder``, the first of the
+    sequence is missing, so that nothing takes the rest for a whole one. Raises OSError if a file cannot be written, moved or removed.
+    """
+    with staged(folder) as part:
+        yield part
+        made = sequence_in(part, ending)
+        for file in sequence_in(folder, ending):  # the first one first
             file.unlink()
+        for file in reversed(made):  # the first one last
+            os.replace(file, folder / file.name)
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """A hidden folder inside ``folder``, which is made if it is not there, for files that are not complete. It goes at the end, and the
+    folders that were made for it go if nothing came into them."""
+    made = [folder, *folder.parents][: next(k for k, one in enumerate([folder, *folder.parents]) if one.exists())]
+    folder.mkdir(parents=True, exist_ok=True)
+    _remove_leftovers(folder)
+    part = Path(tempfile.mkdtemp(prefix=PART, dir=folder))
+    held = os.open(part, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # some file systems have no locks
+            fcntl.flock(held, fcntl.LOCK_SH)
+        yield part
+    finally:
+        os.close(held)
+        shutil.rmtree(part, ignore_errors=True)
+        for one in made:
+            try:
+                one.rmdir()
+            except OSError:  # it has files now
+                break
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Removes what exports that were killed have left in ``folder``: their lock is gone."""
+    for part in folder.glob(f"{PART}*"):
+        held = os.open(part, os.O_RDONLY)
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(part, ignore_errors=True)
+        except OSError:  # another export is at work
+            continue
+        finally:
+            os.close(held)

@@ -1,4 +1,4 @@
-"""Adjusts the Gaussians of an antialiased model for programs that draw them in the default mode."""
+"""How programs draw the Gaussians of an antialiased model, and how these are adjusted for programs that draw in the default mode."""
 
 from __future__ import annotations
 
@@ -69,6 +69,15 @@ class PlainLook:
     def __call__(self, gaussians: Gaussians) -> Gaussians:
         """``gaussians`` as such programs should get them."""
         return replace(self.narrowed(gaussians), opacities=(gaussians.opacities * self.share).clamp(max=1.0))
+
+
+def compensated(camera: Camera, gaussians: Gaussians) -> Gaussians:
+    """``gaussians`` with opacities with which the default mode draws them before ``camera`` as antialiased viewers do: these add 0.3 px^2
+    to the projected covariance S, too, and lower opacity by sqrt(det S / det(S + 0.3 I)) (gsplat's rasterize_mode "antialiased", Spark)."""
+    from ...scene.training.control.hidden import footprint
+
+    share = footprint(camera, gaussians, dilation=0.0) / footprint(camera, gaussians).clamp(min=1e-12)
+    return replace(gaussians, opacities=gaussians.opacities * share)
 
 
 def pixel_area(camera: Camera, gaussians: Gaussians) -> Tensor:

@@ -1,18 +1,18 @@
-"""Exports a model as numbered files of Gaussian splats, one per time, and measures the loss."""
+"""Exports a model as files of Gaussian splats, one per time, and measures the loss."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from ...pipeline import StageError
 from ...pipeline.files import write_atomically
+from ...scene.formats.axes import Turn, nearest_axis
 from .bake import Loss, bake, loss_of
-from .numbered import numbered, remove_later
+from .numbered import new_sequence, numbered
 
 if TYPE_CHECKING:
     from ...rasterizer import Gaussians
@@ -21,76 +21,112 @@ if TYPE_CHECKING:
 
 Kind = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]
 KINDS: dict[Kind, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb"}
+# SPZ's axes are right, up, back; glTF says +Y is up. The others are written right, down, front by 3DGS and whoever followed it.
+UP: dict[Kind, str] = {"ply": "-Y", "compressed-ply": "-Y", "spz": "Y", "sog": "-Y", "gltf": "Y"}
 
 
 @dataclass
 class Exported:
-    """fewest, most: number of Gaussians per file. loss: how far the first file is from the model."""
+    """fewest, most: number of Gaussians per file. turn: from the capture's axes to those of the files. loss: how far the first file is from
+    the model."""
 
     fewest: int
     most: int
+    turn: Turn
     loss: Loss
 
 
 def export_splats(
-    model: Model, frames: FrameSet, folder: Path, count: int, kind: Kind = "ply", advance: Callable[[int], None] = lambda n: None
+    model: Model,
+    frames: FrameSet,
+    out: Path,
+    moments: Sequence[float],
+    kind: Kind = "ply",
+    single: bool = False,
+    up: str | None = None,
+    antialiased: bool = False,
+    advance: Callable[[int], None] = lambda n: None,
 ) -> Exported:
-    """Writes ``folder/frame0001.ply`` and so on: the Gaussians of ``model`` at ``count`` times from first to last (the middle time if
-    ``count`` is 1).
+    """Writes the Gaussians of ``model`` at ``moments`` in [0, 1] to ``out``/frame0001.ply and so on, or if ``single`` to the file ``out``.
 
-    kind: one of `KINDS`; all but ply are slightly lossy. Files are written atomically; those that an earlier export of more times has left
-    are removed at the end. Raises StageError if ``kind`` needs a package that is not installed, OSError if the folder cannot be written.
-    """
-    encode = encoder(kind)
-
-    folder.mkdir(parents=True, exist_ok=True)
-    baked = bake(model, frames)
-    moments = [float(t) for t in np.linspace(0, 1, count)] if count > 1 else [0.5]
+    kind: one of `KINDS`; all but ply and gltf are slightly lossy. up: the axis of the file that points up in the scene, `UP` by default, or
+    "capture" for the capture's own axes. antialiased: write the Gaussians of an antialiased model as they are; see `bake`. Nothing is left
+    of an export that does not come to its end, and an earlier sequence is replaced as a whole. Raises StageError if ``kind`` needs a
+    package that is not installed, SettingsError as `bake` does, OSError if a file cannot be written."""
+    if single and len(moments) != 1:
+        raise ValueError(f"one file holds one time, not {len(moments)}")
+    turn = turn_of(frames, up, UP[kind])
+    encode = encoder(kind, turn, antialiased)
+    baked = bake(model, frames, antialiased)
     rows = []
-    for k, t in enumerate(moments):
-        file = numbered(folder, k, KINDS[kind])
+
+    def write(file: Path, t: float) -> None:
         try:
             data, number = encode(baked.at(t))
         except ValueError as error:
-            raise StageError(f"export {kind}: {file}: {error}; export ply instead") from error
+            raise StageError(f"export {kind}: {file.name}: {error}; export ply instead") from error
         write_atomically(file, data)
         rows.append(number)
         advance(1)
-    remove_later(folder, count, KINDS[kind])
-    return Exported(min(rows), max(rows), loss_of(model, baked.at(moments[0]), frames, moments[0]))
+
+    if single:
+        write(out, moments[0])
+    else:
+        with new_sequence(out, KINDS[kind]) as folder:
+            for k, t in enumerate(moments):
+                write(numbered(folder, k, KINDS[kind]), t)
+    return Exported(min(rows), max(rows), turn, loss_of(baked, frames, moments[0]))
 
 
-def encoder(kind: Kind) -> Callable[[Gaussians], tuple[bytes, int]]:
-    """A function from Gaussians to the bytes of a file of ``kind`` and the number of Gaussians in it."""
+def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:
+    """From the axes of the capture, whose up direction is the mean one of its training cameras, to those of a file with ``up`` (`AXES`, or
+    "capture" for none) or else ``usual`` pointing up."""
+    from ...scene.camera_paths import upward
+
+    assert frames.cam_from_world is not None
+    axis = nearest_axis(upward(frames.cam_from_world[frames.train]))
+    return Turn(axis, axis if up == "capture" else up or usual)
+
+
+def encoder(kind: Kind, turn: Turn | None = None, antialiased: bool = False) -> Callable[[Gaussians], tuple[bytes, int]]:
+    """A function from Gaussians to the bytes of a file of ``kind`` and the number of Gaussians in it.
+
+    turn: from their axes to those of the file; none is turned without it. In a .glb file the node turns, and the Gaussians stay as they
+    are. antialiased: say in the file, where the format can, that they are meant for renderers that compensate opacity."""
     from ...scene.formats.compressed_ply import compressed_ply_bytes
     from ...scene.formats.gltf import glb_bytes
     from ...scene.formats.ply import ply_bytes
     from ...scene.formats.spz import spz_bytes
 
+    if kind == "gltf":
+        return partial(glb_bytes, turn=turn)
+    # Brush and splat-transform (3.2 and later) read this comment, and write it.
+    comments = [f"SplatRenderMode: {'mip' if antialiased else 'default'}", *([] if turn is None else [f"up: {turn.after}"])]
     writers: dict[Kind, Callable[[Gaussians], tuple[bytes, int]]] = {
-        "ply": ply_bytes,
-        "compressed-ply": compressed_ply_bytes,
-        "spz": spz_bytes,
-        "gltf": glb_bytes,
+        "ply": partial(ply_bytes, comments=comments),
+        "compressed-ply": partial(compressed_ply_bytes, comments=comments),
+        "spz": partial(spz_bytes, antialiased=antialiased),
     }
-    return writers[kind] if kind in writers else _sog_encoder()
+    write = writers[kind] if kind in writers else _sog_encoder(antialiased)
+    return lambda gaussians: write(gaussians if turn is None else turn(gaussians))
 
 
-def _sog_encoder() -> Callable[[Gaussians], tuple[bytes, int]]:
+def _sog_encoder(antialiased: bool) -> Callable[[Gaussians], tuple[bytes, int]]:
     try:
         import gaussforge
     except ImportError as error:
         raise StageError("export sog needs the package gaussforge; install it with: pip install 'e4dgs[splats]'") from error
 
     from ...scene.formats.ply import ply_bytes
+    from ...scene.formats.sog import tagged_sog
 
     forge = gaussforge.GaussForge()
 
     def encode(gaussians: Gaussians) -> tuple[bytes, int]:
-        plain, number = ply_bytes(gaussians)
+        plain, number = ply_bytes(gaussians, padded=False)
         converted = forge.convert(plain, "ply", "sog")
         if "data" not in converted:
             raise StageError(f"export sog: {converted.get('error', 'the conversion failed')}")
-        return bytes(converted["data"]), number
+        return tagged_sog(bytes(converted["data"]), antialiased), number
 
     return encode

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...pipeline import StageError
+from ...pipeline import SettingsError, StageError
+from ...scene.formats.axes import Turn
 from .bake import Loss, bake, loss_of
 
 if TYPE_CHECKING:
@@ -22,20 +23,29 @@ USUAL_RATE = 24.0  # time codes per second for a capture without times in second
 
 @dataclass
 class ExportedUsd:
-    """gaussians: their number. rate: time codes per second. loss: how far the Gaussians are from the model."""
+    """gaussians: their number. rate: time codes per second. turn: of the scene in the stage. loss: how far the Gaussians are from the
+    model."""
 
     gaussians: int
     rate: float
+    turn: Turn
     loss: Loss
 
 
 def export_usd(
-    model: Model, frames: FrameSet, path: Path, count: int, times: int, advance: Callable[[int], None] = lambda n: None
+    model: Model,
+    frames: FrameSet,
+    path: Path,
+    moments: Sequence[float],
+    times: int,
+    up: str | None = None,
+    antialiased: bool = False,
+    advance: Callable[[int], None] = lambda n: None,
 ) -> ExportedUsd:
-    """Writes ``path`` (.usdc or .usda) with ``count`` time samples from first to last (the middle time if ``count`` is 1); see `write_usd`.
+    """Writes ``path`` (.usdc or .usda) with time samples at ``moments``, increasing, in [0, 1]; see `write_usd`.
 
-    times: number of times of the capture; time codes are its frames, counted from 0. ``advance`` is called twice per sample. Raises
-    StageError if usd-core is not installed.
+    times: number of times of the capture; time codes are its frames, counted from 0. up: see `stage_turn`. antialiased: see `bake`.
+    ``advance`` is called twice per sample. Raises StageError if usd-core is not installed, SettingsError for another ``up``.
     """
     try:
         from pxr import UsdVol
@@ -44,18 +54,20 @@ def export_usd(
     except (ImportError, AttributeError) as error:
         raise StageError("export usd needs the package usd-core, 26.3 or later; install it with: pip install 'e4dgs[usd]'") from error
     from ...scene.camera_paths import upward
-    from ...scene.formats.usd import write_usd
+    from ...scene.formats.usd import stage_turn, write_usd
 
     assert frames.cam_from_world is not None
-    baked = bake(model, frames)
+    try:
+        turn = stage_turn(upward(frames.cam_from_world[frames.train]), up)
+    except ValueError as error:
+        raise SettingsError(f"--up {up}: {error}; give one of these, or capture") from error
+    baked = bake(model, frames, antialiased)
 
     def at(t: float) -> Gaussians:
         advance(1)
         return baked.at(t)
 
-    moments = [float(t) for t in np.linspace(0, 1, count)] if count > 1 else [0.5]
     seconds = float(np.ptp(frames.seconds))
     rate = (times - 1) / seconds if times > 1 and seconds > 0 else USUAL_RATE
-    up = upward(frames.cam_from_world[frames.train])
-    number = write_usd(path, at, moments, float(times - 1), rate, up)
-    return ExportedUsd(number, rate, loss_of(model, baked.at(moments[0]), frames, moments[0]))
+    number = write_usd(path, at, moments, float(times - 1), rate, turn)
+    return ExportedUsd(number, rate, turn, loss_of(baked, frames, moments[0]))

@@ -97,8 +97,10 @@ def test_gltf_that_is_read_back_renders_the_same(degree):
 def test_columns_are_those_that_viewers_ask_for():
     names, table = read(ply_bytes(gaussians(degree=1))[0])
     assert names[:9] == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
-    assert names[9:18] == [f"f_rest_{k}" for k in range(9)]
-    assert names[18:] == ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    assert names[9:54] == [f"f_rest_{k}" for k in range(45)], "the readers of 3DGS and Unity expect all of degree 3"
+    rest = table[:, 9:54].reshape(-1, 3, 15)
+    assert rest[:, :, :3].any() and not rest[:, :, 3:].any(), "channel after channel; 0 above its own degree"
+    assert names[54:] == ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     np.testing.assert_allclose(np.linalg.norm(table[:, -4:], axis=1), 1, atol=1e-6)
 
 
@@ -107,3 +109,9 @@ def test_what_cannot_be_seen_is_left_out_at_the_rasterizer_s_threshold():
     made.opacities = torch.tensor([LEAST_ALPHA, LEAST_ALPHA - 1e-5, 1.0])
     file, rows = ply_bytes(made)
     assert rows == 2 and np.isfinite(read(file)[1]).all()
+
+
+def test_the_header_says_what_is_asked_and_is_still_read():
+    header = ply_bytes(gaussians(degree=1), ["SplatRenderMode: mip", "up: -Y"])[0].split(b"end_header")[0].decode().split("\n")
+    assert header[1:4] == ["format binary_little_endian 1.0", "comment SplatRenderMode: mip", "comment up: -Y"]
+    assert ply_bytes(gaussians(degree=1), padded=False)[0].count(b"f_rest_") == 9

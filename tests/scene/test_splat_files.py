@@ -6,11 +6,11 @@ import struct
 import numpy as np
 import pytest
 import torch
-from e4dgs.rasterizer import Camera, Gaussians, rasterize
+from e4dgs.rasterizer import Gaussians
 from e4dgs.scene.formats.compressed_ply import along_a_curve, compressed_ply_bytes
 from e4dgs.scene.formats.ply import ply_bytes
 from e4dgs.scene.formats.smallest_three import LARGEST, smallest_three
-from e4dgs.scene.formats.spz import MOST, TURNED_MEANS, TURNED_QUATS, TURNED_SH, fraction_bits, spz_bytes
+from e4dgs.scene.formats.spz import MOST, fraction_bits, spz_bytes
 
 
 def gaussians(count: int = 100, degree: int = 3, far: float = 0.5) -> Gaussians:
@@ -31,26 +31,6 @@ def test_the_left_out_part_follows_from_the_others():
     np.testing.assert_allclose(np.abs((back * quats).sum(1)), 1, atol=1e-12)
 
 
-def test_what_is_turned_for_spz_looks_the_same_from_a_turned_camera():
-    made = gaussians()
-    tensor = lambda array: torch.tensor(array).float()  # noqa: E731
-    turned = Gaussians(
-        made.means * tensor(TURNED_MEANS),
-        made.quats * tensor(TURNED_QUATS),
-        made.scales,
-        made.opacities,
-        sh=made.sh * tensor(TURNED_SH)[:, None],
-    )
-    pose = torch.eye(4)
-    pose[:3, 3] = torch.tensor([0.2, -0.1, 3.0])
-    K = torch.tensor([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]])
-    half_turn = torch.diag(torch.tensor([1.0, -1, -1, 1]))
-    before = rasterize(Camera(K, pose, 64, 64), made, None, torch.zeros(3)).color
-    after = rasterize(Camera(K, pose @ half_turn, 64, 64), turned, None, torch.zeros(3)).color
-    assert before.std() > 0.1
-    torch.testing.assert_close(after, before, atol=1e-4, rtol=0)
-
-
 @pytest.mark.parametrize(("far", "bits"), [(0.0, 20), (7.9, 20), (8.1, 19), (2000.0, 12), (MOST, 0)])
 def test_positions_of_spz_use_the_bits_that_the_farthest_one_leaves(far, bits):
     assert fraction_bits(far) == bits
@@ -63,12 +43,12 @@ def test_what_is_too_far_for_spz_is_said():
         spz_bytes(made)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 3])
-def test_spz_has_the_length_that_its_header_tells(degree):
-    file, rows = spz_bytes(gaussians(degree=degree))
+@pytest.mark.parametrize(("degree", "antialiased"), [(0, False), (1, True), (3, False)])
+def test_spz_has_the_length_and_the_flag_that_its_header_tells(degree, antialiased):
+    file, rows = spz_bytes(gaussians(degree=degree), antialiased)
     data = gzip.decompress(file)
     magic, version, count, found, bits, flags, reserved = struct.unpack_from("<4sIIBBBB", data)
-    assert (magic, version, count, found, flags, reserved) == (b"NGSP", 3, rows, degree, 0, 0) and 0 < bits <= 20
+    assert (magic, version, count, found, flags, reserved) == (b"NGSP", 3, rows, degree, int(antialiased), 0) and 0 < bits <= 20
     assert len(data) == 16 + rows * (9 + 1 + 3 + 3 + 4 + 3 * ((degree + 1) ** 2 - 1))
 
 

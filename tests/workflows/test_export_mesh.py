@@ -79,7 +79,11 @@ def test_convexes_are_an_animated_mesh_of_their_hulls(finished, tmp_path, capsys
     assert export(finished, "--convexes", "--out", tmp_path / "hulls.glb") == 0
     content, binary = parsed((tmp_path / "hulls.glb").read_bytes())
     times = len({view.time for view in capture.views})
-    assert len(content["nodes"]) == len(content["animations"][0]["channels"]) == times
+    assert len(content["nodes"]) - 1 == len(content["animations"][0]["channels"]) == times
+    assert content["nodes"][-1]["children"] == list(range(times)) and content["scenes"][0]["nodes"] == [times], "the parent of all turns"
+    np.testing.assert_allclose(content["nodes"][-1]["rotation"], [-(0.5**0.5), 0, 0, 0.5**0.5], err_msg="z of D-NeRF becomes y")
+    assert export(finished, "--convexes", "--up", "capture", "--time", 0, "--out", tmp_path / "as_it_is.glb") == 0
+    assert "rotation" not in parsed((tmp_path / "as_it_is.glb").read_bytes())[0]["nodes"][-1]
     model = e4dgs.load(capture.root, workspace=workspace)
     for k in (0, times // 2):
         _, convexes = model.at(k / (times - 1))
@@ -109,7 +113,7 @@ def test_an_export_of_fewer_times_leaves_none_of_the_earlier_one(finished, tmp_p
         (("--convexes", "--voxel", 0.1), "have no voxels"),
         (("--voxel", 0), "positive size"),
         (("--time", 0.5, "--times", 2), "give one of them"),
-        (("--times", 2, "--out", "a.ply"), "holds one time"),
+        (("--times", 2, "--out", "a.ply"), "a .ply file holds one time, and here are 2"),
         (("--out", "a.obj"), ".glb or .ply"),
     ],
 )
@@ -163,7 +167,7 @@ def test_glb_shows_one_mesh_at_a_time():
                 shown[seconds].append(channel["target"]["node"])
     assert shown == {0.0: [0], 0.49: [0], 0.5: [1], 0.99: [1], 1.0: [2], 1.5: [2]}
     assert max(rows(content, binary, s["input"]).max() for s in animation["samplers"]) == 1.5, "the last is seen as long as the others"
-    assert [node["scale"] for node in content["nodes"]] == [[1, 1, 1], [0, 0, 0], [0, 0, 0]], "without animation, the first"
+    assert [node["scale"] for node in content["nodes"][:-1]] == [[1, 1, 1], [0, 0, 0], [0, 0, 0]], "without animation, the first"
     materials = [content["materials"][shape["primitives"][0]["material"]] for shape in content["meshes"]]
     assert ["alphaMode" in material for material in materials] == [False, False, True]
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from e4dgs.stages.exports.splats import KINDS
 from e4dgs.workflows.cli import main
+from open3d_here import problem
 from scipy.spatial import KDTree
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -38,6 +39,7 @@ def test_a_file_for_each_time(finished, tmp_path, capsys):
     assert [f.name for f in files] == ["frame0001.ply", "frame0002.ply", "frame0003.ply"]
     assert files[0].read_bytes() != files[2].read_bytes(), "something moves"
     said = " ".join(capsys.readouterr().out.split())
+    assert "axes: up is -Y, which is Z in the capture (a turn by 90° about X)" in said, "D-NeRF stands upright on z"
     found = re.search(r"(\d+) convexes became Gaussians: ([\d.]+) dB", said)
     assert found and int(found[1]) > 0 and float(found[2]) > 15
 
@@ -66,7 +68,7 @@ def test_without_times_there_is_a_file_for_each_of_the_capture(finished, tmp_pat
 )
 def test_compact_formats_hold_the_same_gaussians(finished, tmp_path, words, suffix, tolerance):
     forge = pytest.importorskip("gaussforge").GaussForge()
-    once = ["--times", "1"]
+    once = ["--times", "1", "--up", "Z"]
     assert main(["export", *finished, *once, "--out", str(tmp_path / "ply")]) == 0
     assert main(["export", words[0], *finished[1:], *words[1:], *once, "--out", str(tmp_path / "out")]) == 0
     (file,) = (tmp_path / "out").iterdir()
@@ -74,8 +76,6 @@ def test_compact_formats_hold_the_same_gaussians(finished, tmp_path, words, suff
     plain = (tmp_path / "ply" / "frame0001.ply").read_bytes()
     back = forge.convert(file.read_bytes(), suffix[1:], "ply")["data"]
     ours, theirs = centres(plain), centres(bytes(back))
-    if suffix == ".spz":
-        theirs = theirs * [1, -1, -1]  # this reader leaves the axes as they are: right, up, back
     assert len(ours) == len(theirs) and len(file.read_bytes()) < len(plain)
     distance, _ = KDTree(theirs).query(ours)
     assert distance.max() <= tolerance * np.ptp(ours, axis=0).max()
@@ -101,6 +101,61 @@ def test_a_file_as_folder_is_refused(finished, tmp_path, capsys):
     assert "name a folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "name"), [(["ply"], "a.ply"), (["ply", "--compressed"], "a.ply"), (["spz"], "a.SPZ"), (["gltf"], "a.glb")]
+)
+def test_one_time_is_one_file(finished, tmp_path, words, name):
+    command = ["export", words[0], *finished[1:], *words[1:], "--out", str(tmp_path / name)]
+    assert main([*command, "--time", "0.3"]) == 0
+    first = (tmp_path / name).read_bytes()
+    assert first[:3] in (b"ply", b"\x1f\x8b\x08", b"glT") and [f.name for f in tmp_path.iterdir()] == [name]
+    assert main([*command, "--times", "1"]) == 0 and (tmp_path / name).read_bytes() != first, "the middle time"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--out", "a.ply"), "a .ply file holds one time"),
+        (("--out", "a.ply", "--times", "2"), "and here are 2; add --time 0.5"),
+        (("--out", "a.splat", "--time", "0"), "the file must end in .ply"),
+        (("--time", "1.5"), "from 0 (first time of the capture) to 1"),
+        (("--time", "nan"), "--time nan"),
+        (("--time", "0", "--times", "2"), "give one of them"),
+        (("--up", "up"), "give one of X, -X, Y, -Y, Z, -Z, or capture"),
+    ],
+)
+def test_a_bad_option_is_one_message(finished, capsys, monkeypatch, tmp_path, options, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", *finished, *options]) == 2
+    assert words in " ".join(capsys.readouterr().err.split()) and not list(tmp_path.iterdir())
+
+
+def test_antialiased_viewers_get_other_gaussians_and_are_told_so(finished, tmp_path, capsys):
+    heads = {}
+    for options in ((), ("--antialiased",)):
+        assert main(["export", *finished, *options, "--time", "0", "--out", str(tmp_path / "a.ply")]) == 0
+        heads[options] = (tmp_path / "a.ply").read_bytes()
+    assert b"comment SplatRenderMode: default\n" in heads[()] and b"comment SplatRenderMode: mip\n" in heads[("--antialiased",)]
+    assert heads[()].split(b"end_header")[1] != heads[("--antialiased",)].split(b"end_header")[1]
+    assert "antialiased (compensated opacity) viewers" in " ".join(capsys.readouterr().out.split())
+
+
+def test_an_error_in_the_middle_leaves_the_earlier_export(finished, tmp_path, monkeypatch):
+    assert main(["export", *finished, "--times", "2", "--out", str(tmp_path)]) == 0
+    before = {f.name: f.read_bytes() for f in tmp_path.iterdir()}
+    calls = []
+
+    def breaks(file: Path, data: bytes) -> None:
+        calls.append(file)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        file.write_bytes(data)
+
+    monkeypatch.setattr("e4dgs.stages.exports.splats.write_atomically", breaks)
+    assert main(["export", *finished, "--times", "4", "--out", str(tmp_path)]) == 130
+    assert len(calls) == 3 and {f.name: f.read_bytes() for f in tmp_path.iterdir()} == before
+
+
 def test_the_benchmark_reads_every_export_back_by_other_programs(finished, tmp_path, monkeypatch, capsys):
     if readers.splat_transform() is None or readers.node_modules() is None:
         pytest.skip("needs splat-transform, three and gltf-validator from npm; benchmarks/export_readers.py says how to install them")
@@ -109,5 +164,6 @@ def test_the_benchmark_reads_every_export_back_by_other_programs(finished, tmp_p
     monkeypatch.setattr(sys, "argv", ["exports.py", workspace, "--times", "1", "--out", str(out)])
     assert exports.main() == 0, capsys.readouterr().out
     rows = json.loads(out.read_text())["rows"]
-    assert {*KINDS, "baked", "mesh glb", "convexes glb"} <= {row["format"] for row in rows}
+    wanted = {*KINDS, "baked", "convexes glb", *([] if problem() else ["mesh glb"])}
+    assert wanted <= {row["format"] for row in rows}
     assert all(row["psnr"] >= 45 for row in rows if row["format"] in ("ply", "gltf", "usd"))

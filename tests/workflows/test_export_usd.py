@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera, Gaussians, rasterize
+from e4dgs.scene.formats.axes import Turn, nearest_axis
 from e4dgs.scene.formats.ply import LEAST_ALPHA
-from e4dgs.scene.formats.usd import nearest_axis, write_usd
+from e4dgs.scene.formats.usd import stage_turn, write_usd
 from e4dgs.workflows.cli import main
 
 pxr = pytest.importorskip("pxr")
-from pxr import Gf, Usd, UsdGeom, UsdVol  # noqa: E402
+from pxr import Gf, Usd, UsdGeom, UsdValidation, UsdVol  # noqa: E402
 
 QUICK = ["--set", "coarse.iterations=40", "--set", "hulls.budget=20", "--set", "fine.iterations=10", "--device", "cpu"]
 
@@ -83,6 +84,19 @@ def test_time_samples_are_the_model_at_these_times(finished, tmp_path, capsys):
     assert np.ptp([gaussians_of(splats, t * last).means.numpy() for t in (0, 1)], axis=0).max() > 1e-3, "something moves"
 
 
+def test_one_time_is_one_sample_at_its_frame(finished, tmp_path, capsys):
+    capture, _ = finished
+    last = len({view.time for view in capture.views}) - 1
+    assert export(finished, "--time", 0.25, "--antialiased", "--out", tmp_path / "scene.usdc") == 0
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usdc"))
+    assert splats_of(stage).GetPositionsAttr().GetTimeSamples() == [0.25 * last] == [stage.GetStartTimeCode()] == [stage.GetEndTimeCode()]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Gaussians at one time" in said and "axes: up is Z, and all axes are those of the capture" in said
+    for options, words in ((("--up", "X"), "is Y or Z"), (("--time", 2), "from 0"), (("--time", 0, "--times", 2), "give one of them")):
+        assert export(finished, *options, "--out", tmp_path / "other.usdc") == 2
+        assert words in " ".join(capsys.readouterr().err.split()) and not (tmp_path / "other.usdc").exists()
+
+
 def moving(t: float) -> Gaussians:
     """Gaussians that drift, spin and fade; the first is never seen, the last only at the end."""
     generator = torch.Generator().manual_seed(5)
@@ -102,7 +116,7 @@ def view(gaussians: Gaussians) -> torch.Tensor:
 @pytest.mark.parametrize("ending", [".usdc", ".usda"])
 def test_what_is_read_back_renders_the_same(tmp_path, ending):
     times = [0.0, 0.25, 0.5, 1.0]
-    assert write_usd(tmp_path / f"a{ending}", moving, times, 8.0, 12.0, np.array([0.1, 0.9, 0])) == 49
+    assert write_usd(tmp_path / f"a{ending}", moving, times, 8.0, 12.0, Turn("Y", "Y")) == 49
     assert ((tmp_path / f"a{ending}").read_bytes()[:8] == b"PXR-USDC") is (ending == ".usdc")
     stage = Usd.Stage.Open(str(tmp_path / f"a{ending}"))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0, 8, 12)
@@ -119,7 +133,7 @@ def test_what_is_read_back_renders_the_same(tmp_path, ending):
 
 def test_what_does_not_change_is_stored_once(tmp_path):
     for count in (2, 20):
-        write_usd(tmp_path / f"{count}.usdc", moving, np.linspace(0, 1, count).tolist(), 8.0, 12.0, np.array([0, 0, 1.0]))
+        write_usd(tmp_path / f"{count}.usdc", moving, np.linspace(0, 1, count).tolist(), 8.0, 12.0, Turn("Z", "Z"))
     grown = (tmp_path / "20.usdc").stat().st_size - (tmp_path / "2.usdc").stat().st_size
     assert grown < 18 * 49 * (3 + 4 + 1) * 4 * 1.3, "18 more samples of positions, orientations and opacities; none of scales and SH"
 
@@ -127,12 +141,25 @@ def test_what_does_not_change_is_stored_once(tmp_path):
 @pytest.mark.parametrize("up", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1)])
 def test_the_stage_is_upright(tmp_path, up):
     tilted = np.array(up) + 0.3 * np.array([0.3, -0.5, 0.4])
-    write_usd(tmp_path / "a.usdc", moving, [0.0], 0.0, 24.0, tilted)
-    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
-    shown = UsdGeom.Xformable(splats_of(stage)).ComputeLocalToWorldTransform(0).TransformDir(Gf.Vec3d(*map(float, up)))
-    axis = {"Y": (0, 1, 0), "Z": (0, 0, 1)}[UsdGeom.GetStageUpAxis(stage)]
-    np.testing.assert_allclose(np.array(shown), axis, atol=1e-9)
+    for wanted in (None, "Y", "Z", "capture"):
+        write_usd(tmp_path / f"{wanted}.usdc", moving, [0.0], 0.0, 24.0, stage_turn(tilted, wanted))
+        stage = Usd.Stage.Open(str(tmp_path / f"{wanted}.usdc"))
+        shown = UsdGeom.Xformable(splats_of(stage)).ComputeLocalToWorldTransform(0).TransformDir(Gf.Vec3d(*map(float, up)))
+        axis = {"Y": (0, 1, 0), "Z": (0, 0, 1)}[UsdGeom.GetStageUpAxis(stage)]
+        assert wanted in (None, "capture") or UsdGeom.GetStageUpAxis(stage) == wanted
+        np.testing.assert_allclose(np.array(shown), up if wanted == "capture" else axis, atol=1e-9)
     assert nearest_axis(tilted) in ("X", "Y", "Z", "-X", "-Y", "-Z")
+
+
+@pytest.mark.parametrize("up", [(0, 1, 0), (0, 0, 1), (0, -1, 0)])
+def test_validators_find_nothing_and_the_colour_space_is_machine_readable(tmp_path, up):
+    path = tmp_path / "a.usda"
+    write_usd(path, moving, [0.0, 1.0], 8.0, 24.0, stage_turn(np.array(up)))
+    found = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(Usd.Stage.Open(str(path)))
+    assert [str(one.GetMessage()) for one in found] == []
+    stage = Usd.Stage.Open(str(path))
+    coefficients = splats_of(stage).GetRadianceSphericalHarmonicsCoefficientsAttr()
+    assert Usd.ColorSpaceAPI.ComputeColorSpaceName(coefficients, Usd.ColorSpaceHashCache()) == "srgb_rec709_scene"
 
 
 def test_a_folder_gets_the_scene_s_name(finished, tmp_path):

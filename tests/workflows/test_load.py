@@ -62,3 +62,39 @@ def test_a_capture_with_two_scenes_is_asked_for_by_folder(finished):
     with pytest.raises(ArtifactError, match="several scenes"):
         e4dgs.load(capture.root, workspace=workspace)
     assert len(e4dgs.load(workspace / "scenes" / "other").gaussians)
+
+
+def test_gaussians_of_a_time_are_tensors_as_exports_have_them(finished, tmp_path):
+    """With the types, shapes and units that docs/results.md promises."""
+    plyfile = pytest.importorskip("plyfile")
+    capture, workspace = finished
+    scene = workspace / "scenes" / capture.root.name
+    words = [str(scene), "--time", "0.25", "--up", "capture", "--out", str(tmp_path / "a.ply")]
+    for classic, option in ((False, ["--antialiased"]), (True, [])):
+        gaussians = e4dgs.load_gaussians(scene, classic=classic).at(0.25)
+        count = len(gaussians.means)
+        shapes = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh": (gaussians.sh.shape[1], 3)}
+        for name, shape in shapes.items():
+            value = getattr(gaussians, name)
+            assert (
+                value.shape == (count, *shape) and value.dtype == torch.float32 and not value.requires_grad and value.device.type == "cpu"
+            )
+        assert main(["export", "ply", *words, *option]) == 0
+        vertex = plyfile.PlyData.read(str(tmp_path / "a.ply"))["vertex"]
+        seen = gaussians.opacities >= 1 / 255
+        assert len(vertex) == int(seen.sum()) and np.array_equal(vertex["x"], gaussians.means[seen][:, 0].numpy())
+        np.testing.assert_allclose(1 / (1 + np.exp(-vertex["opacity"])), gaussians.opacities[seen], atol=1e-5)
+    assert torch.equal(e4dgs.load(scene).at(0.25)[0].means, e4dgs.load_gaussians(scene).at(0.25).means)
+
+
+@pytest.mark.parametrize("time", [-0.1, 1.5, float("nan"), float("inf")])
+def test_a_time_that_no_model_has_is_refused(finished, time):
+    capture, workspace = finished
+    scene = workspace / "scenes" / capture.root.name
+    model = e4dgs.load(scene)
+    truth = capture.views[0].camera
+    camera = e4dgs.Camera(torch.tensor(truth.K).float(), torch.tensor(truth.cam_from_world).float(), truth.width, truth.height)
+    for ask in (lambda: model.at(time), lambda: model.render(camera, time), lambda: e4dgs.load_gaussians(scene).at(time)):
+        with pytest.raises(ValueError, match="times from 0"):
+            ask()
+    model.at(1 + 1e-9), model.at(torch.tensor(0.5)), model.at(np.float32(1.0))

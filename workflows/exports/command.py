@@ -15,7 +15,7 @@ from ..options import of_last_run
 from ..results import results
 from ..session import Options, open_session
 from .mesh import mesh
-from .trained import check_folder, open_trained, writing
+from .trained import Antialiased, Moment, Up, check_folder, check_moment, check_single, is_file, open_trained, up_axis, writing
 from .usd import usd
 
 if TYPE_CHECKING:
@@ -31,8 +31,9 @@ Largest = Annotated[
 ]
 
 Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Number of files; by default one for each time, at most 60.")]
-Folder = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Output folder; by default scenes/<name>/export/ in the workspace.")
+Target = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="FILE|DIR", help="A folder, or a file for one time; by default scenes/<name>/export/ in the workspace."),
 ]
 
 
@@ -81,20 +82,30 @@ def flow(
 @of_last_run("coarse")
 def ply(
     options: Options,
-    out: Folder = None,
+    out: Target = None,
     times: Times = None,
+    time: Moment = None,
+    up: Up = None,
+    antialiased: Antialiased = False,
     compressed: Annotated[bool, typer.Option("--compressed", help="The compressed layout of PlayCanvas.")] = False,
 ) -> None:
     """Numbered .ply files, one for each time, as SuperSplat, Brush and other 3DGS tools read them; convexes become Gaussians."""
-    _splats("compressed-ply" if compressed else "ply", options, out, times)
+    _splats("compressed-ply" if compressed else "ply", options, out, times, time, up, antialiased)
 
 
 def _command(kind: Kind) -> Callable[..., None]:
     """A command that takes the run's options and writes files of ``kind``."""
 
     @of_last_run("coarse")
-    def command(options: Options, out: Folder = None, times: Times = None) -> None:
-        _splats(kind, options, out, times)
+    def command(
+        options: Options,
+        out: Target = None,
+        times: Times = None,
+        time: Moment = None,
+        up: Up = None,
+        antialiased: Antialiased = False,
+    ) -> None:
+        _splats(kind, options, out, times, time, up, antialiased)
 
     return command
 
@@ -106,17 +117,23 @@ app.command()(usd)
 app.command()(mesh)
 
 
-def _splats(kind: Kind, options: Options, out: Path | None, times: int | None) -> None:
-    """Writes the Gaussians of each time as files of ``kind``, and prints how far these are from the model."""
-    check_folder(out)
+def _splats(
+    kind: Kind, options: Options, out: Path | None, times: int | None, time: float | None, up: str | None, antialiased: bool
+) -> None:
+    """Writes the Gaussians of each time as files of ``kind``, and prints their axes and how far they are from the model."""
+    from ...stages.exports.splats import KINDS, export_splats
+
+    ending = "." + KINDS[kind].rpartition(".")[2]  # of .compressed.ply, too
+    check_moment(time, times)
+    axis, single = up_axis(up), is_file(out, (ending,))
     trained = open_trained(options)
-    folder = trained.folder(out, kind)
-
-    from ...stages.exports.splats import export_splats
-
-    moments = trained.moments(times)
+    moments = trained.chosen(times, time)
+    if single and out is not None:
+        check_single(out, len(moments), ending)
+    target = trained.folder(out, kind)
     console = Console()
-    with Progress(moments, "export", console) as bar, writing(folder):
-        done = export_splats(trained.model, trained.frames, folder, moments, kind, bar.advance)
-    for line in (f"{moments} files, {done.fewest} to {done.most} Gaussians each; {done.loss}", f"{kind}: {folder}"):
+    with Progress(len(moments), "export", console) as bar, writing(target):
+        done = export_splats(trained.model, trained.frames, target, moments, kind, single, axis, antialiased, bar.advance)
+    files = f"{len(moments)} files, {done.fewest} to {done.most} Gaussians each" if len(moments) > 1 else f"{done.most} Gaussians"
+    for line in (f"{files}; {done.loss}", f"axes: {done.turn}", f"{kind}: {target}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)

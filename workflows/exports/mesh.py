@@ -14,13 +14,15 @@ from ...pipeline import Progress, SettingsError, StageError
 from ...pipeline.files import write_atomically
 from ..options import of_last_run
 from ..session import Options
-from .trained import Trained, is_file, open_trained, writing
+from .trained import Moment, Trained, Up, check_moment, check_single, is_file, open_trained, up_axis, writing
 
 if TYPE_CHECKING:
+    from ...scene.formats.axes import Turn
     from ...scene.mesh import Mesh
 
 ENDINGS = (".glb", ".ply")
 USUAL_RATE = 24.0  # times per second for a capture without seconds
+UP = {".glb": "Y", ".ply": "Z"}  # glTF says +Y is up; Blender and CloudCompare take +Z for up in a .ply file
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.glb|FILE.ply|DIR", help="Output; by default scenes/<name>/export/mesh.")]
 Times = Annotated[
@@ -30,7 +32,6 @@ Times = Annotated[
     ),
 ]
 Hulls = Annotated[bool, typer.Option("--convexes", help="Only the hulls of the model's convexes.")]
-Moment = Annotated[float | None, typer.Option("--time", min=0, max=1, help="Only this time, 0 to 1.")]
 Voxel = Annotated[
     float | None, typer.Option("--voxel", metavar="SIZE", help="Width of a voxel in world units; by default what the pixels resolve.")
 ]
@@ -44,59 +45,66 @@ def mesh(
     time: Moment = None,
     voxel: Voxel = None,
     convexes: Hulls = False,
+    up: Up = None,
 ) -> None:
     """The whole scene as a coloured triangle mesh, fused from depth: a .ply file for each time, or a .glb file that plays."""
     if voxel is not None and not 0 < voxel < float("inf"):
         raise SettingsError(f"--voxel {voxel}: give a positive size in world units")
     if convexes and voxel is not None:
         raise SettingsError("--voxel: the hulls of convexes are exact and have no voxels; leave out --voxel or --convexes")
-    if time is not None and times is not None:
-        raise SettingsError("--time and --times: give one of them")
-    single = is_file(out, ENDINGS)
-    if single and out is not None and out.suffix.lower() == ".ply" and (times or 1) > 1:
-        raise SettingsError(f"--out {out}: a .ply file holds one time; name a folder, or a .glb file, which holds them all")
+    check_moment(time, times)
+    axis, single = up_axis(up), is_file(out, ENDINGS)
+    ending = out.suffix.lower() if single and out is not None else ".ply"
+    if single and out is not None and ending == ".ply":
+        check_single(out, times or 1, ".ply")
     trained = open_trained(options)
     target = trained.folder(out, "mesh")
-    every = convexes and time is None and not (single and target.suffix.lower() == ".ply")
+    every = convexes and time is None and not (single and ending == ".ply")
     count = trained.moments(times) if every or times is not None else 1
     moments = [0.5 if time is None else time] if count == 1 else [float(t) for t in np.linspace(0, 1, count)]
 
     from ...stages.exports.mesh import fuse, fused_views, hulls, size_of
+    from ...stages.exports.splats import turn_of
 
+    turn = turn_of(trained.frames, axis, UP[ending])
     console = Console()
     if convexes:
         if not len(trained.model.convexes):
             raise StageError(f"{options.capture}: its model has no convexes; leave out --convexes, or train with a larger hulls.budget")
         made = f"{len(trained.model.convexes)} convexes"
         with Progress(count, "export", console) as bar, writing(target):
-            triangles = write_meshes(trained, (hulls(trained.model, t, bar.advance) for t in moments), moments, target, single)
+            triangles = write_meshes(trained, (hulls(trained.model, t, bar.advance) for t in moments), moments, target, single, turn)
     else:
         size = size_of(trained.model, trained.frames, moments[0])
         size = size if voxel is None else size._replace(voxel=voxel)
         made = f"voxels of {size.voxel:.3g} world units"
         with Progress(count * len(fused_views(trained.frames)), "export", console) as bar, writing(target):
             meshes = (fuse(trained.model, trained.frames, t, size, bar.advance) for t in moments)
-            triangles = write_meshes(trained, meshes, moments, target, single)
+            triangles = write_meshes(trained, meshes, moments, target, single, turn)
     said = f"{min(triangles)} to {max(triangles)} triangles at {count} times" if count > 1 else f"{triangles[0]} triangles"
-    for line in (f"{said}; {made}", f"mesh: {target}"):
+    for line in (f"{said}; {made}", f"axes: {turn}", f"mesh: {target}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool) -> list[int]:
+def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn) -> list[int]:
     """Writes ``meshes`` at ``moments`` in [0, 1] to ``target``: a .glb file with all of them, a .ply file with one, or a folder of numbered
-    .ply files, from which those of an earlier export of more times are removed. Returns the number of triangles of each."""
+    .ply files in place of those of an earlier export. turn: from the capture's axes to those of the files. Returns the number of triangles
+    of each."""
     from ...scene.mesh import mesh_glb_bytes, mesh_ply_bytes
-    from ...stages.exports.numbered import numbered, remove_later
+    from ...stages.exports.numbered import new_sequence, numbered
 
     if single and target.suffix.lower() == ".glb":
         seconds = float(np.ptp(trained.frames.seconds)) or (trained.times - 1) / USUAL_RATE
         whole = list(meshes)
-        write_atomically(target, mesh_glb_bytes(whole, [t * seconds for t in moments]))
+        write_atomically(target, mesh_glb_bytes(whole, [t * seconds for t in moments], turn))
         return [len(one.triangles) for one in whole]
+    if single:
+        (one,) = meshes
+        write_atomically(target, mesh_ply_bytes(one, turn))
+        return [len(one.triangles)]
     triangles = []
-    for k, one in enumerate(meshes):
-        write_atomically(target if single else numbered(target, k, ".ply"), mesh_ply_bytes(one))
-        triangles.append(len(one.triangles))
-    if not single:
-        remove_later(target, len(triangles), ".ply")
+    with new_sequence(target, ".ply") as folder:
+        for k, one in enumerate(meshes):
+            write_atomically(numbered(folder, k, ".ply"), mesh_ply_bytes(one, turn))
+            triangles.append(len(one.triangles))
     return triangles

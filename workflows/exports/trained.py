@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from ...pipeline import SettingsError, StageError
 from ...stages.facts import Facts
@@ -19,6 +21,15 @@ if TYPE_CHECKING:
     from ...stages.artifacts.frameset import FrameSet
 
 MOST_TIMES = 60
+
+Moment = Annotated[float | None, typer.Option("--time", metavar="T", help="Only this time, 0 (first) to 1 (last).")]
+Up = Annotated[
+    str | None,
+    typer.Option("--up", metavar="AXIS", help="Axis of the file that points up: X, -X, Y, -Y, Z, -Z, or capture for the capture's axes."),
+]
+Antialiased = Annotated[
+    bool, typer.Option("--antialiased", help="The Gaussians as trained, for viewers in the antialiased mode, such as Spark.")
+]
 
 
 @dataclass
@@ -37,6 +48,13 @@ class Trained:
     def moments(self, asked: int | None) -> int:
         """How many times are exported: ``asked``, or all of the capture's but at most `MOST_TIMES`; one if nothing moves."""
         return 1 if self.model.field is None else asked or min(self.times, MOST_TIMES)
+
+    def chosen(self, count: int | None, time: float | None) -> list[float]:
+        """The moments in [0, 1] that are exported: ``time`` alone, or `moments` of them from first to last; one of them is the middle."""
+        number = 1 if time is not None else self.moments(count)
+        if number == 1:
+            return [0.5 if time is None else time]
+        return [k / (number - 1) for k in range(number)]
 
     def folder(self, out: Path | None, kind: str) -> Path:
         """``out``, or the scene's folder for exports of this ``kind``."""
@@ -65,6 +83,33 @@ def check_folder(out: Path | None) -> None:
     """Raises SettingsError if ``out`` is a file."""
     if out is not None and out.exists() and not out.is_dir():
         raise SettingsError(f"--out {out}: this is a file; name a folder")
+
+
+def check_moment(time: float | None, times: int | None) -> None:
+    """Raises SettingsError if ``time`` is not in [0, 1] or if both are given."""
+    if time is not None and times is not None:
+        raise SettingsError("--time and --times: give one of them")
+    if time is not None and not 0 <= time <= 1:
+        raise SettingsError(f"--time {time:g}: give a number from 0 (first time of the capture) to 1 (last)")
+
+
+def up_axis(up: str | None) -> str | None:
+    """``up`` as one of `AXES` or "capture"; None if it was not given. Raises SettingsError for anything else."""
+    from ...scene.formats.axes import AXES
+
+    if up is None:
+        return None
+    axis = up.strip().removeprefix("+")
+    axis = axis.lower() if axis.lower() == "capture" else axis.upper()
+    if axis not in (*AXES, "capture"):
+        raise SettingsError(f"--up {up}: give one of {', '.join(AXES)}, or capture for the axes of the capture")
+    return axis
+
+
+def check_single(out: Path, moments: int, ending: str) -> None:
+    """Raises SettingsError if the file ``out`` would have to hold several ``moments``."""
+    if moments > 1:
+        raise SettingsError(f"--out {out}: a {ending} file holds one time, and here are {moments}; add --time 0.5, or name a folder")
 
 
 def is_file(out: Path | None, endings: tuple[str, ...]) -> bool:

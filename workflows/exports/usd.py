@@ -11,7 +11,7 @@ from rich.console import Console
 from ...pipeline import Progress
 from ..options import of_last_run
 from ..session import Options
-from .trained import is_file, open_trained, writing
+from .trained import Antialiased, Moment, Up, check_moment, is_file, open_trained, up_axis, writing
 
 ENDINGS = (".usdc", ".usda")
 
@@ -26,19 +26,24 @@ def usd(
     options: Options,
     out: Out = None,
     times: Times = None,
+    time: Moment = None,
+    up: Up = None,
+    antialiased: Antialiased = False,
 ) -> None:
     """One USD file with time samples (ParticleField3DGaussianSplat), for film and effects; convexes become Gaussians."""
-    single = is_file(out, ENDINGS)
+    check_moment(time, times)
+    axis, single = up_axis(up), is_file(out, ENDINGS)
     trained = open_trained(options)
     folder = trained.folder(out, "usd")
     path = folder if single else folder / f"{trained.session.scene.name}.usdc"
 
     from ...stages.exports.usd import export_usd
 
-    moments = trained.moments(times)
+    moments = trained.chosen(times, time)
     console = Console()
-    with Progress(2 * moments, "export", console) as bar, writing(path):
-        done = export_usd(trained.model, trained.frames, path, moments, trained.times, bar.advance)
-    said = f"{done.gaussians} Gaussians at {moments} times, {done.rate:.6g} time codes a second; {done.loss}"
-    for line in (said, f"usd: {path}"):
+    with Progress(2 * len(moments), "export", console) as bar, writing(path):
+        done = export_usd(trained.model, trained.frames, path, moments, trained.times, axis, antialiased, bar.advance)
+    count = f"{len(moments)} times" if len(moments) > 1 else "one time"
+    said = f"{done.gaussians} Gaussians at {count}, {done.rate:.6g} time codes a second; {done.loss}"
+    for line in (said, f"axes: {done.turn}", f"usd: {path}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
