@@ -75,9 +75,9 @@ class Trainer:
         self.iteration = 0
         self._left_out = 0  # steps of phases that ended early
         self.log, self.guard, self.loss = TrainingLog(), NonFiniteGuard(), SmoothedLoss()
-        moving = grow and model.field is not None and any(phase.move for phase in phases)
+        moves = grow and model.field is not None and any(phase.move for phase in phases)
         static_steps = sum(phase.iterations for phase in phases if not phase.move)
-        opened = round(settings.open_until * self.total) if moving and recipe.opens else 0
+        opened = round(settings.open_until * self.total) if moves and recipe.opens else 0
         self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, static_steps, opened)
         if settings.affine and model.affine is None and (recorders := colour_recorders(views)) is not None:
             model.affine = CameraAffine(recorders).to(model.device)

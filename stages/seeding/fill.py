@@ -71,6 +71,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     with ctx.progress(len(plates.frames), "depth") as bar:
         maps = plane_sweep(views, plates.frames.tolist(), plates.pictures, points, bar.advance)
     if not maps:
+        ctx.log("seeds: no depth by plane sweep: no two views of the known points are at a suitable angle")
         return None
     place = {int(i): k for k, i in enumerate(plates.frames)}
     for one in maps:

@@ -16,6 +16,7 @@ from e4dgs.scene.training.control.growth import IN_TIME, IN_TIME_FROM, DensityCo
 from e4dgs.scene.training.control.splits import into_lives, split
 from e4dgs.scene.training.recipe import FREE
 from e4dgs.scene.training.schedule import Phase
+from e4dgs.scene.training.trainer import Trainer
 from e4dgs.scene.views import Views
 
 TIMES, STEPS = 9, 1000
@@ -157,3 +158,16 @@ def test_when_it_is_split_in_time(given, expected):
     apart_in_space = float((made.means[1] - made.means[0]).detach().norm()) > 0
     assert (apart_in_time, apart_in_space) == (expected, not expected)
     assert bool(made.dynamic.all()) == (expected or given.get("dynamic", False))
+
+
+@pytest.mark.parametrize(("moves", "lives"), [(True, True), (False, False)])
+def test_training_splits_in_time_only_where_the_masks_show_that_something_moves(moves, lives):
+    """A wall that flickers. Where nothing moves, its Gaussians stay throughout."""
+    views = in_front_of([np.full((40, 48, 3), 255 * (k % 2), np.uint8) for k in range(16)])
+    gaussians = GaussianSet.joined([one(), one()])
+    with torch.no_grad():
+        gaussians.log_scales.fill_(np.log(20.0))
+    model = Model(gaussians, ConvexSet.empty(6, 0), FreeMotion(16), 0)
+    mask = torch.full((10, 12), moves)
+    Trainer(model, views, [Phase("deformation", 280, move=True)], TrainingSettings(), 8, moving=lambda i: mask, recipe=FREE).run()
+    assert len(model.gaussians) > 2 and bool(model.gaussians.dynamic.any()) is lives

@@ -111,7 +111,9 @@ def test_a_rig_gets_a_budget_for_a_room(rig):
     assert auto_seeds(rig, 40_000) == 20_000 and auto_seeds(walk, 12_000) == 8000
 
 
-@pytest.mark.parametrize(("size", "budget", "seeds"), [((160, 120), 12_000, 8000), ((480, 270), 48_600, 24_300), ((1920, 1080), 160_000, 40_000)])
+@pytest.mark.parametrize(
+    ("size", "budget", "seeds"), [((160, 120), 12_000, 8000), ((480, 270), 48_600, 24_300), ((1920, 1080), 160_000, 40_000)]
+)
 def test_along_a_path_seeds_are_half_of_a_larger_budget(size, budget, seeds):
     views, walk = SimpleNamespace(width=size[0], height=size[1]), Facts(frames=90, times=90, pairs=89)
     assert one_way(walk) and auto_budget(walk, views, nodes=False) == budget and auto_seeds(walk, budget) == seeds
