@@ -20,7 +20,9 @@ class RefinementSettings(Settings):
     seed: int = Field(
         0, ge=0, le=2**31 - 1, description="seed of the order of views, the initial planes and the sampling of new primitives"
     )
-    sh_degree: int | None = Field(None, ge=0, le=3, description="highest degree of the colours' spherical harmonics; 1 for rigs, else 2")
+    sh_degree: int | None = Field(
+        None, ge=0, le=3, description="highest degree of the colours' spherical harmonics; 1 for rigs and one narrow path, else 2"
+    )
     lr_means: float = Field(8e-4, gt=0, description="initial learning rate of positions; decays to a fiftieth")
     lr_field: float = Field(2e-2, gt=0, description="initial learning rate of the planes; decays to a tenth")
     lr_mlp: float = Field(3e-3, gt=0, description="initial learning rate of the deformation MLP; decays to a tenth")
@@ -46,7 +48,9 @@ class RefinementSettings(Settings):
     dropout: float = Field(
         0.2, ge=0, lt=1, description="rigs: share of the Gaussians at rest that a step leaves out at random; grows from 0"
     )
-    depth: float = Field(0.3, ge=0, description="rigs: weight of the difference from the depth measured between cameras, where known")
+    depth: float = Field(
+        0.3, ge=0, description="weight of the difference from the depth measured between cameras, or along one's path, where known"
+    )
     interval: float | None = Field(None, ge=0, description="weight of L_interval (Eq. 8), with flow in px; 0.001 for planes, else 0")
     data_flow: float = Field(1e-3, ge=0, description="weight of the difference of rendered and measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="steps between two evaluations of the flow terms")

@@ -27,7 +27,9 @@ class CoarseSettings(TrainingSettings):
         description="train and draw in the antialiased mode, which is right at other image sizes and distances, too",
     )
     full_from: float = Field(0.5, ge=0, le=1, description="fraction of the steps that use images of half the size, before the full size")
-    seeds: int = Field(0, ge=0, le=2_000_000, description="initial number of Gaussians; 0: half the budget for rigs, else 8000")
+    seeds: int = Field(
+        0, ge=0, le=2_000_000, description="initial number of Gaussians; 0: half the budget for rigs and one camera on its path, else 8000"
+    )
 
 
 class Coarse(Stage):

@@ -41,8 +41,8 @@ def said_when_full(place: Path, what: str = "", partial: Path | None = None, nee
         known += [f"{needed} are needed"] if needed else []
         known += [_free(folder) for folder in _places(Path(path) if path else place, place)]
         raise NoRoomError(
-            f"{what + ': ' if what else ''}{path or place}: {reason}: {'; '.join(known)}. Make room there (`e4dgs store gc` removes results "
-            "that no scene uses) or give another --workspace, and run again: finished results are kept"
+            f"{what + ': ' if what else ''}{path or place}: {reason}: {'; '.join(known)}. Make room there (`e4dgs store gc` removes "
+            "results that no scene uses) or give another --workspace, and run again: finished results are kept"
         ) from error
 
 

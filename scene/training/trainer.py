@@ -44,6 +44,7 @@ class Trainer:
     phases: run in this order. settings: see `TrainingSettings`. budget: maximum number of Gaussians. lr_scale: factor on the rates of
     parameters that an earlier stage has already trained. earlier: number of steps of that stage. measured_flow: returns for frame i the
     flow to the camera's next frame [H, W, 2] px and a weight [H, W], or None if there is none. measured_depth: of the static scene.
+    moving: see `DensityControl`.
     checkpoints: folder of this run; training continues from a state found there that has the same ``part``: the name of this training
     where a stage has several, one after another. advance: called with (steps, note). log: called with a
     line for people to read.
@@ -63,6 +64,7 @@ class Trainer:
         grow: bool = True,
         measured_flow: MeasuredFlow | None = None,
         measured_depth: MeasuredDepth | None = None,
+        moving: Callable[[int], Tensor | None] | None = None,
         recipe: Recipe = PLANES,
         advance: Callable[[int, str], None] = lambda n, note: None,
         log: Callable[[str], None] = lambda message: None,
@@ -73,9 +75,9 @@ class Trainer:
         self.iteration = 0
         self._left_out = 0  # steps of phases that ended early
         self.log, self.guard, self.loss = TrainingLog(), NonFiniteGuard(), SmoothedLoss()
-        moving = grow and model.field is not None and any(phase.move for phase in phases)
+        moves = grow and model.field is not None and any(phase.move for phase in phases)
         static_steps = sum(phase.iterations for phase in phases if not phase.move)
-        opened = round(settings.open_until * self.total) if moving and recipe.opens else 0
+        opened = round(settings.open_until * self.total) if moves and recipe.opens else 0
         self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, static_steps, opened)
         if settings.affine and model.affine is None and (recorders := colour_recorders(views)) is not None:
             model.affine = CameraAffine(recorders).to(model.device)
@@ -97,7 +99,7 @@ class Trainer:
         self.learned.before_change = self.steps.settle
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)
-        self.density = DensityControl(*common, budget, grow, self._event, measure)
+        self.density = DensityControl(*common, budget, grow, self._event, measure, moving)
 
     def run(self) -> TrainingLog:
         """Run all phases, starting from a checkpoint if there is one."""

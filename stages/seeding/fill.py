@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import cv2
@@ -71,6 +71,7 @@ def sweep(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> S
     with ctx.progress(len(plates.frames), "depth") as bar:
         maps = plane_sweep(views, plates.frames.tolist(), plates.pictures, points, bar.advance)
     if not maps:
+        ctx.log("seeds: no depth by plane sweep: no two views of the known points are at a suitable angle")
         return None
     place = {int(i): k for k, i in enumerate(plates.frames)}
     for one in maps:
@@ -93,23 +94,35 @@ def measured_depth(inverse: Mapping[int, np.ndarray], unit: float, ctx: Context,
     """`Swept.inverse` as the target of the depth loss, with scaled-down masks of moving pixels; None without any map."""
     if not inverse:
         return None
+    there = {id(one): torch.from_numpy(one).to(ctx.device) for one in inverse.values()}
+    maps = {frame: there[id(one)] for frame, one in inverse.items()}
+    return MeasuredDepth(maps, unit, _small(lambda i: unsteady_mask(ctx, frames, i), ctx.device))
+
+
+def moving_pixels(ctx: Context, frames: FrameSet, views: Views) -> Callable[[int], torch.Tensor | None] | None:
+    """`moving_mask` of a frame, scaled down: [h, w] bool on the device of ``ctx``, or None if nothing moves in it. None if no training
+    frame has a mask."""
+    mask = lambda i: moving_mask(ctx, frames, i)  # noqa: E731
+    return _small(mask, ctx.device) if any(mask(int(i)) is not None for i in views.train) else None
+
+
+def _small(full: Callable[[int], np.ndarray | None], device: str) -> Callable[[int], torch.Tensor | None]:
+    """The masks ``full(i)`` scaled down, where any part of a pixel is masked; None if nothing is."""
     known: dict[int, torch.Tensor | None] = {}
 
-    def moving(i: int) -> torch.Tensor | None:
+    def small(i: int) -> torch.Tensor | None:
         if i not in known:
-            mask = unsteady_mask(ctx, frames, i)
+            mask = full(i)
             if mask is not None:
                 height, width = mask.shape
-                small = cv2.resize(
-                    mask.astype("float32"), (max(1, width // SHRINK), max(1, height // SHRINK)), interpolation=cv2.INTER_AREA
-                )
-                known[i] = torch.from_numpy(small > 0).to(ctx.device) if small.any() else None
+                size = max(1, width // SHRINK), max(1, height // SHRINK)
+                part = cv2.resize(mask.astype("float32"), size, interpolation=cv2.INTER_AREA)
+                known[i] = torch.from_numpy(part > 0).to(device) if part.any() else None
             else:
                 known[i] = None
         return known[i]
 
-    there = {id(one): torch.from_numpy(one).to(ctx.device) for one in inverse.values()}
-    return MeasuredDepth({frame: there[id(one)] for frame, one in inverse.items()}, unit, moving)
+    return small
 
 
 def middle_frames(views: Views) -> np.ndarray:

@@ -44,14 +44,15 @@ class Seeds(NamedTuple):
     inverse_depth: dict[int, np.ndarray]
 
 
-def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Seeds:
+def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: bool = False) -> Seeds:
     """Initial positions of Gaussians: points of the capture or SfM, otherwise carved silhouettes, otherwise triangulated points. Seeds of
-    rigs are filled up to about ``count``, and so are those of captures whose points have to be triangulated."""
+    rigs are filled up to about ``count``, and so are those of captures whose points have to be triangulated, and with ``fill`` also
+    those of others."""
     settings = ctx.settings
     if frames.points is not None and len(frames.points) >= 50:
         points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
         ctx.log(f"seeds: {len(points)} points of the capture or of SfM")
-        fill = len(middle_frames(views)) >= MIN_CAMERAS
+        fill = fill or len(middle_frames(views)) >= MIN_CAMERAS
     elif Facts.of(ctx.facts).alpha:
         chosen = views.train[:: max(1, len(views.train) // 60)]
         objects = [frames.image(int(i))[..., 3] > 127 for i in chosen]

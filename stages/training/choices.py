@@ -22,6 +22,8 @@ ITERATIONS_NODES = 40_000
 ITERATIONS_FINE = 1500
 BY_NODE_PHASES = ("two-stage", "alternating")  # strategies in which control nodes have a schedule of their own
 CONVEXES = 8000
+SEEDS, MOST_SEEDS = 8000, 40_000
+WIDE_PATH = 60.0  # degrees
 NODE_TIMES = 9  # least number of times; fewer say too little about motion
 
 
@@ -34,24 +36,35 @@ def found_facts(ctx: Context, views: Views) -> Facts:
     return replace(facts, static=True, times=len(set(views.time.tolist())))
 
 
+def one_way(facts: Facts) -> bool:
+    """Whether a moving scene is seen along a path alone: one camera walks past it, or two or three that move together."""
+    return facts.pairs > 0 and not (facts.rig or facts.static or facts.fixed_cameras or facts.alpha)
+
+
 def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:
     """Most Gaussians at one time: one per four pixels of a view, one per five with control nodes, one per eight if nothing moves, between
-    12,000 and 120,000. For a rig, which sees a whole room, one per four, between 40,000 and 240,000."""
+    12,000 and 120,000. For a rig, which sees a whole room, one per four, between 40,000 and 240,000. Along a path three per eight pixels,
+    up to 160,000: most of them are at rest, and so present at each time."""
     pixels = views.width * views.height
     if facts.rig:
         return int(min(max(pixels // 4, 40_000), 240_000))
+    if one_way(facts) and not nodes:
+        return int(min(max(3 * pixels // 8, 12_000), 160_000))
     return int(min(max(pixels // (8 if facts.static else 5 if nodes else 4), 12_000), 120_000))
 
 
 def auto_seeds(facts: Facts, budget: int) -> int:
-    """Half the budget for rigs: growth adds primitives only near existing ones, so every wall needs some from the start. Else 8000."""
-    return budget // 2 if facts.rig else 8000
+    """Half the budget for rigs: growth adds primitives only near existing ones, so every wall needs some from the start. Also half along
+    a path, between 8000 and 40,000. Else 8000."""
+    if facts.rig:
+        return budget // 2
+    return min(max(budget // 2, SEEDS), MOST_SEEDS) if one_way(facts) else SEEDS
 
 
-def auto_sh_degree(facts: Facts) -> int:
-    """1 for rigs, else 2. The few cameras of a rig see each point from few directions, and a colour fitted to their differences does not
-    hold for views in between."""
-    return 1 if facts.rig else 2
+def auto_sh_degree(facts: Facts, width: float) -> int:
+    """1 for rigs, and along a path of which a point sees less than `WIDE_PATH` (``width``, degrees), else 2. Who sees each point from few
+    directions fits its colour to their differences, which does not hold for other views."""
+    return 1 if facts.rig or (one_way(facts) and width < WIDE_PATH) else 2
 
 
 def use_nodes(facts: Facts, settings: CoarseSettings) -> bool:

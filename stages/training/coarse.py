@@ -22,13 +22,15 @@ from ..artifacts.coarse import StoredCoarse
 from ..artifacts.dataset import load_frameset, load_views, measured_flow
 from ..artifacts.model import write_model
 from ..artifacts.training_log import write_training_log
-from ..seeding.fill import measured_depth
+from ..facts import Facts
+from ..seeding.fill import measured_depth, moving_pixels
 from ..seeding.moving import MovingSeeds
 from ..seeding.picture import seeds_picture
 from ..seeding.seeds import initial_dynamic, living, load_seeds, moving_seeds
-from .choices import BY_NODE_PHASES, auto_budget, auto_iterations, auto_seeds, auto_sh_degree, found_facts, use_nodes
+from .choices import BY_NODE_PHASES, auto_budget, auto_iterations, auto_seeds, auto_sh_degree, found_facts, one_way, use_nodes
 from .first_motion import find_first_motion
 from .motions import make_field, make_nodes
+from .path_width import path_width
 from .train import train
 
 if TYPE_CHECKING:
@@ -62,7 +64,8 @@ def train_coarse(ctx: Context) -> None:
     facts = found_facts(ctx, views)
     static, nodes = facts.static, use_nodes(facts, settings)
     budget = settings.budget or auto_budget(facts, views, nodes)
-    points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, settings.seeds or auto_seeds(facts, budget))
+    count = settings.seeds or auto_seeds(facts, budget)
+    points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, count, fill=one_way(facts))
     moving = None if static or nodes else moving_seeds(ctx, frames, views, points, budget // 2)
     views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
     if frames.background is None:
@@ -75,7 +78,7 @@ def train_coarse(ctx: Context) -> None:
     dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, moving is not None)
     free = settings.motion == "free" or (settings.motion == "auto" and moving is not None)
     kind: Kind = "static" if static else "nodes" if nodes else "free" if free else "planes"
-    sh_degree = auto_sh_degree(facts) if settings.sh_degree is None else settings.sh_degree
+    sh_degree = chosen_sh_degree(ctx, facts, views, trusted) if settings.sh_degree is None else settings.sh_degree
     start = Start(points, colors, dynamic, moving, MOST_SCALE * unit)
     model = first_model(kind, start, views, sh_degree, settings).to(ctx.device)
 
@@ -92,6 +95,7 @@ def train_coarse(ctx: Context) -> None:
         budget=budget,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
+        moving=moving_pixels(ctx, frames, views) if kind == "free" else None,
     )
     if not len(model.gaussians):
         ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")
@@ -99,6 +103,15 @@ def train_coarse(ctx: Context) -> None:
     StoredCoarse(settings.strategy, steps, inverse_depth, growth).write(ctx.out, begin)
     write_model(ctx.out, model)
     write_training_log(ctx.out, log)
+
+
+def chosen_sh_degree(ctx: Context, facts: Facts, views: Views, points: np.ndarray) -> int:
+    """`auto_sh_degree`, with the width of the path as the trusted ``points`` [P, 3] see it, where it matters."""
+    width = path_width(views, points) if one_way(facts) else 0.0
+    degree = auto_sh_degree(facts, width)
+    if one_way(facts):
+        ctx.log(f"SH degree {degree}: the training frames show a point from directions that differ by {width:.0f} degrees at most")
+    return degree
 
 
 def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings: CoarseSettings) -> Model:

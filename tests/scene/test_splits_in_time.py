@@ -1,5 +1,6 @@
 """A Gaussian that is too bright at some times and too dark at others: it is split into two lives."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from e4dgs.scene.training.control.growth import IN_TIME, IN_TIME_FROM, DensityCo
 from e4dgs.scene.training.control.splits import into_lives, split
 from e4dgs.scene.training.recipe import FREE
 from e4dgs.scene.training.schedule import Phase
+from e4dgs.scene.training.trainer import Trainer
 from e4dgs.scene.views import Views
 
 TIMES, STEPS = 9, 1000
@@ -94,8 +96,27 @@ def test_the_halves_of_a_life_stay_on_its_course():
         assert present(both, frame) == pytest.approx(present(parent, frame), abs=0.21)
 
 
-def round_of(share: float, step: int = 700, dynamic: bool = False, several: bool = False, times: int = 16) -> GaussianSet:
-    """What a round at ``step`` makes of one Gaussian of whose error ``share`` changes sign."""
+def masks(shown: list[bool], place: int = 0) -> Callable[[int], torch.Tensor | None]:
+    """Of frames of `in_front_of`: a strip of moving pixels as wide as an eighth of the picture, ``place`` eighths from the middle, in the
+    frames where ``shown``; the others have no mask, or an empty one."""
+
+    def moving(i: int) -> torch.Tensor | None:
+        mask = torch.zeros(4, 9, dtype=torch.bool)
+        mask[:, 4 + place] = shown[i]
+        return mask if shown[i] or i % 2 else None
+
+    return moving
+
+
+def round_of(
+    share: float,
+    step: int = 700,
+    dynamic: bool = False,
+    several: bool = False,
+    times: int = 16,
+    moving: Callable[[int], torch.Tensor | None] | None = None,
+) -> GaussianSet:
+    """What a round at ``step`` makes of one Gaussian in the middle of the pictures, of whose error ``share`` changes sign."""
     made = []
     learned = SimpleNamespace(
         model=Model(one(dynamic), ConvexSet.empty(6, 0), FreeMotion(TIMES), 0), replace=lambda gaussians, rows, step: made.append(gaussians)
@@ -103,10 +124,10 @@ def round_of(share: float, step: int = 700, dynamic: bool = False, several: bool
     none, single = torch.zeros(0), torch.ones(1)
     found = Responsibility(single, none, single, none, single, none, torch.tensor([share]))
     phase = Phase("deformation", STEPS)
-    curriculum = SimpleNamespace(several=several, times=np.linspace(0, 1, times), probe=lambda step, count: [0])
-    nothing = SimpleNamespace()
+    curriculum = SimpleNamespace(several=several, times=np.linspace(0, 1, times), probe=lambda step, count: [0, 1, 2, 3])
+    views = in_front_of([np.zeros((40, 48, 3), np.uint8)] * 4)
     control = DensityControl(
-        learned, nothing, curriculum, TrainingSettings(), FREE, [phase], 9, True, lambda words: None, lambda *given: found
+        learned, views, curriculum, TrainingSettings(), FREE, [phase], 9, True, lambda words: None, lambda *given: found, moving
     )
     control.round(step, phase)
     return made[0]
@@ -122,6 +143,12 @@ def round_of(share: float, step: int = 700, dynamic: bool = False, several: bool
         ({"share": 0.9, "dynamic": True}, True),
         ({"share": 0.9, "several": True}, False),
         ({"share": 0.9, "times": 15}, False),
+        ({"share": 0.9, "moving": masks([False] * 4)}, False),  # at rest, and nothing moves there: the shape is wrong, not the time
+        ({"share": 0.9, "moving": masks([True, False, False, False])}, False),  # something passes in front of it
+        ({"share": 0.9, "moving": masks([True, True, False, False])}, True),
+        ({"share": IN_TIME - 0.01, "moving": masks([True] * 4)}, False),
+        ({"share": 0.9, "moving": masks([True] * 4, place=2)}, False),  # beside it
+        ({"share": 0.9, "moving": masks([False] * 4), "dynamic": True}, True),  # who has a life of its own goes on as before
     ],
 )
 def test_when_it_is_split_in_time(given, expected):
@@ -131,3 +158,16 @@ def test_when_it_is_split_in_time(given, expected):
     apart_in_space = float((made.means[1] - made.means[0]).detach().norm()) > 0
     assert (apart_in_time, apart_in_space) == (expected, not expected)
     assert bool(made.dynamic.all()) == (expected or given.get("dynamic", False))
+
+
+@pytest.mark.parametrize(("moves", "lives"), [(True, True), (False, False)])
+def test_training_splits_in_time_only_where_the_masks_show_that_something_moves(moves, lives):
+    """A wall that flickers. Where nothing moves, its Gaussians stay throughout."""
+    views = in_front_of([np.full((40, 48, 3), 255 * (k % 2), np.uint8) for k in range(16)])
+    gaussians = GaussianSet.joined([one(), one()])
+    with torch.no_grad():
+        gaussians.log_scales.fill_(np.log(20.0))
+    model = Model(gaussians, ConvexSet.empty(6, 0), FreeMotion(16), 0)
+    mask = torch.full((10, 12), moves)
+    Trainer(model, views, [Phase("deformation", 280, move=True)], TrainingSettings(), 8, moving=lambda i: mask, recipe=FREE).run()
+    assert len(model.gaussians) > 2 and bool(model.gaussians.dynamic.any()) is lives

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.training import schedule
+from e4dgs.stages.artifacts.coarse import StoredCoarse
 from e4dgs.stages.artifacts.dataset import load_frameset, load_views
 from e4dgs.stages.artifacts.model import read_model
 from e4dgs.stages.coarse import Coarse, CoarseSettings
@@ -46,6 +47,8 @@ def ball(tmp_path_factory) -> SimpleNamespace:
     inputs = {"frames": frames.artifact, "poses": None}
     return SimpleNamespace(
         capture=frames.context.capture,
+        scene=scene,
+        views=views,
         shown=shown,
         with_masks={**inputs, "flow": write_artifact(folder / "masks", flow | masks)},
         without_masks={**inputs, "flow": write_artifact(folder / "no masks", flow)},
@@ -109,8 +112,27 @@ def test_with_masks_what_moves_has_seeds_and_a_life_and_motion_needs_no_warm_up(
 def test_without_masks_training_begins_at_rest(without_masks):
     ran, phases = without_masks
     assert not any("seeds on moving objects" in line for line in ran.lines)
-    assert len(ran.artifact.read("gaussians_means")) < 300
     assert not phases[0].move and phases[-1].move
+
+
+def test_before_one_camera_the_room_has_dense_seeds_and_measured_depth_though_the_capture_has_points(ball, with_masks):
+    """The capture brings 200 points, as structure from motion does. A sweep along the path finds the depth of the room behind the ball."""
+    ran, _ = with_masks
+    assert any(line.startswith("seeds: 2") and "points of the capture" in line for line in ran.lines)
+    assert (~ran.artifact.read("gaussians_dynamic")).sum() > 2000
+    depth, views = StoredCoarse.read(ran.artifact).depth, load_views(load_frameset(ran.context.inputs, ball.capture.root), None)
+    assert set(depth) <= set(views.train.tolist()) and len(depth) > 0.6 * len(views.train)
+    for i, inverse in depth.items():
+        truth = render(ball.scene, ball.views[i].camera, ball.views[i].time, samples=1)
+        known = (inverse > 0) & (truth.object == 0)
+        assert known.mean() > 0.2 and np.median(np.abs(inverse[known] * truth.depth[known] - 1)) < 0.03
+        assert (inverse[truth.object > 0] > 0).mean() < 0.1, "none on what moves"
+
+
+def test_on_a_narrow_path_colours_have_degree_1(with_masks):
+    ran, _ = with_masks
+    (told,) = [line for line in ran.lines if line.startswith("SH degree")]
+    assert told.startswith("SH degree 1: ") and ran.artifact.attrs["model"]["sh_degree"] == 1
 
 
 def rendered(model, views, i):

@@ -1,18 +1,21 @@
 """Where the Gaussians of a rig begin: few features are matched, and yet no wall is without seeds, nor what moves."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from e4dgs.pipeline import Context
 from e4dgs.scene.seeds.near_plane import near_plane
+from e4dgs.scene.views import Views
 from e4dgs.stages.artifacts.dataset import load_frameset, load_views
 from e4dgs.stages.coarse import CoarseSettings
 from e4dgs.stages.facts import Facts
 from e4dgs.stages.seeding.fill import Swept, fill_seeds, middle_frames
 from e4dgs.stages.seeding.seeds import SWEPT_SHARE, load_seeds
-from e4dgs.stages.training.choices import auto_budget, auto_seeds
+from e4dgs.stages.training.choices import WIDE_PATH, auto_budget, auto_seeds, auto_sh_degree, one_way
 from e4dgs.stages.training.coarse import mean_colour
+from e4dgs.stages.training.path_width import path_width
 from factory import Options, make, render, write_panoptic
 from run_stage import run_frames
 
@@ -106,3 +109,51 @@ def test_a_rig_gets_a_budget_for_a_room(rig):
     assert auto_budget(rig, views, nodes=False) == 40_000
     assert auto_budget(walk, views, nodes=False) == 12_000
     assert auto_seeds(rig, 40_000) == 20_000 and auto_seeds(walk, 12_000) == 8000
+
+
+@pytest.mark.parametrize(
+    ("size", "budget", "seeds"), [((160, 120), 12_000, 8000), ((480, 270), 48_600, 24_300), ((1920, 1080), 160_000, 40_000)]
+)
+def test_along_a_path_seeds_are_half_of_a_larger_budget(size, budget, seeds):
+    views, walk = SimpleNamespace(width=size[0], height=size[1]), Facts(frames=90, times=90, pairs=89)
+    assert one_way(walk) and auto_budget(walk, views, nodes=False) == budget and auto_seeds(walk, budget) == seeds
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"pairs": 0},  # each frame from another side
+        {"static": True},
+        {"alpha": True},  # an object alone: its silhouettes are carved
+        {"times": 90 // 4},  # a rig
+        {"fixed_cameras": True},
+    ],
+)
+def test_other_captures_keep_their_seeds_budget_and_degree(other):
+    facts = Facts(**({"frames": 90, "times": 90, "pairs": 89} | other))
+    assert not one_way(facts)
+    views = SimpleNamespace(width=480, height=270)
+    if not facts.rig:
+        assert auto_seeds(facts, 32_400) == 8000 and auto_budget(facts, views, nodes=False) == 480 * 270 // (8 if facts.static else 4)
+        assert auto_sh_degree(facts, width=0.0) == 2
+
+
+@pytest.mark.parametrize(("width", "degree"), [(0.0, 1), (WIDE_PATH - 1, 1), (WIDE_PATH + 1, 2)])
+def test_the_degree_follows_the_width_of_the_path(width, degree):
+    assert auto_sh_degree(Facts(frames=90, times=90, pairs=89), width) == degree
+    assert auto_sh_degree(Facts(frames=4 * 12, times=12), width) == 1, "a rig"
+
+
+@pytest.mark.parametrize(("arc", "turned"), [(20.0, False), (100.0, False), (100.0, True)])
+def test_the_width_of_a_path_is_the_angle_under_which_a_point_sees_it(arc, turned):
+    """Cameras on an arc about the points. If a part of them looks away, it does not count."""
+    centres = np.array([[np.sin(a), 0, -np.cos(a)] for a in np.radians(np.linspace(-arc / 2, arc / 2, 41))])
+    poses = np.tile(np.eye(4), (41, 1, 1))
+    for k, centre in enumerate(centres):
+        forward = -centre if not turned or abs(k - 20) <= 10 else centre
+        poses[k, :3, :3] = np.stack([np.cross([0, 1, 0], forward), [0, 1, 0], forward])
+        poses[k, :3, 3] = -poses[k, :3, :3] @ centre
+    K, index = np.array([[40.0, 0, 24], [0, 40, 24], [0, 0, 1]]), np.arange(41)
+    views = Views(np.tile(K, (41, 1, 1)), poses, index / 40, index * 0, index, index, 48, 48, lambda i: np.zeros((48, 48, 3), np.uint8))
+    points = np.random.default_rng(0).uniform(-0.02, 0.02, (30, 3))
+    assert path_width(views, points) == pytest.approx(arc / 2 if turned else arc, abs=2)

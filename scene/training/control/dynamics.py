@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import torch
@@ -10,9 +10,10 @@ from torch import Tensor
 
 from ...model import Model
 from ...motion.skinning import distances
-from ...views import Views
+from ...views import Views, inside_image
 
 TIMES = 12  # times sampled over the capture to measure how far a primitive travels
+MOVING_SHARE = 0.5  # of the looks at a place; if so many show something moving there, what is at rest may have to look different over time
 STATIC_PIXELS = 0.3  # primitives that travel less than this, seen from the nearest training camera, are static
 
 
@@ -70,3 +71,28 @@ def dynamic_from_masks(points: np.ndarray, views: Views, looks: Iterable[tuple[i
         seen[shown] += 1
         moving[shown] += mask[y, x] > 127
     return (seen == 0) | (moving >= share * np.maximum(seen, 1))
+
+
+def on_moving_pixels(
+    centres: Tensor, views: Views, frames: Sequence[int], moving: Callable[[int], Tensor | None], share: float = MOVING_SHARE
+) -> Tensor:
+    """Which of the ``centres`` [N, 3] (world units) at rest lie on moving pixels in at least ``share`` of those ``frames`` that show them,
+    as [N] bool. What no frame shows does not.
+
+    moving(i): [h, w] bool of any size, the moving pixels of frame i; None if there are none.
+    """
+    seen, found = torch.zeros(len(centres), device=centres.device), torch.zeros(len(centres), device=centres.device)
+    for i in frames:
+        camera = views.rasterizer_camera(i)
+        shown = inside_image(camera, centres)
+        seen += shown
+        mask = moving(i)
+        if mask is None:
+            continue
+        R, T, K = (part.to(centres) for part in (camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3], camera.K))
+        cam = centres @ R.T + T
+        at = (cam[:, :2] / cam[:, 2:].clamp(min=camera.near)) * K.diagonal()[:2] + K[:2, 2]
+        size = at.new_tensor([mask.shape[1] / camera.width, mask.shape[0] / camera.height])
+        x, y = ((at * size)[:, c].long().clamp(0, mask.shape[1 - c] - 1) for c in (0, 1))
+        found += shown & mask[y, x]
+    return (seen > 0) & (found >= share * seen)

@@ -15,6 +15,7 @@ from ..recipe import Recipe
 from ..schedule import Phase
 from ..turning import bound_to_rigid_parts
 from .density import Measure, Responsibility, measure_responsibility, survivors
+from .dynamics import on_moving_pixels
 from .hidden import seen_share
 from .learned_model import LearnedModel
 from .splits import choose_to_split, split
@@ -33,7 +34,8 @@ class DensityControl:
     """Adds primitives to ``learned`` where the error is, and removes those that contribute nothing.
 
     phases: of the whole training. budget: maximum number of Gaussians. grow: whether any are added. event: called with what happened.
-    measure: does the work of `measure_responsibility`.
+    measure: does the work of `measure_responsibility`. moving(i): the moving pixels of frame i, see `on_moving_pixels`; None if nothing
+    is known about them.
     """
 
     def __init__(
@@ -48,9 +50,10 @@ class DensityControl:
         grow: bool,
         event: Callable[[str], None],
         measure: Measure = measure_responsibility,
+        moving: Callable[[int], Tensor | None] | None = None,
     ) -> None:
         self.learned, self.views, self.curriculum, self.settings, self.recipe = learned, views, curriculum, settings, recipe
-        self._measure = measure
+        self._measure, self._moving = measure, moving
         self.budget, self.grow, self._event = budget, grow, event
         self.total = total = sum(phase.iterations for phase in phases)
         self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until
@@ -79,7 +82,8 @@ class DensityControl:
         if not self.grow:
             return
         model, progress = self.learned.model, step / max(self.total, 1)
-        measured = self._measure(model, self.views, self.curriculum.probe(step, PROBE_VIEWS), phase.move, phase.scale)
+        probed = self.curriculum.probe(step, PROBE_VIEWS)
+        measured = self._measure(model, self.views, probed, phase.move, phase.scale)
         alive = round(float(measured.life_gaussians.sum()))  # Gaussians absent at a time cost nothing then
         room = min(self._most(phase) - alive, MOST_FOR_ONE * self.budget - len(model.gaussians))
         if room <= 0:
@@ -94,16 +98,25 @@ class DensityControl:
         rounds_left = max(1, round((self.grow_until - progress) * self.total / self.every))
         wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
         chosen = choose_to_split(model.gaussians, error, min(room, wanted))
-        in_time = self._changing(measured, progress)[chosen]
+        in_time = self._in_time(measured, progress, chosen, probed)
         times = model.field.times if isinstance(model.field, FreeMotion) else 1
         self.learned.replace(*split(model.gaussians, chosen[~in_time], chosen[in_time], times), step)
 
-    def _changing(self, measured: Responsibility, progress: float) -> Tensor:
-        """[N] bool, Gaussians that should look different at some times of their lives: no split in space can mend that. None in a rig,
-        where views of one time differ as well, so that the measured share says less."""
-        changing = measured.varying_gaussians > IN_TIME
-        may = progress > IN_TIME_FROM and not self.curriculum.several and len(self.curriculum.times) >= TIMES_TO_SPLIT
-        return changing if may else torch.zeros_like(changing)
+    def _in_time(self, measured: Responsibility, progress: float, chosen: Tensor, probed: list[int]) -> Tensor:
+        """[n] bool, those of the Gaussians ``chosen`` [n] that are split in time: they should look different at some times of their lives,
+        which no split in space can mend. None in a rig, where views of one time differ as well, so that the measured share says less.
+
+        What is at rest must also lie where something moves. Elsewhere the error changes its sign because the shape is wrong or the view
+        is another one: halves that each fit a part of the path hide it from there, and show it from beside.
+        """
+        changing = measured.varying_gaussians[chosen] > IN_TIME
+        if progress <= IN_TIME_FROM or self.curriculum.several or len(self.curriculum.times) < TIMES_TO_SPLIT:
+            return torch.zeros_like(changing)
+        gaussians = self.learned.model.gaussians
+        rests = (changing & ~gaussians.dynamic[chosen]).nonzero()[:, 0]
+        if self._moving is not None and len(rests):
+            changing[rests] = on_moving_pixels(gaussians.means.detach()[chosen[rests]], self.views, probed, self._moving)
+        return changing
 
     def _most(self, phase: Phase) -> int:
         """The maximum number of Gaussians that the images of ``phase`` allow."""
