@@ -6,6 +6,7 @@ import posixpath
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from ....pipeline import CaptureError
 from .kinds import kind_of
@@ -15,7 +16,7 @@ _POSTER = ("poster", "thumb", "thumbnail", "thumbnails", "cover", "preview", "fo
 _CLIP = ".mov"  # of phones that write one beside each photo
 
 
-def chosen(root: Path, names: Sequence[str]) -> str | None:
+def chosen(root: Path, names: Sequence[str]) -> Literal["images", "video", "videos"] | None:
     """ "images", "video" or "videos" for a folder whose files, `names`, are pictures and videos; None if it has only one of them, or none.
 
     Raises CaptureError, which names `--format`, if both are plausible, and if the pictures are of kinds that cannot be read."""
