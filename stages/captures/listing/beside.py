@@ -29,7 +29,7 @@ def chosen(root: Path, names: Sequence[str]) -> Literal["images", "video", "vide
         videos = [name for name in videos if not name.lower().endswith(".gif")]
     if not videos or not photos:
         return None
-    one = "video" if len(videos) == 1 else "videos"
+    one: Literal["video", "videos"] = "video" if len(videos) == 1 else "videos"
     stems = {_stem(name) for name in photos}
     paired = all(_stem(name) in stems for name in videos)
     if len(photos) > 1 and paired and all(name.lower().endswith(_CLIP) for name in videos):
@@ -45,7 +45,7 @@ def chosen(root: Path, names: Sequence[str]) -> Literal["images", "video", "vide
     )
 
 
-def _live(root: Path, videos: Sequence[str], photos: Sequence[str], readable: Sequence[str]) -> str:
+def _live(root: Path, videos: Sequence[str], photos: Sequence[str], readable: Sequence[str]) -> Literal["images"]:
     if len(readable) > 1:
         return "images"
     kind = kind_of(photos[0])
