@@ -257,23 +257,6 @@ def upright_headers(root: Path, names: Iterable[str]) -> tuple[list[tuple[int, i
     return sizes, any(header[2] for header in headers), any(header[3] != 1 for header in headers)
 
 
-def size_hint(root: Path, name: str, width: float, height: float) -> str:
-    """What to add to a message that the picture `name` has another size than a file says, width x height px: if its EXIF orientation
-    explains that, a clause which says so, from "; " on; otherwise an empty text."""
-    try:
-        stored = image_header(root, name)[:2]
-    except CaptureError:
-        return ""
-    turn = orientation(root, name)
-    if turn not in LYING or min(*stored, width, height) <= 0 or abs(stored[0] * width / (stored[1] * height) - 1) > 0.02:
-        return ""
-    return (
-        f"; {name} is stored as {stored[0]}x{stored[1]}, and its EXIF orientation {turn} asks viewers to turn it to "
-        f"{stored[1]}x{stored[0]}: cameras in files belong to the pixels as stored, so turn those for good, for example with "
-        "magick mogrify -auto-orient"
-    )
-
-
 def _kind(value: Any) -> str:
     if value is None:
         return "nothing (null)"

@@ -19,7 +19,6 @@ from .listing.kinds import kind_of
 from .listing.names import is_video
 from .listing.unread import above, described, only_closed, unread
 from .posed.doubts import doubts
-from .posed.other_poses import other_poses
 from .reading import Options, Reading
 from .rigs import rig_without_poses
 from .usual import Usual
@@ -82,9 +81,7 @@ def recognise(
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
     reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
     base = root if root.is_dir() else root.parent
-    said, named = other_poses(base, kind, reading)
-    reading.notes += (*doubts(reading.shots, reading.sources), *said)
-    reading.spoken_for += named
+    reading.notes += doubts(reading.shots, reading.sources)
     capture = assemble(base, _name(root), kind, reading, options)
     return replace(capture, notes=(*capture.notes, *_not_read(root, capture, reading)))
 

@@ -99,18 +99,6 @@ def test_a_picture_that_lies_elsewhere_is_named(tmp_path):
         checks.find_image(root, "images/1.png", "here")
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".tif"])
-def test_a_size_that_exif_explains(tmp_path, suffix):
-    tags = Image.Exif()
-    for turn in (1, 3, 6):
-        tags[0x0112] = turn
-        Image.new("RGB", (16, 12)).save(tmp_path / f"{turn}{suffix}", exif=tags)
-    hint = checks.size_hint(tmp_path, f"6{suffix}", 24, 32)
-    assert hint.startswith(f"; 6{suffix} is stored as 16x12") and "EXIF orientation 6" in hint and "12x16" in hint
-    assert checks.size_hint(tmp_path, f"6{suffix}", 16, 16) == checks.size_hint(tmp_path, f"1{suffix}", 12, 16) == ""
-    assert checks.size_hint(tmp_path, f"3{suffix}", 12, 16) == checks.size_hint(tmp_path, "absent.jpg", 12, 16) == ""
-
-
 def test_all_suffixes_of_jpeg_are_read(tmp_path):
     for i, suffix in enumerate((".jpg", ".JPG", ".jpeg", ".jfif", ".jpe", ".JFIF")):
         Image.new("RGB", (16, 12)).save(tmp_path / f"{i}{suffix}", format="JPEG")

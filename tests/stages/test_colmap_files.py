@@ -185,7 +185,7 @@ def test_a_model_of_which_transforms_json_was_made_is_named_alone(tmp_path):
     shutil.rmtree(tmp_path / "other")
     capture = recognise(written.root)
     assert capture.facts["format"] == "nerfstudio"
-    assert any("the COLMAP model in colmap/sparse/0 is not read, because the poses come from transforms.json" in n for n in capture.notes)
+    assert any("the COLMAP model in colmap/sparse/0 is not read, because the layout is nerfstudio" in n for n in capture.notes)
 
 
 def test_deleted_pictures_are_left_out_and_counted(root, written):

@@ -113,9 +113,9 @@ def _copies(root: Path, pictures: str) -> tuple[tuple[str, ...], tuple[str, ...]
     names = [name for name in checks.list_folder(root) if _SMALLER.fullmatch(name) and (root / name).is_dir()]
     if not names:
         return (), ()
-    return (
-        f"{', '.join(names)} hold copies of {pictures or 'the pictures'} and are not read; frames.max_size scales pictures down",
-    ), tuple(names)
+    verbs = ("holds", "is") if len(names) == 1 else ("hold", "are")
+    text = f"{verbs[0]} copies of {pictures or 'the pictures'} and {verbs[1]} not read; frames.max_size scales pictures down"
+    return (f"{', '.join(names)} {text}",), tuple(names)
 
 
 def _has_pictures(place: Place) -> bool:

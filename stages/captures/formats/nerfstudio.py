@@ -121,7 +121,11 @@ def _splits(
 
 def _normal(root: Path, path: str) -> str:
     """A path in one form of several: composed, relative if it leads into the capture."""
-    return unicodedata.normalize("NFC", posixpath.normpath(path.replace("\\", "/"))).removeprefix(f"{root.as_posix()}/")
+    try:
+        path = checks.relative(root, path, _FILE)
+    except CaptureError:  # a path of another machine
+        path = posixpath.normpath(path.replace("\\", "/"))
+    return unicodedata.normalize("NFC", path)
 
 
 def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:
@@ -130,7 +134,7 @@ def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...
     field = f"{_FILE}: ply_file_path"
     if data.get("ply_file_path") is None:
         return None, ()
-    name = posixpath.normpath(checks.text(data["ply_file_path"], field).replace("\\", "/"))
+    name = checks.relative(root, checks.text(data["ply_file_path"], field), field)
     if checks.resolve_inside(root, name, field).is_file():
         return name, ()
     return None, (f"{field}: no file {name[:200]!r}, so training begins at points that are triangulated; copy it if there is one",)

@@ -15,7 +15,7 @@ _MASKS = "masks"
 _MASK_PLACES = "masks/ beside images/ (give the folder that holds both), masks/ in a flat folder of photos, mask_path of transforms.json"
 _SCALED = re.compile(r"(.*?)_?(\d+x?)?")  # images_4 and images, or 2x and 4x in rgb/
 _GROUPS = ("pose", "picture", "video", "other")  # the order of the lines
-_POSED_PICTURES = ("dnerf", "panoptic", "nerfstudio", "nerfies", "colmap", "llff")
+_POSED_PICTURES = ("dnerf", "panoptic", "nerfstudio", "nerfies", "colmap", "llff", "record3d", "polycam", "rgbd", "tum")
 
 
 def unread(root: Path, layout: str, read: Iterable[str], spoken_for: Sequence[str] = (), thinned: bool = False) -> tuple[str, ...]:

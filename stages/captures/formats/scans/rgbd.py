@@ -26,7 +26,7 @@ _KINECT = np.array([[585.0, 0, 320], [0, 585, 240], [0, 0, 1]])
 
 def detect(root: Path) -> str | None:
     pairs, place = ({}, "") if states_layout(root) else _pairs(root)
-    return f"{len(pairs)} pictures with a pose file each in {place}" if any(pose for _, pose in pairs.values()) else None
+    return f"{len(pairs)} pictures with a pose file each in {place}" if any(all(pair) for pair in pairs.values()) else None
 
 
 def read(root: Path, options: Options) -> Reading:
