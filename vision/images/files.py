@@ -54,7 +54,7 @@ def orientation_of(image: Image) -> int:
     from PIL import Image as pillow
 
     # For what may stand behind the pixels of a PNG, Pillow decodes them, so its chunks are looked at first.
-    early = image.format == "PNG" and not _more_behind_pixels(image.fp)
+    early = image.format == "PNG" and not _more_behind_pixels(getattr(image, "fp", None))
     found = (pillow.Image.getexif(image) if early else image.getexif()).get(ORIENTATION, 1)
     return int(found) if found in range(2, 9) else 1
 
