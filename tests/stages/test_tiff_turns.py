@@ -2,6 +2,9 @@
 
 Pillow turns a TIFF while it loads it, and no other kind of file."""
 
+import struct
+import zlib
+
 import numpy as np
 import pytest
 from e4dgs.stages.artifacts.frameset import FrameSet
@@ -9,6 +12,7 @@ from e4dgs.stages.captures import checks, recognise
 from e4dgs.vision.images.pictures import read_mask, read_picture
 from factory import Options, make, write_colmap, write_nerfstudio
 from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
 from run_stage import run_frames
 
 TURNS = {
@@ -55,6 +59,28 @@ def test_a_tiff_is_what_is_stored_and_upright_it_is_turned_once(tmp_path, turn, 
     tolerance = 60 if kind == "jpeg" else 0
     np.testing.assert_allclose(read_picture(tmp_path, "a.tif"), picture, atol=tolerance)
     np.testing.assert_allclose(read_picture(tmp_path, "a.tif", upright=True), shown, atol=tolerance)
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+@pytest.mark.parametrize("place", ["in front", "behind", "as text", "as text behind", "none"])
+def test_the_orientation_of_a_png_is_found_wherever_it_stands(tmp_path, place, monkeypatch):
+    """Pillow decodes the pixels to look behind them; plain pictures are spared that, since `plan` looks at headers alone."""
+    Image.fromarray(corner()).save(tmp_path / "a.png")
+    data = (tmp_path / "a.png").read_bytes()
+    tags = Image.Exif()
+    tags[0x0112] = 6
+    said = b'<x tiff:Orientation="6"/>'
+    added = chunk(b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0" + said) if "text" in place else chunk(b"eXIf", tags.tobytes()[6:])
+    at = data.index(b"IEND" if "behind" in place else b"IDAT") - 4
+    (tmp_path / "a.png").write_bytes(data if place == "none" else data[:at] + added + data[at:])
+    loads = []
+    monkeypatch.setattr(PngImageFile, "load_prepare", lambda self, own=PngImageFile.load_prepare: (loads.append(1), own(self))[1])
+    assert checks.upright_headers(tmp_path, ["a.png"])[0] == [(16, 12) if place == "none" else (12, 16)]
+    assert bool(loads) == ("behind" in place)
+    np.testing.assert_array_equal(read_picture(tmp_path, "a.png", upright=True), corner() if place == "none" else np.rot90(corner(), -1))
 
 
 @pytest.mark.parametrize("turn", range(2, 9))

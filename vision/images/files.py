@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -16,6 +16,7 @@ MOST_PIXELS = 178_956_970  # beyond this Pillow refuses a file as a decompressio
 MOST_BYTES = 2**31
 ORIENTATION = 0x0112  # the EXIF field; 1 is as stored, 2 to 8 ask for a turn or a mirror
 LYING = (5, 6, 7, 8)  # its values that include a quarter turn
+_MOST_CHUNKS = 100_000  # of a PNG; one of a gigabyte in the usual pieces has as many
 _BACK = {6: 8, 8: 6}  # the orientation that undoes another; the others undo themselves
 
 
@@ -50,8 +51,32 @@ def open_image(path: Path) -> Iterator[Image]:
 
 def orientation_of(image: Image) -> int:
     """EXIF orientation of an image from `open_image`, 2 to 8; 1 if it is not to be rotated or mirrored. To be asked before its pixels."""
-    found = image.getexif().get(ORIENTATION, 1)
+    from PIL import Image as pillow
+
+    # For what may stand behind the pixels of a PNG, Pillow decodes them, so its chunks are looked at first.
+    early = image.format == "PNG" and not _more_behind_pixels(getattr(image, "fp", None))
+    found = (pillow.Image.getexif(image) if early else image.getexif()).get(ORIENTATION, 1)
     return int(found) if found in range(2, 9) else 1
+
+
+def _more_behind_pixels(file: IO[bytes] | None) -> bool:
+    """Whether a PNG has EXIF data or texts, which may be such data, behind its pixels. Leaves the file where it was."""
+    if file is None:  # the pixels have been read
+        return True
+    before, at, pixels = file.tell(), 8, False
+    try:
+        for _ in range(_MOST_CHUNKS):
+            file.seek(at)
+            head = file.read(8)
+            if len(head) < 8 or head[4:] == b"IEND":
+                return False
+            pixels = pixels or head[4:] == b"IDAT"
+            if pixels and head[4:] in (b"eXIf", b"tEXt", b"zTXt", b"iTXt"):
+                return True
+            at += 12 + int.from_bytes(head[:4], "big")
+        return True
+    finally:
+        file.seek(before)
 
 
 def stored_size(image: Image) -> tuple[int, int]:

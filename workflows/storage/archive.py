@@ -53,7 +53,7 @@ def unpacked(capture: Path, workspace: Path, user: object | None = None) -> Path
         raise CaptureError(f"{capture}: cannot be read ({error.strerror or error}); check its permissions and the disk") from error
     folder = workspace / "unpacked" / key
     while not _held(folder, user):
-        _make(capture, kind, folder, stem)
+        _make(capture, folder, stem)
     root = folder / stem
     while len(inside := _shown(root)) == 1 and inside[0].is_dir():
         root = inside[0]
@@ -92,13 +92,13 @@ def _held(folder: Path, user: object | None) -> bool:
     return True
 
 
-def _make(capture: Path, kind: str, folder: Path, stem: str) -> None:
+def _make(capture: Path, folder: Path, stem: str) -> None:
     folder.parent.mkdir(parents=True, exist_ok=True)
     part, user = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)), InUse()
     try:
         mark_of(part).touch()
         hold(user, mark_of(part))  # while it is being filled
-        _unpack(capture, kind, part / stem)
+        _unpack(capture, part / stem)
         try:
             os.rename(part, folder)
         except OSError:
@@ -109,8 +109,9 @@ def _make(capture: Path, kind: str, folder: Path, stem: str) -> None:
         shutil.rmtree(part, ignore_errors=True)
 
 
-def _unpack(file: Path, kind: str, folder: Path) -> None:
+def _unpack(file: Path, folder: Path) -> None:
     folder.mkdir()
+    kind = archive_kind(file) or ""
     try:
         with members_of(file, kind) as members:
             for member, path in _checked(file, members):
