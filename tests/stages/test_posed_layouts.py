@@ -113,7 +113,7 @@ def test_record3d(path, tmp_path, folder):
     assert (capture.facts["format"], capture.facts["cameras"]) == ("record3d", 1)
     assert_truth(capture, written)
     assert capture.seconds[-1] == pytest.approx(11 / 60)
-    assert any("12 files or folders of depth" in note for note in capture.notes)
+    assert any(f"{folder}/0.depth and 11 more files are not read: depth" in note for note in capture.notes)
     data = json.loads((tmp_path / "metadata.json").read_text())
     rows = {**data, "K": np.reshape(data["K"], (3, 3)).T.tolist()}  # some writers list rows
     (tmp_path / "metadata.json").write_text(json.dumps(rows))
@@ -151,7 +151,7 @@ def test_pictures_with_a_pose_file_each(path, tmp_path):
     capture = recognise(tmp_path)
     assert (capture.facts["format"], capture.facts["frames"]) == ("rgbd", 12)
     assert_truth(capture, written)
-    assert any("12 depth maps" in note for note in capture.notes)
+    assert any("frame-000000.depth.png and 11 more files are not read" in note for note in capture.notes)
     np.savetxt(tmp_path / "frame-000004.pose.txt", np.full((4, 4), -np.inf))
     (tmp_path / written.files[7]).unlink()
     notes = "; ".join(recognise(tmp_path).notes)
