@@ -1,12 +1,13 @@
 """LLFF, 4DGaussians, Record3D, Polycam, 7-Scenes and TUM: poses, times and lenses are those that made them."""
 
+import importlib
 import json
 import shutil
 
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures import FORMATS, recognise
 from factory import Options, make
 from factory.scans import llff_row, write_llff, write_multiview, write_polycam, write_record3d, write_rgbd, write_tum
 
@@ -206,3 +207,9 @@ def test_a_camera_that_the_model_lacks_is_left_out(tmp_path):
     views = dict(zip(written.files, written.views, strict=True))
     for i, name in enumerate(capture.names):
         np.testing.assert_allclose(capture.cam_from_world[i], views[name].camera.cam_from_world, atol=1e-8)
+
+
+def test_every_format_has_one_reader():
+    """`Format`, from which the settings and messages follow, and the tables of readers list the same names."""
+    readers = importlib.import_module("e4dgs.stages.captures.recognise")  # the package has a function of that name
+    assert sorted([*readers._POSED, *readers._BARE]) == sorted(FORMATS)
