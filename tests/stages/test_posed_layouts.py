@@ -1,12 +1,13 @@
 """LLFF, 4DGaussians, Record3D, Polycam, 7-Scenes and TUM: poses, times and lenses are those that made them."""
 
+import importlib
 import json
 import shutil
 
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures import FORMATS, recognise
 from factory import Options, make
 from factory.scans import llff_row, write_llff, write_multiview, write_polycam, write_record3d, write_rgbd, write_tum
 
@@ -113,7 +114,7 @@ def test_record3d(path, tmp_path, folder):
     assert (capture.facts["format"], capture.facts["cameras"]) == ("record3d", 1)
     assert_truth(capture, written)
     assert capture.seconds[-1] == pytest.approx(11 / 60)
-    assert any("12 files or folders of depth" in note for note in capture.notes)
+    assert any(f"{folder}/0.depth and 11 more files are not read: depth" in note for note in capture.notes)
     data = json.loads((tmp_path / "metadata.json").read_text())
     rows = {**data, "K": np.reshape(data["K"], (3, 3)).T.tolist()}  # some writers list rows
     (tmp_path / "metadata.json").write_text(json.dumps(rows))
@@ -151,7 +152,7 @@ def test_pictures_with_a_pose_file_each(path, tmp_path):
     capture = recognise(tmp_path)
     assert (capture.facts["format"], capture.facts["frames"]) == ("rgbd", 12)
     assert_truth(capture, written)
-    assert any("12 depth maps" in note for note in capture.notes)
+    assert any("frame-000000.depth.png and 11 more files are not read" in note for note in capture.notes)
     np.savetxt(tmp_path / "frame-000004.pose.txt", np.full((4, 4), -np.inf))
     (tmp_path / written.files[7]).unlink()
     notes = "; ".join(recognise(tmp_path).notes)
@@ -206,3 +207,9 @@ def test_a_camera_that_the_model_lacks_is_left_out(tmp_path):
     views = dict(zip(written.files, written.views, strict=True))
     for i, name in enumerate(capture.names):
         np.testing.assert_allclose(capture.cam_from_world[i], views[name].camera.cam_from_world, atol=1e-8)
+
+
+def test_every_format_has_one_reader():
+    """`Format`, from which the settings and messages follow, and the tables of readers list the same names."""
+    readers = importlib.import_module("e4dgs.stages.captures.recognise")  # the package has a function of that name
+    assert sorted([*readers._POSED, *readers._BARE]) == sorted(FORMATS)

@@ -63,12 +63,10 @@ class _Search:
         for i, (raw, where) in self.names.items():
             name = raw.replace("\\", "/")
             absolute = _absolute(name)
-            relative = self._inside(name) if absolute else self.beside + name
-            if relative is None:
-                try:
-                    checks.resolve_inside(self.root, name, where)
-                except CaptureError as error:
-                    self.far[i] = error
+            try:
+                relative = checks.relative(self.root, name, where) if absolute else self.beside + name
+            except CaptureError as error:
+                self.far[i] = error
                 continue
             path = checks.seek_image(self.root, relative, where)
             if path is None and not name.isascii():
@@ -141,12 +139,6 @@ class _Search:
                 notes.append(f"{len(repaired)} of {total} {what} of {file} {words}; {first}")
         order = {i: self.found[i] for i in self.names if i in self.found}
         return Found(order, tuple(notes), tuple(self.gone))
-
-    def _inside(self, name: str) -> str | None:
-        """An absolute path into the capture as a relative one."""
-        normal = posixpath.normpath(name)
-        start = self.root.as_posix().rstrip("/") + "/"
-        return normal[len(start) :] if normal.startswith(start) and "\0" not in normal else None
 
     @cached_property
     def folder(self) -> _Pictures:

@@ -55,9 +55,7 @@ def model_places(root: Path) -> list[Place]:
 
     def look(folder: str, depth: int) -> None:
         inside = depth < _DEPTH and (root / folder).is_dir()
-        numbers = (
-            [n for n in checks.list_folder(root / folder) if n.isdecimal() and (root / folder / n).is_dir()] if inside and depth else []
-        )
+        numbers = [n for n in _names(root / folder) if n.isdecimal() and (root / folder / n).is_dir()] if inside and depth else []
         for name in numbers:
             look(posixpath.join(folder, name), depth + 1)
         for suffix in (".bin", ".txt"):  # binary before text, as COLMAP
@@ -72,6 +70,13 @@ def model_places(root: Path) -> list[Place]:
         look("", 0)
     # A model in the capture's own folder comes last: it is what remains when files were moved.
     return sorted(found, key=lambda place: place.folder == "")
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return checks.list_folder(folder)
+    except CaptureError:  # what nobody may list holds no model that could be read
+        return []
 
 
 @dataclass

@@ -14,6 +14,7 @@ import numpy as np
 
 from .....pipeline import CaptureError
 from ... import checks
+from ...posed.depth import told_depth
 from ...posed.finding import left_out
 from ...posed.sizes import scale_of
 from ...posed.stated import states_layout
@@ -60,11 +61,7 @@ def read(root: Path, options: Options) -> Reading:
     notes = [left_out([files[s] for s in bare], len(files), "camera files have no picture and are left out")] if bare else []
     notes += [left_out([names[s] for s in unposed], len(names), "pictures have no camera file and are left out")] if unposed else []
     unread = tuple(prefix + name for name in ("depth", "confidence") if (root / base / name).is_dir())
-    notes += (
-        [f"{' and '.join(f'{name}/' for name in unread)} {'are' if len(unread) > 1 else 'is'} not read: depth is not used yet"]
-        if unread
-        else []
-    )
+    notes += told_depth(root, unread)
     others = tuple(prefix + name for other in _PAIRS if other != pair for name in other if (root / base / name).is_dir())
     notes += [f"{', '.join(f'{name}/' for name in others)} not read: {images}/ and {cameras}/ replace them"] if others else []
     return Reading(

@@ -14,6 +14,7 @@ import numpy as np
 
 from .....pipeline import CaptureError
 from ... import checks
+from ...posed.depth import told_depth
 from ...posed.finding import left_out
 from ...posed.matrix_files import INTRINSICS, intrinsics_of, pose_of
 from ...posed.sizes import scale_of
@@ -71,7 +72,7 @@ def read(root: Path, options: Options) -> Reading:
     ):
         notes += [left_out(names, total, words)] if names else []
     depth = _depth(root)
-    notes += [f"{len(depth)} depth maps or folders of them ({depth[0]}, ...) are not read: depth is not used yet"] if depth else []
+    notes += told_depth(root, depth)
     return Reading(
         why=f"{len(shots)} pictures with a pose file each in {place}, one moving camera",
         shots=shots,

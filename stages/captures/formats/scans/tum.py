@@ -14,6 +14,7 @@ import numpy as np
 from .....pipeline import CaptureError
 from ... import checks
 from ...lens import Lens, distortion_of
+from ...posed.depth import told_depth
 from ...posed.finding import find_pictures, left_out
 from ...posed.matrix_files import intrinsics_of, numbers_of, text_of
 from ...posed.rotations import rotation
@@ -66,9 +67,7 @@ def read(root: Path, options: Options) -> Reading:
         shots.append(shot)
     notes = [left_out(unposed, len(found.paths), f"pictures have no pose of {_POSES} near their times and are left out")] if unposed else []
     unread = tuple(name for name in ("depth.txt", "depth", "accelerometer.txt") if (root / name).exists())
-    notes += (
-        [f"{', '.join(unread)} {'are' if len(unread) > 1 else 'is'} not read: depth and accelerations are not used yet"] if unread else []
-    )
+    notes += told_depth(root, unread, "depth and accelerations are not used yet")
     return Reading(
         why=f"{_PICTURES} and {_POSES}, one moving camera",
         shots=shots,
