@@ -11,8 +11,9 @@ from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.motion.lives import presence
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
+from e4dgs.scene.training.control import growth
 from e4dgs.scene.training.control.density import Responsibility, measure_responsibility
-from e4dgs.scene.training.control.growth import IN_TIME, IN_TIME_FROM, DensityControl
+from e4dgs.scene.training.control.growth import IN_TIME, IN_TIME_FROM, IN_TIME_UNSEEN, DensityControl
 from e4dgs.scene.training.control.splits import into_lives, split
 from e4dgs.scene.training.recipe import FREE
 from e4dgs.scene.training.schedule import Phase
@@ -143,12 +144,13 @@ def round_of(
         ({"share": 0.9, "dynamic": True}, True),
         ({"share": 0.9, "several": True}, False),
         ({"share": 0.9, "times": 15}, False),
-        ({"share": 0.9, "moving": masks([False] * 4)}, False),  # at rest, and nothing moves there: the shape is wrong, not the time
-        ({"share": 0.9, "moving": masks([True, False, False, False])}, False),  # something passes in front of it
-        ({"share": 0.9, "moving": masks([True, True, False, False])}, True),
+        ({"share": IN_TIME_UNSEEN - 0.01, "moving": masks([False] * 4)}, False),  # at rest, and nothing moves there: the shape is wrong
+        ({"share": IN_TIME_UNSEEN + 0.01, "moving": masks([False] * 4)}, True),  # no shape explains so much
+        ({"share": IN_TIME + 0.01, "moving": masks([True, False, False, False])}, False),  # something passes in front of it
+        ({"share": IN_TIME + 0.01, "moving": masks([True, True, False, False])}, True),
         ({"share": IN_TIME - 0.01, "moving": masks([True] * 4)}, False),
-        ({"share": 0.9, "moving": masks([True] * 4, place=2)}, False),  # beside it
-        ({"share": 0.9, "moving": masks([False] * 4), "dynamic": True}, True),  # who has a life of its own goes on as before
+        ({"share": IN_TIME + 0.01, "moving": masks([True] * 4, place=2)}, False),  # beside it
+        ({"share": IN_TIME + 0.01, "moving": masks([False] * 4), "dynamic": True}, True),  # who has a life of its own goes on as before
     ],
 )
 def test_when_it_is_split_in_time(given, expected):
@@ -161,8 +163,9 @@ def test_when_it_is_split_in_time(given, expected):
 
 
 @pytest.mark.parametrize(("moves", "lives"), [(True, True), (False, False)])
-def test_training_splits_in_time_only_where_the_masks_show_that_something_moves(moves, lives):
-    """A wall that flickers. Where nothing moves, its Gaussians stay throughout."""
+def test_training_asks_the_masks_whether_something_moves(moves, lives, monkeypatch):
+    """A wall that flickers. If only masks count and show nothing, its Gaussians stay throughout."""
+    monkeypatch.setattr(growth, "IN_TIME_UNSEEN", 1.0)
     views = in_front_of([np.full((40, 48, 3), 255 * (k % 2), np.uint8) for k in range(16)])
     gaussians = GaussianSet.joined([one(), one()])
     with torch.no_grad():

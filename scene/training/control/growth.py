@@ -27,6 +27,7 @@ MOST_FOR_ONE = 4  # maximum ratio of all Gaussians to the budget, which limits t
 SMALL_SHARE = 0.6  # of the budget, while a rig trains on small images: its cameras together see more than one image shows
 GAUSSIANS_PER_PIXEL = 0.6  # of the images in use: small images cannot distinguish more Gaussians
 IN_TIME_FROM, IN_TIME = 0.2, 0.1  # from this share of training on, a Gaussian is split in time if more of its error than this changes sign
+IN_TIME_UNSEEN = 0.3  # the same for one at rest where no mask shows movement
 TIMES_TO_SPLIT = 16  # times of a capture from which on that is done; with fewer, a life has one or two views, which it fits alone
 
 
@@ -106,16 +107,18 @@ class DensityControl:
         """[n] bool, those of the Gaussians ``chosen`` [n] that are split in time: they should look different at some times of their lives,
         which no split in space can mend. None in a rig, where views of one time differ as well, so that the measured share says less.
 
-        What is at rest must also lie where something moves. Elsewhere the error changes its sign because the shape is wrong or the view
-        is another one: halves that each fit a part of the path hide it from there, and show it from beside.
+        What is at rest where the masks show no movement needs better evidence. There the error changes its sign because the shape is wrong
+        or the view is another one: halves that each fit a part of the path hide it from there, and show it from beside.
         """
-        changing = measured.varying_gaussians[chosen] > IN_TIME
+        varying = measured.varying_gaussians[chosen]
+        changing = varying > IN_TIME
         if progress <= IN_TIME_FROM or self.curriculum.several or len(self.curriculum.times) < TIMES_TO_SPLIT:
             return torch.zeros_like(changing)
         gaussians = self.learned.model.gaussians
         rests = (changing & ~gaussians.dynamic[chosen]).nonzero()[:, 0]
         if self._moving is not None and len(rests):
-            changing[rests] = on_moving_pixels(gaussians.means.detach()[chosen[rests]], self.views, probed, self._moving)
+            moves = on_moving_pixels(gaussians.means.detach()[chosen[rests]], self.views, probed, self._moving)
+            changing[rests] = moves | (varying[rests] > IN_TIME_UNSEEN)
         return changing
 
     def _most(self, phase: Phase) -> int:
