@@ -46,7 +46,7 @@ class Fine(Stage):
         from .estimates import training_seconds
 
         known = Facts.of(facts)
-        return 2.0 if rests(known, settings) else training_seconds(known, fine_iterations(settings), known.static)
+        return 2.0 if rests(known, settings) else training_seconds(known, fine_iterations(settings, known), known.static)
 
     def resources(self, facts: Mapping[str, Any], settings: FineSettings, device: str) -> Resources:
         from .estimates import training_resources

@@ -15,7 +15,7 @@ class Usual:
     device: str
 
 
-USUAL: Mapping[str, Usual] = {"cpu": Usual(960, 150, "a CPU"), "cuda": Usual(1600, 150, "a GPU")}  # 3DGS trains at 1,600 px at most
+USUAL: Mapping[str, Usual] = {"cpu": Usual(960, 120, "a CPU"), "cuda": Usual(1600, 120, "a GPU")}  # 3DGS trains at 1,600 px at most
 
 
 def told_size(usual: Usual, stored: tuple[int, int], taken: tuple[int, int]) -> str:

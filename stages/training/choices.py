@@ -20,6 +20,8 @@ MOST_ITERATIONS = 30_000
 LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
 ITERATIONS_NODES = 40_000
 ITERATIONS_FINE = 1500
+LEAST_FINE = 300
+CLIP_PIXELS = 250_000  # of a picture up to which a clip gets all steps on a CPU
 BY_NODE_PHASES = ("two-stage", "alternating")  # strategies in which control nodes have a schedule of their own
 CONVEXES = 8000
 SEEDS, MOST_SEEDS = 8000, 40_000
@@ -79,19 +81,32 @@ def nodes_by_default(facts: Facts) -> bool:
     return not facts.static and facts.cameras == facts.frames and facts.pairs == 0 and facts.times >= NODE_TIMES
 
 
-def auto_iterations(facts: Facts, settings: CoarseSettings) -> int:
-    """6000 steps; for a rig (several cameras at each time) at least 280 per time, up to 30,000; `ITERATIONS_NODES` for control nodes. The
-    number is multiplied by the effort, but never below 2000."""
+def auto_iterations(facts: Facts, settings: CoarseSettings, device: str = "cpu") -> int:
+    """6000 steps, fewer for large clips on a CPU (`share_of_steps`); for a rig (several cameras at each time) at least 280 per time, up to
+    30,000; `ITERATIONS_NODES` for control nodes. The number is multiplied by the effort, but never below 2000."""
     steps = ITERATIONS_NODES
     if not use_nodes(facts, settings):
         moving_rig = facts.rig and not facts.static
         steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.times if moving_rig else 0), MOST_ITERATIONS)
+        steps = max(round(steps * share_of_steps(facts, device)), LEAST_ITERATIONS)
     return max(round(steps * settings.effort), min(steps, LEAST_ITERATIONS))
 
 
-def fine_iterations(settings: FineSettings) -> int:
-    """Steps of `fine` where it has something to refine."""
-    return round(ITERATIONS_FINE * settings.effort) if settings.iterations is None else settings.iterations
+def fine_iterations(settings: FineSettings, facts: Facts | None = None, device: str = "cpu") -> int:
+    """Steps of `fine` where it has something to refine; fewer for large clips on a CPU, but not below those of `--preset fast`."""
+    if settings.iterations is not None:
+        return settings.iterations
+    share = 1.0 if facts is None else share_of_steps(facts, device)
+    steps = ITERATIONS_FINE * settings.effort
+    return round(max(steps * share, min(steps, LEAST_FINE)))
+
+
+def share_of_steps(facts: Facts, device: str) -> float:
+    """By what the steps for one moving camera are multiplied: on a CPU a step costs as much as it has pixels, so larger pictures than
+    `CLIP_PIXELS` get fewer, and a phone's clip takes no hours. More steps fit a clip's own path better, not what is seen beside it
+    (docs/trials.md)."""
+    clip = facts.cameras == 1 and facts.pairs > 0 and not facts.static
+    return min(1.0, CLIP_PIXELS / (facts.width * facts.height)) if clip and device == "cpu" else 1.0
 
 
 def most_convexes(budget: int | None, nodes: bool) -> int:

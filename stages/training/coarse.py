@@ -82,7 +82,7 @@ def train_coarse(ctx: Context) -> None:
     start = Start(points, colors, dynamic, moving, MOST_SCALE * unit)
     model = first_model(kind, start, views, sh_degree, settings).to(ctx.device)
 
-    steps = settings.iterations or auto_iterations(facts, settings)
+    steps = settings.iterations or auto_iterations(facts, settings, ctx.device)
     if kind == "nodes" and settings.strategy in BY_NODE_PHASES:
         find_first_motion(ctx, model, views, settings, steps, is_small(views))
     log = train(

@@ -51,7 +51,7 @@ def train_fine(ctx: Context) -> None:
         "fine",
         model,
         views,
-        fine_phases(coarse.strategy, coarse.iterations, fine_iterations(settings), facts.static),
+        fine_phases(coarse.strategy, coarse.iterations, fine_iterations(settings, facts, ctx.device), facts.static),
         training_settings(settings, coarse.growth),
         budget=coarse.growth.budget or auto_budget(facts, views, nodes),
         earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, facts.static),

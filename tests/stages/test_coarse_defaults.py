@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from e4dgs.stages.coarse import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.training.choices import ITERATIONS_NODES, LEAST_ITERATIONS, auto_budget, auto_iterations, found_facts, use_nodes
+from e4dgs.stages.training.choices import (
+    CLIP_PIXELS,
+    ITERATIONS_NODES,
+    LEAST_ITERATIONS,
+    auto_budget,
+    auto_iterations,
+    found_facts,
+    use_nodes,
+)
 from e4dgs.stages.training.coarse import Start, first_model
 
 
@@ -27,6 +35,17 @@ def test_steps_follow_the_times_that_a_rig_must_learn_one_after_another(frames, 
     assert auto_iterations(facts, CoarseSettings()) == expected
     assert auto_iterations(facts, CoarseSettings(effort=0.5)) == round(0.5 * expected)
     assert auto_iterations(facts, CoarseSettings(effort=0.01)) == LEAST_ITERATIONS
+
+
+def test_large_clips_get_fewer_steps_on_a_cpu():
+    clip = {"frames": 120, "times": 120, "cameras": 1, "pairs": 104}
+    steps = [
+        auto_iterations(Facts(**clip, width=w, height=h), CoarseSettings()) for w, h in ((480, 270), (500, 500), (960, 540), (3840, 2160))
+    ]
+    assert steps == [6000, 6000, round(6000 * CLIP_PIXELS / (960 * 540)), LEAST_ITERATIONS]
+    assert auto_iterations(Facts(**clip, width=960, height=540), CoarseSettings(), "cuda") == 6000
+    for other in ({"static": True}, {"cameras": 8, "frames": 8 * 20, "times": 20}, {"pairs": 0, "cameras": 3}):
+        assert auto_iterations(Facts(**{**clip, **other}, width=960, height=540), CoarseSettings()) == 6000
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from e4dgs.scene.settings import GrowthSettings, TrainingSettings
 from e4dgs.stages.artifacts.coarse import StoredCoarse
 from e4dgs.stages.artifacts.model import read_model, write_model
 from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.facts import Facts
 from e4dgs.stages.fine import Fine, FineSettings
 from e4dgs.stages.training.choices import fine_iterations
 from e4dgs.stages.training.fine import training_settings
@@ -49,6 +50,13 @@ def test_the_trainer_of_fine_gets_both():
 def test_steps_of_fine():
     assert fine_iterations(FineSettings()) == 1500 and fine_iterations(FineSettings(effort=0.2)) == 300
     assert fine_iterations(FineSettings(iterations=7, effort=0.2)) == 7
+
+
+def test_large_clips_get_fewer_steps_of_fine_on_a_cpu():
+    clip = Facts(frames=120, times=120, cameras=1, pairs=104, width=1000, height=500)
+    assert fine_iterations(FineSettings(), clip) == 750 and fine_iterations(FineSettings(), clip, "cuda") == 1500
+    assert fine_iterations(FineSettings(effort=0.2), clip) == 300, "as for smaller pictures with --preset fast"
+    assert fine_iterations(FineSettings(effort=0.1), clip) == 150
 
 
 def test_with_nodes_and_without_convexes_the_model_of_coarse_is_kept_unless_steps_are_asked_for(tmp_path):
