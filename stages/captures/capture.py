@@ -98,7 +98,7 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     common = common_size(sizes)
     crops = [crop(size, common) for size in sizes]
     width, height = _output_size(*common, options.size_limit)
-    chosen = {"max_frames": reading.usual_frames} if reading.usual_frames else {}
+    chosen = {}
     if options.max_size is None and options.usual is not None and (width, height) != common:
         chosen["max_size"] = options.usual.size
         notes += (told_size(options.usual, common, (width, height)),)

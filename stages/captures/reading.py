@@ -30,7 +30,7 @@ class Options:
     fps: float | None = None
     sync: str = "auto"
     heard: Path | None = None
-    usual: Usual | None = None  # limits where max_size and max_frames are None; None: no limit of size, and 200 frames
+    usual: Usual | None = None  # limits the size where max_size is None; None: no limit
 
     @property
     def size_limit(self) -> int | None:
@@ -88,4 +88,3 @@ class Reading:
     spoken_for: tuple[str, ...] = ()  # files and folders, relative to the capture, that are not read and that the notes already name
     upright: bool = False  # pictures are rotated as their EXIF data ask
     untimed: bool = False  # the files give no times: frames are in the order of their names
-    usual_frames: int | None = None  # the limit from `Options.usual` that left out frames

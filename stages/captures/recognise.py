@@ -68,8 +68,8 @@ def recognise(
     side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; with
     `every_time` above 1, only every so many-th time trains and the others are test, in place of `holdout`; `fps` gives
     numbered images their times in seconds; `sync` ("auto" | "sound" | "frames") chooses how the clocks of several videos are aligned,
-    and `heard` is a folder that caches the sound envelopes of long ones; `usual` limits size and frames where `max_size` and `max_frames`
-    do not (`Capture.chosen` then says to what). Raises `CaptureError` if the capture is unreadable or
+    and `heard` is a folder that caches the sound envelopes of long ones; `usual` limits the size where `max_size`
+    does not (`Capture.chosen` then says to what). Raises `CaptureError` if the capture is unreadable or
     inconsistent, or fits two formats.
     """
     options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, heard, usual)

@@ -1,4 +1,4 @@
-"""The size of pictures and the number of frames of a video that are usual on a device, and are taken unless the user says otherwise."""
+"""The size of pictures that is usual on a device, and is taken unless the user says otherwise."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Usual:
-    """size: px, longest side. frames: of one video without poses. device: where these are usual, for people."""
+    """size: px, longest side. device: where it is usual, for people."""
 
     size: int
-    frames: int
     device: str
 
 
-USUAL: Mapping[str, Usual] = {"cpu": Usual(960, 120, "a CPU"), "cuda": Usual(1600, 120, "a GPU")}  # 3DGS trains at 1,600 px at most
+USUAL: Mapping[str, Usual] = {"cpu": Usual(960, "a CPU"), "cuda": Usual(1600, "a GPU")}  # 3DGS trains at 1,600 px at most
 
 
 def told_size(usual: Usual, stored: tuple[int, int], taken: tuple[int, int]) -> str:

@@ -1,4 +1,4 @@
-"""Size and frames that are usual on a device: taken where the user says nothing, told, and part of the settings."""
+"""The size that is usual on a device: taken where the user says nothing, told, and part of the settings."""
 
 import pytest
 from e4dgs.stages.captures import recognise
@@ -7,7 +7,7 @@ from e4dgs.stages.captures.usual import USUAL, Usual
 from e4dgs.workflows.cli import main
 from e4dgs.workflows.session import Options, open_session
 
-SMALL = {"cpu": Usual(48, 4, "a CPU"), "cuda": Usual(64, 5, "a GPU")}
+SMALL = {"cpu": Usual(48, "a CPU"), "cuda": Usual(64, "a GPU")}
 
 
 @pytest.fixture
@@ -23,19 +23,17 @@ def test_what_is_usual():
     assert (USUAL["cpu"].size, USUAL["cuda"].size) == (960, 1600)
 
 
-def test_larger_pictures_and_longer_videos_are_limited_and_it_is_said(small, video_capture, tmp_path):
+def test_larger_pictures_are_limited_and_it_is_said(small, video_capture, tmp_path):
     session = open_session(Options(video_capture.root, tmp_path, device="cpu"))
     frames, facts = session.job.settings["frames"], session.job.capture.facts
-    assert (frames.max_size, frames.max_frames) == (48, 4)
-    assert max(facts["width"], facts["height"]) == 48 and facts["frames"] <= 4
-    said = " ".join(session.notes)
-    assert "as is usual on a CPU; --set frames.max_size=" in said and "frames.max_frames change it" in said
+    assert frames.max_size == 48 and max(facts["width"], facts["height"]) == 48
+    assert "as is usual on a CPU; --set frames.max_size=" in " ".join(session.notes)
 
 
 def test_what_is_asked_for_is_done_without_a_word(small, video_capture, tmp_path):
-    given = ["frames.max_size=60", "frames.every=1"]
+    given = ["frames.max_size=60"]
     session = open_session(Options(video_capture.root, tmp_path, assignments=given, device="cpu"))
-    assert session.job.settings["frames"].max_size == 60 and session.job.settings["frames"].max_frames is None
+    assert session.job.settings["frames"].max_size == 60
     assert max(session.job.capture.facts["width"], session.job.capture.facts["height"]) == 60
     assert not any("usual" in note for note in session.notes)
 

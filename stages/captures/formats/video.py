@@ -14,7 +14,8 @@ from ..video.probe import Header, probe, told_together
 
 __all__ = ["DEFAULT_MAX_FRAMES", "Header", "choose", "decode", "detect", "probe", "read", "refuse_one"]
 
-DEFAULT_MAX_FRAMES = 200
+DEFAULT_MAX_FRAMES = 200  # times of several videos
+MOST_OF_ONE = 120  # frames of one video, all of which get a pose by structure from motion
 
 
 def detect(root: Path) -> str | None:
@@ -30,8 +31,7 @@ def read(root: Path, options: Options) -> Reading:
     checks.resolve_inside(base, path.name, path.name)
     header = probe(base, path.name)
     total = len(header.seconds)
-    most = options.usual.frames if options.usual else DEFAULT_MAX_FRAMES
-    taken = choose(total, options, most)
+    taken = choose(total, options, MOST_OF_ONE)
     if total < 2:
         raise CaptureError(f"{path.name}: one frame alone has no pose and no depth; pass a longer video of the scene")
     refuse_one(path.name, taken, total, options)
@@ -43,7 +43,6 @@ def read(root: Path, options: Options) -> Reading:
             Shot(f"{path.name}#{i}", 0, header.seconds[i], (header.width, header.height), seconds=header.seconds[i] - begin) for i in taken
         ],
         fps=header.fps,
-        usual_frames=most if options.usual and total > most and not (options.max_frames or options.every) else None,
         videos=(Video(path.name, 0, taken, total),),
         notes=(
             f"took {len(taken)} of {total} video frames (every {step}); frames.every and frames.max_frames change it",
