@@ -1,0 +1,31 @@
+// The alpha of a primitive at a pixel. Blending is front to back: the target's alpha is what still shines through.
+in highp vec2 vAt;
+flat in highp vec4 vLook;
+flat in highp float vRho;
+flat in highp int vEdges;
+#ifdef CONVEXES
+uniform highp usampler2D uEdges;
+#endif
+out highp vec4 oColour;
+
+const int WIDTH = 4096;
+
+void main() {
+    float alpha = exp2(vLook.a - dot(vAt, vAt));
+#ifdef CONVEXES
+    if (vEdges >= 0) {
+        float lines[CORNERS], top = -1e30, sum = 0.0;
+        for (int k = 0; k < CORNERS; ++k) {
+            int at = vEdges + k;
+            vec3 line = uintBitsToFloat(texelFetch(uEdges, ivec2(at % WIDTH, at / WIDTH), 0)).xyz;
+            lines[k] = dot(line.xy, vAt) + line.z;
+            top = max(top, lines[k]);
+        }
+        for (int k = 0; k < CORNERS; ++k) sum += exp2(max(lines[k] - top, -60.0));
+        alpha = vLook.a / (1.0 + exp2(clamp(vRho * (top + log2(sum)), -60.0, 60.0)));
+    }
+#endif
+    if (alpha < 1.0 / 255.0) discard;
+    alpha = min(alpha, 0.99);
+    oColour = vec4(vLook.rgb * alpha, alpha);
+}
