@@ -20,7 +20,7 @@ LIFE = np.array([0.02, 0.02])  # steps of the middle (frames) and ln of the span
 SPIN = 0.01  # rad
 WEIGHT = 1 / 255
 PATH_TURN, PATH_SCALE = 0.002, 0.02
-OFTEN = 1, 2, 4, 8  # keys for each time of the capture
+OFTEN = 1, 2, 4, 8, 16, 32, 64  # keys for each time of the capture
 
 
 def numbers(tensor: Tensor) -> np.ndarray:

@@ -31,7 +31,26 @@ export function posesAt({ header, arrays }, t, out = new Float32Array(12 * heade
 // Frames over which a life's drift and spin are given: three spans, at most the whole clip, at least one.
 export const reachOf = (logSpan, frames) => Math.min(Math.max(3 * Math.exp(logSpan), 1), Math.max(frames, 1));
 
-// The depth of centres: z of Gaussians, then of the centroids of convexes, in a camera whose z is a x + b y + c z + d.
+// z of the middle of a convex whose corners are at depths `z`, or -Infinity if it is not drawn: in the antialiased mode corners nearer than
+// `near` move to that plane, and otherwise such a convex is left out.
+function middleOf(z, near, antialiased) {
+  let sum = 0, front = false, behind = false;
+  for (const one of z) {
+    sum += antialiased ? Math.max(one, near) : one;
+    front ||= one > near, behind ||= one < near;
+  }
+  return antialiased ? (front ? sum / z.length : -Infinity) : behind ? -Infinity : sum / z.length;
+}
+
+// v turned by the rotation vector `turn`, rad.
+function turnedBy([x, y, z], turn) {
+  const angle = Math.hypot(...turn);
+  if (angle < 1e-12) return [x, y, z];
+  const [u, v, w] = turn.map((one) => one / angle), c = Math.cos(angle), s = Math.sin(angle), along = (u * x + v * y + w * z) * (1 - c);
+  return [c * x + s * (v * z - w * y) + along * u, c * y + s * (w * x - u * z) + along * v, c * z + s * (u * y - v * x) + along * w];
+}
+
+// The depths by which primitives are sorted: z of Gaussians, then of the middles of convexes, in a camera whose z is a x + b y + c z + d.
 export class Depths {
   constructor(scene) {
     const { header, arrays } = scene;
@@ -65,9 +84,23 @@ export class Depths {
     return this.depth;
   }
 
-  #stand({ at, centres }, from, to, [a, b, c, d]) {
-    const depth = this.depth;
-    for (let i = from, j = 3 * from; i < to; ++i, j += 3) depth[at + i] = a * centres[j] + b * centres[j + 1] + c * centres[j + 2] + d;
+  #stand({ name, at, centres }, from, to, [a, b, c, d]) {
+    const depth = this.depth, { near } = this.scene.header;
+    for (let i = from, j = 3 * from; i < to; ++i, j += 3) {
+      depth[at + i] = a * centres[j] + b * centres[j + 1] + c * centres[j + 2] + d;
+      if (name === "c" && depth[at + i] - this.radius[i] < near) depth[at + i] = this.#clipped(i, depth[at + i], [a, b, c], [0, 0, 0]);
+    }
+  }
+
+  // The depth of convex i near the camera, with its middle at depth z and turned by `turn` since its rest.
+  #clipped(i, z, [a, b, c], turn) {
+    const { near, antialiased, corners } = this.scene.header, { centres } = this.kinds[1], points = this.scene.arrays.c_points.values;
+    const deep = [];
+    for (let k = 0; k < corners; ++k) {
+      const arm = turnedBy([0, 1, 2].map((j) => points[3 * (i * corners + k) + j] - centres[3 * i + j]), turn);
+      deep.push(z + a * arm[0] + b * arm[1] + c * arm[2]);
+    }
+    return middleOf(deep, near, antialiased);
   }
 
   #move(kind, t, row) {
@@ -84,11 +117,14 @@ export class Depths {
         const s = age / reachOf(life[2 * i + 1], header.frames), k = 3 * i;
         depth[at + still + i] =
           a * (centres[j] + s * drift[k]) + b * (centres[j + 1] + s * drift[k + 1]) + c * (centres[j + 2] + s * drift[k + 2]) + d;
+        if (name === "c" && depth[at + still + i] - this.radius[still + i] < header.near) {
+          const turn = [0, 1, 2].map((n) => s * arrays.c_spin.values[k + n]);
+          depth[at + still + i] = this.#clipped(still + i, depth[at + still + i], row, turn);
+        }
       }
     } else if (header.motion === "nodes") {
       this.#carry(kind, t, row);
     } else {
-      this.#stand(kind, still, still + moving, row);
       this.#follow(kind, t, row);
     }
   }
@@ -109,9 +145,10 @@ export class Depths {
     }
     const links = arrays[`${name}_links`].values, weights = arrays[`${name}_weights`].values;
     const points = name === "g" ? centres : arrays.c_points.values;
+    const { near, antialiased } = header, deep = new Float64Array(each);
     for (let i = 0; i < moving; ++i) {
-      let sum = 0;
       for (let k = 0; k < each; ++k) {
+        let sum = 0;
         const point = i * each + k, j = 3 * (still * each + point), l = 4 * point, m = 3 * point;
         const x = points[j], y = points[j + 1], z = points[j + 2];
         const w0 = weights[m], w1 = weights[m + 1], w2 = weights[m + 2], w3 = 1 - w0 - w1 - w2;
@@ -120,22 +157,24 @@ export class Depths {
         sum += (w0 * linear[n0 + 1] + w1 * linear[n1 + 1] + w2 * linear[n2 + 1] + w3 * linear[n3 + 1]) * y;
         sum += (w0 * linear[n0 + 2] + w1 * linear[n1 + 2] + w2 * linear[n2 + 2] + w3 * linear[n3 + 2]) * z;
         sum += w0 * linear[n0 + 3] + w1 * linear[n1 + 3] + w2 * linear[n2 + 3] + w3 * linear[n3 + 3];
+        deep[k] = sum;
       }
-      depth[at + still + i] = sum / each;
+      depth[at + still + i] = name === "g" ? deep[0] : middleOf(deep, near, antialiased);
     }
   }
 
-  #follow({ name, at, still, moving, each }, t, [a, b, c]) {
-    const { shape: [keys], values } = this.scene.arrays[name === "g" ? "g_path_means" : "c_path_points"], depth = this.depth;
+  #follow({ name, at, centres, still, moving, each }, t, [a, b, c, d]) {
+    const { header, arrays } = this.scene, depth = this.depth, { near, antialiased } = header, deep = new Float64Array(each);
+    const { shape: [keys], values } = arrays[name === "g" ? "g_path_means" : "c_path_points"];
+    const points = name === "g" ? centres : arrays.c_points.values;
     const { low, high, between } = keyAt(t, keys), size = 3 * moving * each, before = low * size, after = high * size;
     for (let i = 0; i < moving; ++i) {
-      let sum = 0;
       for (let k = 0; k < each; ++k) {
-        const j = 3 * (i * each + k), p = before + j, q = after + j;
-        sum += (1 - between) * (a * values[p] + b * values[p + 1] + c * values[p + 2]);
-        sum += between * (a * values[q] + b * values[q + 1] + c * values[q + 2]);
+        const j = 3 * (i * each + k), p = before + j, q = after + j, r = 3 * still * each + j, s = 1 - between;
+        const x = points[r] + s * values[p] + between * values[q], y = points[r + 1] + s * values[p + 1] + between * values[q + 1];
+        deep[k] = a * x + b * y + c * (points[r + 2] + s * values[p + 2] + between * values[q + 2]) + d;
       }
-      depth[at + still + i] += sum / each;
+      depth[at + still + i] = name === "g" ? deep[0] : middleOf(deep, near, antialiased);
     }
   }
 }

@@ -13,24 +13,16 @@ export class Sorter {
     this.high = new Uint32Array(DIGITS);
   }
 
-  // Fills `order` with the numbers of the primitives at `depth` or beyond `near`, and returns how many there are. From `convexes` on they are
-  // convexes, which are drawn if their centroid is no farther than their `radius` behind the near plane.
-  sort(depth, near, order, convexes = depth.length, radius = null) {
+  // Fills `order` with the numbers of the primitives at `depth` `near` or beyond, and returns how many there are.
+  sort(depth, near, order) {
     const { first, keys, second, digits, low, high } = this, bits = new Uint32Array(depth.buffer, depth.byteOffset, depth.length);
     let count = 0, least = 0xffffffff, most = 0;
-    for (let i = 0; i < convexes; ++i) {
+    for (let i = 0; i < depth.length; ++i) {
       if (!(depth[i] >= near)) continue;
       const key = bits[i];
       first[count++] = i;
       if (key < least) least = key;
       if (key > most) most = key;
-    }
-    for (let i = convexes; i < depth.length; ++i) {
-      if (!(depth[i] > near - radius[i - convexes])) continue;
-      if (depth[i] < near) depth[i] = near;
-      first[count++] = i;
-      least = Math.min(least, bits[i]);
-      most = Math.max(most, bits[i]);
     }
     const shift = Math.max(0, 32 - Math.clz32(most - least) - 2 * DIGIT);
     low.fill(0), high.fill(0);

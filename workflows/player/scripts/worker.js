@@ -4,7 +4,7 @@ import { checkScene } from "./layout.js";
 import { Depths } from "./motion.js";
 import { Sorter } from "./sort.js";
 
-const KEPT = ["g_means", "c_points", "g_opacity", "c_opacity", "g_life", "g_drift", "c_life", "c_drift", "node_homes", "node_modes"];
+const KEPT = ["g_means", "c_points", "g_opacity", "c_opacity", "g_life", "g_drift", "c_life", "c_drift", "c_spin", "node_homes", "node_modes"];
 KEPT.push("node_courses", "g_links", "g_weights", "c_links", "c_weights", "g_path_means", "c_path_points", "light");
 
 // Answers messages with `post(message, transferred)`.
@@ -28,7 +28,6 @@ export class Answers {
     checkScene(scene);
     this.depths = new Depths(scene);
     this.sorter = new Sorter(this.depths.count);
-    this.convexes = scene.arrays.g_means.shape[0];
     const moved = Object.entries(scene.arrays).filter(([name]) => !KEPT.includes(name)).map(([, one]) => one.values.buffer);
     this.post({ kind: "opened", scene }, moved);
   }
@@ -36,7 +35,7 @@ export class Answers {
   #sort({ id, time, row, near, order }) {
     const start = performance.now(), { depths } = this;
     const result = order ?? new Uint32Array(depths.count);
-    const count = this.sorter.sort(depths.at(time, row), near, result, this.convexes, depths.radius);
+    const count = this.sorter.sort(depths.at(time, row), near, result);
     this.post({ kind: "sorted", id, order: result, count, milliseconds: performance.now() - start }, [result.buffer]);
   }
 }

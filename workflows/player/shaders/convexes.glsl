@@ -29,7 +29,7 @@ const float PIXEL_EDGE = 0.18204784532536746;  // 0.8 / (2 ln 9): kappa of a sha
 const float WIDE = 6.579736267392906, THIN = 2.705808084277845;  // of the integral of M, docs/maths.md
 const float NO_EDGE = -1e30;
 
-vec3 centroid;        // world, before clipping
+vec3 meanPoint;        // world, before clipping
 vec3 centre;          // camera, after clipping
 vec2 q[CORNERS];      // points in the plane (x/z, y/z), relative to the centre
 int next[CORNERS];    // the corner after a corner; -1 for points that are none
@@ -51,7 +51,7 @@ float turn(int a, int b, int c) {
 bool placed(int i) {  // fills in the points; false if nothing is in front of the camera
     vec3 p[CORNERS];
     shape = texelFetch(uShapes, place(i), 0).xyz;
-    centroid = vec3(0.0);
+    meanPoint = vec3(0.0);
     for (int k = 0; k < CORNERS; ++k) {
         p[k] = texelFetch(uPoints, place(i * CORNERS + k), 0).xyz;
 #ifdef NODES
@@ -66,9 +66,9 @@ bool placed(int i) {  // fills in the points; false if nothing is in front of th
             p[k] += mix(texelFetch(uKey, place(at), 0).xyz, texelFetch(uNextKey, place(at), 0).xyz, uBetween);
         }
 #endif
-        centroid += p[k] / float(CORNERS);
+        meanPoint += p[k] / float(CORNERS);
     }
-    vec3 moved = centroid;
+    vec3 moved = meanPoint;
     vec4 quat = vec4(1.0, 0.0, 0.0, 0.0);
 #ifdef LIVES
     if (i >= uStill) {
@@ -84,10 +84,10 @@ bool placed(int i) {  // fills in the points; false if nothing is in front of th
     centre = uRotation * (moved - uEye);
     float least = centre.z;
     for (int k = 0; k < CORNERS; ++k) {
-        arm[k] = uRotation * rotated(quat, p[k] - centroid);
+        arm[k] = uRotation * rotated(quat, p[k] - meanPoint);
         least = min(least, centre.z + arm[k].z);
     }
-    centroid = moved;
+    meanPoint = moved;
     if (least < uNear) {
 #ifdef ANTIALIASED
         // A point that is too near moves to the near plane, towards the mean of those in front, weighted by their distance from that plane.
@@ -215,7 +215,7 @@ void main() {
 #ifdef LIGHT
     gain = dot(texelFetch(uShades, place(i), 0).xyz, uLight);
 #endif
-    vec3 colour = colourOf(uSh, i, normalize(centroid - uEye + 1e-12), gain);
+    vec3 colour = colourOf(uSh, i, normalize(meanPoint - uEye + 1e-12), gain);
     oPlace = floatBitsToUint(box);
     oLook = uvec4(floatBitsToUint(rho), floatBitsToUint(opacity), packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, 0.0)));
 }
