@@ -84,3 +84,24 @@ export function target(gl, ...textures) {
   gl.drawBuffers(places);
   return frame;
 }
+
+// A texture for the order of `count` primitives.
+export function ordered(gl, count) {
+  const texture = newTexture(gl);
+  texture.width = Math.max(1, Math.min(count, WIDTH));
+  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, texture.width, Math.max(1, Math.ceil(count / WIDTH)));
+  return texture;
+}
+
+// Two triangles for each of `count` primitives, of the vertices 4 k to 4 k + 3 for the k-th. Not instances, each of which is a draw call of its
+// own on some devices.
+export function quadsOf(gl, count) {
+  const array = gl.createVertexArray(), corners = new Uint32Array(6 * count);
+  for (let k = 0, v = 0; k < 6 * count; k += 6, v += 4) {
+    corners[k] = v, corners[k + 1] = corners[k + 4] = v + 1, corners[k + 2] = corners[k + 3] = v + 2, corners[k + 5] = v + 3;
+  }
+  gl.bindVertexArray(array);
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+  return array;
+}

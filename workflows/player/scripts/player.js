@@ -123,6 +123,7 @@ export class Player {
 
   // Mean milliseconds a frame of turning once around the target while time runs: of sorting, of uploads, of drawing.
   async bench(frames = 60) {
+    this.measuring = true;
     const sum = { sort: 0, upload: 0, draw: 0, frame: 0 }, { width, height } = this.canvas, start = performance.now();
     for (let k = 0; k < frames; ++k) {
       this.camera.turn((2 * Math.PI) / frames, 0, true);
@@ -130,7 +131,7 @@ export class Player {
       for (const name of ["sort", "upload", "draw"]) sum[name] += this.times[name] / frames;
     }
     sum.frame = (performance.now() - start) / frames;
-    this.changed();
+    this.measuring = false;
     return sum;
   }
 
@@ -171,7 +172,7 @@ export class Player {
   }
 
   async #frame(seconds) {
-    if (this.asked || document.hidden || this.renderer.gl.isContextLost()) return;
+    if (this.asked || this.measuring || document.hidden || this.renderer.gl.isContextLost()) return;
     this.controls.advance(seconds);
     if (this.playing) this.#advance(seconds);
     const moving = this.playing || performance.now() - this.touched < REST || this.controls.busy;

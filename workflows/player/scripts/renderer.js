@@ -1,10 +1,14 @@
 // Draws a scene with WebGL 2. Every primitive is projected once a frame into textures; then all are blended front to back in one call, in the
 // order in which the sorter has put them.
-import { Program, newTexture, numbers, target, written } from "./gpu.js";
+import { Program, newTexture, numbers, ordered, quadsOf, target, written } from "./gpu.js";
 import { keyAt, posesAt, rowAt } from "./motion.js";
 import { shaders } from "./shaders.js";
 import { convexTextures, gaussianTextures, keyTextures } from "./textures.js";
 
+const PARTS = 8;          // of the primitives; after each, tiles that show nothing behind it are closed
+const TILE = 8;           // px
+const FEW = 2000;         // primitives, of which there is no use in parts
+const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 const DILATION = "0.3", PIXEL_VARIANCE = "0.1";  // px^2, added to the covariance of Gaussians; the second in the antialiased mode
 
 export class Renderer {
@@ -22,7 +26,7 @@ export class Renderer {
     this.scene = scene;
     this.gaussians = arrays.g_means.shape[0], this.convexes = arrays.c_points.shape[0];
     this.corners = Math.max(3, header.corners);
-    const defines = { CORNERS: this.corners, COEFFICIENTS: (header.sh_degree + 1) ** 2, DILATION: header.antialiased ? PIXEL_VARIANCE : DILATION };
+    const defines = { TILE, CORNERS: this.corners, COEFFICIENTS: (header.sh_degree + 1) ** 2, DILATION: header.antialiased ? PIXEL_VARIANCE : DILATION };
     const flags = { [header.motion.toUpperCase()]: true, ANTIALIASED: header.antialiased, LIGHT: header.light, CONVEXES: this.convexes > 0 };
     for (const [name, on] of Object.entries(flags)) if (on) defines[name] = "1";
     const project = (name, more = {}) => new Program(gl, shaders.full_vert, shaders.common + shaders[name], { ...defines, ...more });
@@ -39,24 +43,20 @@ export class Renderer {
     }
     this.blend = new Program(gl, shaders.draw_vert, shaders.draw_frag, defines);
     this.finish = new Program(gl, shaders.full_vert, shaders.finish_frag, defines);
-    this.exact = Boolean(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
+    this.opaque = new Program(gl, shaders.full_vert, shaders.opaque_frag, defines);
+    this.format = pictureFormat(gl);
     this.empty = gl.createVertexArray();
-    this.quads = gl.createVertexArray();
-    this.order = gl.createBuffer();
-    gl.bindVertexArray(this.quads);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.bufferData(gl.ARRAY_BUFFER, Math.max(4, 4 * total), gl.DYNAMIC_DRAW);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(0, 1);
+    this.quads = quadsOf(gl, total);
+    this.order = ordered(gl, total);
     this.count = 0;
-    this.size = this.poses = this.posesTime = this.keys = null;
+    this.picture = this.size = this.poses = this.posesTime = this.keys = null;
   }
 
   setOrder(order, count) {
-    const { gl } = this;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.bufferSubData(gl.ARRAY_BUFFER, 0, order, 0, count);
+    const { gl } = this, width = this.order.width, rows = Math.floor(count / width), left = count - rows * width;
+    gl.bindTexture(gl.TEXTURE_2D, this.order);
+    if (rows) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, order);
+    if (left) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, rows, left, 1, gl.RED_INTEGER, gl.UNSIGNED_INT, order, rows * width);
     this.count = count;
     this.uploads.order += 1;
   }
@@ -68,18 +68,34 @@ export class Renderer {
     this.#fit(width, height);
     this.#project(view);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.blended);
-    gl.viewport(0, 0, width, height);
     gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 1]);
-    gl.enable(gl.BLEND);
     gl.blendFuncSeparate(gl.DST_ALPHA, gl.ONE, gl.ZERO, gl.ONE_MINUS_SRC_ALPHA);
-    const edges = this.convexes ? { uEdges: this.edges } : {};
-    this.blend.use({ uPlace: this.place, uLook: this.look, ...edges, uSize: [width, height], uGaussians: { int: this.gaussians } });
-    gl.bindVertexArray(this.quads);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
-    gl.disable(gl.BLEND);
+    const edges = this.convexes ? { uEdges: this.edges } : {}, own = { uSize: [width, height], uGaussians: { int: this.gaussians } };
+    this.#blend({ uPlace: this.place, uLook: this.look, uOrder: this.order, ...edges, ...own }, width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     this.finish.use({ uBlended: this.picture, uBackground: this.scene.header.background });
     this.#fill();
+  }
+
+  // In parts, front to back: after each, tiles that no longer show what lies behind are closed, and the vertex stage leaves out what lies
+  // in closed tiles alone.
+  #blend(uniforms, width, height) {
+    const { gl, count } = this, parts = count < FEW ? 1 : PARTS, end = (part) => Math.floor((count * part) / parts);
+    for (let part = 0; part < parts; ++part) {
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.closing);
+      if (part) {
+        gl.viewport(0, 0, Math.ceil(width / TILE), Math.ceil(height / TILE));
+        this.opaque.use({ uBlended: this.picture });
+        this.#fill();
+      } else gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.blended);
+      gl.viewport(0, 0, width, height);
+      gl.enable(gl.BLEND);
+      this.blend.use({ ...uniforms, uClosed: this.closed });
+      gl.bindVertexArray(this.quads);
+      gl.drawElements(gl.TRIANGLES, 6 * (end(part + 1) - end(part)), gl.UNSIGNED_INT, 24 * end(part));
+      gl.disable(gl.BLEND);
+    }
   }
 
   #fill() {
@@ -93,10 +109,16 @@ export class Renderer {
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
     if (size === this.size) return;
-    if (this.picture) gl.deleteTexture(this.picture), gl.deleteFramebuffer(this.blended);
+    if (this.picture) {
+      for (const texture of [this.picture, this.closed]) gl.deleteTexture(texture);
+      for (const frame of [this.blended, this.closing]) gl.deleteFramebuffer(frame);
+    }
     this.picture = newTexture(gl);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, this.exact ? gl.RGBA16F : gl.RGBA8, width, height);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, this.format, width, height);
     this.blended = target(gl, this.picture);
+    this.closed = newTexture(gl);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R8, Math.ceil(width / TILE), Math.ceil(height / TILE));
+    this.closing = target(gl, this.closed);
     this.size = size;
   }
 
@@ -156,4 +178,11 @@ export class Renderer {
     };
     return { low: of(low, high), high: of(high, low), between };
   }
+}
+
+// The format in which colours add up: 16 bits a channel where there are floats; 32 without a graphics device, where they take half the time.
+function pictureFormat(gl) {
+  if (!gl.getExtension("EXT_color_buffer_float")) return gl.getExtension("EXT_color_buffer_half_float") ? gl.RGBA16F : gl.RGBA8;
+  const known = gl.getExtension("WEBGL_debug_renderer_info"), name = gl.getParameter(known ? known.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  return SOFTWARE.test(name) && gl.getExtension("EXT_float_blend") ? gl.RGBA32F : gl.RGBA16F;
 }

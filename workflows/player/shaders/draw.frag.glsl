@@ -1,9 +1,9 @@
 // The alpha of a primitive at a pixel. Blending is front to back: the target's alpha is what still shines through.
 in highp vec2 vAt;
 flat in highp vec4 vLook;
+#ifdef CONVEXES
 flat in highp float vRho;
 flat in highp int vEdges;
-#ifdef CONVEXES
 uniform highp usampler2D uEdges;
 #endif
 out highp vec4 oColour;
@@ -25,7 +25,6 @@ void main() {
         alpha = vLook.a / (1.0 + exp2(clamp(vRho * (top + log2(sum)), -60.0, 60.0)));
     }
 #endif
-    if (alpha < 1.0 / 255.0) discard;
-    alpha = min(alpha, 0.99);
+    alpha = alpha < 1.0 / 255.0 ? 0.0 : min(alpha, 0.99);  // not discarded, so that the depth test may come first
     oColour = vec4(vLook.rgb * alpha, alpha);
 }
