@@ -57,14 +57,16 @@ def nodes() -> ControlNodes:
     part = RigidParts(torch.tensor([[0.6, 0.6, 0.0]]), torch.tensor([0.4]), turns, torch.zeros(FRAMES, 1, 3))
     found = ControlNodes(home, torch.zeros(3), 1.0, 0.5, seed=2, rigid_parts=part)
     with torch.no_grad():
-        found.network.place[-1].weight.normal_(0.0, 0.25, generator=torch.Generator().manual_seed(6))
+        found.network.place[-1].weight.normal_(0.0, 0.1, generator=torch.Generator().manual_seed(6))
     return found
 
 
 def planes() -> DeformationField:
     found = DeformationField(torch.full((3,), -1.1), torch.full((3,), 1.1), FRAMES, (8,), channels=8, width=32, seed=1)
     with torch.no_grad():
-        found.head.weight.normal_(0.0, 0.25, generator=torch.Generator().manual_seed(7))
+        found.head.weight.normal_(0.0, 0.03, generator=torch.Generator().manual_seed(7))
+        for plane in found.planes.time:
+            plane.add_(0.15 * torch.randn(plane.shape, generator=torch.Generator().manual_seed(8)))
     return found
 
 

@@ -18,9 +18,10 @@ MOST_KEYS = 1025
 MOMENTS = 3  # between two keys, at which the motion is compared with what follows from the keys
 LIFE = np.array([0.02, 0.02])  # steps of the middle (frames) and ln of the span
 SPIN = 0.01  # rad
-WEIGHT = 1 / 255
+WEIGHT = np.array([3 / 4, 1 / 2, 1 / 3]) / 255  # the largest comes first, so that these are their ranges
 PATH_TURN, PATH_SCALE = 0.002, 0.02
-OFTEN = 1, 2, 4, 8, 16, 32, 64  # keys for each time of the capture
+OFTEN = 1, 2, 4, 8, 16, 32, 64  # keys of nodes for each time of the capture
+PATHS_OFTEN = 1, 2, 4  # keys of paths, which every primitive has
 
 
 def numbers(tensor: Tensor) -> np.ndarray:
@@ -83,26 +84,28 @@ def on_nodes(model: Model, nodes: ControlNodes, kinds: dict[str, Kept], header: 
 
     def poses(moments: np.ndarray) -> np.ndarray:
         """[T, B, 7] turns, each on the side of the one before, and shifts."""
-        at = nodes.at_times([float(t) for t in moments])
-        at = [nodes._with_rigid_parts(one, float(t)) for one, t in zip(at, moments)]
-        turns = np.stack([numbers(one.turns) for one in at])
+        found = [numbers(p) for p in nodes._poses([float(t) for t in moments])]
+        parts = rigid_poses(nodes, moments)
+        turns, shifts = (np.concatenate(pair, 1) for pair in zip(found, parts))
         sides = np.sign((turns[1:] * turns[:-1]).sum(2, keepdims=True))
         turns[1:] *= np.where(sides == 0, 1, sides).cumprod(0)
-        return np.concatenate([turns - [1, 0, 0, 0], np.stack([numbers(one.shifts) for one in at])], 2)
+        return np.concatenate([turns - [1, 0, 0, 0], shifts], 2)
 
     pose = sampled(poses, times, step, scale)
     keys, count = pose.shape[:2]
     left, size, right = np.linalg.svd((pose * scale).reshape(keys, -1), full_matrices=False)
-    modes = 1
-    while modes < len(size) and np.abs((left[:, modes:] * size[modes:]) @ right[modes:]).max() > step / 2:
-        modes += 1
+    least, modes = 0, len(size)  # too few, and enough
+    while modes - least > 1:
+        half = (least + modes) // 2
+        enough = np.abs((left[:, half:] * size[half:]) @ right[half:]).max() <= step / 2
+        least, modes = (least, half) if enough else (half, modes)
     strength = np.abs(left[:, :modes]).max(0)
     courses = left[:, :modes] / strength
     shapes = (right[:modes] * (size[:modes] * strength)[:, None]).reshape(modes, count, 7) / scale
     header |= {"keys": keys, "nodes": count, "modes": modes, "light": True}
     moved = Moved(header, {"node_homes": numbers(resting.home)[:, None], "node_modes": shapes, "node_courses": courses[:, None]})
     moved.steps |= {"node_homes": step, "node_modes": step / 4 / scale}
-    moved.arrays["light"] = np.stack([numbers(nodes.light(float(t))) for t in np.linspace(0, 1, keys)])[:, None]
+    moved.arrays["light"] = numbers(nodes.light._at([float(t) for t in np.linspace(0, 1, keys)])[0])[:, None]
     for kind, (index, (still, _)) in kinds.items():
         primitives = (model.gaussians if kind == "g" else model.convexes).select(index[still:])
         points = primitives.rest_points().detach()
@@ -123,11 +126,22 @@ def on_nodes(model: Model, nodes: ControlNodes, kinds: dict[str, Kept], header: 
     return moved
 
 
-def sampled(of: Any, times: int, step: float, scale: np.ndarray) -> np.ndarray:
-    """``of`` [T] moments -> [T, B, c] at evenly spaced keys, as few for each time of the capture as keep what lies between two keys on a
+def rigid_poses(nodes: ControlNodes, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit turns [T, b, 4] and shifts [T, b, 3] of the rigid parts at all ``moments``, as `RigidParts.pose` gives them for one."""
+    parts = nodes.rigid_parts
+    keys = [numbers(p) for p in (parts.quats, parts.shifts)]
+    place = moments * (len(keys[0]) - 1)
+    low = np.minimum(place.astype(int), max(len(keys[0]) - 2, 0))
+    high, share = np.minimum(low + 1, len(keys[0]) - 1), (place - low)[:, None, None]
+    turns, shifts = (one[low] * (1 - share) + one[high] * share for one in keys)
+    return turns / np.maximum(np.linalg.norm(turns, axis=2, keepdims=True), 1e-6), shifts
+
+
+def sampled(of: Any, times: int, step: float, scale: np.ndarray, choices: tuple[int, ...] = OFTEN) -> np.ndarray:
+    """``of`` [T] moments -> [T, B, c] at evenly spaced keys, as few of ``choices`` for each time of the capture as keep what lies between two keys on a
     straight line within ``step`` of the truth; ``scale`` [c] is what a unit of each number moves, world units."""
     spans = max(times - 1, 1)
-    for often in OFTEN:
+    for often in choices:
         keys = spans * often + 1
         at = of(np.linspace(0, 1, (keys - 1) * MOMENTS + 1))
         chosen = at[::MOMENTS]
@@ -157,7 +171,7 @@ def paths(model: Model, gaussians: Kept, convexes: Kept, axes: np.ndarray, heade
 
     size = float(np.median(numbers(model.gaussians.log_scales.exp().amax(1)))) if len(model.gaussians) else step
     scale = np.array([1.0] * 3 + [0.3 * size] * 4 + [0.3 * size] * 3)
-    found = sampled(at, times, 4 * step, scale)
+    found = sampled(at, times, 4 * step, scale, PATHS_OFTEN)
     keys = len(found)
     growth = np.take_along_axis(found[:, :moving, 7:], np.broadcast_to(own, (keys, moving, 3)), 2)
     header |= {"keys": keys}

@@ -17,6 +17,7 @@ from ..session import DEFAULT_WORKSPACE, Options, open_session
 from .mesh import mesh
 from .trained import check_folder, open_trained, writing
 from .usd import usd
+from .web import web
 
 if TYPE_CHECKING:
     from ...stages.exports.splats import Kind
@@ -129,6 +130,7 @@ def _command(kind: Kind) -> Callable[..., None]:
 app.command("spz", help="Numbered .spz files (Niantic), a fifth of the size of .ply or less.")(_command("spz"))
 app.command("sog", help="Numbered .sog files (PlayCanvas), for the web.")(_command("sog"))
 app.command("gltf", help="Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers.")(_command("gltf"))
+app.command()(web)
 app.command()(usd)
 app.command()(mesh)
 

@@ -51,9 +51,9 @@ export class Controls {
   }
 
   #key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|BUTTON|TEXTAREA)$/.test(event.target.tagName)) {
-      if (event.code !== "Space" || event.target.tagName === "BUTTON" || event.target.tagName === "SELECT") return;
-    }
+    const on = event.target.tagName, pressing = event.code === "Space" || event.code === "Enter";
+    if (event.ctrlKey || event.metaKey || event.altKey || on === "SELECT") return;
+    if ((on === "BUTTON" && pressing) || (on === "INPUT" && event.code.startsWith("Arrow"))) return;
     const { player } = this, { camera } = player;
     const arrows = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.code];
     const acts = {
