@@ -150,5 +150,5 @@ def test_a_file_that_unpacks_to_more_than_it_says_is_stopped():
 
 
 def test_the_same_model_gives_the_same_bytes():
-    first, second = (scene.to_bytes(steps) for scene, steps in (scene_of("planes"), scene_of("planes")))
+    first, second = (scene.to_bytes(steps) for scene, steps in (scene_of("lives"), scene_of("lives")))
     assert first == second and isinstance(encode("x", np.zeros((1, 1)), 1.0), Coded)
