@@ -71,6 +71,8 @@ RUN = {
     "e4dgs export ply CAPTURE --times 30 --out DIR": f"{TINY} --times 2",
     "e4dgs export gltf CAPTURE": f"{TINY} --times 2",
     "e4dgs export spz CAPTURE": f"{TINY} --times 2",
+    "e4dgs export web CAPTURE --out scene.html": TINY,
+    "e4dgs export web CAPTURE --out site/": TINY,
     "e4dgs export usd CAPTURE --out scene.usdc": f"{TINY} --times 2",
     "e4dgs export mesh CAPTURE --time 0.5 --out scene.glb": TINY,
     "e4dgs export mesh CAPTURE --convexes --out hulls.glb": TINY,

@@ -117,4 +117,4 @@ def lost(model: Model, scene: WebScene, frames: FrameSet) -> Lost:
         camera, t = camera_of(model, frames, int(i)), float(frames.time[i])
         pair = [drawn.render(camera, t).color.detach().cpu().clamp(0, 1) for drawn in (model, scene)]
         error.append(float((pair[0] - pair[1]).square().mean()))
-    return Lost(float(-10 * np.log10(max(np.mean(error), 1e-10))), len(chosen))
+    return Lost(float(-10 * np.log10(max(float(np.mean(error)), 1e-10))), len(chosen))

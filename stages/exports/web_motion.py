@@ -138,8 +138,8 @@ def rigid_poses(nodes: ControlNodes, moments: np.ndarray) -> tuple[np.ndarray, n
 
 
 def sampled(of: Any, times: int, step: float, scale: np.ndarray, choices: tuple[int, ...] = OFTEN) -> np.ndarray:
-    """``of`` [T] moments -> [T, B, c] at evenly spaced keys, as few of ``choices`` for each time of the capture as keep what lies between two keys on a
-    straight line within ``step`` of the truth; ``scale`` [c] is what a unit of each number moves, world units."""
+    """``of`` [T] moments -> [T, B, c] at evenly spaced keys. There are as few of ``choices`` for each time of the capture as keep what
+    lies between two keys on a straight line within ``step`` of the truth; ``scale`` [c]: what a unit of each number moves, world units."""
     spans = max(times - 1, 1)
     for often in choices:
         keys = spans * often + 1

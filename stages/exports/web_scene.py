@@ -41,7 +41,8 @@ def web_scene(model: Model, times: int, pixel: float, about: dict[str, Any]) -> 
             "background": [float(x) for x in model.background],
             "antialiased": model.antialiased,
         }
-        arrays, steps = {}, {"g_means": POSITION * pixel, "c_points": POSITION * pixel}
+        arrays: dict[str, Any] = {}
+        steps: dict[str, Any] = {"g_means": POSITION * pixel, "c_points": POSITION * pixel}
         axes = None
         for kind, (index, _) in kept.items():
             primitives = (model.gaussians if kind == "g" else model.convexes).select(index)
@@ -110,8 +111,8 @@ def look_arrays(primitives: PrimitiveSet, degree: int) -> dict[str, np.ndarray]:
 def gaussian_shapes(gaussians: PrimitiveSet):
     """Means, rotations and ln scales, and the axes [n, 3] that each Gaussian's own were renamed to.
 
-    Of the 24 ways to name the axes of a Gaussian, the one that needs the smallest rotation is taken: w of its quaternion is then the largest
-    component, and the other three lie within 1/2.
+    Of the 24 ways to name the axes of a Gaussian, the one that needs the smallest rotation is taken: w of its quaternion is then the
+    largest component.
     """
     quats = numbers(gaussians.quats)
     quats /= np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)

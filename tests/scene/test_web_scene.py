@@ -3,7 +3,6 @@
 import json
 import struct
 import zlib
-from dataclasses import replace
 
 import numpy as np
 import pytest

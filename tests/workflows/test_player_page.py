@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import rasterize
-from e4dgs.scene.formats.web.scene import WebScene
 from e4dgs.stages.exports.web_scene import web_scene
 from e4dgs.workflows.player.page import page
 from made_models import FRAMES, MOTIONS, camera, made

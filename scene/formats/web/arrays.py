@@ -17,9 +17,9 @@ LEVELS = 2.0**31  # most steps between an array's least and greatest value
 class Coded:
     """One array: what the header says of it, and its bytes before compression.
 
-    shape: (n, m, c). A number of column k is low[k] + step[k] q with an unsigned q of ``planes`` bytes. delta: stored is the difference from
-    the row before (along n), modulo 256^planes, as 2d for d >= 0 and -2d - 1 below. The bytes are ordered by column, then plane (least
-    significant first), then n, then m. planes = 0: float32 instead, all bits.
+    shape: (n, m, c). A number of column k is low[k] + step[k] q with an unsigned q of ``planes`` bytes. delta: stored is the difference
+    from the row before (along n), as 2d for d >= 0 and -2d - 1 below. The bytes are ordered by column, then plane
+    (least significant first), then n, then m. planes = 0: float32 instead, all bits.
     """
 
     name: str
@@ -68,8 +68,10 @@ def decode(said: Coded) -> np.ndarray:
         raw = np.frombuffer(said.data, np.uint8).reshape(c, 4, n * m).transpose(0, 2, 1)
         columns = np.ascontiguousarray(raw).view("<f4").astype(np.float64).reshape(c, n, m)
         return columns.transpose(1, 2, 0)
-    raw = np.frombuffer(said.data, np.uint8).reshape(c, said.planes, n, m)
-    whole = sum(raw[:, k].astype(np.int64) << (8 * k) for k in range(said.planes))
+    split = np.frombuffer(said.data, np.uint8).reshape(c, said.planes, n, m)
+    whole = np.zeros((c, n, m), np.int64)
+    for k in range(said.planes):
+        whole |= split[:, k].astype(np.int64) << (8 * k)
     if said.delta:
         whole = np.where(whole & 1, -(whole + 1 >> 1), whole >> 1).cumsum(1)
     columns = np.asarray(said.low)[:, None, None] + np.asarray(said.step)[:, None, None] * whole
@@ -81,7 +83,12 @@ def description_of(said: Any) -> Coded:
     if not isinstance(said, dict) or not isinstance(said.get("name"), str):
         raise ValueError("an array has no name")
     name, shape, planes = said["name"], said.get("shape"), said.get("planes")
-    if not isinstance(shape, list) or len(shape) != 3 or not all(type(k) is int and k >= 0 for k in shape) or math.prod(shape) > MOST_NUMBERS:
+    if (
+        not isinstance(shape, list)
+        or len(shape) != 3
+        or not all(type(k) is int and k >= 0 for k in shape)
+        or math.prod(shape) > MOST_NUMBERS
+    ):
         raise ValueError(f"{name}: its shape is {shape!r}")
     if type(planes) is not int or not 0 <= planes <= MOST_PLANES:
         raise ValueError(f"{name}: its numbers have {planes!r} bytes")

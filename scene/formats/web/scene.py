@@ -45,7 +45,7 @@ class WebScene:
                 raise ValueError(f"its array {name} has the shape {given.get(name)}, expected {wanted.get(name)}")
         arrays = {name: decode(one) for name, one in coded.items()}
         for name in ("g_links", "c_links"):
-            if name in arrays and arrays[name].size and not (0 <= arrays[name].min() and arrays[name].max() < header["nodes"]):
+            if name in arrays and arrays[name].size and not (arrays[name].min() >= 0 and arrays[name].max() < header["nodes"]):
                 raise ValueError(f"its array {name} names a node that is not there")
         return cls(header, arrays)
 
@@ -59,10 +59,14 @@ class WebScene:
         opacities, solid = self._rows("g_opacity")[:, 0], self._rows("c_opacity")[:, 0]
         if motion == "lives":
             frame = t * (self.header["frames"] - 1)
-            means[still:], turns[still:], opacities[still:] = lived(self, "g", frame, means[still:, None], turns[still:], opacities[still:])
+            means[still:], turned, opacities[still:] = lived(self, "g", frame, means[still:, None], turns[still:], opacities[still:])
+            assert turned is not None  # `None` is for convexes
+            turns[still:] = turned
             points[bent:], _, solid[bent:] = lived(self, "c", frame, points[bent:], None, solid[bent:])
         elif motion == "nodes":
-            means[still:], turns[still:] = on_nodes(self, "g", t, means[still:], turns[still:])
+            means[still:], turned = on_nodes(self, "g", t, means[still:], turns[still:])
+            assert turned is not None
+            turns[still:] = turned
             moved, _ = on_nodes(self, "c", t, points[bent:].reshape(-1, 3), None)
             points[bent:] = moved.reshape(-1, corners, 3)
         elif motion == "paths":
