@@ -17,6 +17,7 @@ SETTINGS = {
     "hulls.budget": 4,
     "fine.iterations": 3,
     "evaluate.movie_frames": 0,
+    "evaluate.player": "false",
 }
 TINY = " ".join(f"--set {key}={value}" for key, value in SETTINGS.items()) + " --device cpu"
 SAMPLE = f"{TINY} --set coarse.motion=planes"  # control nodes look for parts that turn, which takes half a minute there

@@ -15,6 +15,7 @@ from .flow_pictures import add_flow
 from .judge import Judge
 from .movies import write_movies
 from .pictures import PictureBook
+from .player import write_scene
 from .protocol import load_lpips, protocol
 from .spread import SAMPLE, spread, worst_and_others
 from .views import choose_views, time_strip
@@ -57,6 +58,8 @@ def evaluate(ctx: Context) -> None:
         add_flow(book, judge, flow, ctx.settings.max_views)
     book.stored.write(ctx.out)
     write_movies(ctx.out, judge, frames, next(reversed(views.values())), ctx.settings.movie_frames)
+    if ctx.settings.player:
+        write_scene(ctx.out, judge, frames)
     metrics = {
         "protocol": protocol(frames, sample | views, ctx.settings, lpips_facts, notes),
         "splits": splits,

@@ -53,15 +53,36 @@ def export_web(model: Model, frames: FrameSet, times: int, advance: Callable[[in
     """``model`` as the web player shows it. times: of the capture. ``advance`` is called after each of three parts."""
     from ...scene.formats.web.scene import WebScene
 
-    model = model.to("cpu")
-    about = about_capture(model, frames)
-    advance(1)
-    scene, steps = web_scene(model, times, pixel_width(frames, np.array(about["target"])), about)
-    data = scene.to_bytes(steps)
-    advance(1)
-    found = ExportedWeb(data, poster(model, frames), scene.header, lost(model, WebScene.from_bytes(data), frames))
-    advance(1)
+    device = model.device
+    model.to("cpu")
+    try:
+        about = about_capture(model, frames)
+        advance(1)
+        scene, steps = web_scene(model, times, pixel_width(frames, np.array(about["target"])), about)
+        data = scene.to_bytes(steps)
+        advance(1)
+        found = ExportedWeb(data, poster(model, frames), scene.header, lost(model, WebScene.from_bytes(data), frames))
+        advance(1)
+    finally:
+        model.to(device)
     return found
+
+
+def light_web(model: Model, frames: FrameSet, times: int, most: int) -> tuple[bytes, bytes] | None:
+    """The file and the poster of `export_web`, with as many SH bands as ``most`` bytes have room for; None if even one is too large."""
+    device = model.device
+    model.to("cpu")
+    try:
+        about = about_capture(model, frames)
+        scene, steps = web_scene(model, times, pixel_width(frames, np.array(about["target"])), about)
+        first = poster(model, frames)
+    finally:
+        model.to(device)
+    while len(data := scene.to_bytes(steps)) > most:
+        if not (degree := scene.header["sh_degree"]):
+            return None
+        scene.header["sh_degree"] = degree - 1
+    return data, first
 
 
 def poster(model: Model, frames: FrameSet) -> bytes:

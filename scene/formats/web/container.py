@@ -28,6 +28,29 @@ def pack(header: dict[str, Any], arrays: Sequence[Coded]) -> bytes:
 def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, Coded]]:
     """Inverse of `pack`. Raises ValueError that says what is wrong with ``data``; whatever it holds, no more than `MOST_DATA` bytes are
     made of it."""
+    header, start = header_of(data)
+    said = [description_of(one) for one in header["arrays"]]
+    if len({one.name for one in said}) != len(said):
+        raise ValueError("two arrays have one name")
+    total = sum(map(bytes_of, said))
+    if total > MOST_DATA:
+        raise ValueError(f"it claims {total} bytes, more than this program reads")
+    inflate = zlib.decompressobj()
+    try:
+        whole = inflate.decompress(data[start:], total + 1)
+    except zlib.error as error:
+        raise ValueError("its data are damaged") from error
+    if len(whole) != total or not inflate.eof or inflate.unused_data:
+        raise ValueError("its data are damaged or cut short")
+    found, at = {}, 0
+    for one in said:
+        found[one.name] = replace(one, data=whole[at : at + bytes_of(one)])
+        at += bytes_of(one)
+    return header, found
+
+
+def header_of(data: bytes) -> tuple[dict[str, Any], int]:
+    """The header of a file alone, and where its compressed bytes begin. Raises ValueError that says what is wrong with it."""
     if data[:4] != MAGIC:
         raise ValueError("this is not a scene of the web player")
     if len(data) < 12:
@@ -43,21 +66,4 @@ def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, Coded]]:
         raise ValueError("its header is damaged") from error
     if not isinstance(header, dict) or not isinstance(header.get("arrays"), list):
         raise ValueError("its header is damaged")
-    said = [description_of(one) for one in header["arrays"]]
-    if len({one.name for one in said}) != len(said):
-        raise ValueError("two arrays have one name")
-    total = sum(map(bytes_of, said))
-    if total > MOST_DATA:
-        raise ValueError(f"it claims {total} bytes, more than this program reads")
-    inflate = zlib.decompressobj()
-    try:
-        whole = inflate.decompress(data[12 + length :], total + 1)
-    except zlib.error as error:
-        raise ValueError("its data are damaged") from error
-    if len(whole) != total or not inflate.eof or inflate.unused_data:
-        raise ValueError("its data are damaged or cut short")
-    found, at = {}, 0
-    for one in said:
-        found[one.name] = replace(one, data=whole[at : at + bytes_of(one)])
-        at += bytes_of(one)
-    return header, found
+    return header, 12 + length
