@@ -251,3 +251,19 @@ def test_the_command_writes_a_page_that_plays(finished_run, browser, tmp_path, c
     assert main([*words, "--out", str(tmp_path / "folder")]) == 0
     assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == ["index.html", "scene.e4dw"]
     assert main([*words, "--out", str(tmp_path / "scene.txt")]) == 2
+
+
+def test_the_report_plays_the_scene(finished_run, browser):
+    capture, workspace = finished_run
+    report = next((workspace / "scenes").glob("*/report.html"))
+    shown = browser.new_page()
+    try:
+        shown.goto(report.as_uri())
+        shown.locator("iframe.player").scroll_into_view_if_needed()
+        inside = shown.frame_locator("iframe.player")
+        inside.locator("body.ready").wait_for(timeout=60_000)
+        inside.locator("#play").click()
+        shown.wait_for_timeout(1000)
+        assert float(inside.locator("#time").input_value()) > 0
+    finally:
+        shown.close()
