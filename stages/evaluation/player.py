@@ -13,11 +13,15 @@ from .judge import Judge
 MOST = 8_000_000  # bytes; a report is a page that people send to one another
 
 
-def write_scene(out: ArtifactWriter, judge: Judge, frames: FrameSet) -> None:
-    """Writes the scene's file for the web player, with fewer SH bands if it is larger than `MOST`; nothing if that is not enough, or if no
-    training frame has a pose to begin with."""
+def write_scene(out: ArtifactWriter, judge: Judge, frames: FrameSet) -> str | None:
+    """Writes the scene's file for the web player, with fewer SH bands if it is larger than `MOST`. Returns the reason if it is left out."""
     if not len(frames.train):
-        return
-    found = light_web(judge.model, frames, len(np.unique(frames.time)), MOST)
-    if found is not None:
-        write_player(out, *found)
+        return "no training frame has a pose, so there is no place to look from"
+    try:
+        found = light_web(judge.model, frames, len(np.unique(frames.time)), MOST)
+    except (ValueError, np.linalg.LinAlgError) as error:  # the measured results matter more than the player
+        return str(error)
+    if found is None:
+        return f"it takes more than {MOST / 1e6:.0f} MB"
+    write_player(out, *found)
+    return None

@@ -22,6 +22,8 @@ WEIGHT = np.array([3 / 4, 1 / 2, 1 / 3]) / 255  # the largest comes first, so th
 PATH_TURN, PATH_SCALE = 0.002, 0.02
 OFTEN = 1, 2, 4, 8, 16, 32, 64  # keys of nodes for each time of the capture
 PATHS_OFTEN = 1, 2, 4  # keys of paths, which every primitive has
+LOOKED_AT = 1000  # points by which the number of keys is chosen
+MOST_NUMBERS = 10**8  # of all paths together; longer clips of larger scenes get fewer keys
 
 
 def numbers(tensor: Tensor) -> np.ndarray:
@@ -161,18 +163,20 @@ def paths(model: Model, gaussians: Kept, convexes: Kept, axes: np.ndarray, heade
     each = model.convexes.points.shape[1]
     own = axes[still:]
 
-    def at(moments: np.ndarray) -> np.ndarray:
-        """[T, points + moving, 10]: shifts of all points; turns and growth of the Gaussians, which come first."""
+    def at(moments: np.ndarray, points: Tensor = rest.points) -> np.ndarray:
+        """[T, points, 10] shifts of ``points``, and the turns and growth of what is there."""
         found = []
         for t in moments:
-            shift, turn, growth = (numbers(p) for p in field_(rest.points, float(t)))  # type: ignore[operator,misc]
+            shift, turn, growth = (numbers(p) for p in field_(points, float(t)))  # type: ignore[operator,misc]
             found.append(np.concatenate([shift, turn * np.sign(turn[:, :1] + 1e-12), growth], 1))
         return np.stack(found)
 
     size = float(np.median(numbers(model.gaussians.log_scales.exp().amax(1)))) if len(model.gaussians) else step
     scale = np.array([1.0] * 3 + [0.3 * size] * 4 + [0.3 * size] * 3)
-    found = sampled(at, times, 4 * step, scale, PATHS_OFTEN)
-    keys = len(found)
+    some = rest.points[:: max(1, len(rest.points) // LOOKED_AT)]
+    keys = len(sampled(lambda moments: at(moments, some), times, 4 * step, scale, PATHS_OFTEN))
+    keys = min(keys, max(2, MOST_NUMBERS // (10 * len(rest.points))))
+    found = at(np.linspace(0, 1, keys))
     growth = np.take_along_axis(found[:, :moving, 7:], np.broadcast_to(own, (keys, moving, 3)), 2)
     header |= {"keys": keys}
     moved = Moved(header, {"g_path_means": found[:, :moving, :3], "g_path_turns": found[:, :moving, 3:7], "g_path_scales": growth})

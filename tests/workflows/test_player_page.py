@@ -254,7 +254,7 @@ def test_the_command_writes_a_page_that_plays(finished_run, browser, tmp_path, c
 
 
 def test_the_report_plays_the_scene(finished_run, browser):
-    capture, workspace = finished_run
+    workspace = finished_run[1]
     report = next((workspace / "scenes").glob("*/report.html"))
     shown = browser.new_page()
     try:
