@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import Progress
+from ...pipeline import CaptureError, Progress
 from ...pipeline.files import write_atomically
 from ..options import Capture, Debug, Device, Format, Name, Preset, Set, Static, Workspace
 from ..session import DEFAULT_WORKSPACE, Options
@@ -43,6 +43,8 @@ def web(
     """A page that plays the scene in any browser: any view, any time, from one file without a server."""
     single = is_file(out, ENDINGS) or out is None
     trained = open_trained(Options(capture, workspace, preset, set or (), device, name, static, format))
+    if not len(trained.frames.train):
+        raise CaptureError(f"{capture}: no training frame has a pose, so there is no place to look from")
     scene = trained.session.scene.name
     target = trained.folder(out, "web")
     path = target / f"{scene}.html" if out is None else target if single else target / PAGE

@@ -15,7 +15,7 @@ export class Player {
     this.canvas = canvas;
     this.playing = false, this.loop = true, this.speed = 1, this.mode = "orbit", this.photo = 0, this.time = 0;
     this.times = { sort: 0, upload: 0, draw: 0, frame: 0 };
-    this.scale = 1, this.asked = null, this.touched = 0, this.now = 0, this.frames = 0;
+    this.scale = 1, this.asked = null, this.touched = 0, this.now = 0, this.drew = false;
   }
 
   async open(bytes) {
@@ -143,8 +143,8 @@ export class Player {
     return { time: this.time, ...this.camera.view(side(this.canvas.clientWidth), side(this.canvas.clientHeight)) };
   }
 
-  // Sorts for the view, then draws it, and waits until it is there.
-  async #drawn(view) {
+  // Sorts for the view, then draws it, and if asked waits until it is there.
+  async #drawn(view, wait = true) {
     const { gl } = this.renderer, start = performance.now();
     const { order, count, milliseconds } = await this.sorter.sort(view.time, view.cam_from_world.slice(8, 12));
     const sorted = performance.now();
@@ -152,10 +152,9 @@ export class Player {
     this.sorter.give(order);
     const uploaded = performance.now();
     this.renderer.draw(view);
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));  // waits for the graphics device
+    if (wait) gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     this.times = { sort: milliseconds, upload: uploaded - sorted, draw: performance.now() - uploaded, frame: performance.now() - start };
     this.last = JSON.stringify(view);
-    this.frames += 1;
   }
 
   #loop() {
@@ -177,9 +176,12 @@ export class Player {
     if (this.playing) this.#advance(seconds);
     const moving = this.playing || performance.now() - this.touched < REST || this.controls.busy;
     const view = this.#window(moving ? this.scale : 1);
-    if (JSON.stringify(view) === this.last) return;  // nothing has changed, so nothing is sorted, uploaded or drawn
-    await this.#drawn(view);
+    const again = this.drew;  // whether the time since the last frame is that of a frame
+    this.drew = JSON.stringify(view) !== this.last;
+    if (!this.drew) return;  // nothing has changed, so nothing is sorted, uploaded or drawn
+    await this.#drawn(view, false);
     if (this.asked) return this.#drawn(this.asked);  // asked for in the meantime
+    this.times.frame = again ? 1000 * seconds : this.times.frame;
     if (moving && this.times.frame > SLOW) this.scale = Math.max(COARSEST, 0.85 * this.scale);
     else if (moving && this.times.frame < QUICK) this.scale = Math.min(1, 1.1 * this.scale);
   }
