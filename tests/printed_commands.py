@@ -17,6 +17,7 @@ SETTINGS = {
     "hulls.budget": 4,
     "fine.iterations": 3,
     "evaluate.movie_frames": 0,
+    "evaluate.player": "false",
 }
 TINY = " ".join(f"--set {key}={value}" for key, value in SETTINGS.items()) + " --device cpu"
 SAMPLE = f"{TINY} --set coarse.motion=planes"  # control nodes look for parts that turn, which takes half a minute there
@@ -73,6 +74,8 @@ RUN = {
     "e4dgs export ply CAPTURE --time 0.5 --out one.ply": TINY,
     "e4dgs export gltf CAPTURE": f"{TINY} --times 2",
     "e4dgs export spz CAPTURE": f"{TINY} --times 2",
+    "e4dgs export web CAPTURE --out scene.html": TINY,
+    "e4dgs export web CAPTURE --out site/": TINY,
     "e4dgs export usd CAPTURE --out scene.usdc": f"{TINY} --times 2",
     "e4dgs export mesh CAPTURE --time 0.5 --out scene.glb": TINY,
     "e4dgs export mesh CAPTURE --convexes --out hulls.glb": TINY,

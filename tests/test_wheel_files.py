@@ -8,7 +8,7 @@ from check_wheel import ROOT, expected
 from script_module import load_script
 
 FILES = sorted(map(PurePosixPath, expected()))
-TEXT = {".cu", ".cuh", ".h", ".jinja", ".yaml"}  # what is read when it runs, beside Python: CUDA kernels, pages, clusters
+TEXT = {".cu", ".cuh", ".h", ".jinja", ".yaml", ".js", ".css", ".glsl"}  # read when it runs, beside Python: kernels, pages, clusters
 
 
 def source(path: PurePosixPath) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from ..pipeline import Artifact, Outcome, Row
 from ..pipeline.files import read_json, write_atomically, write_json
 from ..stages.artifacts.coarse import read_seeds_png
-from ..stages.artifacts.evaluate import read_metrics
+from ..stages.artifacts.evaluate import read_metrics, read_player
 from ..stages.artifacts.told import told
 from ..stages.artifacts.training_log import read_training_log
 from .reconstruction import EVALUATION, TRAINING
@@ -86,10 +86,14 @@ def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) 
 
 
 def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcome], evaluate: Artifact, metrics: Mapping[str, Any]) -> str:
+    from ..scene.formats.web.container import header_of
     from ..stages.report.page import render_report
+    from .player.page import page
 
     infos = {name: told(outcome.artifact) for name, outcome in outcomes.items() if outcome.artifact is not None}
     plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
     coarse = outcomes["coarse"].artifact if "coarse" in outcomes else None
     seeds = None if coarse is None else read_seeds_png(coarse)
-    return render_report(session.scene.name, evaluate, infos, plan_rows, metrics, seeds, run_command(session.options, "all"))
+    stored, scene = read_player(evaluate), session.scene.name
+    player = None if stored is None else page(scene, *stored, header_of(stored[0])[0]["background"], play=False)
+    return render_report(scene, evaluate, infos, plan_rows, metrics, seeds, run_command(session.options, "all"), player)

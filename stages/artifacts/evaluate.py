@@ -55,6 +55,19 @@ def read_movies(artifact: Artifact) -> dict[str, bytes]:
     return {name: artifact.read(f"movie_{name}").tobytes() for name in MOVIES if f"movie_{name}" in artifact}
 
 
+def write_player(out: ArtifactWriter, scene: bytes, poster: bytes) -> None:
+    """The scene's file for the web player (docs/player.md), and a JPEG that is shown until the scene is."""
+    out.write("player", np.frombuffer(scene, np.uint8), doc="the scene for the web player; see docs/player.md")
+    out.write("player_poster", np.frombuffer(poster, np.uint8), doc="JPEG that is shown until the scene is")
+
+
+def read_player(artifact: Artifact) -> tuple[bytes, bytes] | None:
+    """Inverse of `write_player`; None if there is no scene."""
+    if "player" not in artifact or "player_poster" not in artifact:
+        return None
+    return artifact.read("player").tobytes(), artifact.read("player_poster").tobytes()
+
+
 def write_metrics(out: ArtifactWriter, metrics: Mapping[str, Any], speed: Mapping[str, Any]) -> None:
     """The part of metrics.json that belongs to evaluation. speed: timings, stored apart from the content."""
     out.attrs["metrics"] = metrics

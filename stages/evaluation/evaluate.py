@@ -16,6 +16,7 @@ from .flow_pictures import add_flow
 from .judge import Judge
 from .movies import write_movies
 from .pictures import PictureBook
+from .player import write_scene
 from .protocol import load_lpips, protocol
 from .spread import SAMPLE, most_measured, spread, worst_and_others
 from .views import choose_views, time_strip
@@ -59,6 +60,8 @@ def evaluate(ctx: Context) -> None:
         add_flow(book, judge, flow, ctx.settings.max_views)
     book.stored.write(ctx.out)
     write_movies(ctx, judge, frames, next(reversed(views.values())), ctx.settings.movie_frames)
+    if ctx.settings.player and (reason := write_scene(ctx.out, judge, frames)) is not None:
+        ctx.log(f"the report does not play the scene: {reason}; e4dgs export web writes a page of any size")
     metrics = {
         "protocol": protocol(frames, sample | views, ctx.settings, lpips_facts, notes),
         "splits": splits,

@@ -60,12 +60,14 @@ def render_report(
     metrics: Mapping[str, Any],
     seeds: bytes | None = None,
     command: str | None = None,
+    player: str | None = None,
 ) -> str:
     """The page as HTML text.
 
     evaluate: artifact of `evaluate`, for the pictures. infos: for each stage, attrs and info in one dict (or under "attrs" and "info"),
     including `training` of `coarse` and `fine`. plan_rows: `stage`, `state`, `reason`, `seconds`, `peak_rss_mb`. metrics: the content of
-    metrics.json. seeds: a PNG of the seeds. command: reproduces the run. If a key is missing, its part of the page is left out. All text is
+    metrics.json. seeds: a PNG of the seeds. command: reproduces the run. player: the
+    HTML of the web player's page. If a key is missing, its part of the page is left out. All text is
     escaped.
     """
     from jinja2 import Environment
@@ -100,6 +102,7 @@ def render_report(
         flow=_flow(stored.flow, pictures),
         pictures=pictures,
         movies=_movies(evaluate),
+        player=player,
         seeds=None if seeds is None else DATA + base64.b64encode(seeds).decode(),
         plots=drawn(training_curves(training)),
         splits=tables(metrics),

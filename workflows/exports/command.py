@@ -17,6 +17,7 @@ from ..session import Options, open_session
 from .mesh import mesh
 from .trained import Antialiased, Moment, Up, check_folder, check_moment, check_single, is_file, open_trained, up_axis, writing
 from .usd import usd
+from .web import web
 
 if TYPE_CHECKING:
     from ...stages.exports.splats import Kind
@@ -113,6 +114,7 @@ def _command(kind: Kind) -> Callable[..., None]:
 app.command("spz", help="Numbered .spz files (Niantic), a fifth of the size of .ply or less.")(_command("spz"))
 app.command("sog", help="Numbered .sog files (PlayCanvas), for the web.")(_command("sog"))
 app.command("gltf", help="Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers.")(_command("gltf"))
+app.command()(web)
 app.command()(usd)
 app.command()(mesh)
 

@@ -1,0 +1,269 @@
+"""The web player in a real Chromium draws what the rasterizer draws, of every motion, and survives what happens to pages."""
+
+import base64
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from e4dgs.rasterizer import rasterize
+from e4dgs.stages.exports.web_scene import web_scene
+from e4dgs.workflows.player.page import page
+from made_models import FRAMES, MOTIONS, camera, made
+from PIL import Image
+
+ABOUT = {"seconds": 1.0, "up": [0.0, -1.0, 0.0], "target": [0.0, 0.0, 0.0]}
+PIXEL = 3.0 / 150
+
+
+def about(count=2):
+    """Header fields of a capture whose cameras look from ``count`` sides."""
+    shots = [(k, camera(1.0 * k)) for k in range(count)]
+    cameras = [
+        {
+            "name": f"photo {k}",
+            "time": 0.0,
+            "width": shot.width,
+            "height": shot.height,
+            "cam_from_world": shot.cam_from_world.flatten().tolist(),
+            "K": shot.K.flatten().tolist(),
+        }
+        for k, shot in shots
+    ]
+    return ABOUT | {"cameras": cameras}
+
+
+class Page:
+    """A page of the player with its own `window.e4dgs`; ``outside`` are the addresses that it asked for."""
+
+    def __init__(self, browser, folder, data: bytes, play=False, poster=None, size=(500, 400)):
+        self.file = folder / "scene.html"
+        self.file.write_text(page("made", data, poster, (1.0, 0.9, 0.8), play))
+        self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        self.outside, self.errors = [], []
+        self.page.on("request", lambda asked: self.outside.append(asked.url))
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(self.file.as_uri())
+        self.page.wait_for_selector("body.ready, body.failed", timeout=60_000)
+
+    def show(self, view, time):
+        wanted = {
+            "time": time,
+            "cam_from_world": view.cam_from_world.flatten().tolist(),
+            "K": view.K.flatten().tolist(),
+            "width": view.width,
+            "height": view.height,
+        }
+        self.page.evaluate("view => e4dgs.show(view)", wanted)
+        return self.picture()
+
+    def picture(self):
+        png = self.page.evaluate("e4dgs.canvas.toDataURL('image/png')")
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(png.split(",")[1]))).convert("RGB")) / 255
+
+
+@pytest.fixture
+def opened(browser, tmp_path):
+    pages = []
+
+    def open_it(*arguments, **more):
+        pages.append(Page(browser, tmp_path, *arguments, **more))
+        return pages[-1]
+
+    yield open_it
+    for one in pages:
+        one.page.close()
+        asked = [url for url in one.outside if url != one.file.as_uri() and not url.startswith(("blob:", "data:"))]
+        assert not asked, "nothing is asked of others"
+
+
+def psnr(a, b):
+    return float(-10 * np.log10(max(np.square(a - b).mean(), 1e-10)))
+
+
+@pytest.mark.parametrize(("motion", "antialiased"), [*((motion, True) for motion in MOTIONS), ("static", False)])
+def test_the_page_draws_what_the_rasterizer_draws(opened, motion, antialiased):
+    """The bars of the file format: 45 dB from numbers as they are, 38 dB from the file as it is written."""
+    model = made(motion, degree=3 if motion == "static" else 2, antialiased=antialiased)
+    scene, steps = web_scene(model, FRAMES, PIXEL, about())
+    found = []
+    for data in (scene.to_bytes(), scene.to_bytes(steps)):
+        shown = opened(data)
+        for time, angle, distance in ((0.0, 0.3, 3.0), (0.37, 2.0, 2.5), (1.0, 4.0, 1.2)):
+            view = camera(angle, distance=distance)
+            with torch.no_grad():
+                # Not `render`, which leaves what the planes would carry into view from far outside of it where it is.
+                background = torch.tensor(model.background)
+                drawn = rasterize(replace(view, near=model.near), *model.at(time), background, antialiased=antialiased)
+                truth = drawn.color.clamp(0, 1).numpy()
+            found.append(psnr(shown.show(view, time), truth))
+    assert min(found[:3]) > 45, found
+    assert min(found[3:]) > 38, found
+
+
+@pytest.fixture(scope="module")
+def file() -> bytes:
+    scene, steps = web_scene(made("lives", gaussians=150, convexes=20, degree=1), FRAMES, PIXEL, about(3))
+    return scene.to_bytes(steps)
+
+
+def time_of(shown: Page) -> float:
+    return float(shown.page.input_value("#time"))
+
+
+def visible(shown: Page, name: str) -> bool:
+    return shown.page.locator(name).is_visible()
+
+
+def test_the_page_plays_and_its_controls_work(opened, file):
+    shown = opened(file, play=True)
+    page = shown.page
+    info = page.evaluate("e4dgs.info")
+    assert (info["gaussians"] + info["convexes"] > 100, info["motion"], info["duration"], info["bytes"]) == (True, "lives", 1.0, len(file))
+    page.click("#play")
+    stopped = time_of(shown)
+    assert stopped > 0, "it played by itself"
+    page.evaluate("e4dgs.play()")
+    page.wait_for_timeout(800)
+    page.evaluate("e4dgs.pause()")
+    assert time_of(shown) != stopped
+    page.locator("#time").fill("0.5")
+    page.wait_for_timeout(600)
+    still = shown.picture()
+    page.select_option("#photo", "2")
+    page.wait_for_timeout(600)
+    other = shown.picture()
+    assert psnr(other, still) < 30
+    page.locator("#canvas").focus()
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("KeyO")
+    assert page.inner_text("#mode") == "Fly"
+    page.wait_for_timeout(600)
+    turned = shown.picture()
+    assert psnr(turned, other) < 40
+    uploads = page.evaluate("e4dgs.info.uploads")
+    page.wait_for_timeout(500)
+    assert page.evaluate("e4dgs.info.uploads") == uploads, "nothing is uploaded while nothing changes"
+    box = page.locator("#canvas").bounding_box()
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 180, box["y"] + 120, steps=3)
+    page.mouse.up()
+    page.mouse.wheel(0, 300)
+    page.wait_for_timeout(900)
+    assert psnr(shown.picture(), turned) < 40
+    assert not shown.errors
+
+
+def test_a_picture_that_was_asked_for_has_nothing_over_it(opened, file):
+    shown = opened(file)
+    view = camera(0.2, 90, 70)
+    picture = shown.show(view, 0.4)
+    assert picture.shape == (70, 90, 3) and not visible(shown, "#bar")
+    cut = np.asarray(Image.open(io.BytesIO(shown.page.locator("#canvas").screenshot())).convert("RGB")) / 255
+    assert np.abs(cut - picture).max() <= 1 / 255
+    for wrong in ("{}", "{time: NaN}", "{time: 0, cam_from_world: [], K: [], width: 1, height: 1}"):
+        assert "TypeError" in shown.page.evaluate(f"e4dgs.show({wrong}).catch((error) => String(error))")
+    shown.page.evaluate("e4dgs.pause()")
+    assert visible(shown, "#bar")
+
+
+def test_a_lost_graphics_device_comes_back_with_the_same_picture(opened, file):
+    shown = opened(file)
+    before = shown.show(camera(0.2), 0.4)
+    shown.page.evaluate("window.lost = e4dgs.canvas.getContext('webgl2').getExtension('WEBGL_lose_context'), lost.loseContext()")
+    shown.page.wait_for_timeout(300)
+    shown.page.evaluate("lost.restoreContext()")
+    shown.page.wait_for_timeout(1500)
+    assert np.array_equal(shown.picture(), before)
+    assert np.array_equal(shown.show(camera(0.2), 0.4), before) and not shown.errors
+
+
+@pytest.mark.parametrize("damage", [lambda d: d[: len(d) // 2], lambda d: b"x" + d[1:], lambda d: d.replace(b"lives", b"dance", 1)])
+def test_a_damaged_scene_gives_a_message(opened, file, damage):
+    shown = opened(damage(file))
+    assert visible(shown, "#message") and "scene" in shown.page.inner_text("#message").lower() and not visible(shown, "#bar")
+    assert "Error" in shown.page.evaluate("e4dgs.ready.catch((error) => String(error))")
+
+
+def test_no_code_comes_from_text_and_nothing_leaves_the_page(opened, file):
+    shown = opened(file)
+    said = "(() => { try { return new Function('return 1')(); } catch (error) { return error.name; } })()"
+    # Through the page's own timer, since what a debugger evaluates may do more.
+    shown.page.evaluate(f"window.found = null; setTimeout(() => {{ window.found = {said}; }})")
+    shown.page.wait_for_timeout(200)
+    assert shown.page.evaluate("found") == "EvalError"
+    assert shown.page.evaluate("fetch('https://example.invalid/').then(() => 'sent', () => 'refused')") == "refused"
+    shown.outside = [url for url in shown.outside if "example.invalid" not in url]
+
+
+@pytest.mark.parametrize("width", [390, 1440])
+def test_controls_fit_narrow_and_wide_windows(opened, file, width):
+    shown = opened(file, size=(width, 700))
+    assert shown.page.evaluate("document.documentElement.scrollWidth") <= width
+    for name in ("#play", "#time", "#speed", "#loop", "#photo", "#mode", "#full", "#help"):
+        box = shown.page.locator(name).bounding_box()
+        assert box["x"] >= 0 and box["x"] + box["width"] <= width and box["y"] + box["height"] <= 700, name
+        assert width > 700 or min(box["width"], box["height"]) >= 16
+
+
+def test_page_and_data_apart_need_a_server(browser, file, tmp_path):
+    import threading
+    from functools import partial
+    from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *arguments):
+            pass
+
+    (tmp_path / "index.html").write_text(page("apart", "scene.e4dw", None, (1, 1, 1), False))
+    (tmp_path / "scene.e4dw").write_bytes(file)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    shown = browser.new_page()
+    try:
+        shown.goto(f"http://127.0.0.1:{server.server_port}/index.html")
+        shown.wait_for_selector("body.ready", timeout=60_000)
+        shown.goto((tmp_path / "index.html").as_uri())
+        shown.wait_for_selector("body.failed", timeout=60_000)
+        assert "from a web server only" in shown.inner_text("#message")
+    finally:
+        shown.close()
+        server.shutdown()
+
+
+def test_the_command_writes_a_page_that_plays(finished_run, browser, tmp_path, capsys):
+    import tiny_run
+    from e4dgs.workflows.cli import main
+
+    capture, workspace = finished_run
+    out = tmp_path / "scene.html"
+    words = ["export", "web", str(capture.root), "--workspace", str(workspace), *tiny_run.QUICK]
+    assert main([*words, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "dB from the model" in said and "MB a second" in said and f"web: {out}" in said
+    shown = browser.new_page()
+    shown.goto(out.as_uri())
+    shown.wait_for_selector("body.ready", timeout=60_000)
+    assert shown.evaluate("e4dgs.info.cameras") > 0
+    shown.close()
+    assert main([*words, "--out", str(tmp_path / "folder")]) == 0
+    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == ["index.html", "scene.e4dw"]
+    assert main([*words, "--out", str(tmp_path / "scene.txt")]) == 2
+
+
+def test_the_report_plays_the_scene(finished_run, browser):
+    workspace = finished_run[1]
+    report = next((workspace / "scenes").glob("*/report.html"))
+    shown = browser.new_page()
+    try:
+        shown.goto(report.as_uri())
+        shown.locator("iframe.player").scroll_into_view_if_needed()
+        inside = shown.frame_locator("iframe.player")
+        inside.locator("body.ready").wait_for(timeout=60_000)
+        inside.locator("#play").click()
+        shown.wait_for_timeout(1000)
+        assert float(inside.locator("#time").input_value()) > 0
+    finally:
+        shown.close()

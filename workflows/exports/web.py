@@ -1,0 +1,54 @@
+"""`e4dgs export web CAPTURE`: writes the scene as a page that plays in any browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ...pipeline import CaptureError, Progress
+from ...pipeline.files import write_atomically
+from ..options import of_last_run
+from ..session import Options
+from .trained import is_file, open_trained, writing
+
+ENDINGS = (".html", ".htm")
+PAGE, DATA = "index.html", "scene.e4dw"
+
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="FILE.html|DIR",
+        help="One page with everything in it, or a folder with page and data apart, for a web server; by default a page in "
+        "scenes/<name>/export/web.",
+    ),
+]
+
+
+@of_last_run("coarse")
+def web(options: Options, out: Out = None) -> None:
+    """A page that plays the scene in any browser: any view, any time, from one file without a server."""
+    single = is_file(out, ENDINGS) or out is None
+    trained = open_trained(options)
+    if not len(trained.frames.train):
+        raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
+    scene = trained.session.scene.name
+    target = trained.folder(out, "web")
+    path = target / f"{scene}.html" if out is None else target if single else target / PAGE
+
+    from ...stages.exports.web import export_web
+    from ..player.page import page
+
+    console = Console()
+    with Progress(3, "export", console) as bar, writing(path):
+        made = export_web(trained.model, trained.frames, trained.times, bar.advance)
+        if not single:
+            write_atomically(target / DATA, made.data)
+        text = page(scene, made.data if single else DATA, made.poster, trained.model.background, made.header["motion"] != "static")
+        write_atomically(path, text)
+    size = f"page of {len(text) / 1e6:.2f} MB" + ("" if single else f" beside {DATA}")
+    for line in (f"{made}; {size}", f"web: {path}"):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)

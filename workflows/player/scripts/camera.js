@@ -1,0 +1,93 @@
+// The camera that a visitor moves: a pose in the world, turned about a target or about itself. Axes are OpenCV's (x right, y down, z forward).
+
+const add = (a, b, s = 1) => a.map((x, k) => x + s * b[k]);
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const unit = (a) => {
+  const size = Math.hypot(...a);
+  return size > 1e-12 ? a.map((x) => x / size) : [0, 0, 1];
+};
+const MOST_TILT = Math.cos((3 * Math.PI) / 180);  // the view stays so far from straight up and down
+
+// v turned by `angle` about the unit `axis`.
+export function turned(v, axis, angle) {
+  const c = Math.cos(angle), s = Math.sin(angle), along = dot(v, axis) * (1 - c), side = cross(axis, v);
+  return v.map((x, k) => c * x + s * side[k] + along * axis[k]);
+}
+
+export class Camera {
+  constructor({ up, target, cameras }) {
+    this.up = unit(up);
+    this.goal = target;
+    if (cameras.length) this.jump(cameras[0]);
+    else this.#look([target[0], target[1], target[2] - 3], target, { width: 4, height: 3, K: [4, 0, 2, 0, 4, 1.5, 0, 0, 1] });
+  }
+
+  // Takes the place of a capture's camera.
+  jump({ cam_from_world: m, K, width, height }) {
+    this.right = [m[0], m[1], m[2]], this.down = [m[4], m[5], m[6]], this.forward = [m[8], m[9], m[10]];
+    this.eye = [0, 1, 2].map((j) => -(m[j] * m[3] + m[4 + j] * m[7] + m[8 + j] * m[11]));
+    this.lens = { K, width, height };
+    this.target = this.goal.slice();
+    const ahead = dot(add(this.goal, this.eye, -1), this.forward);
+    if (!(ahead > 1e-6)) this.target = add(this.eye, this.forward, Math.max(Math.hypot(...add(this.goal, this.eye, -1)), 1));
+  }
+
+  #look(eye, target, lens) {
+    this.eye = eye, this.target = target.slice(), this.lens = lens;
+    this.forward = unit(add(target, eye, -1));
+    this.right = unit(cross(this.forward, this.up));
+    this.down = cross(this.forward, this.right);
+  }
+
+  get distance() {
+    return Math.max(Math.hypot(...add(this.target, this.eye, -1)), 1e-6);
+  }
+
+  // Turns the view by angles about the scene's up and about its own right; about the target, or on the spot.
+  turn(yaw, pitch, aboutTarget) {
+    const tilt = dot(turned(this.forward, this.right, pitch), this.up);
+    const steep = Math.abs(tilt) > MOST_TILT && Math.abs(tilt) > Math.abs(dot(this.forward, this.up));
+    const right = this.right, spin = (v) => turned(steep ? v : turned(v, right, pitch), this.up, yaw);
+    const arm = spin(add(this.eye, this.target, -1));
+    [this.right, this.down, this.forward] = [this.right, this.down, this.forward].map(spin);
+    if (aboutTarget) this.eye = add(this.target, arm);
+    else this.target = add(this.eye, this.forward, Math.hypot(...arm));
+    this.#square();
+  }
+
+  #square() {  // rounding adds up over thousands of turns
+    this.forward = unit(this.forward);
+    this.right = unit(add(this.right, this.forward, -dot(this.right, this.forward)));
+    this.down = cross(this.forward, this.right);
+  }
+
+  // Moves sideways in the picture by shares of the distance to the target.
+  slide(x, y) {
+    const step = add(this.right.map((v) => v * x), this.down, y).map((v) => v * this.distance);
+    this.eye = add(this.eye, step), this.target = add(this.target, step);
+  }
+
+  // Goes nearer to the target by a factor.
+  approach(factor) {
+    this.eye = add(this.target, add(this.eye, this.target, -1), factor);
+  }
+
+  // Flies by world units along right, up and forward.
+  fly(right, up, forward) {
+    const step = add(add(this.right.map((v) => v * right), this.up, up), this.forward, forward);
+    this.eye = add(this.eye, step), this.target = add(this.target, step);
+  }
+
+  // Pose and intrinsics for a picture of width x height px that shows at least what the capture's camera saw.
+  view(width, height) {
+    const { K, width: w, height: h } = this.lens, s = Math.min(width / w, height / h);
+    const rows = [this.right, this.down, this.forward];
+    return {
+      cam_from_world: [...rows.flatMap((r) => [...r, -dot(r, this.eye)]), 0, 0, 0, 1],
+      K: [s * K[0], 0, width / 2 + s * (K[2] - w / 2), 0, s * K[4], height / 2 + s * (K[5] - h / 2), 0, 0, 1],
+      width,
+      height,
+    };
+  }
+}

@@ -1,0 +1,81 @@
+// Pointers, wheel and keys on the canvas, as movements of the camera and commands of the player.
+
+const KEYS = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyE: [0, 1, 0], KeyQ: [0, -1, 0] };
+const TURN = 0.005;  // radians a px of dragging
+const PACE = 0.6;    // of the distance to the target, a second of flying
+
+export class Controls {
+  // player: camera, mode ("orbit" or "fly"), changed(), and what `#key` calls.
+  constructor(canvas, player) {
+    this.player = player;
+    this.pointers = new Map();
+    this.held = new Set();
+    const on = (name, act) => canvas.addEventListener(name, act);
+    on("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      canvas.focus();
+      this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    });
+    on("pointermove", (event) => this.#drag(event));
+    for (const name of ["pointerup", "pointercancel"]) on(name, (event) => this.pointers.delete(event.pointerId));
+    on("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      player.camera.approach(Math.exp(Math.max(-0.4, Math.min(0.4, 0.0012 * event.deltaY))));
+      player.changed();
+    }, { passive: false });
+    addEventListener("keydown", (event) => this.#key(event));
+    addEventListener("keyup", (event) => this.held.delete(event.code));
+    addEventListener("blur", () => this.held.clear());
+  }
+
+  get busy() {
+    return this.held.size > 0 || this.pointers.size > 0;
+  }
+
+  #drag(event) {
+    const before = this.pointers.get(event.pointerId);
+    if (!before) return;
+    const { camera, mode } = this.player, now = [event.clientX, event.clientY];
+    const dx = now[0] - before[0], dy = now[1] - before[1], size = Math.min(innerWidth, innerHeight);
+    if (this.pointers.size === 2) {  // two fingers: slide, and go nearer as they part
+      const other = [...this.pointers].find(([id]) => id !== event.pointerId)[1];
+      const apart = (p) => Math.max(Math.hypot(p[0] - other[0], p[1] - other[1]), 1);
+      camera.approach(apart(before) / apart(now));
+      camera.slide(-dx / 2 / size, -dy / 2 / size);
+    } else if (event.buttons & 6 || event.shiftKey) camera.slide(-dx / size, -dy / size);
+    else if (mode === "orbit") camera.turn(-TURN * dx, -TURN * dy, true);
+    else camera.turn(-0.5 * TURN * dx, -0.5 * TURN * dy, false);
+    this.pointers.set(event.pointerId, now);
+    this.player.changed();
+  }
+
+  #key(event) {
+    const on = event.target.tagName, pressing = event.code === "Space" || event.code === "Enter";
+    if (event.ctrlKey || event.metaKey || event.altKey || on === "SELECT") return;
+    if ((on === "BUTTON" && pressing) || (on === "INPUT" && event.code.startsWith("Arrow"))) return;
+    const { player } = this, { camera } = player;
+    const arrows = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.code];
+    const acts = {
+      Space: () => player.toggle(), KeyF: () => player.fullScreen(), KeyL: () => player.setLoop(!player.loop), KeyR: () => player.jump(player.photo),
+      KeyO: () => player.setMode(player.mode === "orbit" ? "fly" : "orbit"), BracketLeft: () => player.jump(player.photo - 1),
+      BracketRight: () => player.jump(player.photo + 1), Comma: () => player.step(-1), Period: () => player.step(1), KeyH: () => player.help(),
+    };
+    if (KEYS[event.code]) this.held.add(event.code);
+    else if (arrows) camera.turn(0.06 * arrows[0], 0.06 * arrows[1], player.mode === "orbit");
+    else if (acts[event.code]) acts[event.code]();
+    else return;
+    event.preventDefault();
+    player.changed();
+  }
+
+  // Flies on while keys are held, for `seconds` since the last call.
+  advance(seconds) {
+    if (!this.held.size) return;
+    const { camera } = this.player, way = [0, 0, 0];
+    for (const code of this.held) KEYS[code].forEach((x, k) => (way[k] += x));
+    const step = PACE * camera.distance * Math.min(seconds, 0.1);
+    camera.fly(...way.map((x) => x * step));
+    this.player.changed();
+  }
+}

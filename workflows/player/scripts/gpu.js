@@ -1,0 +1,107 @@
+// WebGL 2 as this player uses it: programs with their uniforms, and textures that hold numbers.
+
+export const WIDTH = 4096;  // of every texture of numbers, in texels; the shaders know it
+
+export class Program {
+  constructor(gl, vertex, fragment, defines) {
+    const head = "#version 300 es\nprecision highp float;\nprecision highp int;\nprecision highp usampler2D;\n";
+    const said = Object.entries(defines).map(([name, value]) => `#define ${name} ${value}\n`).join("");
+    this.gl = gl;
+    this.program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, head + said + text);
+      gl.compileShader(shader);
+      gl.attachShader(this.program, shader);
+    }
+    gl.linkProgram(this.program);
+    if (!gl.getProgramParameter(this.program, gl.LINK_STATUS) && !gl.isContextLost()) {
+      const logs = gl.getAttachedShaders(this.program).map((shader) => gl.getShaderInfoLog(shader));
+      throw new Error(`A shader does not compile here: ${gl.getProgramInfoLog(this.program)} ${logs.join(" ")}`);
+    }
+    this.places = new Map();
+  }
+
+  // Starts to use the program with these uniforms: numbers, lists, or textures.
+  use(uniforms) {
+    const { gl } = this;
+    gl.useProgram(this.program);
+    let unit = 0;
+    for (const [name, value] of Object.entries(uniforms)) {
+      if (!this.places.has(name)) this.places.set(name, gl.getUniformLocation(this.program, name));
+      const at = this.places.get(name);
+      if (at === null) continue;
+      if (value instanceof WebGLTexture) {
+        gl.activeTexture(gl.TEXTURE0 + unit);
+        gl.bindTexture(gl.TEXTURE_2D, value);
+        gl.uniform1i(at, unit++);
+      } else if (value.int !== undefined) gl.uniform1i(at, value.int);
+      else if (typeof value === "number") gl.uniform1f(at, value);
+      else if (value.length === 9) gl.uniformMatrix3fv(at, false, value);
+      else gl[`uniform${value.length}fv`](at, value);
+    }
+  }
+}
+
+// A texture with a texel for each `components` of `values`; `half` keeps 16 bits of each.
+export function numbers(gl, values, components, half = false, texture = newTexture(gl)) {
+  const count = values.length / components, width = Math.max(1, Math.min(count, WIDTH)), height = Math.max(1, Math.ceil(count / WIDTH));
+  if (height > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error("This scene is too large for this device's graphics.");
+  const inner = { 3: half ? gl.RGB16F : gl.RGB32F, 4: half ? gl.RGBA16F : gl.RGBA32F }[components], outer = components === 3 ? gl.RGB : gl.RGBA;
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  if (texture.size !== `${width}x${height}`) gl.texStorage2D(gl.TEXTURE_2D, 1, inner, width, height);
+  texture.size = `${width}x${height}`;
+  const rows = Math.floor(count / width), left = count - rows * width;
+  if (rows) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, rows, outer, gl.FLOAT, values);
+  if (left) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, rows, left, 1, outer, gl.FLOAT, values, rows * width * components);
+  return texture;
+}
+
+// An empty texture of `count` texels with four integers each (bits of floats), to be written by a shader.
+export function written(gl, count) {
+  const texture = newTexture(gl);
+  texture.width = Math.max(1, Math.min(count, WIDTH)), texture.height = Math.max(1, Math.ceil(count / WIDTH));
+  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, texture.width, texture.height);
+  return texture;
+}
+
+export function newTexture(gl) {
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  for (const [name, value] of [["MIN_FILTER", gl.NEAREST], ["MAG_FILTER", gl.NEAREST], ["WRAP_S", gl.CLAMP_TO_EDGE], ["WRAP_T", gl.CLAMP_TO_EDGE]])
+    gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], value);
+  return texture;
+}
+
+// Something to draw into: one texture, or several at once.
+export function target(gl, ...textures) {
+  const frame = gl.createFramebuffer();
+  gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+  const places = textures.map((texture, k) => {
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + k, gl.TEXTURE_2D, texture, 0);
+    return gl.COLOR_ATTACHMENT0 + k;
+  });
+  gl.drawBuffers(places);
+  return frame;
+}
+
+// A texture for the order of `count` primitives.
+export function ordered(gl, count) {
+  const texture = newTexture(gl);
+  texture.width = Math.max(1, Math.min(count, WIDTH));
+  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, texture.width, Math.max(1, Math.ceil(count / WIDTH)));
+  return texture;
+}
+
+// Two triangles for each of `count` primitives, of the vertices 4 k to 4 k + 3 for the k-th. Not instances, each of which is a draw call of its
+// own on some devices.
+export function quadsOf(gl, count) {
+  const array = gl.createVertexArray(), corners = new Uint32Array(6 * count);
+  for (let k = 0, v = 0; k < 6 * count; k += 6, v += 4) {
+    corners[k] = v, corners[k + 1] = corners[k + 4] = v + 1, corners[k + 2] = corners[k + 3] = v + 2, corners[k + 5] = v + 3;
+  }
+  gl.bindVertexArray(array);
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+  return array;
+}

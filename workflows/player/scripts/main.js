@@ -1,0 +1,54 @@
+// The page: finds the scene's data, opens them, and offers `window.e4dgs`.
+import { Player, fail } from "./player.js";
+import { say } from "./panel.js";
+
+async function data() {
+  const inside = document.getElementById("scene");
+  if (inside) return fromBase64(inside.textContent);
+  const address = document.body.dataset.scene;
+  try {
+    const answer = await fetch(address);
+    if (!answer.ok) throw new Error(String(answer.status));
+    return new Uint8Array(await answer.arrayBuffer());
+  } catch (error) {
+    const local = location.protocol === "file:" ? " A browser reads it from a web server only; a page with the data inside needs none." : "";
+    throw new Error(`The scene's data (${address}) cannot be read: ${error.message}.${local}`);
+  }
+}
+
+function fromBase64(text) {
+  if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
+  const letters = atob(text), bytes = new Uint8Array(letters.length);
+  for (let k = 0; k < letters.length; ++k) bytes[k] = letters.charCodeAt(k);
+  return bytes;
+}
+
+export function start() {
+  const canvas = document.getElementById("canvas"), player = new Player(canvas);
+  const ready = (async () => {
+    say("Opening the scene…");
+    let bytes;
+    try {
+      bytes = await data();
+    } catch (error) {
+      throw error.name === "InvalidCharacterError" || error instanceof SyntaxError ? new Error("The scene's data are damaged or cut short.") : error;
+    }
+    player.bytes = bytes.length;
+    await player.open(bytes);
+    say("");
+    document.body.classList.add("ready");
+    if (document.body.dataset.play === "true") player.play();
+  })();
+  ready.catch(fail);
+  window.e4dgs = {
+    canvas,
+    ready,
+    get info() {
+      return player.info;
+    },
+    show: async (view) => (await ready, player.show(view)),
+    play: async () => (await ready, player.play()),
+    pause: async () => (await ready, player.pause()),
+    bench: async (frames) => (await ready, player.bench(frames)),
+  };
+}

@@ -1,0 +1,54 @@
+// The controls below the picture, and what is said above it.
+
+const find = (id) => document.getElementById(id);
+
+export class Panel {
+  constructor(player, { header }) {
+    this.player = player;
+    const moves = header.motion !== "static";
+    for (const id of ["play", "time", "clock", "speed", "loop"]) find(id).hidden = !moves;
+    find("play").onclick = () => player.toggle();
+    find("time").oninput = (event) => player.seek(Number(event.target.value));
+    find("speed").onchange = (event) => player.setSpeed(Number(event.target.value));
+    find("loop").onclick = () => player.setLoop(!player.loop);
+    find("mode").onclick = () => player.setMode(player.mode === "orbit" ? "fly" : "orbit");
+    find("full").onclick = () => player.fullScreen();
+    find("help").onclick = () => player.help();
+    const photos = find("photo");
+    header.cameras.forEach((camera, k) => photos.append(new Option(camera.name, k)));
+    photos.hidden = find("before").hidden = find("after").hidden = !header.cameras.length;
+    photos.onchange = (event) => player.jump(Number(event.target.value));
+    find("before").onclick = () => player.jump(player.photo - 1);
+    find("after").onclick = () => player.jump(player.photo + 1);
+    find("bar").hidden = false;
+  }
+
+  show() {
+    const { player } = this, { playing, time, loop, mode, photo, seconds } = player;
+    find("play").textContent = playing ? "❚❚" : "▶";
+    find("play").setAttribute("aria-label", playing ? "Pause" : "Play");
+    find("time").value = time;
+    find("clock").textContent = `${(time * seconds).toFixed(2)} s`;
+    find("loop").setAttribute("aria-pressed", loop);
+    find("mode").textContent = mode === "orbit" ? "Orbit" : "Fly";
+    find("mode").setAttribute("aria-label", mode === "orbit" ? "Dragging turns the scene" : "Dragging looks around");
+    find("photo").value = photo;
+  }
+}
+
+// A message over the picture; none for "".
+export function say(message, serious = false) {
+  const box = find("message");
+  box.textContent = message;
+  box.hidden = !message;
+  box.classList.toggle("serious", serious);
+}
+
+export function showHelp(show = find("keys").hidden) {
+  find("keys").hidden = !show;
+}
+
+// In a picture that somebody asked for, nothing lies over it.
+export function bare(on) {
+  document.body.classList.toggle("bare", on);
+}

@@ -1,0 +1,222 @@
+// The player: what is shown (camera, time), when it is sorted and drawn, and what `window.e4dgs` offers.
+import { Camera } from "./camera.js";
+import { Controls } from "./controls.js";
+import { Panel, bare, say, showHelp } from "./panel.js";
+import { Renderer } from "./renderer.js";
+import { startSorter } from "./sorter.js";
+
+const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
+const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again
+const COARSEST = 0.4;              // of the screen's pixels, along each side
+const REST = 250;                  // ms after which a picture that stands still gets all pixels
+
+export class Player {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.playing = false, this.loop = true, this.speed = 1, this.mode = "orbit", this.photo = 0, this.time = 0;
+    this.times = { sort: 0, upload: 0, draw: 0, frame: 0 };
+    this.scale = 1, this.asked = null, this.touched = 0, this.now = 0, this.drew = false;
+  }
+
+  async open(bytes) {
+    const { scene, sorter } = await startSorter(bytes);
+    this.scene = scene, this.sorter = sorter, this.bytes = bytes.length || this.bytes;
+    this.seconds = scene.header.seconds || (scene.header.motion === "static" ? 0 : USUAL_SECONDS);
+    this.renderer = new Renderer(this.canvas);
+    this.renderer.load(scene);
+    this.camera = new Camera(scene.header);
+    this.time = scene.header.cameras[0]?.time ?? 0;
+    this.canvas.addEventListener("webglcontextlost", (event) => (event.preventDefault(), say("The graphics device was lost; waiting for it.")));
+    this.canvas.addEventListener("webglcontextrestored", () => this.#restored());
+    this.controls = new Controls(this.canvas, this);
+    this.panel = new Panel(this, scene);
+    await this.#drawn(this.#window());
+    this.#loop();
+    this.panel.show();
+  }
+
+  get info() {
+    const { header } = this.scene, sum = ([a, b]) => a + b;
+    return {
+      gaussians: sum(header.gaussians), convexes: sum(header.convexes), moving: header.gaussians[1] + header.convexes[1], motion: header.motion,
+      bytes: this.bytes, duration: this.seconds, sh_degree: header.sh_degree, cameras: header.cameras.length,
+      milliseconds: { ...this.times }, uploads: { ...this.renderer.uploads },
+    };
+  }
+
+  // -- what the page and its keys ask for ----------------------------------------------------------------------------------------------
+
+  changed() {
+    this.touched = performance.now();
+    this.asked = null;
+    bare(false);
+  }
+
+  play() {
+    this.playing = this.scene.header.motion !== "static";
+    if (this.time >= 1) this.time = 0;
+    this.changed(), this.panel.show();
+  }
+
+  pause() {
+    this.playing = false;
+    this.changed(), this.panel.show();
+  }
+
+  toggle() {
+    if (this.playing) this.pause();
+    else this.play();
+  }
+
+  seek(time) {
+    this.time = Math.min(Math.max(time, 0), 1);
+    this.changed(), this.panel.show();
+  }
+
+  step(frames) {
+    this.playing = false;
+    this.seek(this.time + frames / Math.max(this.scene.header.frames - 1, 1));
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+  }
+
+  setLoop(loop) {
+    this.loop = loop;
+    this.panel.show();
+  }
+
+  setMode(mode) {
+    this.mode = mode;
+    this.panel.show();
+  }
+
+  jump(photo) {
+    const { cameras } = this.scene.header;
+    if (!cameras.length) return;
+    this.photo = (photo + cameras.length) % cameras.length;
+    this.camera.jump(cameras[this.photo]);
+    if (!this.playing) this.time = cameras[this.photo].time;
+    this.changed(), this.panel.show();
+  }
+
+  help() {
+    showHelp();
+  }
+
+  fullScreen() {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else document.documentElement.requestFullscreen?.().catch(() => say("This page may not fill the screen here."));
+  }
+
+  // Draws exactly this picture, without controls over it. time in [0, 1]; cam_from_world 16 and K 9 numbers, row by row, OpenCV axes, px.
+  async show(view) {
+    checkView(view);
+    this.playing = false;
+    bare(true);
+    const ratio = devicePixelRatio || 1;
+    Object.assign(this.canvas.style, { width: `${view.width / ratio}px`, height: `${view.height / ratio}px` });
+    this.asked = { ...view, cam_from_world: Array.from(view.cam_from_world), K: Array.from(view.K) };
+    await this.#drawn(this.asked);
+  }
+
+  // Mean milliseconds a frame of turning once around the target while time runs: of sorting, of uploads, of drawing.
+  async bench(frames = 60) {
+    this.measuring = true;
+    const sum = { sort: 0, upload: 0, draw: 0, frame: 0 }, { width, height } = this.canvas, start = performance.now();
+    for (let k = 0; k < frames; ++k) {
+      this.camera.turn((2 * Math.PI) / frames, 0, true);
+      await this.#drawn({ time: k / Math.max(frames - 1, 1), ...this.camera.view(width, height) });
+      for (const name of ["sort", "upload", "draw"]) sum[name] += this.times[name] / frames;
+    }
+    sum.frame = (performance.now() - start) / frames;
+    this.measuring = false;
+    return sum;
+  }
+
+  // -- frames ----------------------------------------------------------------------------------------------------------------------------
+
+  #window(scale = 1) {
+    const side = (length) => Math.max(1, Math.round(length * (devicePixelRatio || 1) * scale));
+    Object.assign(this.canvas.style, { width: "100%", height: "100%" });
+    return { time: this.time, ...this.camera.view(side(this.canvas.clientWidth), side(this.canvas.clientHeight)) };
+  }
+
+  // Sorts for the view, then draws it, and if asked waits until it is there.
+  async #drawn(view, wait = true) {
+    const { gl } = this.renderer, start = performance.now();
+    const { order, count, milliseconds } = await this.sorter.sort(view.time, view.cam_from_world.slice(8, 12));
+    const sorted = performance.now();
+    this.renderer.setOrder(order, count);
+    this.sorter.give(order);
+    const uploaded = performance.now();
+    this.renderer.draw(view);
+    if (wait) gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    this.times = { sort: milliseconds, upload: uploaded - sorted, draw: performance.now() - uploaded, frame: performance.now() - start };
+    this.last = JSON.stringify(view);
+  }
+
+  #loop() {
+    requestAnimationFrame(async (now) => {
+      const seconds = Math.min((now - this.now) / 1000, 0.5);
+      this.now = now;
+      try {
+        await this.#frame(seconds);
+      } catch (error) {
+        return fail(error);
+      }
+      this.#loop();
+    });
+  }
+
+  async #frame(seconds) {
+    if (this.asked || this.measuring || document.hidden || this.renderer.gl.isContextLost()) return;
+    this.controls.advance(seconds);
+    if (this.playing) this.#advance(seconds);
+    const moving = this.playing || performance.now() - this.touched < REST || this.controls.busy;
+    const view = this.#window(moving ? this.scale : 1);
+    const again = this.drew;  // whether the time since the last frame is that of a frame
+    this.drew = JSON.stringify(view) !== this.last;
+    if (!this.drew) return;  // nothing has changed, so nothing is sorted, uploaded or drawn
+    await this.#drawn(view, false);
+    if (this.asked) return this.#drawn(this.asked);  // asked for in the meantime
+    this.times.frame = again ? 1000 * seconds : this.times.frame;
+    if (moving && this.times.frame > SLOW) this.scale = Math.max(COARSEST, 0.85 * this.scale);
+    else if (moving && this.times.frame < QUICK) this.scale = Math.min(1, 1.1 * this.scale);
+  }
+
+  #advance(seconds) {
+    this.time += (seconds * this.speed) / Math.max(this.seconds, 1e-3);
+    if (this.time >= 1) {
+      if (this.loop) this.time %= 1;
+      else (this.time = 1), (this.playing = false);
+    }
+    this.panel.show();
+  }
+
+  async #restored() {
+    try {
+      this.renderer.load(this.scene);
+      this.last = "";
+      say("");
+      if (this.asked) await this.#drawn(this.asked);
+    } catch (error) {
+      fail(error);
+    }
+  }
+}
+
+function checkView({ time, cam_from_world, K, width, height } = {}) {
+  const numbers = (list, count) => list?.length === count && Array.from(list).every(Number.isFinite);
+  if (!Number.isFinite(time)) throw new TypeError("show: time must be a number in [0, 1]");
+  if (!numbers(cam_from_world, 16)) throw new TypeError("show: cam_from_world must be 16 numbers, row by row");
+  if (!numbers(K, 9) || !(K[0] > 0 && K[4] > 0)) throw new TypeError("show: K must be 9 numbers, row by row, with positive focal lengths");
+  for (const size of [width, height])
+    if (!Number.isInteger(size) || size < 1 || size > 16384) throw new TypeError("show: width and height must be whole numbers of px");
+}
+
+export function fail(error) {
+  say(error.message, true);
+  document.body.classList.add("failed");
+}

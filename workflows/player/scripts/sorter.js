@@ -1,0 +1,40 @@
+// Opens a scene and sorts it in a worker, or on the page's own thread where a page may have no workers.
+import { Answers } from "./worker.js";
+
+// { scene, sorter } of the file `bytes`, whose buffer may be taken away. Throws an Error that says what is wrong with the file.
+export async function startSorter(bytes) {
+  const waiting = new Map(), spare = [];
+  let settle = null;
+  const heard = (message) => {
+    if (message.kind === "sorted") waiting.get(message.id).done(message), waiting.delete(message.id);
+    else settle(message);
+  };
+  const send = connect(heard);
+  const opened = await new Promise((done) => {
+    settle = done;
+    send({ kind: "open", bytes }, [bytes.buffer]);
+  });
+  if (opened.kind === "failed") throw new Error(opened.message);
+  settle = ({ message }) => waiting.forEach(({ failed }) => failed(new Error(message)));
+  let id = 0;
+  const sort = (time, row) =>
+    new Promise((done, failed) => {
+      waiting.set(++id, { done, failed });
+      const order = spare.pop();
+      send({ kind: "sort", id, time, row, near: opened.scene.header.near, order }, order ? [order.buffer] : []);
+    });
+  return { scene: opened.scene, sorter: { sort, give: (order) => spare.push(order) } };
+}
+
+function connect(heard) {
+  try {
+    const address = URL.createObjectURL(new Blob([document.getElementById("worker").textContent], { type: "text/javascript" }));
+    const worker = new Worker(address);
+    worker.onmessage = (event) => heard(event.data);
+    worker.onerror = (event) => heard({ kind: "failed", message: event.message || "The page's worker has failed." });
+    return (message, moved) => worker.postMessage(message, moved);
+  } catch {
+    const answers = new Answers((message) => heard(message));
+    return (message) => answers.take(message);
+  }
+}
