@@ -178,7 +178,7 @@ def test_poses_are_held_against_the_shape_as_shown(n3v_capture, tmp_path):
         with av.open(str(file)) as container:
             pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
         encode(file, pictures, pixel=Fraction(4, 3))
-    with pytest.raises(CaptureError, match=r"which have another aspect ratio; correct h and w"):
+    with pytest.raises(CaptureError, match=r"made for 80x64, but cam00.mp4 is 80x48, which has another aspect ratio"):
         recognise(root)
     table[:, 9] *= 4 / 3  # w
     np.save(root / "poses_bounds.npy", table)

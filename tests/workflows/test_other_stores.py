@@ -102,8 +102,8 @@ def test_what_has_to_write_there_says_so_in_one_message(read_only, dnerf_capture
         "archive": ("plan", archive),
         "run": ("run", "coarse", capture, *QUICK, "--set", "coarse.seed=3"),
         "force": ("run", "frames", capture, "--force", *QUICK),
-        "gc": ("gc",),
-        "pin": ("pin", capture.name),
+        "gc": ("store", "gc"),
+        "pin": ("store", "pin", capture.name),
         "batch": ("batch", capture, *QUICK),
         "export": ("export", "ply", capture, "--times", 1, *QUICK, "--name", "other"),
     }[command]

@@ -115,7 +115,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 def test_without_a_model_it_says_how_to_make_one(dnerf_capture, tmp_path, capsys):
     assert main(["view", str(dnerf_capture.root), "--workspace", str(tmp_path / "none"), "--no-browser"]) == 1
-    assert "e4dgs run coarse" in capsys.readouterr().err
+    assert "e4dgs run all" in capsys.readouterr().err
 
 
 def test_a_run_that_trains_is_seen_by_its_checkpoints(finished_run):
