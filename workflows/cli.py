@@ -126,7 +126,7 @@ def plan(
 
 
 @app.command()
-@of_last_run("frames")
+@of_last_run("frames", done=False)
 def why(
     stage: Annotated[str, typer.Argument(metavar="STAGE")],
     options: Options,

@@ -8,13 +8,13 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from ..pipeline import ArtifactError
+from ..pipeline import ArtifactError, CaptureError
 from ..pipeline.files import read_json, write_json
 from .reconstruction import reconstruction
 from .scenes import CLAIM
@@ -26,7 +26,8 @@ KEPT = 50  # runs of a scene that the file lists at most
 
 @dataclass(frozen=True)
 class Run:
-    """One run: its target ("all" or a stage), the options that chose its results, and when it began (seconds since 1970)."""
+    """One run: its target ("all" or a stage), the options that chose its results, when it began (seconds since 1970), and whether it came
+    to its end."""
 
     target: str = "all"
     preset: str = "default"
@@ -35,6 +36,7 @@ class Run:
     format: str | None = None
     device: str = "auto"
     began: float = 0.0
+    done: bool = False
 
     @property
     def words(self) -> str:
@@ -65,13 +67,16 @@ class Given:
         return bool(self.preset is not None or self.set or self.static or self.format is not None)
 
 
-def remember(session: Session, target: str, began: float | None = None) -> None:
+def remember(session: Session, target: str, began: float, done: bool = False) -> None:
     """Adds a run to the scene's list, in place of earlier ones with the same target and options."""
     options, file = session.options, session.scene.folder / FILE
-    now = time.time() if began is None else began
-    run = Run(target, options.preset, tuple(options.assignments), options.static, options.format, options.device, round(now, 3))
-    others = [one for one in runs_of(session.scene.folder) if asdict(one) | {"began": 0} != asdict(run) | {"began": 0}]
-    write_json(file, {"runs": [asdict(one) for one in (*others, run)][-KEPT:]})
+    run = Run(target, options.preset, tuple(options.assignments), options.static, options.format, options.device, round(began, 3), done)
+    earlier = runs_of(session.scene.folder)
+    if any(one.done and _same(one) == _same(run) for one in earlier):
+        run = replace(run, done=True)  # its results are there, also while it runs again
+    others = [one for one in earlier if _same(one) != _same(run)]
+    with suppress(OSError):  # a workspace that can only be read
+        write_json(file, {"runs": [asdict(one) for one in (*others, run)][-KEPT:]})
 
 
 def runs_of(scene: Path) -> list[Run]:
@@ -81,8 +86,13 @@ def runs_of(scene: Path) -> list[Run]:
     return sorted((run for row in rows or () if (run := _run(row)) is not None), key=lambda run: run.began)
 
 
-def last_run(scene: Path, stage: str | None = None) -> Run | None:
-    """The last run of a scene that included ``stage``, or any stage if that is None; None if there was none."""
+def _same(run: Run) -> Run:
+    return replace(run, began=0.0, done=False)
+
+
+def last_run(scene: Path, stage: str | None = None, done: bool = True) -> Run | None:
+    """The last run of a scene that included ``stage``, or any stage if that is None; None if there was none. done: one that has come to its
+    end, if there is any."""
     graph = reconstruction()
 
     def includes(run: Run) -> bool:
@@ -90,14 +100,17 @@ def last_run(scene: Path, stage: str | None = None) -> Run | None:
             return True
         return run.target in graph.stages and stage in {one.name for one in graph.needed_for([run.target])}
 
-    return next((run for run in reversed(runs_of(scene)) if includes(run)), None)
+    found = [run for run in reversed(runs_of(scene)) if includes(run)]
+    return next((run for run in found if run.done or not done), found[0] if found else None)
 
 
-def options_of_last_run(given: Given, stage: str) -> Options:
+def options_of_last_run(given: Given, stage: str, done: bool = True) -> Options:
     """The options of the run that a command means. If none of those that choose a run is given, they are those of the last run that
-    included ``stage``, of the capture or scene, or of the whole workspace without either. A line says so unless that run had none.
+    included ``stage``, of the capture or scene, or of the whole workspace without either. A line says so unless that run had none. done:
+    prefer a run that came to its end.
 
-    Raises ArtifactError if neither a capture nor a scene is given and nothing has run in the workspace."""
+    Raises ArtifactError if neither a capture nor a scene is given and nothing has run in the workspace, CaptureError if there is no such
+    capture."""
     if given.capture is None and given.name is None:
         scene = _newest([folder.parent for folder in (given.workspace / "scenes").glob(f"*/{FILE}")], stage)
         if scene is None:
@@ -105,7 +118,9 @@ def options_of_last_run(given: Given, stage: str) -> Options:
     else:
         scene = _scene(given, stage)
     capture, name, workspace = scene_or_capture(given.capture or scene or Path(), given.workspace, given.name)
-    run = None if scene is None or given.choose else last_run(scene, stage) or last_run(scene)
+    if not capture.exists():
+        raise CaptureError(_absent(capture, name, given.workspace))
+    run = None if scene is None or given.choose else last_run(scene, stage, done) or last_run(scene)
     if run is None:
         return Options(
             capture,
@@ -141,6 +156,14 @@ def is_scene(folder: Path) -> bool:
     """Whether this is the folder of a scene, with the name of its capture."""
     claim = read_json(folder / CLAIM)
     return isinstance(claim, dict) and isinstance(claim.get("path"), str)
+
+
+def _absent(capture: Path, name: str | None, workspace: Path) -> str:
+    if name is not None:
+        return f"the scene {name} was made from {capture}, which is not there any more; put the capture back, its pictures are needed"
+    known = sorted(claim.parent.name for claim in (workspace / "scenes").glob(f"*/{CLAIM}"))
+    scenes = f"; its scenes are {', '.join(known[:20])}" if known else ""
+    return f"{capture}: no such file or folder, and no scene of {workspace} has that name{scenes}"
 
 
 def scenes_of(capture: Path, workspace: Path) -> list[Path]:

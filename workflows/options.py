@@ -63,12 +63,12 @@ def of_capture(command: Callable[..., None]) -> Callable[..., None]:
     return _with_options(command, {"capture": (Capture, _REQUIRED)}, _OF_RUN, gathered)
 
 
-def of_last_run(stage: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def of_last_run(stage: str, done: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Gives a command the options of an earlier run, as ``options: Options``: those that were given, or those of the last run of the
-    capture that included ``stage``."""
+    capture that included ``stage``. done: prefer a run that came to its end."""
 
     def gathered(capture: Path | None, debug: bool, **given: Any) -> Options:
-        return options_of_last_run(Given(capture, **given), stage)
+        return options_of_last_run(Given(capture, **given), stage, done)
 
     return lambda command: _with_options(command, {"capture": (Scene, None)}, _OF_LAST_RUN, gathered)
 

@@ -46,6 +46,7 @@ def execute(
     except BaseException:
         session.scene.release()  # a capture that the first stage refuses leaves no scene behind
         raise
+    remember(session, "all" if targets is None else targets[0], began, done=True)
     if outcomes[-1].stage != EVALUATION or outcomes[-1].artifact is None:
         return None
     return publish(session, rows, outcomes)

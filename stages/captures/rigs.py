@@ -89,6 +89,8 @@ def rig_without_poses(root: Path, folders: Sequence[str]) -> str | None:
         pictures = frozenset(_frame(name) for name in _pictures(root, folder))
         if pictures:
             named[folder] = pictures
+    if any(name.endswith(".pose.txt") for folder in named for name in checks.list_folder(root / folder)):
+        return None  # sequences of one camera, each with its poses
     alike = [folder for folder in named if sum(names == named[folder] for names in named.values()) > 1]
     if len(alike) < 2 or 2 * len(alike) < len(named) or {"images", "masks", "depth"} & set(alike):
         return None

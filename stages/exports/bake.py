@@ -56,7 +56,7 @@ class Loss:
 
     def __str__(self) -> str:
         mode = "antialiased (compensated opacity)" if self.antialiased else "classic (0.3 px² added)"
-        said = f"{self.psnr:.1f} dB from the full model in {mode} viewers, first time, {self.cameras} cameras"
+        said = f"{self.psnr:.1f} dB from the full model in {mode} viewers, {self.cameras} cameras"
         return f"{self.convexes} convexes became Gaussians: {said}" if self.convexes else said
 
 

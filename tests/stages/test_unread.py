@@ -129,7 +129,7 @@ def test_pictures_that_no_camera_uses(nerfstudio_capture, colmap_capture, tmp_pa
     shutil.copytree(other / "images", other / "images_4")
     stubs(other, "database.db", "poses_bounds.npy", "sparse/0/points3D.ply")
     assert lines(other) == [
-        "images_4 holds copies of images/ and is not read; frames.max_size scales pictures down",
+        "images_4 holds the pictures of images/ in another size and is not read",
         "poses_bounds.npy is not read, because the layout is colmap",
         "the COLMAP database database.db is not read, because the layout is colmap",
     ]

@@ -152,3 +152,13 @@ def test_cameras_of_a_rig_at_two_rates_are_warned_of(n3v_capture, tmp_path):
     assert line.startswith("cam01.mp4: 8 frames in 0.35 s, but cam00.mp4 has as many in 0.70 s; ")
     assert rig_told({name: headers[name] for name in ("cam00.mp4", "cam02.mp4")}) == ()
     assert not any("one rate" in note for note in recognise(n3v_capture.root).notes)
+
+
+def test_an_hour_between_two_frames_is_spoken_of(tmp_path):
+    def notes(stamps):
+        encode(tmp_path / "a.mkv", [np.full((48, 64, 3), 40 * (k % 5), np.uint8) for k in range(16)], stamps=stamps, base=Fraction(1, 1000))
+        return [note for note in recognise(tmp_path / "a.mkv").notes if "pass between" in note]
+
+    (note,) = notes([33 * k + (3_600_000 if k > 7 else 0) for k in range(16)])
+    assert "3600 s pass between its frames 7 and 8" in note
+    assert notes([33 * k + (9_000 if k > 7 else 0) for k in range(16)]) == [], "a short pause is usual"

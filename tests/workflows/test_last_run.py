@@ -88,7 +88,7 @@ def test_an_empty_workspace_and_an_unknown_scene_are_errors(tmp_path, capsys):
     assert main(["view", "--workspace", str(tmp_path), "--no-browser"]) == 1
     assert "no run is known" in capsys.readouterr().err
     assert main(["view", "nothing", "--workspace", str(tmp_path), "--no-browser"]) == 2
-    assert "no such file or folder" in capsys.readouterr().err
+    assert "no such file or folder, and no scene" in capsys.readouterr().err
 
 
 def test_the_list_of_runs_is_bounded_and_survives_damage(tmp_path):
@@ -104,3 +104,24 @@ def test_a_run_of_a_later_stage_includes_the_earlier_ones(tmp_path):
     (tmp_path / "runs.json").write_text(json.dumps({"runs": rows}))
     assert last_run(tmp_path, "coarse").target == "evaluate"
     assert last_run(tmp_path, "frames").target == "flow"
+
+
+def test_a_run_that_was_interrupted_leaves_the_one_before_it(tmp_path):
+    rows = [{"target": "all", "began": 1.0, "done": True, "set": ["a.b=1"]}, {"target": "all", "began": 2.0}]
+    (tmp_path / "runs.json").write_text(json.dumps({"runs": rows}))
+    assert last_run(tmp_path, "coarse").began == 1.0, "exports and renders show what is finished"
+    assert last_run(tmp_path, "coarse", done=False).began == 2.0, "the viewer and why ask for the newest"
+
+
+def test_a_wrong_name_is_answered_with_the_scenes_there_are(ran, capsys):
+    _, workspace = ran
+    assert main(["report", "nosuch", "--workspace", str(workspace)]) == 2
+    assert f"no scene of {workspace} has that name; its scenes are {scene(workspace).name}" in capsys.readouterr().err
+
+
+def test_a_scene_whose_capture_has_gone_says_so(tmp_path, capsys):
+    place = tmp_path / "scenes" / "moved"
+    place.mkdir(parents=True)
+    (place / "capture.json").write_text(json.dumps({"path": str(tmp_path / "gone")}))
+    assert main(["view", "moved", "--workspace", str(tmp_path), "--no-browser"]) == 2
+    assert "the scene moved was made from" in capsys.readouterr().err

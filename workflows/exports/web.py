@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress
+from ...pipeline import CaptureError, Progress, SettingsError
 from ...pipeline.files import write_atomically
 from ..options import of_last_run
 from ..session import Options
@@ -38,6 +38,9 @@ def web(options: Options, out: Out = None) -> None:
     scene = trained.session.scene.name
     target = trained.folder(out, "web")
     path = target / f"{scene}.html" if out is None else target if single else target / PAGE
+
+    if not single and path.exists() and not (target / DATA).exists():
+        raise SettingsError(f"--out {target}: it has {PAGE}, which is no page of this command; name another folder")
 
     from ...stages.exports.web import export_web
     from ..player.page import page

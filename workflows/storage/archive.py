@@ -129,7 +129,8 @@ def _unpack(file: Path, folder: Path) -> None:
             raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again") from error
         raise CaptureError(f"{file}: {error.filename or folder} cannot be written ({error.strerror or error})") from error
     except Exception as error:  # for damaged archives the libraries raise zlib.error, LZMAError, struct.error, TarError, ...
-        raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); pack it again without a password") from error
+        password = " without a password" if "password" in str(error) or "encrypted" in str(error) else ""
+        raise CaptureError(f"{file}: this archive cannot be unpacked ({error}); copy it again, or pack it again{password}") from error
 
 
 def _checked(file: Path, members: Iterator[Member]) -> list[tuple[Member, PurePosixPath]]:

@@ -17,7 +17,7 @@ from .address import addresses, listening, over_ssh
 LOOK_AGAIN = 2.0  # s between two checks for a newer model
 
 
-@of_last_run("coarse")
+@of_last_run("coarse", done=False)
 def view(
     options: Options,
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port of the page, or the next free one.")] = 8080,

@@ -110,11 +110,13 @@ def _told(root: Path, model: Model, rig: Rig, paths: Sequence[str], where: str) 
 
 def _copies(root: Path, pictures: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """A note about folders of smaller copies of the pictures, and these folders."""
-    names = [name for name in checks.list_folder(root) if _SMALLER.fullmatch(name) and (root / name).is_dir()]
+    names = [
+        name for name in checks.list_folder(root) if _SMALLER.fullmatch(name) and (root / name).is_dir() and name != pictures.rstrip("/")
+    ]
     if not names:
         return (), ()
     verbs = ("holds", "is") if len(names) == 1 else ("hold", "are")
-    text = f"{verbs[0]} copies of {pictures or 'the pictures'} and {verbs[1]} not read; frames.max_size scales pictures down"
+    text = f"{verbs[0]} the pictures of {pictures or 'the folder'} in another size and {verbs[1]} not read"
     return (f"{', '.join(names)} {text}",), tuple(names)
 
 

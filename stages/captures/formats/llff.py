@@ -47,11 +47,7 @@ def read(root: Path, options: Options) -> Reading:
         shot.K, shot.cam_from_world = camera_of(table[i], f"{_POSES}: row {i} ({name})", root, file, size)
         shots.append(shot)
     others = tuple(other for other in folders if other != folder)
-    told = (
-        (f"{', '.join(others)} {'hold' if len(others) > 1 else 'holds'} copies of {folder or 'the pictures'} and are not read",)
-        if others
-        else ()
-    )
+    told = (f"{', '.join(others)}: the pictures of {folder or 'the folder'} in another size, not read",) if others else ()
     return Reading(
         why=f"{_POSES} and {len(files)} images, {'a static scene' if options.static else 'one camera over time'}",
         shots=shots,

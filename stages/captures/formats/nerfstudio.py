@@ -59,6 +59,10 @@ def read(root: Path, options: Options) -> Reading:
             )
         )
     fixed = _cameras(shots)
+    if not fixed and len({shot.camera for shot in shots}) > 1:
+        said += (
+            "frames share times and no camera stands still, so each frame counts as a camera of its own and no optical flow is measured",
+        )
     of_frames = keep_masks.told(shots, "(mask_path)")
     masked = (of_frames,) if of_frames else keep_masks.add_masks(root, shots)
     cloud, missing = _cloud(root, data)
@@ -121,10 +125,11 @@ def _splits(
 
 def _normal(root: Path, path: str) -> str:
     """A path in one form of several: composed, relative if it leads into the capture."""
+    path = path.replace("\\", "/")
     try:
         path = checks.relative(root, path, _FILE)
     except CaptureError:  # a path of another machine
-        path = posixpath.normpath(path.replace("\\", "/"))
+        path = posixpath.normpath(path)
     return unicodedata.normalize("NFC", path)
 
 
@@ -134,7 +139,7 @@ def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...
     field = f"{_FILE}: ply_file_path"
     if data.get("ply_file_path") is None:
         return None, ()
-    name = checks.relative(root, checks.text(data["ply_file_path"], field), field)
+    name = checks.relative(root, checks.text(data["ply_file_path"], field).replace("\\", "/"), field)
     if checks.resolve_inside(root, name, field).is_file():
         return name, ()
     return None, (f"{field}: no file {name[:200]!r}, so training begins at points that are triangulated; copy it if there is one",)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ....pipeline import CaptureError, thread_count
 from ..video_files import open_video
@@ -17,6 +19,8 @@ from .packets import Packets, read_packets
 from .shape import Shape, is_plausible, shape_of
 from .times import Times, frame_rate, picture_times
 from .tracks import best_track, other_tracks
+
+LONG_GAP, LONG_GAPS = 10.0, 100.0  # s, and medians of the gaps between frames, above which a gap is spoken of
 
 DEFAULT_RATE = 30.0  # frames per second of a raw stream that gives none
 MOST_RATE = 480.0  # frames per second of a phone; higher ones, such as 1000 and 90000, are units of time
@@ -101,7 +105,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
         pixel=first.pixel,
         parity=first.parity,
         late=behind if abs(behind) < 1e6 else 0.0,
-        notes=(*notes, *_told(times, packets, late, first, stated)),
+        notes=(*notes, *_told(times, packets, late, first, stated, seconds)),
     )
 
 
@@ -187,8 +191,19 @@ def _frames(count: int) -> str:
     return f"{count} frame{'s' if count != 1 else ''}"
 
 
-def _told(times: Times, packets: Packets, late: int, first: _First, stated: float | None) -> list[str]:
-    shape, told = first.shape, []
+def _gap(seconds: Sequence[float]) -> list[str]:
+    """A line if far more time passes between two frames than between the others."""
+    gaps = np.diff(seconds)
+    if not len(gaps) or not gaps.max() > max(LONG_GAP, LONG_GAPS * float(np.median(gaps))):
+        return []
+    k = int(gaps.argmax())
+    return [
+        f"{gaps[k]:.4g} s pass between its frames {k} and {k + 1}; if nothing was paused there, its time stamps are wrong: encode it again"
+    ]
+
+
+def _told(times: Times, packets: Packets, late: int, first: _First, stated: float | None, seconds: Sequence[float]) -> list[str]:
+    shape, told = first.shape, list(_gap(seconds))
     if packets.trimmed:
         told.append(f"{_frames(packets.trimmed)} that its edit list hides: left out")
     if late:

@@ -64,6 +64,7 @@ export class Controls {
     if (KEYS[event.code]) this.held.add(event.code);
     else if (arrows) camera.turn(0.06 * arrows[0], 0.06 * arrows[1], player.mode === "orbit");
     else if (acts[event.code]) acts[event.code]();
+    else if (event.key === "?") player.help();
     else return;
     event.preventDefault();
     player.changed();

@@ -209,7 +209,7 @@ export class Player {
 
 function checkView({ time, cam_from_world, K, width, height } = {}) {
   const numbers = (list, count) => list?.length === count && Array.from(list).every(Number.isFinite);
-  if (!Number.isFinite(time)) throw new TypeError("show: time must be a number in [0, 1]");
+  if (!(time >= 0 && time <= 1)) throw new TypeError("show: time must be a number in [0, 1]");
   if (!numbers(cam_from_world, 16)) throw new TypeError("show: cam_from_world must be 16 numbers, row by row");
   if (!numbers(K, 9) || !(K[0] > 0 && K[4] > 0)) throw new TypeError("show: K must be 9 numbers, row by row, with positive focal lengths");
   for (const size of [width, height])

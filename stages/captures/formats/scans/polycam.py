@@ -70,7 +70,7 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         sources=tuple(files[stem] for stem in both),
         notes=tuple(notes),
-        spoken_for=(*unread, *others),
+        spoken_for=(*unread, *others, *(files[s] for s in bare), *(names[s] for s in unposed)),
     )
 
 

@@ -79,7 +79,7 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         sources=(*((source,) if source else ()), *(str(both[stem][1]) for stem in both)),
         notes=tuple(notes),
-        spoken_for=depth,
+        spoken_for=(*depth, *deleted, *unposed, *(str(name) for stem in lost for name in both[stem])),
     )
 
 

@@ -74,7 +74,7 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         sources=(*((source,) if note is None else ()), _PICTURES, _POSES),
         notes=(*found.notes, *((note,) if note else ()), *notes),
-        spoken_for=unread,
+        spoken_for=(*unread, *unposed),
     )
 
 
