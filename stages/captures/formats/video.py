@@ -14,8 +14,7 @@ from ..video.probe import Header, probe, told_together
 
 __all__ = ["DEFAULT_MAX_FRAMES", "Header", "choose", "decode", "detect", "probe", "read", "refuse_one"]
 
-DEFAULT_MAX_FRAMES = 200  # times of several videos
-MOST_OF_ONE = 120  # frames of one video, all of which get a pose by structure from motion
+DEFAULT_MAX_FRAMES = 200
 
 
 def detect(root: Path) -> str | None:
@@ -31,7 +30,7 @@ def read(root: Path, options: Options) -> Reading:
     checks.resolve_inside(base, path.name, path.name)
     header = probe(base, path.name)
     total = len(header.seconds)
-    taken = choose(total, options, MOST_OF_ONE)
+    taken = choose(total, options, DEFAULT_MAX_FRAMES)
     if total < 2:
         raise CaptureError(f"{path.name}: one frame alone has no pose and no depth; pass a longer video of the scene")
     refuse_one(path.name, taken, total, options)
