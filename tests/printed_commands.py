@@ -52,7 +52,7 @@ RUN = {
     "e4dgs bench pipeline CAPTURE --seeds 3 --plot curve.svg": f"{TINY} --seeds 1 --points default",
     "e4dgs bench ablation CAPTURE --seeds 3 --out ablation/": f"{TINY} --seeds 1 --rows full",
     # docs/first-scene.md
-    "e4dgs view samples/cube_and_ball --preset fast": f"{SAMPLE} --no-browser",
+    "e4dgs view samples/cube_and_ball": f"{SAMPLE} --no-browser",
     "e4dgs plan samples/cube_and_ball --preset fast": SAMPLE,
     "e4dgs plan samples/cube_and_ball --preset fast --set fine.iterations=600": PLANNED,
     # docs/reruns.md

@@ -57,6 +57,6 @@ def toy_reconstruction() -> Graph:
     return Graph([Frames(), Fine(), Evaluate()])
 
 
-def render_report(scene: str, evaluate: Any, infos: Any, plan_rows: Any, metrics: Any, seeds: Any = None, *more: Any) -> str:
+def render_report(scene: str, evaluate: Any, infos: Any, plan_rows: Any, metrics: Any, *more: Any) -> str:
     rows = "".join(f"<li>{row['stage']} {row['planned']} {row['state']}</li>" for row in plan_rows)
     return f"<html>{scene} {metrics['splits']} {infos.get('fine', {}).get('log')} {rows}</html>"

@@ -105,5 +105,5 @@ def reconstruction() -> Graph:
     return Graph([Frames(), Coarse(), Evaluate()])
 
 
-def render_report(scene: str, evaluate: Any, infos: Any, plan_rows: Any, metrics: Any, seeds: Any = None, command: Any = None) -> str:
+def render_report(scene: str, evaluate: Any, infos: Any, plan_rows: Any, metrics: Any, *more: Any) -> str:
     return f"<html>{scene}</html>"
