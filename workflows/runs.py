@@ -28,11 +28,14 @@ def execute(
     from .. import __version__
     from .publish import publish, write_plan
 
-    began = time.time()
+    target, began, told = "all" if targets is None else targets[0], time.time(), False
 
     def finished(outcome) -> None:
+        nonlocal told
         session.scene.restore()
-        remember(session, "all" if targets is None else targets[0], began)
+        if not told:  # as soon as there is something to look at
+            remember(session, target, began)
+            told = True
         write_plan(session, rows)
         if outcome.state == "ran":
             say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")
@@ -46,7 +49,7 @@ def execute(
     except BaseException:
         session.scene.release()  # a capture that the first stage refuses leaves no scene behind
         raise
-    remember(session, "all" if targets is None else targets[0], began, done=True)
+    remember(session, target, began, done=True)
     if outcomes[-1].stage != EVALUATION or outcomes[-1].artifact is None:
         return None
     return publish(session, rows, outcomes)

@@ -89,7 +89,7 @@ def test_diff_names_settings_inputs_and_whether_the_content_differs(cli, capture
     assert result.code == 0 and "  settings.iterations: 10 -> 5\n" in result.out and result.out.endswith("the content differs\n")
     out = cli("diff", "my-scene/evaluate", "short/evaluate").out
     line = next(line for line in out.splitlines() if "input fine" in line)
-    assert f"input fine changed: e4dgs diff fine/{json.loads(record('my-scene'))['key']} fine/" in line
+    assert f"input fine changed: e4dgs store diff fine/{json.loads(record('my-scene'))['key']} fine/" in line
     assert cli(*line.split("e4dgs ")[1].split()).code == 0, "the command that it names works"
     assert cli("diff", "my-scene/frames", "short/frames").out.endswith("the content is the same\n")
     result = cli("diff", "my-scene/fine", "short/frames")

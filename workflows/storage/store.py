@@ -1,4 +1,4 @@
-"""`e4dgs list`, `show`, `diff`, `pin`, `unpin`: what is in a workspace's store, how it was made, and how two results differ."""
+"""`e4dgs store list`, `show`, `diff`, `pin`, `unpin`: what is in a workspace's store, how it was made, and how two results differ."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def _causes(workspace: Path, one: Stored, two: Stored) -> list[str]:
     for k, line in enumerate(lines):
         name = line.removeprefix("input ").removesuffix(" changed")
         if f"input {name} changed" == line and "/" in old[name] and "/" in new[name]:
-            lines[k] = f"{line}: e4dgs diff {old[name]} {new[name]}"
+            lines[k] = f"{line}: e4dgs store diff {old[name]} {new[name]}"
     for field in ("device", "code_version"):
         if field not in before and one.made(field) != two.made(field):
             lines.append(f"{field.replace('_', ' ')}: {one.made(field)} -> {two.made(field)}")
