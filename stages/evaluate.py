@@ -26,7 +26,7 @@ class EvaluateSettings(Settings):
         None,
         ge=1,
         le=1_000_000,
-        description="most views of each split that are measured, spread evenly; none: one for each 40 steps of training, at least 32",
+        description="most views of each split that are measured, spread evenly; none: one for each 50 steps of training, at least 32",
     )
     movie_frames: int = Field(60, ge=0, le=1000, description="pictures in each of the report's two movies; 0: no movies")
     player: bool = Field(True, description="put the scene itself into the report, where it plays and can be turned; at most 8 MB")

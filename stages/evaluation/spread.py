@@ -11,7 +11,7 @@ SAMPLE = 16  # training views measured besides the held-out ones; if they are fa
 FLICKER_CAMERAS, FLICKER_PAIRS = 3, 180  # most cameras of which flicker is measured, and from which number of pairs of times on fewer
 
 
-LEAST_MEASURED, STEPS_A_VIEW = 32, 40  # a view costs about four steps of training, so evaluation costs at most a tenth of training
+LEAST_MEASURED, STEPS_A_VIEW = 32, 50  # by `estimates.py` a view costs about five steps of training: a tenth
 
 
 def most_measured(asked: int | None, steps: int) -> int:
