@@ -41,8 +41,8 @@ def protocol(
         "colours": "of the mean training camera; psnr_affine after one affine a channel and view",
         "moving": "of fixed cameras: pixels within 2 px of one that is more than 0.1 from the camera's median over time",
         "metrics": "float64 on clamped float renders; SSIM 11x11 Gaussian, sigma 1.5, zero padding; edges: Canny 50/100, within 2 px",
-        "flicker": "fixed cameras, neighbouring times, in stretches of up to 16 times where there are many; excess change of the render, in levels of 8 bits; warped: along the truth's "
-        "motion (Farneback), where it is above 0.5 px; flow: tOF in px",
+        "flicker": "fixed cameras, neighbouring times, in stretches of up to 16 times where there are many; excess change of the "
+        "render, in levels of 8 bits; warped: along the truth's motion (Farneback), where it is above 0.5 px; flow: tOF in px",
         "notes": list(notes),
     }
     if frames.watermark is not None:
