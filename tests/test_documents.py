@@ -79,8 +79,8 @@ def test_the_stage_of_the_documentation_runs(dnerf_capture, tmp_path, monkeypatc
     page = (ROOT / "docs" / "extending.md").read_text()
     blocks = re.findall(r"`(stages/[\w/]+)\.py`[^\n]*:\n\n```python\n(.*?)```", page, re.DOTALL)
     names = [".".join(["e4dgs", *path.split("/")]) for path, _ in blocks]
-    assert names == ["e4dgs.stages.artifacts.count", "e4dgs.stages.counting.count", "e4dgs.stages.count"]
-    room = ModuleType("e4dgs.stages.counting")
+    assert names == [f"e4dgs.stages.count.{part}" for part in ("artifact", "run", "settings", "stage")]
+    room = ModuleType("e4dgs.stages.count")
     room.__path__ = []  # a package
     monkeypatch.setitem(sys.modules, room.__name__, room)
     for name, (_, source) in zip(names, blocks):
@@ -88,9 +88,9 @@ def test_the_stage_of_the_documentation_runs(dnerf_capture, tmp_path, monkeypatc
         module.__package__ = name.rpartition(".")[0]
         monkeypatch.setitem(sys.modules, name, module)
         exec(source, module.__dict__)
-    stage, stored = module, sys.modules[names[0]]
+    stored, _, settings, stage = (sys.modules[name] for name in names)
     frames = run_frames(dnerf_capture.root, tmp_path)
-    ran = run_stage(stage.Count(), frames.context.capture, tmp_path, stage.CountSettings(times=2), {"frames": frames.artifact})
+    ran = run_stage(stage.Count(), frames.context.capture, tmp_path, settings.CountSettings(times=2), {"frames": frames.artifact})
     assert stored.StoredCount.read(ran.artifact).count == 2 * frames.context.capture.facts["splits"]["train"]
 
 

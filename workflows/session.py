@@ -54,7 +54,7 @@ class Session:
 def open_session(options: Options) -> Session:
     """Recognises the capture and sets up its job. Writes nothing except unpacked archives and sound onsets of long videos (`heard/`).
     Raises SettingsError, CaptureError, or StageError if an archive cannot be unpacked into the workspace."""
-    from ..stages.frames import FramesSettings, recognise_for
+    from ..stages.frames.settings import FramesSettings, recognise_for
 
     graph = reconstruction()
     settings = build_settings(graph.settings, assignments_of(options))

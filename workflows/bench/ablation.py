@@ -12,7 +12,7 @@ import typer
 
 from ...pipeline import SettingsError
 from ...pipeline.files import write_atomically
-from ...stages.training.choices import CONVEXES
+from ...stages.hulls.defaults import CONVEXES
 from ..options import Captures, Debug, Device, Format, Preset, Set, Static, Workspace
 from ..session import DEFAULT_WORKSPACE, Options
 from . import output

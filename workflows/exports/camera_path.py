@@ -16,7 +16,7 @@ from ...stages.exports.camera_path import NAMES, CameraPath
 from .path_lens import BENT, FIELDS, lens_of, refuse_other_kinds, size_of
 
 if TYPE_CHECKING:
-    from ...stages.artifacts.frameset import FrameSet
+    from ...stages.shared.frameset import FrameSet
 
 MOST_FRAMES = 100_000
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z back
