@@ -22,7 +22,7 @@ SMALL_WEIGHTS = 10_000_000  # bytes; the weights file of the small network has 4
 
 
 class FlowSettings(Settings):
-    renamed: ClassVar = {"movers": "moving"}
+    renamed: ClassVar = {"movers": "flow.moving"}
 
     method: Literal["auto", "raft", "raft-small", "dis"] = Field(
         "auto",
