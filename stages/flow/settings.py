@@ -11,7 +11,7 @@ from ...pipeline import Settings
 
 
 class FlowSettings(Settings):
-    renamed: ClassVar = {"movers": "moving"}
+    renamed: ClassVar = {"movers": "flow.moving"}
 
     method: Literal["auto", "raft", "raft-small", "dis"] = Field(
         "auto",

@@ -11,7 +11,7 @@ from ...vision.sfm.pairs import OVERLAP
 
 
 class PosesSettings(Settings):
-    renamed: ClassVar = {"movers": "moving"}
+    renamed: ClassVar = {"movers": "poses.moving"}
 
     matcher: Literal["auto", "sequential", "exhaustive"] = Field(
         "auto", description="which images are matched; auto: all, up to 40 images or with --static; else neighbours and keyframes"

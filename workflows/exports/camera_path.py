@@ -11,7 +11,7 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from ...stages.captures import checks
-from ...stages.captures.far_away import seen_from
+from ...stages.captures.assembly.far_away import seen_from
 from ...stages.exports.camera_path import NAMES, CameraPath
 from .path_lens import BENT, FIELDS, lens_of, refuse_other_kinds, size_of
 

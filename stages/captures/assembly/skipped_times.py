@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...pipeline import CaptureError
+from ....pipeline import CaptureError
 
 
 def skipped_times(root: Path, train: np.ndarray, camera: np.ndarray, time: np.ndarray, every: int) -> np.ndarray:
