@@ -134,6 +134,6 @@ def test_rows_and_options_of_the_benchmarks_page_exist():
             assert set(names.split(",")) <= {row.name for row in SUITES[suite]}
 
 
-def test_tables_of_the_benchmarks_page_are_those_of_the_results():
+def test_the_tables_of_benchmarks_are_those_of_the_results():
     done = subprocess.run([sys.executable, ROOT / "benchmarks" / "tables.py", "--check"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
