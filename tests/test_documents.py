@@ -130,17 +130,17 @@ def sentences(text: str) -> list[str]:
     text = re.sub(r"```.*?```|\$\$.*?\$\$|<!--.*?-->|^    .*?$", "\n\n", text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"^#.*$|^\|[-| ]+\|$", "\n", text, flags=re.MULTILINE)
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
-    text = re.sub(r"`[^`]*`|\$[^$]*\$", "name", text)
+    text = re.sub(r"`[^`]*`|\$[^$]*\$", "Name", text)
     parts = re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )|\n(?=\|)|\|", text)
     whole = [" ".join(part.split()).strip("*-| ") for part in parts]
-    found = [sentence for part in whole for sentence in re.split(r"(?<=[.!?:])\**\s+(?=[\"'*(]*[A-Z0-9])", part)]
+    found = [sentence for part in whole for sentence in re.split(r"(?<=[.!?])\**\s+(?=[\"'*(]*[A-Z0-9])", part)]
     return [sentence for sentence in found if re.search(r"[.!?:]\W*$", sentence) and len(sentence.split()) > 1]
 
 
 def test_sentences_are_counted_as_a_reader_would():
     page = "# A title\n\nOne two three. Four `e4dgs run. all` five [six](seven.md)!\n\n| a | b |\n|---|---|\n| Is it? No. | name |\n\n"
     page += "- An item,\n  two lines.\n- **Bold.** More, e.g. this:\n\n```bash\nnot this.\n```\nNo end"
-    expected = ["One two three.", "Four name five six!", "Is it?", "An item, two lines.", "More, e.g. this:"]
+    expected = ["One two three.", "Four Name five six!", "Is it?", "An item, two lines.", "More, e.g. this:"]
     assert sentences(page) == expected
 
 
