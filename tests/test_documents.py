@@ -147,7 +147,7 @@ def test_sentences_are_counted_as_a_reader_would():
 def test_pages_are_few_bytes_and_short_sentences():
     pages = tracked_pages()
     size = sum(page.stat().st_size for page in pages)
-    assert size <= 190_000, f"Markdown outside benchmarks/ has {size:,} bytes"
+    assert size <= 150_000, f"Markdown outside benchmarks/ has {size:,} bytes"
     lengths = [len(sentence.split()) for page in pages for sentence in sentences(page.read_text())]
     assert len(lengths) > 500 and sum(lengths) / len(lengths) < 20, (
         f"{len(lengths)} sentences, mean {sum(lengths) / len(lengths):.1f} words"
