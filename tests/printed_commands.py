@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ["README.md", *(str(page.relative_to(ROOT)) for page in sorted((ROOT / "docs").glob("*.md")))]
+PAGES = ["README.md", "benchmarks/README.md", *(str(page.relative_to(ROOT)) for page in sorted((ROOT / "docs").glob("*.md")))]
 
 # Budgets under which a run takes seconds. All presets are one with them, so that commands find one another's results.
 SETTINGS = {
@@ -105,6 +105,10 @@ PARSED_ONLY = {
     "python benchmarks/overhead.py": "runs for minutes; tests/pipeline/test_overhead.py measures the same at a small size",
     "python benchmarks/captures.py SCENES": REAL,
     "python benchmarks/throughput.py": "trains twelve scenes three times",
+    "python benchmarks/quality.py SCENES": REAL,
+    "python benchmarks/scale.py": "writes a result that is committed; tests/test_scale.py runs it at a small size",
+    "python benchmarks/tables.py": "writes a page that is committed; tests/test_documents.py runs it with --check",
+    "python benchmarks/cuda_resources.py": "compiles every kernel, and writes a result that is committed",
 }
 
 
