@@ -19,7 +19,7 @@ BELOW = {
     "workflows": {"stages", "scene", "vision", "pipeline", "rasterizer"},
 }
 ROOMS = ("rasterizer.cuda.runtime",)  # folders with a public face: others import what their __init__.py exports, and nothing behind it
-LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d")
+LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
 
 
 def imported_folders(path: Path) -> set[str]:

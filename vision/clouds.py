@@ -26,9 +26,9 @@ _CUT = "points are promised, but not all are there; perhaps it is cut short; cop
 
 
 class _Header(NamedTuple):
-    """Of a .pcd file. count: points. columns: numbers of each. whole: bytes of all. way: how they are written. lines: of the header."""
+    """Of a .pcd file. points: their number. columns: numbers of each. whole: bytes of all. way: how they are written. lines: of it."""
 
-    count: int
+    points: int
     columns: int
     whole: int
     way: str
@@ -103,22 +103,22 @@ def _read_pcd(path: Path, most: int) -> tuple[np.ndarray, np.ndarray | None]:
         data = file.read(_BEGIN)
     begin = data.find(b"\n", data.find(b"\nDATA ") + 1) + 1
     head, rest = _header(data[:begin]), path.stat().st_size - begin
-    if head.count > most:
-        raise ValueError(f"{head.count} points are promised, which are too many; thin them out")
+    if head.points > most:
+        raise ValueError(f"{head.points} points are promised, which are too many; thin them out")
     if head.way == "ascii":
-        cut = _numbers(path, most, skip=head.lines).shape != (head.count, head.columns)
+        cut = _numbers(path, most, skip=head.lines).shape != (head.points, head.columns)
     elif head.way == "binary_compressed":
         packed, whole = (int.from_bytes(data[begin + k : begin + k + 4], "little") for k in (0, 4))
         cut = packed > rest - 8 or whole != head.whole
     else:
         cut = head.whole > rest
     if cut:
-        raise ValueError(f"{head.count} {_CUT}")
+        raise ValueError(f"{head.points} {_CUT}")
     open3d = load_open3d(path.name)
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         cloud = open3d.io.read_point_cloud(str(path), format="pcd")
     points = np.array(cloud.points)
-    if len(points) != head.count:
+    if len(points) != head.points:
         raise ValueError("Open3D cannot read it; write the file again")
     measured = ~np.isnan(points).any(1)
     return points[measured], np.array(cloud.colors)[measured] if cloud.has_colors() else None

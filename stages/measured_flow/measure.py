@@ -83,8 +83,9 @@ def measure(
         if gathered is not None:
             gathered.add_pair(k, pair)
         arrays.forward[p], arrays.backward[p], arrays.confidence[p] = pair.forward, pair.backward, pair.confidence
-        back = consistency(pair.backward, pair.forward)
-        return Matched(seen_by(b.edges, pair.forward, pair.confidence), seen_by(a.edges, pair.backward, back), source)
+        back = consistency(pair.backward, pair.forward, ctx.device)
+        first_sees = seen_by(b.edges, pair.forward, pair.confidence, ctx.device)
+        return Matched(first_sees, seen_by(a.edges, pair.backward, back, ctx.device), source)
 
     def finish(i: int, own: Future[Looked], before: Future[Matched] | None, after: Future[Matched] | None) -> str:
         seen = ([before.result().second] if before else []) + ([after.result().first] if after else [])

@@ -57,10 +57,9 @@ def _of_package(name: str, note: str) -> Licence:
         about = metadata.metadata(name)
     except metadata.PackageNotFoundError:
         return Licence(name, "", "not installed", note)
-    fields = {key: value for key, value in about.items() if key in ("License-Expression", "License", "Version")}
-    stated = fields.get("License-Expression") or fields.get("License", "")
-    classes = [value.rpartition(" :: ")[2] for key, value in about.items() if key == "Classifier" and value.startswith("License :: ")]
-    files = [value for key, value in about.items() if key == "License-File"]
+    field = {key: about.get_all(key) or [] for key in ("License-Expression", "License", "License-File", "Classifier")}
+    stated = next((value for key in ("License-Expression", "License") for value in field[key]), "")
     if not stated or "\n" in stated or len(stated) > LONGEST:
-        stated = ", ".join(classes) or (f"see its file {files[0]}" if files else "not stated")
-    return Licence(name, fields.get("Version", ""), stated, note)
+        classes = [value.rpartition(" :: ")[2] for value in field["Classifier"] if value.startswith("License :: ")]
+        stated = ", ".join(classes) or "".join(f"see its file {file}" for file in field["License-File"][:1]) or "not stated"
+    return Licence(name, about["Version"], stated, note)
