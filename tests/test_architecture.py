@@ -22,7 +22,7 @@ BELOW = {
 ROOMS = ("rasterizer.cuda.runtime",)  # folders with a public face: others import what their __init__.py exports, and nothing behind it
 STAGES = [stage.name for stage in reconstruction()]
 LIGHT = ("__init__", "settings", "defaults", "stage", "artifact")
-LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d")
+LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
 
 
 def imported_folders(path: Path) -> set[str]:

@@ -138,10 +138,20 @@ def why(
 
 
 @app.command()
-def doctor(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
+def doctor(
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    licenses: Annotated[bool, typer.Option("--licenses", help="Instead, the licences of e4dgs, its packages and weights.")] = False,
+    debug: Debug = False,
+) -> None:
     """Check this installation; exit code 1 when something that is needed does not work."""
     from .machine.doctor import checks
+    from .machine.licences import licences
 
+    for one in licences() if licenses else ():
+        note = f"  ({one.note})" if one.note else ""
+        console.print(f"{f'{one.name} {one.version}':42} {one.terms}{note}", markup=False, highlight=False, soft_wrap=True)
+    if licenses:
+        return
     broken = 0
     for what, well, detail in checks(workspace):
         broken += well is False

@@ -58,8 +58,8 @@ class _Camera(NamedTuple):
 class _Jobs:
     """What threads compute of a frame and of a pair. arrays: where it is stored. number: the pair that begins at a frame."""
 
-    def __init__(self, flows: PairFlows, arrays: FlowArrays, wanted: Sequence[int]) -> None:
-        self.flows, self.arrays = flows, arrays
+    def __init__(self, flows: PairFlows, arrays: FlowArrays, wanted: Sequence[int], device: str) -> None:
+        self.flows, self.arrays, self._device = flows, arrays, device
         self.number = {first: p for p, first in enumerate(wanted)}
 
     def look(self, camera: _Camera, k: int, both: tuple[np.ndarray, np.ndarray], paired: bool) -> Looked:
@@ -80,8 +80,9 @@ class _Jobs:
             camera.gathered.add_pair(k, pair)
         arrays = self.arrays
         arrays.forward[p], arrays.backward[p], arrays.confidence[p] = pair.forward, pair.backward, pair.confidence
-        back = consistency(pair.backward, pair.forward)
-        return Matched(seen_by(b.edges, pair.forward, pair.confidence), seen_by(a.edges, pair.backward, back), source)
+        back = consistency(pair.backward, pair.forward, self._device)
+        first_sees = seen_by(b.edges, pair.forward, pair.confidence, self._device)
+        return Matched(first_sees, seen_by(a.edges, pair.backward, back, self._device), source)
 
     def finish(self, i: int, own: Future[Looked], before: Future[Matched] | None, after: Future[Matched] | None) -> str:
         """Stores the edges of frame ``i`` that its pairs confirm, and says where the flow after it comes from."""
@@ -158,7 +159,7 @@ def measure(
         arrays.edges[i] = 0
         if moving is not None:
             moving[i] = 0
-    jobs = _Jobs(flows, arrays, wanted)
+    jobs = _Jobs(flows, arrays, wanted, ctx.device)
     with (
         ctx.progress(len(trained) * (1 + (moving is not None)), f"{len(wanted)} pairs, {flows.method_name}") as bar,
         _pool(flows.method) as pool,
