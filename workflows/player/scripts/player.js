@@ -4,11 +4,14 @@ import { Controls } from "./controls.js";
 import { Panel, bare, say, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
+import { checkView } from "./views.js";
 
 const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
 const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again
 const COARSEST = 0.4;              // of the screen's pixels, along each side
 const REST = 250;                  // ms after which a picture that stands still gets all pixels
+const PATIENCE = 5000;             // ms for which a picture that was asked for waits for a lost graphics device
+const LOST = "The graphics device was lost; waiting for it.";
 
 export class Player {
   constructor(canvas) {
@@ -26,7 +29,10 @@ export class Player {
     this.renderer.load(scene);
     this.camera = new Camera(scene.header);
     this.time = scene.header.cameras[0]?.time ?? 0;
-    this.canvas.addEventListener("webglcontextlost", (event) => (event.preventDefault(), say("The graphics device was lost; waiting for it.")));
+    this.canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      say(LOST);
+    });
     this.canvas.addEventListener("webglcontextrestored", () => this.#restored());
     this.controls = new Controls(this.canvas, this);
     this.panel = new Panel(this, scene);
@@ -112,13 +118,19 @@ export class Player {
 
   // Draws exactly this picture, without controls over it. time in [0, 1]; cam_from_world 16 and K 9 numbers, row by row, OpenCV axes, px.
   async show(view) {
-    checkView(view);
+    checkView(view, this.renderer.most);
+    await this.#there();
     this.playing = false;
     bare(true);
     const ratio = devicePixelRatio || 1;
     Object.assign(this.canvas.style, { width: `${view.width / ratio}px`, height: `${view.height / ratio}px` });
     this.asked = { ...view, cam_from_world: Array.from(view.cam_from_world), K: Array.from(view.K) };
-    await this.#drawn(this.asked);
+    try {
+      await this.#drawn(this.asked);
+    } catch (error) {
+      this.changed();
+      throw error;
+    }
   }
 
   // Mean milliseconds a frame of turning once around the target while time runs: of sorting, of uploads, of drawing.
@@ -195,7 +207,21 @@ export class Player {
     this.panel.show();
   }
 
-  async #restored() {
+  // Waits until the graphics device is there.
+  async #there() {
+    const start = performance.now();
+    while (this.renderer.gl.isContextLost()) {
+      if (performance.now() - start > PATIENCE) throw new Error(LOST);
+      await new Promise((done) => setTimeout(done, 50));
+    }
+    await this.restoring;
+  }
+
+  #restored() {
+    this.restoring = this.#renew();
+  }
+
+  async #renew() {
     try {
       this.renderer.load(this.scene);
       this.last = "";
@@ -205,15 +231,6 @@ export class Player {
       fail(error);
     }
   }
-}
-
-function checkView({ time, cam_from_world, K, width, height } = {}) {
-  const numbers = (list, count) => list?.length === count && Array.from(list).every(Number.isFinite);
-  if (!(time >= 0 && time <= 1)) throw new TypeError("show: time must be a number in [0, 1]");
-  if (!numbers(cam_from_world, 16)) throw new TypeError("show: cam_from_world must be 16 numbers, row by row");
-  if (!numbers(K, 9) || !(K[0] > 0 && K[4] > 0)) throw new TypeError("show: K must be 9 numbers, row by row, with positive focal lengths");
-  for (const size of [width, height])
-    if (!Number.isInteger(size) || size < 1 || size > 16384) throw new TypeError("show: width and height must be whole numbers of px");
 }
 
 export function fail(error) {

@@ -18,6 +18,8 @@ export class Renderer {
     this.gl = canvas.getContext("webgl2", wanted);
     if (!this.gl) throw new Error("This browser has no WebGL 2, which the scene needs. Try another browser, or allow graphics acceleration.");
     this.uploads = { order: 0, poses: 0, keys: 0 };
+    const { gl } = this, limits = [gl.MAX_TEXTURE_SIZE, gl.MAX_RENDERBUFFER_SIZE].map((name) => gl.getParameter(name));
+    this.most = Math.min(...limits, ...gl.getParameter(gl.MAX_VIEWPORT_DIMS));  // px along a side of a picture
   }
 
   // Everything on the graphics device is made from `scene`, again after its context was lost.
@@ -108,6 +110,7 @@ export class Renderer {
     const { gl, canvas } = this, size = `${width}x${height}`;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
+    if (gl.drawingBufferWidth !== width || gl.drawingBufferHeight !== height) throw new RangeError(`This device draws no pictures of ${size} px.`);
     if (size === this.size) return;
     if (this.picture) {
       for (const texture of [this.picture, this.closed]) gl.deleteTexture(texture);
@@ -119,6 +122,7 @@ export class Renderer {
     this.closed = newTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R8, Math.ceil(width / TILE), Math.ceil(height / TILE));
     this.closing = target(gl, this.closed);
+    if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError(`This device has no memory for pictures of ${size} px.`);
     this.size = size;
   }
 
