@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from ...scene.formats.pieces import Pieces
     from .bake import Baked
 
-PATH, SHAPE = 0.12, 0.25  # px of the capture by which a piece may be off its Gaussian: its mean, its extent
-OPACITY, COLOR = 0.012, 0.03  # likewise; the second in SH coefficients
+PATH, SHAPE = 0.25, 0.5  # px of the capture by which a piece may be off its Gaussian: its mean, its extent
+OPACITY, COLOR = 0.015, 0.04  # likewise; the second in SH coefficients
 MOST_LEVELS = 8  # a clip is halved so often at most
 EXTRA = 2  # halvings beyond the intervals between the times of the capture
 MOST_BYTES = 3 << 29  # of samples in memory
@@ -46,14 +46,15 @@ class Samples:
         while levels > 1 and (2 << levels) * count * 56 > MOST_BYTES:
             levels -= 1
         found = [baked.at(k / (2 << levels)) for k in range((2 << levels) + 1)]
-        columns = [torch.stack([getattr(one, name) for one in found]) for name in ("means", "quats", "scales", "opacities")]
+        names = "means", "quats", "scales", "opacities"
+        means, quats, scales, opacities = (torch.stack([getattr(one, name) for one in found]) for name in names)
         colors = torch.stack([one.sh[:, 0] for one in found if one.sh is not None])
         lives = fades(baked)
         if lives is None:
-            return cls(*columns, colors, torch.zeros(count).double(), torch.full((count,), torch.inf).double())
+            always = torch.full((count,), torch.inf).double()
+            return cls(means, quats, scales, opacities, colors, torch.zeros(count).double(), always)
         middles, spreads, whole = lives
-        columns[3] = whole.float().expand(len(found), -1)
-        return cls(*columns, colors, middles, spreads)
+        return cls(means, quats, scales, whole.float().expand(len(found), -1), colors, middles, spreads)
 
     @property
     def last(self) -> int:
@@ -116,9 +117,9 @@ def intervals(samples: Samples, pixel: float) -> tuple[Tensor, Tensor, Tensor]:
         if not good.all():
             waiting += [(start, half, index[~good]), (half, end, index[~good])]
     empty = torch.zeros(0, dtype=torch.int64)
-    index, start, end = (torch.cat(parts) for parts in zip((empty, empty, empty), *found))
-    order = torch.argsort(start * samples.means.shape[1] + index)
-    return index[order], start[order], end[order]
+    of, first, last = (torch.cat(parts) for parts in zip((empty, empty, empty), *found))
+    order = torch.argsort(first * samples.means.shape[1] + of)
+    return of[order], first[order], last[order]
 
 
 def looked_at(start: int, end: int) -> list[int]:

@@ -37,12 +37,14 @@ def about(count=2):
 class Page:
     """A page of the player with its own `window.e4dgs`; ``outside`` are the addresses that it asked for."""
 
-    def __init__(self, browser, folder, data: bytes, play=False, poster=None, size=(500, 400), cut=len):
+    def __init__(self, browser, folder, data: bytes, play=False, poster=None, size=(500, 400), cut=len, before=""):
         self.file = folder / "scene.html"
         text = page("made", data, poster, (1.0, 0.9, 0.8), play)
         written = text[: cut(text)]
         self.file.write_text(written)
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        if before:
+            self.page.add_init_script(before)
         self.outside, self.errors = [], []
         self.page.on("request", lambda asked: self.outside.append(asked.url))
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -159,6 +161,58 @@ def test_the_page_plays_and_its_controls_work(opened, file):
     assert not shown.errors
 
 
+def test_layers_have_the_names_of_the_live_viewer_and_show_their_primitives(opened, file):
+    from e4dgs.workflows.view.looks import PRIMITIVES
+
+    shown = opened(file)
+    assert shown.page.locator("#layer option").all_inner_texts() == list(PRIMITIVES)
+    pictures = []
+    for layer in PRIMITIVES:
+        shown.page.select_option("#layer", layer)
+        shown.page.wait_for_timeout(700)
+        pictures.append(shown.picture())
+    assert min(psnr(one, other) for k, one in enumerate(pictures) for other in pictures[:k]) < 40
+    assert all(psnr(pictures[0], other) < 45 for other in pictures[1:])
+
+
+# A headset of two eyes, 64 mm apart, whose pictures lie side by side on the canvas.
+HEADSET = """
+window.frames_ = [];
+const size = () => ({ width: 120, height: 160 });
+const eye = (x) => ({ projectionMatrix: [1.5,0,0,0, 0,1.1,0,0, 0,0,-1,-1, 0,0,-0.1,0], side: x,
+  transform: { inverse: { matrix: [1,0,0,0, 0,1,0,0, 0,0,1,0, -x,0,0,1] } } });
+class Session extends EventTarget {
+  updateRenderState() {}
+  async requestReferenceSpace() { return {}; }
+  requestAnimationFrame(act) { frames_.push(act); }
+  async end() { this.dispatchEvent(new Event("end")); }
+}
+Object.defineProperty(navigator, "xr", { value: { isSessionSupported: async () => true, requestSession: async () => new Session() } });
+window.XRWebGLLayer = class { framebuffer = null; getViewport(view) { return { x: view.side < 0 ? 0 : 120, y: 20, ...size() }; } };
+window.step = (now) => frames_.splice(0).forEach((act) => act(now, { getViewerPose: () => ({ views: [eye(-0.032), eye(0.032)] }) }));
+"""
+
+
+def test_a_headset_gets_a_picture_for_each_eye(opened, file):
+    plain = opened(file)
+    plain.page.wait_for_timeout(200)
+    assert not visible(plain, "#stereo"), "no headset, no button"
+    shown = opened(file, before=HEADSET, size=(500, 400))
+    shown.page.locator("#stereo").wait_for(timeout=10_000)
+    shown.page.click("#stereo")
+    for now in (0, 16, 32):
+        shown.page.wait_for_timeout(400)
+        shown.page.evaluate(f"step({now})")
+    shown.page.screenshot(path="/tmp/x_xr.png")
+    both = shown.picture()
+    bottom = len(both) - 20
+    eyes = both[bottom - 160 : bottom, :120], both[bottom - 160 : bottom, 120:240]
+    assert psnr(*eyes) < 40 and all(one.std() > 0.05 for one in eyes)
+    shown.page.evaluate("document.getElementById('stereo').click()")
+    shown.page.wait_for_timeout(600)
+    assert visible(shown, "#bar") and shown.picture().shape == (400, 500, 3) and not shown.errors, "the page goes on"
+
+
 def test_a_picture_that_was_asked_for_has_nothing_over_it(opened, file):
     shown = opened(file)
     view = camera(0.2, 90, 70)
@@ -249,7 +303,7 @@ def test_no_code_comes_from_text_and_nothing_leaves_the_page(opened, file):
 def test_controls_fit_narrow_and_wide_windows(opened, file, width):
     shown = opened(file, size=(width, 700))
     assert shown.page.evaluate("document.documentElement.scrollWidth") <= width
-    for name in ("#play", "#time", "#speed", "#loop", "#photo", "#mode", "#full", "#help"):
+    for name in ("#play", "#time", "#speed", "#loop", "#photo", "#layer", "#mode", "#full", "#help"):
         box = shown.page.locator(name).bounding_box()
         assert box["x"] >= 0 and box["x"] + box["width"] <= width and box["y"] + box["height"] <= 700, name
         assert width > 700 or min(box["width"], box["height"]) >= 16

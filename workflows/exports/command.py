@@ -16,7 +16,19 @@ from ..results import results
 from ..session import Options, open_session
 from .mesh import mesh
 from .straight import container, write_straight
-from .trained import Antialiased, Moment, Up, check_folder, check_moment, check_single, is_file, open_trained, up_axis, writing
+from .trained import (
+    Antialiased,
+    Moment,
+    Up,
+    check_folder,
+    check_moment,
+    check_single,
+    check_strangers,
+    is_file,
+    open_trained,
+    up_axis,
+    writing,
+)
 from .usd import usd
 from .web import web
 
@@ -141,6 +153,8 @@ def _splats(
     moments = trained.chosen(times, time)
     if single and out is not None:
         check_single(out, len(moments), ending)
+    else:
+        check_strangers(out, KINDS[kind])
     target = trained.folder(out, kind)
     console = Console()
     with Progress(len(moments), "export", console) as bar, writing(target):

@@ -4,6 +4,7 @@ import { Controls } from "./controls.js";
 import { Panel, bare, say, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
+import { Stereo, hasStereo } from "./stereo.js";
 import { checkView } from "./views.js";
 
 const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
@@ -16,7 +17,7 @@ const LOST = "The graphics device was lost; waiting for it.";
 export class Player {
   constructor(canvas) {
     this.canvas = canvas;
-    this.playing = false, this.loop = true, this.speed = 1, this.mode = "orbit", this.photo = 0, this.time = 0;
+    this.playing = false, this.loop = true, this.speed = 1, this.mode = "orbit", this.layer = "all", this.photo = 0, this.time = 0;
     this.times = { sort: 0, upload: 0, draw: 0, frame: 0 };
     this.scale = 1, this.asked = null, this.touched = 0, this.now = 0, this.drew = false;
   }
@@ -36,6 +37,8 @@ export class Player {
     this.canvas.addEventListener("webglcontextrestored", () => this.#restored());
     this.controls = new Controls(this.canvas, this);
     this.panel = new Panel(this, scene);
+    this.stereo = new Stereo(this);
+    hasStereo().then((there) => this.panel.offerStereo(there, () => this.stereo.toggle().catch((error) => say(error.message))));
     await this.#drawn(this.#window());
     this.#loop();
     this.panel.show();
@@ -98,6 +101,11 @@ export class Player {
     this.panel.show();
   }
 
+  setLayer(layer) {
+    this.layer = layer;
+    this.changed(), this.panel.show();
+  }
+
   jump(photo) {
     const { cameras } = this.scene.header;
     if (!cameras.length) return;
@@ -152,13 +160,13 @@ export class Player {
   #window(scale = 1) {
     const side = (length) => Math.max(1, Math.round(length * (devicePixelRatio || 1) * scale));
     Object.assign(this.canvas.style, { width: "100%", height: "100%" });
-    return { time: this.time, ...this.camera.view(side(this.canvas.clientWidth), side(this.canvas.clientHeight)) };
+    return { time: this.time, layer: this.layer, ...this.camera.view(side(this.canvas.clientWidth), side(this.canvas.clientHeight)) };
   }
 
   // Sorts for the view, then draws it, and if asked waits until it is there.
   async #drawn(view, wait = true) {
     const { gl } = this.renderer, start = performance.now();
-    const { order, count, milliseconds } = await this.sorter.sort(view.time, view.cam_from_world.slice(8, 12));
+    const { order, count, milliseconds } = await this.sorter.sort(view.time, view.cam_from_world.slice(8, 12), view.layer);
     const sorted = performance.now();
     this.renderer.setOrder(order, count);
     this.sorter.give(order);
@@ -183,7 +191,7 @@ export class Player {
   }
 
   async #frame(seconds) {
-    if (this.asked || this.measuring || document.hidden || this.renderer.gl.isContextLost()) return;
+    if (this.asked || this.measuring || this.stereo.session || document.hidden || this.renderer.gl.isContextLost()) return;
     this.controls.advance(seconds);
     if (this.playing) this.#advance(seconds);
     const moving = this.playing || performance.now() - this.touched < REST || this.controls.busy;
@@ -196,6 +204,22 @@ export class Player {
     this.times.frame = again ? 1000 * seconds : this.times.frame;
     if (moving && this.times.frame > SLOW) this.scale = Math.max(COARSEST, 0.85 * this.scale);
     else if (moving && this.times.frame < QUICK) this.scale = Math.min(1, 1.1 * this.scale);
+  }
+
+  // Lets time pass where frames are not the page's own.
+  pass(seconds) {
+    if (this.playing) this.#advance(seconds);
+  }
+
+  // Starts to sort for a view, if no sorting is under way; the order is there for a later frame.
+  sortFor(view) {
+    if (this.sorting) return;
+    this.sorting = true;
+    this.sorter.sort(view.time, view.cam_from_world.slice(8, 12), this.layer).then(({ order, count }) => {
+      this.renderer.setOrder(order, count);
+      this.sorter.give(order);
+      this.sorting = false;
+    }, fail);
   }
 
   #advance(seconds) {
