@@ -57,6 +57,7 @@ class StepCosts:
             stride = min(STRIDE, steps - done)
             each = self.step(scale, count)
             total, done = total + stride * each, done + stride
+            count = self.growth.without_hidden(count, done - stride, done, steps)
             while due <= done:
                 if self.growth.takes_round(due, steps):
                     total += self.round * each

@@ -9,8 +9,7 @@ from ...pipeline import Job
 from ...scene.training.schedule import first_motion_steps
 from ...stages.evaluation.spread import SAMPLE, flicker_cameras, most_measured
 from ...stages.facts import Facts
-from ...stages.fine import FineSettings, rests
-from ...stages.training.choices import auto_iterations
+from ...stages.training.choices import auto_iterations, use_nodes
 from ..reconstruction import EVALUATION, TRAINING
 from .costs import StepCosts
 from .known import Known, kind_of
@@ -44,11 +43,12 @@ def steps_at_one(job: Job, facts: Facts_ | None = None) -> int:
 
 
 def refines(job: Job) -> bool:
-    """Whether `fine` has something to do, unless `coarse` finds otherwise."""
-    settings = job.settings[FINE]
-    assert isinstance(settings, FineSettings)
-    facts = Facts.of(job.capture.facts)
-    return not rests(facts, settings) and job.graph[FINE].applies(job.capture.facts, settings).needed
+    """Whether `fine` has something to do: with control nodes only if convexes or steps are asked for."""
+    coarse, hulls, fine = (job.settings[name] for name in TRAINING)
+    nodes = use_nodes(Facts.of(job.capture.facts), coarse)  # type: ignore[arg-type]
+    if nodes and not hulls.budget and fine.iterations is None:  # type: ignore[attr-defined]
+        return False
+    return job.graph[FINE].applies(job.capture.facts, fine).needed
 
 
 def kind(job: Job) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 FIRST_ROUND = 200  # as in `scene.training.control.growth`
 EVERY = 100
+HIDDEN = 0.17  # of the Gaussians that are removed when those are that are hidden behind others, measured on lego
 GROWTH = 8  # a round adds at least an eighth, unless growth is steady
 
 
@@ -15,7 +16,7 @@ GROWTH = 8  # a round adds at least an eighth, unless growth is steady
 class Growth:
     """start: number of Gaussians at the first step. limits: the number that images of a scale allow. until: share of the steps after which
     there are no more rounds. rounds: most rounds in a training. steady: each round adds as many as the others. grows: whether any are
-    added. spacing: steps between two rounds, if a setting says so."""
+    added. spacing: steps between two rounds, if a setting says so. hidden_at: shares of the steps after which hidden ones are removed."""
 
     start: int
     limits: Mapping[float, int]
@@ -24,6 +25,7 @@ class Growth:
     steady: bool = False
     grows: bool = True
     spacing: int = 0
+    hidden_at: tuple[float, ...] = ()
 
     def every(self, steps: int) -> int:
         """Steps between two rounds in a training of ``steps`` steps."""
@@ -42,10 +44,14 @@ class Growth:
         wanted = room / left if self.steady else max(room / left, count / GROWTH)
         return count + min(room, wanted)
 
+    def without_hidden(self, count: float, start: int, end: int, steps: int) -> float:
+        """The number of Gaussians that is left of ``count`` after the removals from step ``start`` to ``end`` of ``steps`` steps."""
+        return count * (1 - HIDDEN) ** sum(start < share * steps <= end for share in self.hidden_at)
+
     def as_json(self) -> dict[str, Any]:
         return asdict(self) | {"limits": [list(row) for row in self.limits.items()]}
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Growth:
         limits = {float(scale): int(count) for scale, count in content["limits"]}
-        return cls(**{**content, "limits": limits})
+        return cls(**{**content, "limits": limits, "hidden_at": tuple(map(float, content["hidden_at"]))})

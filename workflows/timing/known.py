@@ -20,7 +20,7 @@ from .costs import StepCosts
 FILE = "timing.json"
 NEW = 0.5  # weight of the newest observation
 LEAST, MOST = 0.05, 20.0  # ratios beyond these are accidents
-LEAST_SECONDS = 1.0  # of a stage from which its time says something about the machine
+LEAST_SECONDS = 3.0  # taken and expected, from which a time says something about the machine
 
 
 class Known:
@@ -49,8 +49,8 @@ class Known:
         return self.ratio(stage) if stage in self._ratios() else self.machine_ratio()
 
     def learn(self, actual: float, expected: float, *names: str) -> None:
-        """Takes the time that something took into its ratio. expected: by an estimate that was not multiplied with a ratio."""
-        if actual <= 0 or expected <= 0:
+        """Takes the time that something took into its ratio, unless it is too short. expected: by an estimate without that ratio."""
+        if min(actual, expected) < LEAST_SECONDS:
             return
         key, found = "/".join(names), actual / expected
         earlier = self._ratios().get(key)

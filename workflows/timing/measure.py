@@ -53,16 +53,16 @@ def measure_steps(training: Training, setup: float = 0.0) -> StepCosts:
         recipe.steady,
         trainer.grow,
         settings.densify_every,
+        recipe.hidden_at if trainer.grow and settings.hidden else (),
     )
     seen, grows = min(FINAL_VIEWS, len(training.views.train)), trainer.grow
     searches = len(recipe.rigid_parts_at) if grows and clock.move else 0
-    looks = len(recipe.hidden_at) if grows and settings.hidden else 0
     return StepCosts(
         pieces,
         {scale: tuple(rows) for scale, rows in measured.items()},
         growth,
         rounds or StepCosts.round,
-        ((seen, False),) * (1 + searches) + ((seen, True),) * looks,
+        ((seen, False),) * (1 + searches) + ((seen, True),) * len(growth.hidden_at),
         loads,
         len(training.views.train),
         setup,

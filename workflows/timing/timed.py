@@ -12,7 +12,7 @@ from .clock import Deadline
 from .decisions import Decisions
 from .defaults import guessed_times, kind, refines, seconds_of_coarse, steps_at_one, views_by_default
 from .evaluating import Evaluating
-from .known import LEAST_SECONDS, Known
+from .known import Known
 from .ladder import MEASURED, MOVIES, REFINEMENT, REFINING, SHARE, STEPS
 from .resolve import PICTURES, Chosen, TrainingTimes, choose, evaluation_within, refinement_within
 
@@ -135,7 +135,7 @@ class Timed:
 
     def _learn(self, outcome: Outcome) -> None:
         """Compares what a stage took with what was expected."""
-        if outcome.state != "ran" or outcome.seconds < LEAST_SECONDS or "continues from" in outcome.reason:
+        if outcome.state != "ran" or "continues from" in outcome.reason:
             return
         name, settings = outcome.stage, self.job.settings[outcome.stage]
         estimate = self.job.graph[name].estimate(self.job.capture.facts, settings)
