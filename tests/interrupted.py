@@ -19,7 +19,7 @@ from e4dgs.scene.training import trainer as module
 from e4dgs.scene.training.recipe import RECIPES
 from e4dgs.scene.training.schedule import coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.training.motions import make_nodes
+from e4dgs.stages.coarse.motions import make_nodes
 from sliding_gaussians import SETTINGS, fresh, make_views, wandering_views
 
 STEPS, TIMES, SIZE, EVERY = 240, 3, 16, 37  # the checkpoints that matter are those at steps 185 and 222

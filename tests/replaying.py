@@ -14,7 +14,7 @@ from e4dgs.scene.training.drawn_tiles import DrawnTiles
 from e4dgs.scene.training.recipe import FREE, NODES
 from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.training.motions import make_nodes
+from e4dgs.stages.coarse.motions import make_nodes
 from sliding_gaussians import SETTINGS, fresh, make_views
 
 TOTAL, SIZE = 200, 48

@@ -9,7 +9,7 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.views import Views
-from e4dgs.stages.training.motions import make_field
+from e4dgs.stages.coarse.motions import make_field
 
 SIZE = 32
 SETTINGS = TrainingSettings(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, split_assignment
+from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, settings_by_name, split_assignment
 from .machine.devices import resolve_device
 from .machine.writable import writing_to
 from .presets import PRESETS
@@ -18,6 +18,7 @@ from .scenes import Scene, find_scene
 from .storage.archive import InUse, unpacked
 
 DEFAULT_WORKSPACE = Path("e4dgs-workspace")
+SEEDS = ("poses.seed", "train.seed")  # settings that --seed sets
 
 
 @dataclass
@@ -40,7 +41,7 @@ class Options:
 
 @dataclass
 class Session:
-    """A job and the scene that it writes to. notes: remarks of the capture's reader, for people."""
+    """A job and the scene that it writes to. notes: for people: older spellings of settings, and remarks of the capture's reader."""
 
     options: Options
     job: Job
@@ -56,18 +57,20 @@ class Session:
         """Changes settings that were left to be decided, by their names. What has already run keeps its own."""
         others = [text for text in self.options.resolved if text.partition("=")[0] not in values]
         self.options.resolved = [*others, *(f"{name}={value}" for name, value in values.items())]
-        built = build_settings(self.job.graph.settings, assignments_of(self.options))
-        changed = {name.partition(".")[0] for name in values}
+        classes = self.job.graph.settings
+        built, names = build_settings(classes, assignments_of(self.options)), settings_by_name(classes)
+        changed = {stage for name in values for stage in names[name][0]}
         self.job.settings = {**self.job.settings, **{stage: built[stage] for stage in changed}}
 
 
 def open_session(options: Options) -> Session:
     """Recognises the capture and sets up its job. Writes nothing except unpacked archives and sound onsets of long videos (`heard/`).
     Raises SettingsError, CaptureError, or StageError if an archive cannot be unpacked into the workspace."""
-    from ..stages.frames import FramesSettings, recognise_for
+    from ..stages.frames.settings import FramesSettings, recognise_for
 
     graph = reconstruction()
-    settings = build_settings(graph.settings, assignments_of(options))
+    notes: list[str] = []
+    settings = build_settings(graph.settings, assignments_of(options), notes.append)
     device = resolve_device(options.device)
     frames = settings["frames"]
     assert isinstance(frames, FramesSettings)
@@ -89,7 +92,7 @@ def open_session(options: Options) -> Session:
     store = Store(workspace / "store")
     also = [Store(path) for path in other_stores(options.store_also) if path != store.root]
     job = Job(graph, capture, settings, store, scene.records, device, also)
-    return Session(options, job, scene, capture.notes)
+    return Session(options, job, scene, (*notes, *capture.notes))
 
 
 def other_stores(paths: Sequence[Path]) -> list[Path]:

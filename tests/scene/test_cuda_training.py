@@ -9,7 +9,7 @@ import torch
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.training.motions import make_nodes
+from e4dgs.stages.coarse.motions import make_nodes
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, there

@@ -11,7 +11,7 @@ from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.motion.in_view import in_view
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
-from e4dgs.stages.training.motions import make_nodes
+from e4dgs.stages.coarse.motions import make_nodes
 
 WIDTH, HEIGHT, TIMES = 150, 90, 9
 DEGREE = 1

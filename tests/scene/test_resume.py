@@ -12,7 +12,7 @@ from e4dgs.scene.training import convergence
 from e4dgs.scene.training.checkpoint import FILE
 from e4dgs.scene.training.recipe import FIRST_MOTION, NODES
 from e4dgs.scene.training.schedule import Phase
-from e4dgs.stages.training.motions import make_nodes
+from e4dgs.stages.coarse.motions import make_nodes
 from interrupted import EVERY, KINDS, QUICK, ROUNDS, Dying, Killed, digests, prepared, run
 from sliding_gaussians import fresh, make_views, wandering_views
 

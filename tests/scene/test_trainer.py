@@ -18,7 +18,7 @@ from e4dgs.scene.training.objective import SMOOTH_END
 from e4dgs.scene.training.recipe import FREE, NODES, PLANES
 from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.training.motions import make_nodes
+from e4dgs.stages.coarse.motions import make_nodes
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, wandering_views
 
 

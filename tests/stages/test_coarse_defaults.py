@@ -4,18 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.coarse.defaults import ITERATIONS_NODES, LEAST_ITERATIONS, auto_iterations
+from e4dgs.stages.coarse.run import Start, first_model
+from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.training.choices import (
-    CLIP_PIXELS,
-    ITERATIONS_NODES,
-    LEAST_ITERATIONS,
-    auto_budget,
-    auto_iterations,
-    found_facts,
-    use_nodes,
-)
-from e4dgs.stages.training.coarse import Start, first_model
+from e4dgs.stages.shared.defaults import CLIP_PIXELS, auto_budget, found_facts, use_nodes
 
 
 @pytest.mark.parametrize(
@@ -62,7 +55,7 @@ def test_large_clips_get_fewer_steps_on_a_cpu():
     ],
 )
 def test_nodes_move_captures_of_which_each_frame_is_from_another_side(facts, motion, nodes):
-    assert use_nodes(Facts.of(facts), CoarseSettings(motion=motion)) is nodes
+    assert use_nodes(Facts.of(facts), motion) is nodes
 
 
 @pytest.mark.parametrize(

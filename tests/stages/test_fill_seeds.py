@@ -8,14 +8,16 @@ import pytest
 from e4dgs.pipeline import Context
 from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.scene.views import Views
-from e4dgs.stages.artifacts.dataset import load_frameset, load_views
-from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.coarse.defaults import WIDE_PATH, auto_sh_degree
+from e4dgs.stages.coarse.path_width import path_width
+from e4dgs.stages.coarse.run import mean_colour
+from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.seeding.fill import Swept, fill_seeds, middle_frames
-from e4dgs.stages.seeding.seeds import SWEPT_SHARE, load_seeds
-from e4dgs.stages.training.choices import WIDE_PATH, auto_budget, auto_seeds, auto_sh_degree, one_way
-from e4dgs.stages.training.coarse import mean_colour
-from e4dgs.stages.training.path_width import path_width
+from e4dgs.stages.seeds.defaults import auto_seeds
+from e4dgs.stages.seeds.fill import Swept, fill_seeds, middle_frames
+from e4dgs.stages.seeds.place import SWEPT_SHARE, load_seeds
+from e4dgs.stages.shared.dataset import load_frameset, load_views
+from e4dgs.stages.shared.defaults import auto_budget, one_way
 from factory import Options, make, render, write_panoptic
 from run_stage import run_frames
 
@@ -89,7 +91,7 @@ def test_a_sweep_that_knows_few_depths_leaves_seeds_for_the_other_pixels(rig, mo
     context, frames, views, _, _ = rig
     far = np.tile([[1e3, 1e3, 1e3]], (5 * COUNT, 1)) + np.arange(5 * COUNT)[:, None]
     swept = Swept(far, np.full(far.shape, 0.5), {}, known)
-    monkeypatch.setattr("e4dgs.stages.seeding.seeds.sweep", lambda *given: swept)
+    monkeypatch.setattr("e4dgs.stages.seeds.place.sweep", lambda *given: swept)
     seeds = load_seeds(context, frames, views, COUNT)
     assert (seeds.points[:, 0] >= 1e3).sum() == round(expected * COUNT)
 

@@ -7,10 +7,10 @@ import torch
 from e4dgs.pipeline import Progress
 from e4dgs.scene.training.checkpoint import model_of
 from e4dgs.scene.training.schedule import first_motion_steps, node_phases
-from e4dgs.stages.coarse import CoarseSettings
-from e4dgs.stages.training import first_motion
-from e4dgs.stages.training.motions import make_nodes
-from e4dgs.stages.training.train import train
+from e4dgs.stages.coarse import first_motion
+from e4dgs.stages.coarse.motions import make_nodes
+from e4dgs.stages.coarse.settings import CoarseSettings
+from e4dgs.stages.shared.train import train
 from sliding_gaussians import fresh, wandering_views
 
 STEPS = 60

@@ -8,11 +8,11 @@ from e4dgs.scene.edge_seeds import EdgeSeeds, edge_seeds
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.views import Views
-from e4dgs.stages.artifacts.hulls import StoredHulls
-from e4dgs.stages.hulls import HullSettings
-from e4dgs.stages.training.choices import CONVEXES, most_convexes
-from e4dgs.stages.training.fine import replace_by_convexes
-from e4dgs.stages.training.hulls import choose
+from e4dgs.stages.fine.run import replace_by_convexes
+from e4dgs.stages.hulls.artifact import StoredHulls
+from e4dgs.stages.hulls.defaults import CONVEXES, most_convexes
+from e4dgs.stages.hulls.run import choose
+from e4dgs.stages.hulls.settings import HullSettings
 
 
 def found(error, density=1.0, weight=10.0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ...pipeline import split_assignment
+from ...pipeline import build_settings, settings_by_name, split_assignment
 from ..session import Session
 
 
@@ -15,10 +15,14 @@ class Decisions:
     def __init__(self, session: Session) -> None:
         self.session = session
         self._mine: set[str] = set()
+        classes = session.job.graph.settings
+        self._stages = {name: stages[0] for name, (stages, _) in settings_by_name(classes).items()}
+        given = [(f"{stage}.{key}", value) for stage, key, value in map(split_assignment, session.options.assignments)]
+        self._given = build_settings(classes, given)  # also where an older spelling was used
 
     def given(self, name: str) -> bool:
         """Whether the user chose this setting."""
-        return any(name == ".".join(split_assignment(text)[:2]) for text in self.session.options.assignments)
+        return name.partition(".")[2] in self._given[self._stages[name]].model_fields_set
 
     def made_earlier(self, *names: str) -> bool:
         """Whether an earlier run with this time decided one of these settings. Its decisions stay, or results would not be found again."""
@@ -31,8 +35,7 @@ class Decisions:
 
     def value(self, name: str) -> Any:
         """The present value of a setting."""
-        stage, _, key = name.partition(".")
-        return getattr(self.session.job.settings[stage], key)
+        return getattr(self.session.job.settings[self._stages[name]], name.partition(".")[2])
 
     def make(self, values: Mapping[str, Any]) -> None:
         """Decides settings, except those that the user chose."""

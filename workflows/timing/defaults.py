@@ -7,9 +7,10 @@ from typing import Any
 
 from ...pipeline import Job
 from ...scene.training.schedule import first_motion_steps
-from ...stages.evaluation.spread import SAMPLE, flicker_cameras, most_measured
+from ...stages.coarse.defaults import auto_iterations
+from ...stages.evaluate.spread import SAMPLE, flicker_cameras, most_measured
 from ...stages.facts import Facts
-from ...stages.training.choices import auto_iterations, use_nodes
+from ...stages.shared.defaults import use_nodes
 from ..reconstruction import EVALUATION, TRAINING
 from .costs import StepCosts
 from .known import Known, kind_of
@@ -45,7 +46,7 @@ def steps_at_one(job: Job, facts: Facts_ | None = None) -> int:
 def refines(job: Job) -> bool:
     """Whether `fine` has something to do: with control nodes only if convexes or steps are asked for."""
     coarse, hulls, fine = (job.settings[name] for name in TRAINING)
-    nodes = use_nodes(Facts.of(job.capture.facts), coarse)  # type: ignore[arg-type]
+    nodes = use_nodes(Facts.of(job.capture.facts), coarse.motion)  # type: ignore[attr-defined]
     if nodes and not hulls.budget and fine.iterations is None:  # type: ignore[attr-defined]
         return False
     return job.graph[FINE].applies(job.capture.facts, fine).needed

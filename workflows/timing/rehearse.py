@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ...pipeline import Artifact, Job, Settings
-from ...stages.training.rehearsal import Enough, Rehearsal, Training
+from ...stages.shared.rehearsal import Enough, Rehearsal, Training
 
 MAIN = ("coarse", "fine")  # names of the trainings that a stage is there for
 

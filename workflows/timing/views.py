@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ...pipeline import Artifact, Job
-from ...stages.artifacts.frameset import FrameSet
-from ...stages.artifacts.model import read_model
-from ...stages.evaluation.judge import Judge
+from ...stages.evaluate.judge import Judge
+from ...stages.shared.frameset import FrameSet
+from ...stages.shared.model import read_model
 
 
 @dataclass(frozen=True)

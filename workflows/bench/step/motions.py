@@ -12,7 +12,7 @@ from ....scene.model import Model
 from ....scene.motion.free import FreeMotion
 from ....scene.settings import TrainingSettings
 from ....scene.views import Views
-from ....stages.training.motions import make_nodes
+from ....stages.coarse.motions import make_nodes
 from ..rows import Bench, Check, Measured
 from ..timing import interleaved
 from .training import PERIOD, make_model, make_trainer, views_of
