@@ -55,6 +55,8 @@ RUN = {
     "e4dgs view samples/cube_and_ball": f"{SAMPLE} --no-browser",
     "e4dgs plan samples/cube_and_ball --preset fast": SAMPLE,
     "e4dgs plan samples/cube_and_ball --preset fast --set fine.iterations=600": PLANNED,
+    # docs/hardware.md
+    "e4dgs run all CAPTURE --time 10m": TINY,
     # docs/reruns.md
     "e4dgs run all CAPTURE --set fine.iterations=3000": f"{TINY} --set fine.iterations=4",
     "e4dgs run flow CAPTURE": TINY,

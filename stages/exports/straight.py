@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ...scene.formats.gaussian_birth import Clock, View
     from ...scene.formats.pieces import Pieces
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
     from .bake import Baked
 
 Straight = Literal["4dgs", "freetime"]

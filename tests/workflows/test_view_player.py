@@ -5,7 +5,7 @@ import urllib.request
 
 import pytest
 from e4dgs.scene.formats.web.scene import WebScene
-from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.workflows.view.address import listening
 from e4dgs.workflows.view.page_server import PageServer
 from e4dgs.workflows.view.source import Found

@@ -8,7 +8,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from ...scene.model import Model
-from ...stages.artifacts.frameset import FrameSet
+from ...stages.shared.frameset import FrameSet
 from ...stages.exports.web import light_web
 from ..player.page import page
 from .source import Found
