@@ -8,8 +8,8 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from ...scene.model import Model
-from ...stages.shared.frameset import FrameSet
 from ...stages.exports.web import light_web
+from ...stages.shared.frameset import FrameSet
 from ..player.page import page
 from .source import Found
 
