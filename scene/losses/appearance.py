@@ -6,10 +6,28 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Frame
+from ..model import Model
 from ..settings import TrainingSettings
 from .photometric import Recording, photometric_loss, scale_gradient
+from .term import Now, Rendered, Term, floats, stored
 
 OTHER_BACKGROUND = 0.3  # share of the loss with the opposite background, if the capture has alpha
+
+
+class Appearance(Term):
+    """`appearance_loss`, scaled as a mean over the whole image: there is nothing outside the window."""
+
+    name = "appearance"
+
+    def inputs(self, model: Model, now: Now) -> tuple[Tensor | None]:
+        views = self.run.views
+        known = self.run.settings.alpha and views.load_alpha is not None
+        return (stored(views, now.frame, now.scale, "alpha", now.window) if known else None,)
+
+    def value(self, rendered: Rendered, inputs: tuple[Tensor | None]) -> Tensor:
+        r, alpha = rendered, None if inputs[0] is None else floats(inputs[0])
+        background = self.run.views.background
+        return appearance_loss(r.frame, r.target, self.run.settings, background, alpha, r.kept, r.weight, r.recording, r.share)
 
 
 def appearance_loss(

@@ -1,4 +1,4 @@
-"""What takes the steps of a training."""
+"""What applies the steps of a training."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..optimiser import Rows
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Step ``number`` of a training, from 0, which saw frame ``frame``. loss, image_loss: see `Judged`; both are detached."""
+    """Step ``number`` of a training, from 0, which saw frame ``frame``. loss, image_loss: see `Evaluation`; both are detached."""
 
     number: int
     frame: int
@@ -21,12 +21,12 @@ class Step:
 
 
 class Steps(Protocol):
-    """Takes steps that are finite, and reports each of them, in their order: (step, whether it was taken)."""
+    """Applies steps that are finite, and reports each of them, in their order: (step, whether it was accepted)."""
 
-    def take(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
-        """Take ``step`` if its loss and all gradients are finite, and clear the gradients. progress, frozen, rows: see `RowAdam.step`.
+    def apply(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
+        """Apply ``step`` if its loss and all gradients are finite, and clear the gradients. progress, frozen, rows: see `RowAdam.step`.
 
-        Returns a bool tensor [] on the model's device: whether the step was not taken. Raises `TrainingDiverged` after too many of them.
+        Returns a bool tensor [] on the model's device: whether the step was rejected. Raises `TrainingDiverged` after too many.
         """
         ...
 

@@ -13,21 +13,21 @@ from ..optimiser import Rows
 from .step import Step
 
 
-class StepsAtOnce:
-    """`Steps` that are judged before the optimiser is called."""
+class ImmediateSteps:
+    """`Steps` that are checked before the optimiser is called."""
 
     def __init__(self, learned: LearnedModel, guard: NonFiniteGuard, report: Callable[[Step, bool], None]) -> None:
         self._learned, self._guard, self._report = learned, guard, report
 
-    def take(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
+    def apply(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
         optimiser = self._learned.optimiser
-        taken = self._guard.accepts(step.loss, optimiser.parameters() | rows.named(), step.number, step.frame)
-        if taken:
+        accepted = self._guard.accepts(step.loss, optimiser.parameters() | rows.named(), step.number, step.frame)
+        if accepted:
             optimiser.step(progress, frozen, rows)
         else:
             optimiser.zero_grad()
-        self._report(step, taken)
-        return torch.tensor(not taken)
+        self._report(step, accepted)
+        return torch.tensor(not accepted)
 
     def settle(self) -> None:
         """Nothing is left to report."""
