@@ -16,7 +16,7 @@ from torch import Tensor
 from ...rasterizer import Camera, Convexes, Gaussians
 from ..model import Model
 from .photometric import scale_gradient
-from .term import Now, Rendered, Run, Term
+from .term import Now, Rendered, Term
 
 EVERY = 4  # steps between two evaluations
 BEGIN = 0.1  # fraction of all steps; there are no surfaces before
@@ -26,11 +26,7 @@ FLOOR = 1e-4  # of unit: smaller spreads count as zero, and the gradient of the 
 class DepthSpread(Term):
     """`depth_spread`, from two extra channels of the render."""
 
-    name, every = "depth spread", EVERY
-
-    def __init__(self, run: Run) -> None:
-        super().__init__(run)
-        self.weight = run.weight("spread")
+    name, setting, every = "depth spread", "spread", EVERY
 
     def due(self, model: Model, now: Now) -> bool:
         return self.weight > 0 and now.number > BEGIN * self.run.total

@@ -10,9 +10,9 @@ from torch import Tensor
 from ...rasterizer import Camera
 from ..model import Model
 from ..motion.interface import Time
-from ..views import CACHE_BYTES
+from ..views import CACHE_BYTES, floats
 from .flow_loss import data_flow_loss, interval_loss
-from .term import Now, Rendered, Run, Term, floats
+from .term import Now, Rendered, Run, Term
 
 FLOW_SCALE = 0.5  # size at which flow is rendered
 BEGIN = 0.3  # fraction of the steps from which on they are evaluated
@@ -29,18 +29,24 @@ class FlowTarget(NamedTuple):
     edges: Tensor
 
 
-class Interval(Term):
-    """How unsteady the flow at edges is, see `interval_loss`; 0, and not evaluated, for what moves steadily by construction."""
-
-    name, whole_image = "interval", True
+class _FlowTerm(Term):
+    whole_image = True
 
     def __init__(self, run: Run) -> None:
         super().__init__(run)
-        self.weight, self.every = run.weight("interval"), run.settings.flow_every
+        self.every = run.settings.flow_every
 
     def due(self, model: Model, now: Now) -> bool:
-        may_bend = self.weight > 0 and self.run.times >= 3 and model.field is not None and not model.field.steady
-        return now.move and may_bend and now.number >= BEGIN * self.run.total
+        return self.weight > 0 and now.move and now.number >= BEGIN * self.run.total
+
+
+class Interval(_FlowTerm):
+    """How unsteady the flow at edges is, see `interval_loss`; 0, and not evaluated, for what moves steadily by construction."""
+
+    name = setting = "interval"
+
+    def due(self, model: Model, now: Now) -> bool:
+        return super().due(model, now) and self.run.times >= 3 and model.field is not None and not model.field.steady
 
     def inputs(self, model: Model, now: Now) -> tuple[Camera, Tensor] | None:
         scale = now.scale * FLOW_SCALE
@@ -52,19 +58,18 @@ class Interval(Term):
         return self.weight * interval_loss(rendered.model, camera, start, dt, floats(edges))
 
 
-class MeasuredFlowTerm(Term):
+class MeasuredFlowTerm(_FlowTerm):
     """How far rendered flow is from measured flow, see `data_flow_loss`."""
 
-    name, whole_image = "measured flow", True
+    name, setting = "measured flow", "data_flow"
 
     def __init__(self, run: Run) -> None:
         super().__init__(run)
-        self.weight, self.every = run.weight("data_flow"), run.settings.flow_every
         self._targets: dict[int, FlowTarget] = {}
         self._bytes = 0
 
     def due(self, model: Model, now: Now) -> bool:
-        return now.move and self.run.measured_flow is not None and self.weight > 0 and now.number >= BEGIN * self.run.total
+        return super().due(model, now) and self.run.measured_flow is not None
 
     def inputs(self, model: Model, now: Now) -> FlowTarget | None:
         return None if model.field is None or not model.moves() else self.target(now.frame)

@@ -22,14 +22,10 @@ NEIGHBOURHOOD = 0.025  # of the viewing distance: distance between two places th
 class Rest(Term):
     """Mean displacement of what is dynamic, in viewing distances."""
 
-    name = "rest"
-
-    def __init__(self, run: Run) -> None:
-        super().__init__(run)
-        self.weight = run.weight("rest")
+    name = setting = "rest"
 
     def due(self, model: Model, now: Now) -> bool:
-        return now.move and model.field is not None and self.weight > 0
+        return self.weight > 0 and now.move and model.field is not None
 
     def value(self, rendered: Rendered, inputs: Any) -> Tensor:
         rest, dynamic = rendered.model.gaussians.means, rendered.model.gaussians.dynamic
@@ -40,14 +36,14 @@ class Rest(Term):
 class PlaneSmoothness(Term):
     """The term of lambda_3 in Eq. 9."""
 
-    name, every = "planes", PRIOR_EVERY
+    name, setting, every = "planes", "tv", PRIOR_EVERY
 
     def due(self, model: Model, now: Now) -> bool:
-        return now.move and model.field is not None and not model.field.steady and self.run.settings.tv > 0
+        return self.weight > 0 and now.move and model.field is not None and not model.field.steady
 
     def value(self, rendered: Rendered, inputs: Any) -> Tensor:
         assert rendered.model.field is not None
-        return self.run.settings.tv * rendered.model.field.regulariser()
+        return self.weight * rendered.model.field.regulariser()
 
 
 class RigidAndSteady(Term):
@@ -61,24 +57,22 @@ class RigidAndSteady(Term):
         self.rigid, self.inertia = run.weight("rigid"), run.weight("inertia")
 
     def due(self, model: Model, now: Now) -> bool:
-        return now.move and model.field is not None and not model.field.steady and bool(self.rigid or self.inertia)
+        return self.rigid + self.inertia > 0 and now.move and model.field is not None and not model.field.steady
 
     def inputs(self, model: Model, now: Now) -> tuple[Tensor | None, Tensor | None] | None:
         """Which Gaussians [n] int64, and standard normal numbers [n, 3] for the places beside them."""
         assert model.field is not None
         if not model.field.priors_at_places:
             return None, None
-        generator = torch.Generator().manual_seed(self.run.settings.seed * 1_000_003 + now.number)
-        moving = model.moving(model.gaussians)
+        generator, moving = torch.Generator().manual_seed(self.run.settings.seed * 1_000_003 + now.number), model.moving(model.gaussians)
         if not len(moving):
             return None
         chosen = torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator).to(moving.device)
         return moving[chosen], torch.randn(PRIOR_SAMPLES, 3, generator=generator).to(moving.device)
 
     def value(self, rendered: Rendered, inputs: tuple[Tensor | None, Tensor | None]) -> Tensor:
-        motion, means = rendered.model.field, rendered.model.gaussians.means.detach()
+        (chosen, noise), motion, means = inputs, rendered.model.field, rendered.model.gaussians.means.detach()
         assert motion is not None
-        chosen, noise = inputs
         rest = means[:0] if chosen is None else means[chosen]
         beside = rest if noise is None else rest + NEIGHBOURHOOD * self.run.unit * noise
         strain, course = motion.priors(rest, beside, rendered.time, self.run.dt)

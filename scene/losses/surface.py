@@ -70,25 +70,10 @@ def surface_loss(
 
     smooth: a number, or a tensor [] on the device.
     weight: [H, W] float32, factor on each pixel's gradient, but not on its loss; None: 1 everywhere. For the rest, see the two terms.
-    Off the CPU and in double the terms are computed with torch.
+    Off the CPU and in double, where it is the kernel's oracle, the terms are computed with torch.
     """
     if depth.device.type == "cpu" and depth.dtype == torch.float32:
         return _Surface.apply(depth, alpha, image, measured, moving, weight, unit, float(smooth), measure)
-    return surface_reference(depth, alpha, image, unit, smooth, measure, measured, moving, weight)
-
-
-def surface_reference(
-    depth: Tensor,
-    alpha: Tensor,
-    image: Tensor,
-    unit: float,
-    smooth: float | Tensor,
-    measure: float = 0.0,
-    measured: Tensor | None = None,
-    moving: Tensor | None = None,
-    weight: Tensor | None = None,
-) -> Tensor:
-    """`surface_loss` in plain torch: the kernel's oracle."""
     if weight is not None:
         depth, alpha = scale_gradient(depth, weight), scale_gradient(alpha, weight)
     # Not asked of a tensor, which would wait for a GPU.

@@ -1,8 +1,4 @@
-"""The terms of the loss (Eq. 8 and 9, and the priors), in the order in which they are added. A new one is its file and a row here."""
-
-from __future__ import annotations
-
-from collections.abc import Callable
+"""The terms of the loss (Eq. 8 and 9, and the priors), in the order in which they are added. A new one is its own file and a row here."""
 
 from .appearance import Appearance
 from .depth_spread import DepthSpread
@@ -10,11 +6,10 @@ from .flow_terms import Interval, MeasuredFlowTerm
 from .motion_priors import PlaneSmoothness, Rest, RigidAndSteady
 from .opacity import Opacity
 from .surface import Surface
-from .term import Run, Term
+from .term import Term
 
-# The first one compares images: its value tells whether training still improves.
-TERMS: tuple[Callable[[Run], Term], ...] = (
-    Appearance,
+TERMS: tuple[type[Term], ...] = (
+    Appearance,  # the value of the first one tells whether training still improves
     DepthSpread,
     Surface,
     Opacity,

@@ -14,7 +14,7 @@ from ...rasterizer import Camera, Convexes, Frame, Gaussians
 from ..model import Model
 from ..motion.interface import Time
 from ..settings import TrainingSettings
-from ..views import Kind, Views, Window
+from ..views import Views, Window
 from .measured_depth import MeasuredDepth
 from .photometric import Recording
 
@@ -23,20 +23,15 @@ MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
 
 @dataclass(eq=False)
 class Run:
-    """One training, as its terms know it.
-
-    recipe: has the weights that ``settings`` leave open, as attributes of the same names. unit: the viewing distance, world units. several:
-    whether one time alone shows the scene from several sides. total: number of steps; earlier: those that earlier stages took.
-    measured_flow, measured_depth: see `Trainer`.
-    """
+    """One training, as its terms know it. measured_flow, measured_depth: see `Trainer`."""
 
     views: Views
     settings: TrainingSettings
-    recipe: Any
-    unit: float
-    several: bool
-    total: int
-    earlier: int = 0
+    recipe: Any  # has the weights that the settings leave open, as attributes of the same names
+    unit: float  # viewing distance, world units
+    several: bool  # whether one time alone shows the scene from several sides
+    total: int  # number of steps
+    earlier: int = 0  # those that earlier stages took
     measured_flow: MeasuredFlow | None = None
     measured_depth: MeasuredDepth | None = None
     _cameras: dict[tuple[int, float, Window | None], Camera] = field(default_factory=dict, repr=False)
@@ -76,47 +71,39 @@ class Now:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """What a step has rendered, attached to autograd.
+    """What a step has rendered, attached to autograd, and what it is compared with."""
 
-    model: of its Gaussians, those that the view may show. time: of the frame. gaussians, convexes: at that time. opacities [N]: of all
-    Gaussians, in view or not. frame [h, w]. target [h, w, 3]: the picture, in [0, 1]; where pixels do not count, what was rendered. kept
-    [h, w] bool: the pixels that count; None: all. weight [h, w]: factor on the gradient of each pixel; None: 1. recording: how the
-    camera records colours. size: width and height of the whole image in px, of which the frame may be a window. share: of its pixels that
-    the frame has.
-    """
-
-    model: Model
-    camera: Camera
-    time: Time
-    gaussians: Gaussians
+    model: Model  # of its Gaussians, those that the view may show
+    time: Time  # of the frame
+    gaussians: Gaussians  # at that time
     convexes: Convexes
-    opacities: Tensor
-    frame: Frame
-    target: Tensor
-    kept: Tensor | None
-    weight: Tensor | None
-    recording: Recording | None
-    size: tuple[int, int]
-    share: float
+    opacities: Tensor  # [N] of all Gaussians at that time, in view or not
+    frame: Frame  # [h, w]
+    target: Tensor  # [h, w, 3] in [0, 1]: the picture; where pixels do not count, what was rendered
+    kept: Tensor | None  # [h, w] bool: the pixels that count; None: all
+    weight: Tensor | None  # [h, w]: factor on the gradient of each pixel; None: 1
+    recording: Recording | None  # how the camera records colours
+    size: tuple[int, int]  # width and height of the whole image in px, of which the frame may be a window
+    share: float  # of the whole image's pixels that the frame has
 
 
 class Term(ABC):
-    """A term of the loss. It is made once for each training, with its weight from ``run``.
+    """A term of the loss, made once for each training."""
 
-    name: unique. every: steps between two evaluations; what `value` returns is multiplied by it. whole_image: whether the term draws parts
-    of the image that the step may leave out.
-    """
-
-    name: ClassVar[str]
-    every: int = 1
-    whole_image: ClassVar[bool] = False
+    name: ClassVar[str]  # unique
+    setting: ClassVar[str | None] = None  # name of its weight in the settings
+    weight: float = 1.0  # that weight
+    every: int = 1  # steps between two evaluations; what `value` returns is multiplied by it
+    whole_image: ClassVar[bool] = False  # whether the term draws parts of the image that the step may leave out
 
     def __init__(self, run: Run) -> None:
         self.run = run
+        if self.setting is not None:
+            self.weight = run.weight(self.setting)
 
     def due(self, model: Model, now: Now) -> bool:
         """Whether step ``now``, one in `every`, has this term."""
-        return True
+        return self.weight > 0
 
     def inputs(self, model: Model, now: Now) -> Any:
         """All that `value` needs to know of the step: numbers, cameras, and tensors whose shapes do not change from step to step, as tuples
@@ -132,20 +119,5 @@ class Term(ABC):
         """The weighted term, a scalar.
 
         On a GPU this is captured as a CUDA graph and replayed in other steps. So it must depend on the step by ``inputs`` alone, whose
-        numbers are then tensors on the device, [] float32 or, for whole numbers, [1] int64; and must not wait for the device.
+        numbers are then tensors [] on the device, float32 or, for whole numbers, int64; and it must not wait for the device.
         """
-
-
-def floats(picture: Tensor) -> Tensor:
-    """A stored ``picture``, uint8, as float32 in [0, 1]."""
-    return picture.float().div_(255.0)
-
-
-def stored(views: Views, i: int, scale: float, kind: Kind, window: Window | None) -> Tensor:
-    """The picture of frame ``i`` at ``scale``, cropped to ``window`` if there is one: uint8 [h, w, 3] or [h, w], on the device of
-    ``views``."""
-    picture = views.stored(i, scale, kind)
-    if window is None:
-        return picture
-    left, top, right, bottom = window
-    return picture[top:bottom, left:right]

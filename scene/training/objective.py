@@ -7,10 +7,10 @@ from torch import Tensor
 
 from ...rasterizer import rasterize
 from ..losses.table import TERMS
-from ..losses.term import Now, Rendered, Run, floats
+from ..losses.term import Now, Rendered, Run
 from ..model import Model
-from ..views import WHOLLY
-from .drawn_tiles import Drawn, DrawnTiles
+from ..views import WHOLLY, floats
+from .drawn_tiles import DrawnTiles
 from .optimiser import ALL_ROWS, Rows
 from .schedule import Phase
 from .steps.dropout import keeps, thinned
@@ -45,14 +45,13 @@ class Objective:
             model.relink()
         window = None if step % WHOLE_EVERY == 0 else views.window(i, phase.scale)
         now = Now(i, step, phase.scale, phase.move, window)
-        drawn = self.drawn.of(i, phase.scale, step) if window is None else None
         due = [term for term in self.terms if step % term.every == 0 and term.due(model, now)]
         terms = ((term.name, term.inputs(model, now)) for term in due)
         share = self.left_out(step)
         return StepInputs(
             Fixed(phase.move, sh_degree, views.size(phase.scale), any(term.whole_image for term in due)),
             frame_inputs(views, run.camera(i, phase.scale, window), model.affine, i, phase.scale, window),
-            None if drawn is None else drawn.weight,
+            self.drawn.of(i, phase.scale, step) if window is None else None,
             (share, run.earlier + step) if share else None,
             tuple((name, given) for name, given in terms if given is not None),
         )
@@ -62,8 +61,7 @@ class Objective:
         fixed, frame, given = inputs.fixed, inputs.frame, dict(inputs.terms)
         terms = [term for term in self.terms if term.name in given]
         t, camera = frame.time, frame.camera
-        drawn = None if inputs.drawn is None else Drawn(inputs.drawn > 0, inputs.drawn)
-        tiles = None if drawn is None else drawn.tiles
+        tiles = None if inputs.drawn is None else inputs.drawn.tiles
         shown, keep = self._shown(model, inputs, tiles)
         rows, faded = ALL_ROWS, None
         if shown is not None:
@@ -78,15 +76,15 @@ class Objective:
         for term in terms:
             shapes = term.shapes(camera, *shapes)
         image = rasterize(camera, *shapes, frame.background, antialiased=model.antialiased, tiles=tiles)
-        recording = None if model.affine is None or frame.recorder is None else model.affine.recorded_in(frame.recorder)
+        recording = frame.recording(model.affine)
         target, kept = floats(frame.picture), None if frame.kept is None else floats(frame.kept) >= WHOLLY
-        weight = None if drawn is None else drawn.pixels(target)
+        weight = None if inputs.drawn is None else inputs.drawn.pixels(target)
         if kept is not None:  # what the image shows where it does not count must not reach the pixels beside
             target = torch.where(kept[..., None], target, image.color.detach())
             weight = kept.float() if weight is None else kept * weight
         # Terms are scaled as means over the whole image: there is nothing outside the window.
         share = target.shape[0] * target.shape[1] / (fixed.size[0] * fixed.size[1])
-        rendered = Rendered(model, camera, t, gaussians, convexes, opacities, image, target, kept, weight, recording, fixed.size, share)
+        rendered = Rendered(model, t, gaussians, convexes, opacities, image, target, kept, weight, recording, fixed.size, share)
         values = [term.value(rendered, given[term.name]) for term in terms]
         loss = values[0]
         for term, value in zip(terms[1:], values[1:]):

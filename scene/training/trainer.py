@@ -33,8 +33,7 @@ from .replayed.padded_model import PaddedModel
 from .replayed.responsibility import ReplayedResponsibility
 from .schedule import Phase, alike_since
 from .steps.deferred import DeferredSteps
-from .steps.immediate import ImmediateSteps
-from .steps.step import Step, Steps
+from .steps.immediate import ImmediateSteps, Step
 from .turning import leave_only_rigid_parts
 
 
@@ -95,7 +94,7 @@ class Trainer:
             self.replayed = ReplayedObjective(self.objective, lambda: self.learned.optimiser.parameters(), memory, self._event)
             measure = ReplayedResponsibility(views, memory, self._event)
         applies = DeferredSteps if model.device.type == "cuda" else ImmediateSteps
-        self.steps: Steps = applies(self.learned, self.guard, self._applied)
+        self.steps = applies(self.learned, self.guard, self._applied)
         self.learned.before_change = self.steps.settle
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)
@@ -147,7 +146,7 @@ class Trainer:
             keep_small(model.convexes, self.recipe.largest_convex * self.unit, rejected)
 
     def _applied(self, step: Step, accepted: bool) -> None:
-        """What `Steps` report, on a GPU some steps later."""
+        """What `steps` report, on a GPU some steps later."""
         if accepted:
             self.loss.add(step.image_loss)
         else:

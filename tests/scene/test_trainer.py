@@ -257,7 +257,7 @@ def test_a_step_that_draws_nothing_changes_no_shape_and_has_a_finite_psnr(monkey
     views = make_views(cameras=1, times=LEAST_TIMES, size=64)
     views.load_moving = lambda i: np.zeros((64, 64), np.uint8)
     model, _, trainer = train(views, settings=SETTINGS.model_copy(update={"iterations": 1}))
-    nothing = Drawn(torch.zeros(4, 4, dtype=torch.bool), torch.zeros(64, 64))
+    nothing = Drawn(torch.zeros(4, 4))
     monkeypatch.setattr(trainer.objective, "drawn", SimpleNamespace(of=lambda *given: nothing))
     found = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
     found.loss.backward()

@@ -13,11 +13,10 @@ import torch
 from torch import Tensor
 
 from ....rasterizer import rasterize
-from ...losses.term import floats
 from ...model import Model
 from ...motion.free import FreeMotion
 from ...primitives import ConvexSet, PrimitiveSet
-from ...views import WHOLLY, Views, inside_image
+from ...views import WHOLLY, Views, floats, inside_image
 from ..steps.inputs import FrameInputs, frame_inputs
 
 LEAST_LIFE = 0.5  # number of probed views within a primitive's lifetime below which they say nothing about it
@@ -84,9 +83,9 @@ def add_frame(sums: Sums, model: Model, inputs: FrameInputs, move: bool) -> None
     frame = rasterize(camera, *shapes, inputs.background, antialiased=model.antialiased)
     with torch.no_grad():
         color = frame.color
-        if model.affine is not None and inputs.recorder is not None:
-            gain, offset = model.affine.recorded_in(inputs.recorder)
-            color = color * gain + offset
+        recording = inputs.recording(model.affine)
+        if recording is not None:
+            color = color * recording[0] + recording[1]
         difference = color - floats(inputs.picture)
         if inputs.kept is not None:
             difference = difference * (floats(inputs.kept) >= WHOLLY)[..., None]

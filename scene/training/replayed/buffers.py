@@ -14,10 +14,11 @@ from ....rasterizer import Camera
 
 
 class _Part(NamedTuple):
-    """Where numbers that travel together have one input: ``shape`` of them, from ``start`` on; None: one whole number."""
+    """Where numbers that travel together have one input: ``shape`` of them, from ``start`` on. whole: as a whole number."""
 
     start: int
-    shape: tuple[int, ...] | None
+    shape: tuple[int, ...]
+    whole: bool
 
 
 class Buffers:
@@ -29,44 +30,38 @@ class Buffers:
 
     def __init__(self, inputs: Any, device: torch.device) -> None:
         self._own: list[Tensor] = []
-        self._count = 0
+        count = 0
 
         def place(leaf: Any) -> Any:
+            nonlocal count
             if not _travels(leaf):
                 self._own.append(torch.empty_like(leaf, device=device))
                 return self._own[-1]
-            shape = tuple(leaf.shape) if isinstance(leaf, Tensor) else None if isinstance(leaf, int) else ()
-            part = _Part(self._count, shape)
-            self._count += math.prod(shape or ())
+            part = _Part(count, tuple(getattr(leaf, "shape", ())), isinstance(leaf, int))
+            count += math.prod(part.shape)
             return part
 
         self._places = _mapped(inputs, place)
-        self._numbers = torch.zeros(self._count, device=device)
+        self._numbers = torch.zeros(count, device=device)
         self.fill(inputs)
 
     def fill(self, inputs: Any) -> None:
         """Put in other inputs of the same structure. Does not wait for a device that has their pictures."""
-        numbers: list[Tensor] = []
-        own = iter(self._own)
-
-        def put(leaf: Any) -> None:
-            if not _travels(leaf):
-                next(own).copy_(leaf)
-            else:
-                numbers.append(leaf.flatten() if isinstance(leaf, Tensor) else torch.tensor([float(leaf)]))
-
-        _mapped(inputs, put)
+        leaves: list[Any] = []
+        _mapped(inputs, leaves.append)
+        numbers = [leaf.flatten() if isinstance(leaf, Tensor) else torch.tensor([float(leaf)]) for leaf in leaves if _travels(leaf)]
         self._numbers.copy_(torch.cat(numbers), non_blocking=True)
+        for own, leaf in zip(self._own, (leaf for leaf in leaves if not _travels(leaf)), strict=True):
+            own.copy_(leaf)
 
     def inputs(self) -> Any:
         """The inputs in this memory, with tensors on the device in place of numbers. Call it where a graph is captured."""
 
-        def read(place: Any) -> Tensor:
-            if not isinstance(place, _Part):
-                return place  # type: ignore[no-any-return]
-            if place.shape is None:
-                return self._numbers[place.start : place.start + 1].long()
-            return self._numbers[place.start : place.start + math.prod(place.shape)].view(place.shape)
+        def read(place: Tensor | _Part) -> Tensor:
+            if isinstance(place, Tensor):
+                return place
+            there = self._numbers[place.start : place.start + math.prod(place.shape)].view(place.shape)
+            return there.long() if place.whole else there
 
         return _mapped(self._places, read)
 
@@ -79,9 +74,7 @@ def structure(inputs: Any) -> Hashable:
         return inputs.width, inputs.height, inputs.near
     if isinstance(inputs, tuple):
         return tuple(map(structure, inputs))
-    if _is_number(inputs):
-        return int if isinstance(inputs, int) else float
-    return inputs  # type: ignore[no-any-return]
+    return type(inputs) if _is_number(inputs) else inputs
 
 
 def _mapped(inputs: Any, change: Callable[[Any], Any]) -> Any:

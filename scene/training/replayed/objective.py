@@ -44,8 +44,8 @@ class ReplayedObjective:
             of = self._parameters().values()
             captured.derived = [(p, gradient[: len(p)]) for p, gradient in zip(of, gradients, strict=True) if gradient is not None]
         assert losses is not None and color is not None and target is not None
-        recording = None if gain is None or offset is None else (gain, offset)
-        return Evaluation(*losses.unbind(), color, target, weight, recording, gradients=captured.derived)
+        (loss, image_loss), recording = losses, None if gain is None or offset is None else (gain, offset)
+        return Evaluation(loss, image_loss, color, target, weight, recording, gradients=captured.derived)
 
     def _prepare(self, padded: Model) -> Compute:
         def compute(inputs: StepInputs) -> Results:

@@ -15,19 +15,14 @@ from ..optimiser import ALL_ROWS, Rows
 
 @dataclass(eq=False)
 class Evaluation:
-    """loss: what is minimised. image_loss: the part of it that compares images, detached. color, target [h, w, 3], of which color is as
-    rendered, before the camera records it. weight [h, w]: of the pixels' gradients, 0 for those that do not count; None if it is 1
-    everywhere. rows: copies of the Gaussians that the view may show, which get the gradients. gradients: parameters and their gradients, if
-    these are known already."""
-
-    loss: Tensor
-    image_loss: Tensor
-    color: Tensor
-    target: Tensor
-    weight: Tensor | None
+    loss: Tensor  # what is minimised
+    image_loss: Tensor  # the part of it that compares images, detached
+    color: Tensor  # [h, w, 3] as rendered, before the camera records it
+    target: Tensor  # [h, w, 3]
+    weight: Tensor | None  # [h, w] of the pixels' gradients, 0 for those that do not count; None: 1 everywhere
     recording: Recording | None
-    rows: Rows = ALL_ROWS
-    gradients: Sequence[tuple[Tensor, Tensor]] | None = None
+    rows: Rows = ALL_ROWS  # copies of the Gaussians that the view may show, which get the gradients
+    gradients: Sequence[tuple[Tensor, Tensor]] | None = None  # parameters and their gradients, if these are known already
 
     def backward(self) -> None:
         """Leave the gradients of the loss with the parameters."""

@@ -12,52 +12,56 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from ....rasterizer import Camera
-from ...colour import CameraAffine, row_of
-from ...losses.term import stored
+from ...colour import CameraAffine
+from ...losses.photometric import Recording
 from ...motion.interface import Time
 from ...views import Views, Window
+from ..drawn_tiles import Drawn
 
-Index = int | Tensor  # a whole number; on the device: int64 [1]
+Whole = int | Tensor  # a whole number; on the device: int64 []
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """move: whether primitives move. sh_degree: highest degree of spherical harmonics. size: width and height of the whole image in px.
-    whole: whether parts are drawn of which `StepInputs.drawn` says that they are left out."""
+    """What steps of one kind have in common besides the structure of their inputs."""
 
-    move: bool
-    sh_degree: int
-    size: tuple[int, int]
-    whole: bool = False
+    move: bool  # whether primitives move
+    sh_degree: int  # highest degree of spherical harmonics
+    size: tuple[int, int]  # width and height of the whole image, px
+    whole: bool = False  # whether parts are drawn that `StepInputs.drawn` leaves out
 
 
 class FrameInputs(NamedTuple):
-    """camera: of the picture. time: in [0, 1]. background [3]. picture [h, w, 3] and kept [h, w] uint8, see `Views`. recorder: row of
-    `CameraAffine`; None if there is none."""
+    """What a render of one frame is compared with."""
 
-    camera: Camera
-    time: Time
-    background: Tensor
-    picture: Tensor
-    kept: Tensor | None
-    recorder: Index | None
+    camera: Camera  # of the picture
+    time: Time  # in [0, 1]
+    background: Tensor  # [3]
+    picture: Tensor  # [h, w, 3] uint8
+    kept: Tensor | None  # [h, w] uint8, see `Views`
+    recorder: Whole | None  # row of `CameraAffine`
+
+    def recording(self, affine: CameraAffine | None) -> Recording | None:
+        """How the camera records colours."""
+        if affine is None or self.recorder is None:
+            return None
+        # Not by a tensor [], whose value the host would wait for.
+        return affine.recorded_in(self.recorder.view(1) if isinstance(self.recorder, Tensor) else self.recorder)
 
 
 class StepInputs(NamedTuple):
-    """drawn [rows, columns] float32: `Drawn.weight`; None: everything is drawn. left_out: share of the Gaussians at rest that the step
-    leaves out, and its number among all steps; None: none. terms: name and `Term.inputs` of those that are due."""
-
     fixed: Fixed
     frame: FrameInputs
-    drawn: Tensor | None
-    left_out: tuple[float | Tensor, Index] | None
-    terms: tuple[tuple[str, Any], ...]
+    drawn: Drawn | None  # None: everything
+    left_out: tuple[float | Tensor, Whole] | None  # share of the Gaussians at rest that the step leaves out, and its number among all steps
+    terms: tuple[tuple[str, Any], ...]  # name and `Term.inputs` of those that are due
 
 
 def frame_inputs(
     views: Views, camera: Camera, affine: CameraAffine | None, i: int, scale: float, window: Window | None = None
 ) -> FrameInputs:
     """Frame ``i`` at image scale ``scale``, cropped to ``window`` if there is one; ``camera``: the one for that."""
-    picture = stored(views, i, scale, "colour", window)
-    kept = None if views.load_kept is None else stored(views, i, scale, "kept", window)
-    return FrameInputs(camera, views.moment(i), views.backdrop(), picture, kept, row_of(affine, views, i))
+    picture = views.stored(i, scale, "colour", window)
+    kept = None if views.load_kept is None else views.stored(i, scale, "kept", window)
+    recorder = None if affine is None else affine.row(views.recorded_by(i))
+    return FrameInputs(camera, views.moment(i), views.backdrop(), picture, kept, recorder)
