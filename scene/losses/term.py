@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -34,11 +35,12 @@ class Run:
     earlier: int = 0  # those that earlier stages took
     measured_flow: MeasuredFlow | None = None
     measured_depth: MeasuredDepth | None = None
-    _cameras: dict[tuple[int, float, Window | None], Camera] = field(default_factory=dict, repr=False)
+    camera: Callable[..., Camera] = field(init=False)  # `Views.rasterizer_camera`, which keeps what it returns
 
     def __post_init__(self) -> None:
         self.times = len(np.unique(self.views.time))  # distinct ones
         self.dt = 1.0 / max(self.times - 1, 1)  # between two of them
+        self.camera = cache(self.views.rasterizer_camera)
 
     def weight(self, name: str) -> float:
         """Weight ``name`` of the settings or, if they leave it open, of the recipe."""
@@ -48,13 +50,6 @@ class Run:
     def progress(self, step: int) -> float:
         """Share of all steps, earlier stages included, that come before step ``step`` of this training."""
         return (self.earlier + step) / max(self.earlier + self.total, 1)
-
-    def camera(self, i: int, scale: float, window: Window | None = None) -> Camera:
-        """`Views.rasterizer_camera`, kept."""
-        key = i, scale, window
-        if key not in self._cameras:
-            self._cameras[key] = self.views.rasterizer_camera(*key)
-        return self._cameras[key]
 
 
 @dataclass(frozen=True)

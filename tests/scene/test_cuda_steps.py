@@ -10,7 +10,7 @@ from e4dgs.scene.primitives import ConvexSet
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.recipe import PLANES
 from e4dgs.scene.training.schedule import Phase
-from e4dgs.scene.training.steps.late import LATEST
+from e4dgs.scene.training.steps.deferred import LATEST
 from e4dgs.scene.training.trainer import Trainer
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler

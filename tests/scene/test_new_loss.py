@@ -16,7 +16,7 @@ from e4dgs.scene.views import floats
 from replaying import TOTAL, Again, agree, begun, evaluated
 
 SCENE = Path(objective.__file__).parents[1]
-WEIGHT = 2.0
+WEIGHT = 5.0
 
 
 class Darkness(Term):

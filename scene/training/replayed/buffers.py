@@ -74,7 +74,7 @@ def structure(inputs: Any) -> Hashable:
         return inputs.width, inputs.height, inputs.near
     if isinstance(inputs, tuple):
         return tuple(map(structure, inputs))
-    return type(inputs) if _is_number(inputs) else inputs
+    return type(inputs).__name__ if _is_number(inputs) else inputs
 
 
 def _mapped(inputs: Any, change: Callable[[Any], Any]) -> Any:

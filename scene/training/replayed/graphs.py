@@ -87,10 +87,10 @@ class Graphs:
             known.buffers.fill(inputs)
         known.finds += 1
         if known.finds % CHECK_EVERY == 0 and known.overflowed():
-            del self._known[kind]  # pairs were left out; the next graph has more room
+            self.forget(known)
             return None
         return known
 
     def forget(self, captured: Captured) -> None:
-        """Make another graph in its place, with more room, when there are such inputs again."""
+        """Pairs were left out; the next graph of its kind has more room."""
         self._known = {kind: other for kind, other in self._known.items() if other is not captured}
