@@ -9,7 +9,7 @@ from ...scene.motion.field import DeformationField
 from ...scene.motion.free import FreeMotion
 from ...scene.motion.nodes import ControlNodes, farthest_points
 from ...scene.primitives import GaussianSet
-from ...scene.seeds.moving_seeds import MovingSeeds
+from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.settings import TrainingSettings
 from ...scene.views import Views
 

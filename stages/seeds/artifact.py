@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...pipeline import Artifact, ArtifactWriter, StageError
-from ...scene.seeds.moving_seeds import MovingSeeds
+from ...scene.seeds.moving.moving_seeds import MovingSeeds
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from ...pipeline import Context
+from ...scene.seeds.clean_plates import clean_plates
 from ...scene.seeds.colours import median_colours
 from ...scene.seeds.rays import ray_seeds
 from ...scene.seeds.shell import shell_seeds, surrounded
@@ -16,7 +17,6 @@ from ...scene.training.curriculum import MIN_CAMERAS
 from ...scene.views import Views
 from ..shared.frameset import FrameSet
 from ..shared.masks import unsteady_mask
-from .clean_plates import clean_plates
 
 SHELL_SHARE = 0.1
 LOOKS = 32  # frames of a moving camera from which rays start

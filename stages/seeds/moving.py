@@ -14,15 +14,15 @@ import numpy as np
 import torch
 
 from ...scene.seeds.colours import median_colours
-from ...scene.seeds.hull import visual_hull
-from ...scene.seeds.moving_seeds import MovingSeeds
-from ...scene.seeds.surfaces import surface_points
+from ...scene.seeds.moving.hull import visual_hull
+from ...scene.seeds.moving.moving_seeds import MovingSeeds
+from ...scene.seeds.moving.surfaces import surface_points
 from ...scene.views import Views
+from ...vision.flow.chain import Chain
+from ...vision.moving.followed_parts import follow_objects
 from ...vision.sequences import camera_sequences
 from ..flow.artifact import StoredFlow
-from .chain import Chain
 from .depths import depth_at, object_depths, steady
-from .objects import follow_objects
 from .scene_flow import next_positions
 
 KEYS = 24  # least number of times at which seeds are placed

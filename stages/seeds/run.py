@@ -8,12 +8,12 @@ from ...pipeline import Context
 from ...scene.seeds.colours import mean_colour
 from ...scene.seeds.near_plane import near_plane
 from ...scene.seeds.path_width import path_width
+from ...scene.seeds.picture import seeds_picture
 from ...vision.images.png import encode_png
 from ..shared.dataset import load_frameset, load_views
 from ..shared.defaults import auto_budget, found_facts, one_way, use_nodes
 from .artifact import StoredSeeds
 from .defaults import auto_seeds
-from .picture import seeds_picture
 from .place import initial_dynamic, load_seeds, moving_seeds
 
 NODE_SEEDS = 2500  # few seeds that multiply where the error is give better results than many

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, Progress
 from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.seeds.moving_seeds import MovingSeeds
+from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
 from e4dgs.scene.views import Views
 from e4dgs.stages.coarse.motions import living
 from e4dgs.stages.seeds import place as room
