@@ -22,7 +22,7 @@ from e4dgs.workflows.bench.output import row_json, write
 from e4dgs.workflows.bench.rows import Check, Measured, Row
 
 NO_DATA, NO_INTERVAL = (tuple(f"{stage}.{term}=0" for stage in ("coarse", "fine")) for term in ("data_flow", "interval"))
-PAPER = ("coarse.motion=planes",)  # the paper's model; what lives for a while is steady by itself
+PAPER = ("train.motion=planes",)  # the paper's model; what lives for a while is steady by itself
 TABLE_3 = {  # (b), convexes only, has no flow term and belongs to the table of strategies
     "a, base": (*NO_DATA, *NO_INTERVAL, "hulls.budget=0"),
     "c, edges at time steps": (*NO_INTERVAL, "hulls.budget=0"),

@@ -30,7 +30,7 @@ HEAD = "| setting | default | values | meaning |\n|---|---|---|---|"
 MAIN = (
     *("frames.format", "frames.static", "frames.holdout", "frames.background", "frames.max_size", "frames.max_frames", "frames.every"),
     *("poses.matcher", "poses.camera_model", "poses.mapper", "flow.method", "flow.weights", "coarse.iterations", "coarse.effort"),
-    *("coarse.motion", "coarse.budget", "coarse.strategy", "hulls.budget", "fine.iterations", "train.seed", "train.sh_degree"),
+    *("train.motion", "train.budget", "coarse.strategy", "hulls.budget", "fine.iterations", "train.seed", "train.sh_degree"),
     *("evaluate.splits", "evaluate.lpips_weights"),
 )
 ADVANCED = "These are right for nearly all captures."

@@ -11,16 +11,46 @@ from ..pipeline import Settings
 Strategy = Literal["two-stage", "joint", "alternating", "progressive"]
 
 
-class RefinementSettings(Settings):
+class RandomSettings(Settings):
+    """The seed of everything that `seeds`, `coarse` and `fine` draw at random."""
+
+    group: ClassVar = "train"
+
+    seed: int = Field(
+        0,
+        ge=0,
+        le=2**31 - 1,
+        description="seed of the choice of first Gaussians, the order of views, the initial planes and the sampling of new primitives",
+    )
+
+
+class BudgetSettings(Settings):
+    """How many Gaussians there may be: `seeds` leaves room for more, and growth stops there."""
+
+    group: ClassVar = "train"
+
+    budget: int = Field(0, ge=0, description="most Gaussians; 0: chosen for the capture")
+
+
+class MotionSettings(Settings):
+    """What moves primitives: `seeds` places what the motion starts from."""
+
+    group: ClassVar = "train"
+
+    motion: Literal["auto", "planes", "nodes", "free"] = Field(
+        "auto",
+        description="what moves primitives: planes, the six-plane field; nodes, control nodes (auto: if each frame is seen from another "
+        "side); free, each primitive moves and lives for a time of its own (auto: if masks show what moves)",
+    )
+
+
+class RefinementSettings(RandomSettings):
     """Settings that apply wherever a model is trained. Learning rates of positions are fractions of the viewing distance."""
 
     group: ClassVar = "train"
     renamed: ClassVar = {"still": "train.rest"}
 
     iterations: int | None = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
-    seed: int = Field(
-        0, ge=0, le=2**31 - 1, description="seed of the order of views, the initial planes and the sampling of new primitives"
-    )
     sh_degree: int | None = Field(
         None, ge=0, le=3, description="highest degree of the colours' spherical harmonics; 1 for rigs and one narrow path, else 2"
     )
@@ -68,11 +98,10 @@ class RefinementSettings(Settings):
     checkpoint_seconds: float = Field(20.0, gt=0, description="seconds between two checkpoints")
 
 
-class GrowthSettings(Settings):
+class GrowthSettings(BudgetSettings):
     """Settings that apply only where primitives are added: in `coarse`, and in `fine` with the joint strategy, which then acts like
     `coarse`."""
 
-    budget: int = Field(0, ge=0, description="most Gaussians; 0: chosen for the capture")
     open_until: float = Field(0.7, ge=0, le=1, description="rigs: fraction of the steps until all times are in use; 0: from the start")
     hidden: float = Field(
         0.3, ge=0, lt=1, description="share of a Gaussian that some training view must see, or it is removed; 0: none are"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..pipeline import Resources
 from .facts import Facts
+from .shared.defaults import one_way, use_nodes
 
 # One training step on two cores, fitted to the captures in benchmarks/results. The motion model costs the same at any image size.
 SECONDS_PER_MEGAPIXEL_STEP = 0.35
@@ -12,6 +13,16 @@ SECONDS_PER_STATIC_STEP = 0.01
 SECONDS_PER_NODE_STEP = 0.014
 SECONDS_PER_FIRST_STEP = 0.01  # of control nodes, on very small images
 SECONDS_PER_MEGAPIXEL_NODE_STEP = 0.1  # of the full image, although most steps render only a window around the object
+
+# Seeds, on two cores.
+SECONDS_PER_MEGAPIXEL_MAP = 12.0  # of a picture in the plane sweep, which is at most `SWEPT_SIZE` px wide
+SWEPT_SIZE = 320
+SWEPT_ALONE, SWEPT_MOST = 32, 100  # pictures of one camera on its path, and most of several
+SECONDS_PER_MOVING_TIME = 1.0  # of a rig, at each of `MOVING_TIMES`
+MOVING_TIMES = 24
+SECONDS_PER_MOVING_FRAME = 0.15  # of one camera
+TRIANGULATED = 90  # most frames whose features are matched to triangulate points
+SECONDS_PER_TRIANGULATED_FRAME = 0.3
 
 # In GB of 1e9 bytes, fitted to the peak memory of the captures in benchmarks/results. None exceeds the estimate by more than a fifth.
 GB_OF_TORCH = 0.7
@@ -42,3 +53,20 @@ def node_training_seconds(facts: Facts, iterations: int, first: int) -> float:
     """Seconds that ``iterations`` steps with control nodes take on two cores, and ``first`` steps on very small images before them."""
     of_full = SECONDS_PER_NODE_STEP + SECONDS_PER_MEGAPIXEL_NODE_STEP * facts.width * facts.height / 1e6
     return iterations * of_full + first * SECONDS_PER_FIRST_STEP
+
+
+def seeds_seconds(facts: Facts, motion: str) -> float:
+    """Seconds that placing seeds takes on two cores. motion: the setting of that name."""
+    known_points = facts.points or not facts.poses  # of the capture, or of structure from motion
+    seconds = 1.0
+    if not known_points and not facts.alpha:
+        seconds += SECONDS_PER_TRIANGULATED_FRAME * min(facts.frames, TRIANGULATED)
+    if facts.rig or one_way(facts) or (not known_points and not facts.alpha):
+        several = facts.cameras if facts.cameras > 1 else facts.frames // facts.times
+        maps = min(several, SWEPT_MOST) if facts.rig or facts.fixed_cameras else min(facts.frames, SWEPT_ALONE)
+        shrink = min(1.0, SWEPT_SIZE / max(facts.width, facts.height, 1))
+        seconds += SECONDS_PER_MEGAPIXEL_MAP * maps * facts.width * facts.height * shrink**2 / 1e6
+    if facts.pairs and not facts.static and not use_nodes(facts, motion):
+        alone = SECONDS_PER_MOVING_FRAME * facts.frames
+        seconds += SECONDS_PER_MOVING_TIME * min(facts.times, MOVING_TIMES) if facts.cameras > 1 else alone
+    return seconds

@@ -11,16 +11,16 @@ PAGES = ["README.md", "benchmarks/README.md", *(str(page.relative_to(ROOT)) for 
 SETTINGS = {
     "coarse.iterations": 80,
     "coarse.effort": 1,
-    "coarse.motion": "nodes",
-    "coarse.seeds": 300,
-    "coarse.budget": 400,
+    "train.motion": "nodes",
+    "seeds.count": 300,
+    "train.budget": 400,
     "hulls.budget": 4,
     "fine.iterations": 3,
     "evaluate.movie_frames": 0,
     "evaluate.player": "false",
 }
 TINY = " ".join(f"--set {key}={value}" for key, value in SETTINGS.items()) + " --device cpu"
-SAMPLE = f"{TINY} --set coarse.motion=planes"  # control nodes look for parts that turn, which takes half a minute there
+SAMPLE = f"{TINY} --set train.motion=planes"  # control nodes look for parts that turn, which takes half a minute there
 SHORT = "--rows garden --repeats 1 --seconds 0"  # of `bench`
 NOTHING = ""
 PLANNED = SAMPLE.replace(" --set fine.iterations=3", "")

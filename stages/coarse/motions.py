@@ -1,4 +1,4 @@
-"""The initial motion models of `coarse`, placed over the extent of the scene."""
+"""The initial motion models of `coarse`, placed over the extent of the scene, and the Gaussians that live for a part of it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ import numpy as np
 import torch
 
 from ...scene.motion.field import DeformationField
+from ...scene.motion.free import FreeMotion
 from ...scene.motion.nodes import ControlNodes, farthest_points
+from ...scene.primitives import GaussianSet
+from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.settings import TrainingSettings
 from ...scene.views import Views
 
 NODES = 512
+OVERLAP = 0.6  # standard deviation of a Gaussian's lifetime, relative to the frames between two times with seeds
 
 
 def make_nodes(points: np.ndarray, settings: TrainingSettings) -> ControlNodes:
@@ -29,3 +33,16 @@ def make_field(points: np.ndarray, views: Views, settings: TrainingSettings) -> 
     margin = 0.2 * (high - low).max()
     times = len(np.unique(views.time))
     return DeformationField(torch.tensor(low - margin), torch.tensor(high + margin), times, seed=settings.seed)
+
+
+def living(seeds: MovingSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
+    """Gaussians on ``seeds``, one set per time, whose lifetimes overlap with those of the times before and after."""
+    times = np.unique(seeds.time)
+    apart = (motion.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
+    sets = []
+    for t in times:
+        row = seeds.time == t
+        one = GaussianSet.from_points(seeds.points[row], seeds.colors[row], sh_degree, max_scale=max_scale)
+        one.live(motion.frame(t), max(OVERLAP * apart, 1.0), torch.from_numpy(seeds.velocities[row]).float())
+        sets.append(one)
+    return sets

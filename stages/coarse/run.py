@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import torch
@@ -13,74 +13,43 @@ from ...scene.motion.field import DeformationField
 from ...scene.motion.free import FreeMotion
 from ...scene.motion.nodes import ControlNodes
 from ...scene.primitives import ConvexSet, GaussianSet
-from ...scene.seeds.near_plane import near_plane
 from ...scene.settings import GrowthSettings
 from ...scene.training.schedule import HALF_RESOLUTION, Phase, coarse_phases, node_phases
 from ...scene.views import Views
-from ...vision.images.png import encode_png
 from ..facts import Facts
-from ..seeds.defaults import auto_seeds
-from ..seeds.fill import measured_depth, moving_pixels
-from ..seeds.moving import MovingSeeds
-from ..seeds.picture import seeds_picture
-from ..seeds.place import initial_dynamic, living, load_seeds, moving_seeds
+from ..seeds.artifact import StoredSeeds, required
 from ..shared.dataset import load_frameset, load_views, measured_flow
-from ..shared.defaults import auto_budget, found_facts, one_way, use_nodes
+from ..shared.defaults import auto_budget, found_facts, use_nodes
+from ..shared.masks import measured_depth, moving_pixels
 from ..shared.model import write_model
 from ..shared.train import train
 from ..shared.training_log import write_training_log
 from .artifact import StoredCoarse
 from .defaults import BY_NODE_PHASES, auto_iterations, auto_sh_degree
 from .first_motion import find_first_motion
-from .motions import make_field, make_nodes
-from .path_width import path_width
+from .motions import living, make_field, make_nodes
 from .settings import CoarseSettings
 
 SMALL_IMAGE = 40_000  # px; smaller images show too little at half size
-NODE_SEEDS = 2500  # few seeds that multiply where the error is give better results than many
 MOST_SCALE = 0.05  # of the viewing distance, largest initial standard deviation of a Gaussian
 LEAST_DYNAMIC = 50  # dynamic seeds, from which on the field spans only these
 
 Kind = Literal["static", "planes", "nodes", "free"]
 
 
-class Start(NamedTuple):
-    """Seeds of the Gaussians. points [N, 3] world units; colors [N, 3] in [0, 1]; dynamic [N] bool. moving: further seeds on moving
-    objects, at several times. max_scale: largest initial standard deviation, world units."""
-
-    points: np.ndarray
-    colors: np.ndarray
-    dynamic: np.ndarray
-    moving: MovingSeeds | None
-    max_scale: float
-
-
 def train_coarse(ctx: Context) -> None:
-    """Places seeds, trains a static warm-up and then the deformation, and writes a model without convexes."""
+    """Trains a static warm-up and then the deformation, from the places where `seeds` begins, and writes a model without convexes."""
     settings = ctx.settings
     torch.manual_seed(settings.seed)
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device)
+    seeds = StoredSeeds.read(required(ctx.inputs["seeds"]))
+    views.near, views.background = seeds.near, seeds.background
     facts = found_facts(ctx, views)
-    static, nodes = facts.static, use_nodes(facts, settings.motion)
-    budget = settings.budget or auto_budget(facts, views, nodes)
-    count = settings.seeds or auto_seeds(facts, budget)
-    points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, count, fill=one_way(facts))
-    moving = None if static or nodes else moving_seeds(ctx, frames, views, points, budget // 2)
-    views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
-    if frames.background is None:
-        views.background = mean_colour(views)
-    if nodes:
-        chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
-        points, colors = points[chosen], colors[chosen]
-    unit = views.viewing_distance(points)
-    begin = encode_png(seeds_picture(views, points, colors, moving))
-    dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, moving is not None)
-    free = settings.motion == "free" or (settings.motion == "auto" and moving is not None)
-    kind: Kind = "static" if static else "nodes" if nodes else "free" if free else "planes"
-    sh_degree = chosen_sh_degree(ctx, facts, views, trusted) if settings.sh_degree is None else settings.sh_degree
-    start = Start(points, colors, dynamic, moving, MOST_SCALE * unit)
-    model = first_model(kind, start, views, sh_degree, settings).to(ctx.device)
+    kind = kind_of_motion(facts, settings, seeds)
+    unit = views.viewing_distance(seeds.points)
+    sh_degree = chosen_sh_degree(ctx, facts, seeds.path_width) if settings.sh_degree is None else settings.sh_degree
+    model = first_model(kind, seeds, MOST_SCALE * unit, views, sh_degree, settings).to(ctx.device)
 
     steps = settings.iterations or auto_iterations(facts, settings, ctx.device)
     if kind == "nodes" and settings.strategy in BY_NODE_PHASES:
@@ -92,31 +61,39 @@ def train_coarse(ctx: Context) -> None:
         views,
         phases(kind, steps, views, settings),
         settings,
-        budget=budget,
+        budget=settings.budget or auto_budget(facts, views, kind == "nodes"),
         measured_flow=measured_flow(ctx.inputs["flow"], views),
-        measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
+        measured_depth=measured_depth(seeds.depth, unit, ctx, frames),
         moving=moving_pixels(ctx, frames, views) if kind == "free" else None,
     )
     if not len(model.gaussians):
         ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")
     growth = GrowthSettings(**settings.model_dump(include=set(GrowthSettings.model_fields)))
-    StoredCoarse(settings.strategy, steps, inverse_depth, growth).write(ctx.out, begin)
+    StoredCoarse(settings.strategy, steps, growth).write(ctx.out)
     write_model(ctx.out, model)
     write_training_log(ctx.out, log)
 
 
-def chosen_sh_degree(ctx: Context, facts: Facts, views: Views, points: np.ndarray) -> int:
-    """`auto_sh_degree`, with the width of the path as the trusted ``points`` [P, 3] see it, where it matters."""
-    width = path_width(views, points) if one_way(facts) else 0.0
-    degree = auto_sh_degree(facts, width)
-    if one_way(facts):
+def kind_of_motion(facts: Facts, settings: CoarseSettings, seeds: StoredSeeds) -> Kind:
+    """What moves the scene, once it is known whether anything does and whether masks show it."""
+    if facts.static:
+        return "static"
+    if use_nodes(facts, settings.motion):
+        return "nodes"
+    return "free" if settings.motion == "free" or (settings.motion == "auto" and seeds.moving is not None) else "planes"
+
+
+def chosen_sh_degree(ctx: Context, facts: Facts, width: float | None) -> int:
+    """`auto_sh_degree`, with the ``width`` of the path, where it matters."""
+    degree = auto_sh_degree(facts, width or 0.0)
+    if width is not None:
         ctx.log(f"SH degree {degree}: the training frames show a point from directions that differ by {width:.0f} degrees at most")
     return degree
 
 
-def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings: CoarseSettings) -> Model:
-    """The initial model: Gaussians on the seeds, and the motion model."""
-    points, colors, dynamic, moving, max_scale = start
+def first_model(kind: Kind, seeds: StoredSeeds, max_scale: float, views: Views, sh_degree: int, settings: CoarseSettings) -> Model:
+    """The initial model: Gaussians on the seeds, and the motion model. max_scale: largest initial standard deviation, world units."""
+    points, colors, dynamic, moving = seeds.points, seeds.colors, seeds.dynamic, seeds.moving
     if moving is not None and kind != "free":  # the rest pose is the position at the middle time
         middle = moving.time == moving.time[np.abs(moving.time - 0.5).argmin()]
         points, colors = np.concatenate([points, moving.points[middle]]), np.concatenate([colors, moving.colors[middle]])
@@ -149,11 +126,3 @@ def phases(kind: Kind, steps: int, views: Views, settings: CoarseSettings) -> li
 def is_small(views: Views) -> bool:
     """Whether images of half the size show too little."""
     return views.width * views.height < SMALL_IMAGE
-
-
-def mean_colour(views: Views) -> tuple[float, float, float]:
-    """Mean RGB in [0, 1] of the training views. As the background it keeps holes in an opaque scene from looking bright or black."""
-    few = views.train[:: max(1, len(views.train) // 60)]
-    means = [views.target(int(i), 0.25).double().mean((0, 1)).tolist() for i in few]
-    red, green, blue = (sum(channel) / len(few) for channel in zip(*means))
-    return red, green, blue

@@ -11,9 +11,9 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.evaluate.judge import Judge
-from e4dgs.stages.seeds.fill import moving_mask, unsteady_mask
 from e4dgs.stages.shared.dataset import load_views
 from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.masks import moving_mask, unsteady_mask
 from factory import Options, make, write_images
 from PIL import Image
 from run_stage import run_frames, run_poses

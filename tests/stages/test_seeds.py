@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, Progress
 from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
 from e4dgs.scene.views import Views
-from e4dgs.stages.seeds import seeds as room
-from e4dgs.stages.seeds.moving import MovingSeeds
-from e4dgs.stages.seeds.place import initial_dynamic, living, moving_seeds
+from e4dgs.stages.coarse.motions import living
+from e4dgs.stages.seeds import place as room
+from e4dgs.stages.seeds.place import initial_dynamic, moving_seeds
 from write_artifact import write_artifact
 
 LOOKS = 20

@@ -16,7 +16,8 @@ import pytest
 from e4dgs.pipeline import SettingsError
 from e4dgs.workflows.batch.ledger import Ledger, Progress
 from e4dgs.workflows.batch.listing import Entry, entries_of
-from e4dgs.workflows.batch.sites.cluster import Cluster, read_cluster
+from e4dgs.workflows.batch.sites.cluster import read_cluster
+from e4dgs.workflows.batch.sites.pools import Cluster
 from e4dgs.workflows.batch.sites.slurm import emit
 from e4dgs.workflows.batch.summary import COLUMNS, spread, worst_first
 from e4dgs.workflows.cli import main

@@ -4,18 +4,47 @@ from __future__ import annotations
 
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 
-from ...vision.flow.method import size_within
-from ...vision.flow.two_way import consistency
-from ..flow.artifact import StoredFlow
+from .method import size_within
+from .two_way import consistency
 
 TRUSTED = 64  # of 255; a track ends where the confidence is not above this
 SIZE = 480  # px, longest side at which steps are cached: flow is smooth, and so each step is read only once for all tracks
 KEPT = 512  # steps of 0.6 MB, and as many masks of 0.1 MB, in memory
+
+
+class PairwiseFlow(Protocol):
+    """Flow of P pairs of frames of H x W px, and masks of moving pixels, read one at a time."""
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """P pairs: a frame and the same camera's next frame."""
+        ...
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)."""
+        ...
+
+    def forward(self, p: int) -> np.ndarray:
+        """Flow of pair ``p``, [H, W, 2] px: u to the right, v down."""
+        ...
+
+    def backward(self, p: int) -> np.ndarray:
+        """Flow from the second frame of pair ``p`` to the first, [H, W, 2] px."""
+        ...
+
+    def confidence(self, p: int) -> np.ndarray:
+        """uint8 [H, W]: 255 where both directions of pair ``p`` agree."""
+        ...
+
+    def moving(self, frame: int) -> np.ndarray:
+        """uint8 [H, W]: 255 where a frame shows something that moves."""
+        ...
 
 
 class Step(NamedTuple):
@@ -29,7 +58,7 @@ class Chain:
     """Flow of one camera between consecutive ``frames``, and its masks of moving pixels, read on demand. Positions are in pixels of the
     full pictures, with pixel centres at whole numbers."""
 
-    def __init__(self, flow: StoredFlow, frames: list[int]) -> None:
+    def __init__(self, flow: PairwiseFlow, frames: list[int]) -> None:
         pairs = {pair: p for p, pair in enumerate(flow.pairs)}
         self._pair = [pairs.get((a, b)) for a, b in pairwise(frames)]
         self._flow, self._frames = flow, frames

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ...scene.views import Views
-from .moving import MovingSeeds
+from ..views import Views
+from .moving.moving_seeds import MovingSeeds
 
 SIZE = 720  # px, longest side
 DIMMED = 0.35  # brightness of the grey picture under the seeds, relative to the original

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..views import Views
-from .volume import common_volume
+from ...views import Views
+from ..volume import common_volume
 
 REACH = 0.8  # of the cameras' median distance: half the side of the volume that is searched
 CELLS = 64  # along a side of the volume in the first pass

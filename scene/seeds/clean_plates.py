@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...scene.training.curriculum import MIN_CAMERAS
-from ...scene.views import Views
+from ..training.curriculum import MIN_CAMERAS
+from ..views import Views
 
 FRAMES = 32  # number of frames used from moving cameras
 MOST = 100  # frames of one time; a video of a static scene may have more, whose pictures would not fit into memory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...scene.views import Views
+from ..views import Views
 
 POINTS, LOOKS = 500, 60  # of each, at most; evenly spread
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from PIL import Image
 
-from ...pipeline import StageError
-from ...vision.sfm.alignment import camera_centres
-from ...vision.sfm.runner import Progress, WorkerError, run_worker
-from ..shared.frameset import FrameSet
+from ..pipeline import StageError
+from .sfm.alignment import camera_centres
+from .sfm.runner import Progress, WorkerError, run_worker
 
 MAX_ERROR = 2.0  # px, in every view of a point
 MIN_ANGLE = 1.0  # degrees between the outermost rays of a point
@@ -24,8 +24,23 @@ STEPS = (1, 2, 4, 8)  # distances between the chosen frames of one moving camera
 MAX_TURN = 75.0  # degrees between viewing directions
 
 
+class PosedPictures(Protocol):
+    """Frames of one size with the cameras that are known; a capture's `FrameSet` has more."""
+
+    K: np.ndarray | None  # [F, 3, 3] px
+    cam_from_world: np.ndarray | None  # [F, 4, 4], OpenCV
+    train: np.ndarray  # indices of the frames to use
+    time: np.ndarray  # [F]
+    width: int  # px
+    height: int
+
+    def composited(self, i: int, /) -> np.ndarray:
+        """Frame i as uint8 [H, W, 3]."""
+        ...
+
+
 def triangulate(
-    frameset: FrameSet, max_frames: int = 90, seed: int = 0, progress: Progress | None = None
+    frameset: PosedPictures, max_frames: int = 90, seed: int = 0, progress: Progress | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Triangulates SIFT features of the training frames with their known cameras.
 
@@ -128,7 +143,7 @@ def _even(count: int, most: int) -> np.ndarray:
     return np.unique(np.round(np.linspace(0, count - 1, most)).astype(np.int64))
 
 
-def _write_images(frameset: FrameSet, frames: np.ndarray, folder: Path, progress: Progress | None) -> list[str]:
+def _write_images(frameset: PosedPictures, frames: np.ndarray, folder: Path, progress: Progress | None) -> list[str]:
     folder.mkdir()
     names = [f"{n:06d}.png" for n in range(len(frames))]
     for n, i in enumerate(frames):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from .chain import Chain
+from ..flow.chain import Chain
 
 PIXELS = 400  # most pixels of a part that are tracked to the next frame
 FEWEST = 12  # least number of these that must be found again

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import torch
 
-from ..views import Views
-from .slanted import refine
-from .sweep import AGREEING, LEAST_SCORE, DepthMap, beside, keep_agreed, points_of, small_pictures, towards
+from ...views import Views
+from ..slanted import refine
+from ..sweep import AGREEING, LEAST_SCORE, DepthMap, beside, keep_agreed, points_of, small_pictures, towards
 
 SPLAT = 7  # px, side of the square in which a point of the hull counts as the nearest
 BEHIND = 0.25  # of its depth: how far behind the hull the surface may lie
