@@ -59,7 +59,7 @@ def recognise(
     every_time: int = 1,
     fps: float | None = None,
     sync: str | None = None,
-    heard: Path | None = None,
+    audio_cache: Path | None = None,
     usual: Usual | None = None,
 ) -> Capture:
     """Reads a capture's names, JSON and image headers. Decodes no pixels, except for the first frame of a video.
@@ -69,11 +69,11 @@ def recognise(
     side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; with
     `every_time` above 1, only every so many-th time trains and the others are test, in place of `holdout`; `fps` gives
     numbered images their times in seconds; `sync` (None | "sound" | "frames") chooses how the clocks of several videos are aligned,
-    and `heard` is a folder that caches the sound envelopes of long ones; `usual` limits the size where `max_size`
+    and `audio_cache` is a folder that caches the sound envelopes of long ones; `usual` limits the size where `max_size`
     does not (`Capture.chosen` then says to what). Raises `CaptureError` if the capture is unreadable or
     inconsistent, or fits two formats.
     """
-    options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, heard, usual)
+    options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, audio_cache, usual)
     root = _existing(Path(path))
     kind = _choose(root, format)
     if (max_frames or every) and kind not in _STEPPED:

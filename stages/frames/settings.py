@@ -45,7 +45,8 @@ class FramesSettings(Settings):
     watermark: bool = Field(True, description="ignore what stands still in the pictures of a camera that moves, such as a logo")
 
 
-def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None = None, device: str | None = None) -> Capture:
-    """`captures.recognise` with these settings. heard: folder that caches the sound envelopes of long videos. device: decides what is not
+def recognise_for(path: str | Path, settings: FramesSettings, audio_cache: Path | None = None, device: str | None = None) -> Capture:
+    """`captures.recognise` with these settings. audio_cache: folder for the sound envelopes of long videos. device: decides what is not
     set (`Capture.chosen`); None leaves all as it is. Raises `CaptureError`."""
-    return recognise(path, **settings.model_dump(exclude={"watermark"}), heard=heard, usual=None if device is None else USUAL[device])
+    usual = None if device is None else USUAL[device]
+    return recognise(path, **settings.model_dump(exclude={"watermark"}), audio_cache=audio_cache, usual=usual)

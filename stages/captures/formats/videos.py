@@ -36,7 +36,7 @@ def read(root: Path, options: Options) -> Reading:
     for name in names:
         checks.resolve_inside(root, name, name)
         headers[name] = video.probe(root, name)
-    shifts, how = clocks(root, names, options.sync, options.heard)
+    shifts, how = clocks(root, names, options.sync, options.audio_cache)
     if how == _BY_SOUND:  # sound is timed from the start of the track, of which the first pictures may be lost
         shifts = [shift + headers[name].late - headers[names[0]].late for name, shift in zip(names, shifts, strict=True)]
     local = [np.asarray(headers[name].seconds) for name in names]

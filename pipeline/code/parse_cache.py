@@ -19,7 +19,7 @@ PYTHON = "python{}.{}".format(*sys.version_info)  # an older version may fail to
 MOST = 5000  # files to remember; beyond that, the oldest entries are dropped
 
 
-class KnownSources:
+class ParseCache:
     """A cache of parsed sources. Entries are found by the digest of a file's content, never by its name or modification time. If the cache
     file is damaged or its folder cannot be used, that is not an error: everything is parsed again."""
 

@@ -9,7 +9,7 @@ from e4dgs.vision.sfm.plausible import plausible
 from e4dgs.vision.sfm.worker.lens import lens_trouble
 
 pycolmap = pytest.importorskip("pycolmap")
-from e4dgs.vision.sfm.sound import observe, purge  # noqa: E402
+from e4dgs.vision.sfm.impossible_points import observe, purge  # noqa: E402
 from e4dgs.vision.sfm.worker import reclaim as module  # noqa: E402
 from e4dgs.vision.sfm.worker.reclaim import reclaim  # noqa: E402
 from e4dgs.vision.sfm.worker.reconstruct import parts  # noqa: E402
