@@ -74,6 +74,8 @@ RUN = {
     "e4dgs render CAPTURE --path capture --seconds 10 --alpha --out cutout/": f"{TINY} --fps 1",
     "e4dgs export ply CAPTURE --times 30 --out DIR": f"{TINY} --times 2",
     "e4dgs export ply CAPTURE --time 0.5 --out one.ply": TINY,
+    "e4dgs export 4dgs CAPTURE --out scene.4dgs": TINY,
+    "e4dgs export ply CAPTURE --freetime --out scene.ftgs.ply": TINY,
     "e4dgs export gltf CAPTURE": f"{TINY} --times 2",
     "e4dgs export spz CAPTURE": f"{TINY} --times 2",
     "e4dgs export web CAPTURE --out scene.html": TINY,

@@ -14,6 +14,7 @@ from ..machine.writable import writing_to
 from ..options import of_last_run
 from ..results import results
 from ..session import Options, open_session
+from .meaning import without
 from .mesh import mesh
 from .straight import container, write_straight
 from .trained import (
@@ -53,6 +54,12 @@ Target = Annotated[
 
 @app.command()
 @of_last_run("flow")
+@without(
+    times="every pair of frames is written; leave it out",
+    time="every pair of frames is written; leave it out",
+    up="flow lies in pictures, which have no axis of the scene; leave it out",
+    antialiased="flow is measured in the frames, not drawn by the model; leave it out",
+)
 def flow(
     options: Options,
     out: Out = None,

@@ -14,6 +14,7 @@ from ...pipeline import Progress, SettingsError, StageError
 from ...pipeline.files import write_atomically
 from ..options import of_last_run
 from ..session import Options
+from .meaning import without
 from .trained import Moment, Trained, Up, check_moment, check_single, check_strangers, is_file, open_trained, up_axis, writing
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ Voxel = Annotated[
 
 
 @of_last_run("coarse")
+@without(antialiased="triangles have no opacity to compensate; leave it out")
 def mesh(
     options: Options,
     out: Out = None,

@@ -127,7 +127,7 @@ export class Player {
   // Draws exactly this picture, without controls over it. time in [0, 1]; cam_from_world 16 and K 9 numbers, row by row, OpenCV axes, px.
   async show(view) {
     checkView(view, this.renderer.most);
-    await this.#there();
+    await this.there();
     this.playing = false;
     bare(true);
     const ratio = devicePixelRatio || 1;
@@ -232,7 +232,7 @@ export class Player {
   }
 
   // Waits until the graphics device is there.
-  async #there() {
+  async there() {
     const start = performance.now();
     while (this.renderer.gl.isContextLost()) {
       if (performance.now() - start > PATIENCE) throw new Error(LOST);

@@ -43,6 +43,7 @@ export class Stereo {
     const { player } = this, { gl } = player.renderer;
     const session = await navigator.xr.requestSession(MODE);
     await gl.makeXRCompatible?.();
+    await player.there();  // the device may be another one now
     const layer = new XRWebGLLayer(session, gl, { alpha: false, antialias: false, depth: false });
     session.updateRenderState({ baseLayer: layer });
     const space = await session.requestReferenceSpace("local");
