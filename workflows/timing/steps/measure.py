@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import torch
 
-from ...scene.training.control.growth import FINAL_VIEWS, MOST_FOR_ONE, PROBE_VIEWS
-from ...scene.training.control.splits import split
-from ...scene.training.schedule import Phase
-from ...scene.training.trainer import Trainer
+from ....scene.training.control.growth import FINAL_VIEWS, MOST_FOR_ONE, PROBE_VIEWS
+from ....scene.training.control.splits import split
+from ....scene.training.schedule import Phase
+from ....scene.training.trainer import Trainer
 from .costs import StepCosts, merged
 from .growth import Growth
 from .rehearse import Training
