@@ -7,8 +7,9 @@ import pytest
 from e4dgs.pipeline.files import read_json, write_json
 from e4dgs.workflows.cli import main
 from e4dgs.workflows.last_run import runs_of
-from e4dgs.workflows.timing import ladder, rehearse, resolve
+from e4dgs.workflows.timing import ladder, resolve
 from e4dgs.workflows.timing.known import FILE, Known
+from e4dgs.workflows.timing.steps import rehearse
 from e4dgs.workflows.timing.timed import Timed
 
 TIME = "20s"

@@ -6,11 +6,11 @@ from itertools import pairwise
 import pytest
 from e4dgs.pipeline import SettingsError
 from e4dgs.workflows.presets import PRESETS
-from e4dgs.workflows.timing.costs import StepCosts, merged
-from e4dgs.workflows.timing.growth import Growth
 from e4dgs.workflows.timing.ladder import LEAST_REFINEMENT, LEAST_STEPS, REFINEMENT, rung
 from e4dgs.workflows.timing.resolve import PICTURES, TrainingTimes, choose, evaluation_within, refinement_within, shortest
 from e4dgs.workflows.timing.size import largest_that_fits, sizes
+from e4dgs.workflows.timing.steps.costs import StepCosts, merged
+from e4dgs.workflows.timing.steps.growth import Growth
 from e4dgs.workflows.timing.words import seconds_of, words_for
 
 HALF, FULL = 0.5, 1.0

@@ -12,9 +12,9 @@ from ...stages.evaluate.spread import SAMPLE, flicker_cameras, most_measured
 from ...stages.facts import Facts
 from ...stages.shared.defaults import use_nodes
 from ..reconstruction import EVALUATION, TRAINING
-from .costs import StepCosts
 from .known import Known, kind_of
 from .resolve import TrainingTimes
+from .steps.costs import StepCosts
 
 COARSE, HULLS, FINE = TRAINING
 MOVIE_PIXELS = 480 * 360  # of a picture of a movie, at most

@@ -15,7 +15,7 @@ from typing import Any
 from ...pipeline import Job, thread_count
 from ...pipeline.files import read_json, write_json
 from ...stages.facts import Facts
-from .costs import StepCosts
+from .steps.costs import StepCosts
 
 FILE = "timing.json"
 NEW = 0.5  # weight of the newest observation

@@ -80,8 +80,8 @@ class Timed:
 
     def _measured(self, guessed: TrainingTimes) -> tuple[TrainingTimes, int, str]:
         """Training by steps that are measured now; the steps of `coarse` at an effort of 1; and how that is known, for people."""
-        from .measure import measure_trainings
-        from .rehearse import rehearse
+        from .steps.measure import measure_trainings
+        from .steps.rehearse import rehearse
 
         job, begin = self.job, self.deadline.spent
         rehearsed = rehearse(job, COARSE, job.settings[COARSE].model_copy(update={"effort": 1.0, "iterations": 0}), self._artifacts)
@@ -98,8 +98,8 @@ class Timed:
         return TrainingTimes(coarse, (lambda steps: each * steps) if refines(job) else None, guessed.hulls), at_one, how
 
     def _before_fine(self) -> None:
-        from .measure import measure_steps
-        from .rehearse import rehearse
+        from .steps.measure import measure_steps
+        from .steps.rehearse import rehearse
 
         job, coarse = self.job, self._artifacts.get(COARSE)
         if coarse is None or not self.decisions.mine(STEPS, REFINING):

@@ -10,8 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ...pipeline import Artifact, Job, Settings
-from ...stages.shared.rehearsal import Enough, Rehearsal, Training
+from ....pipeline import Artifact, Job, Settings
+from ....stages.shared.rehearsal import Enough, Rehearsal, Training
 
 MAIN = ("coarse", "fine")  # names of the trainings that a stage is there for
 
@@ -27,10 +27,8 @@ class Rehearsed:
 class _Nowhere:
     """Takes what a rehearsed stage writes, and keeps nothing."""
 
-    def __init__(self) -> None:
-        self.attrs: dict[str, Any] = {}
-        self.info: dict[str, Any] = {}
-        self.path = Path()
+    def __init__(self, path: Path) -> None:
+        vars(self).update(path=path, attrs={}, info={})
 
     def write(self, *args: Any, **kwargs: Any) -> None:
         pass
@@ -65,7 +63,7 @@ def rehearse(job: Job, stage: str, settings: Settings, inputs: Mapping[str, Arti
             job.capture.facts,
             settings,
             inputs,
-            _Nowhere(),  # type: ignore[arg-type]
+            _Nowhere(Path(folder)),  # type: ignore[arg-type]
             Path(folder),
             job.device,
             lambda message: None,

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import torch
 
-from ...scene.training.control.growth import FINAL_VIEWS, MOST_FOR_ONE, PROBE_VIEWS
-from ...scene.training.control.splits import split
-from ...scene.training.schedule import Phase
-from ...scene.training.trainer import Trainer
+from ....scene.training.control.growth import FINAL_VIEWS, MOST_FOR_ONE, PROBE_VIEWS
+from ....scene.training.control.splits import split
+from ....scene.training.schedule import Phase
+from ....scene.training.trainer import Trainer
 from .costs import StepCosts, merged
 from .growth import Growth
 from .rehearse import Training
@@ -79,6 +79,7 @@ class _Clock:
         phase = Phase("measured", TOTAL, self.move)
         self.trainer = Trainer(training.model, training.views, [phase], training.settings, **options)
         self.frames = [self.trainer.curriculum.frame(AT + k) for k in range(PERIOD)]
+        self.waits = training.model.device.type == "cuda"  # whether work goes on behind the host, which records it at first
         self.alive = 1.0  # mean share of the times at which a Gaussian is present
 
     @property
@@ -95,7 +96,7 @@ class _Clock:
 
     def step(self, phase: Phase) -> float:
         """Mean seconds of a step, over a period of them."""
-        self._take(phase, WARM_UP)
+        self._take(phase, PERIOD if self.waits else WARM_UP)
         begin = self._now()
         taken = self._take(phase, PERIOD, begin)
         return (self._now() - begin) / taken
@@ -104,6 +105,8 @@ class _Clock:
         """Seconds of a round of density control."""
         trainer = self.trainer
         probed = trainer.curriculum.probe(AT, PROBE_VIEWS)
+        if self.waits:
+            trainer.density._measure(trainer.model, trainer.views, probed, phase.move, phase.scale)
         begin = self._now()
         found = trainer.density._measure(trainer.model, trainer.views, probed, phase.move, phase.scale)
         seconds = self._now() - begin
@@ -135,6 +138,6 @@ class _Clock:
 
     def _now(self) -> float:
         self.trainer.steps.settle()
-        if self.trainer.model.device.type == "cuda":
+        if self.waits:
             torch.cuda.synchronize()
         return time.perf_counter()
