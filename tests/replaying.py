@@ -19,7 +19,7 @@ from sliding_gaussians import SETTINGS, fresh, make_views
 
 TOTAL, SIZE = 200, 48
 PHASE = Phase("moving", TOTAL, move=True)
-QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "flow_every": 8, "interval": 1e-3, "dropout": 0.2, "affine": True})
+QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "flow_every": 8, "interval_weight": 1e-3, "dropout": 0.2, "affine": True})
 KINDS = ("nodes", "nodes, turning", "free", "free, convexes", "static")
 
 

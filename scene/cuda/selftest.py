@@ -36,7 +36,7 @@ WIDTH, HEIGHT = 40, 24
 CAMERAS, TIMES = 2, 3
 DISTANCE = 4.0  # world units from the cameras to the middle of the scene
 DEGREES = {"planes": 2, "nodes": 1, "free": 1}  # of spherical harmonics, by the motions to try; the last two share programs
-WEIGHTS = {"spread": 0.3, "tv": 0.3}  # of terms that are off or lost among the others by default
+WEIGHTS = {"spread_weight": 0.3, "tv_weight": 0.3}  # of terms that are off or lost among the others by default
 STEP, TOTAL = 80, 100  # every term of the loss is evaluated at this step of this many
 
 
