@@ -20,7 +20,7 @@ from .size import sized
 from .timed import Timed, left_to_publish
 from .words import seconds_of
 
-COARSE, HULLS, FINE = TRAINING
+_, COARSE, HULLS, FINE = TRAINING
 
 
 def begin(options: Options, say: Callable[[str], None], anew: bool = False) -> tuple[Session, Timed | None]:

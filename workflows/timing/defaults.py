@@ -16,7 +16,7 @@ from .known import Known, kind_of
 from .resolve import TrainingTimes
 from .steps.costs import StepCosts
 
-COARSE, HULLS, FINE = TRAINING
+_, COARSE, HULLS, FINE = TRAINING
 MOVIE_PIXELS = 480 * 360  # of a picture of a movie, at most
 SHOWN = 0.5  # of judging a view: one that is only rendered, scaled and encoded
 
@@ -45,7 +45,7 @@ def steps_at_one(job: Job, facts: Facts_ | None = None) -> int:
 
 def refines(job: Job) -> bool:
     """Whether `fine` has something to do: with control nodes only if convexes or steps are asked for."""
-    coarse, hulls, fine = (job.settings[name] for name in TRAINING)
+    coarse, hulls, fine = (job.settings[name] for name in (COARSE, HULLS, FINE))
     nodes = use_nodes(Facts.of(job.capture.facts), coarse.motion)  # type: ignore[attr-defined]
     if nodes and not hulls.budget and fine.iterations is None:  # type: ignore[attr-defined]
         return False

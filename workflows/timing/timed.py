@@ -16,7 +16,7 @@ from .known import Known
 from .ladder import MEASURED, MOVIES, REFINEMENT, REFINING, SHARE, STEPS
 from .resolve import PICTURES, Chosen, TrainingTimes, choose, evaluation_within, refinement_within
 
-COARSE, HULLS, FINE = TRAINING
+_, COARSE, HULLS, FINE = TRAINING
 PUBLISHING = "publishing"  # the report and the metrics, after the last stage
 LEFT_TO_PUBLISH = 2.0  # s, on the machine of the estimates
 STEPS_TO_MEASURE, MEASURING = 40, 0.05  # measuring takes the time of so many steps, and at most this share if the costs are known anyway
