@@ -6,13 +6,13 @@ import numpy as np
 import torch
 
 from ...pipeline import Context
-from ...scene.edge_seeds import EdgeSeeds, edge_seeds
 from ...scene.primitives import SH_C0, ConvexSet
 from ..coarse.artifact import required
 from ..shared.dataset import load_frameset, load_views
 from ..shared.model import read_model
 from .artifact import StoredHulls
 from .defaults import VIEWS, most_convexes
+from .edge_seeds import EdgeSeeds, edge_seeds
 from .settings import HullSettings
 
 LEAST_WEIGHT = 1.0  # px over all views: what is hardly seen says nothing

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from e4dgs.rasterizer.cuda.selftest import disagreement
-from e4dgs.scene.cuda import selftest
+from e4dgs.scene import selftest
 from pretend_cuda import pretending_cuda
 from simt import Emulator, needs_compiler
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import rasterize
-from e4dgs.scene.edge_seeds import EdgeSeeds, edge_seeds
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.views import Views
 from e4dgs.stages.fine.run import replace_by_convexes
 from e4dgs.stages.hulls.artifact import StoredHulls
 from e4dgs.stages.hulls.defaults import CONVEXES, most_convexes
+from e4dgs.stages.hulls.edge_seeds import EdgeSeeds, edge_seeds
 from e4dgs.stages.hulls.run import choose
 from e4dgs.stages.hulls.settings import HullSettings
 

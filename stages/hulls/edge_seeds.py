@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from ..rasterizer import rasterize
-from .model import Model
-from .views import Views
+from ...rasterizer import rasterize
+from ...scene.model import Model
+from ...scene.views import Views
 
 
 class EdgeSeeds(NamedTuple):

@@ -1,6 +1,6 @@
 """Checks that training on the GPU gives the same results as on the CPU on this machine. Run once before the GPU is used.
 
-    python -m e4dgs.scene.cuda.selftest
+    python -m e4dgs.scene.selftest
 
 First compares a small render (`rasterizer/cuda/selftest.py`), then a step of training with each kind of motion that has a loss of its own:
 what it renders, its loss with every term, the gradients of all parameters, and Adam. Exit code 0, or 1 with one line about what is wrong.
@@ -15,22 +15,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...rasterizer.cuda import selftest
-from ...rasterizer.cuda.programs import backproject_convexes, backproject_gaussians, needed, project_convexes
-from ...rasterizer.cuda.runtime import Program, warm_up
-from ..losses.term import Run
-from ..model import Model
-from ..motion.field import DeformationField
-from ..motion.free import FreeMotion
-from ..motion.nodes import ControlNodes
-from ..primitives import ConvexSet, GaussianSet
-from ..settings import TrainingSettings
-from ..training.control.learned_model import LearnedModel
-from ..training.objective import Objective
-from ..training.recipe import RECIPES
-from ..training.schedule import Phase
-from ..views import Views
-from .programs import program
+from ..rasterizer.cuda import selftest
+from ..rasterizer.cuda.programs import backproject_convexes, backproject_gaussians, needed, project_convexes
+from ..rasterizer.cuda.runtime import Program, warm_up
+from .cuda.programs import program
+from .losses.term import Run
+from .model import Model
+from .motion.field import DeformationField
+from .motion.free import FreeMotion
+from .motion.nodes import ControlNodes
+from .primitives import ConvexSet, GaussianSet
+from .settings import TrainingSettings
+from .training.control.learned_model import LearnedModel
+from .training.objective import Objective
+from .training.recipe import RECIPES
+from .training.schedule import Phase
+from .views import Views
 
 WIDTH, HEIGHT = 40, 24
 CAMERAS, TIMES = 2, 3
