@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
 from e4dgs.scene.fibonacci import fibonacci_sphere
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.lives import live
+from e4dgs.scene.motion.lifetimes.at_frame import live
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
 from e4dgs.scene.primitives import Life
 
 matplotlib.use("Agg")

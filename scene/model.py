@@ -13,11 +13,11 @@ from torch import Tensor
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .colour import CameraAffine
 from .cuda.renders import Renders
-from .motion.field import DeformationField
-from .motion.free import FreeMotion
 from .motion.in_view import in_view
 from .motion.interface import Moved, Rest, Time, check_time
-from .motion.nodes import ControlNodes
+from .motion.lifetimes.lifetimes import FreeMotion
+from .motion.nodes.control_nodes import ControlNodes
+from .motion.planes.field import DeformationField
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 from .views import inside_image
 

@@ -52,7 +52,7 @@ class Coarse(Stage):
         return Applies.yes("Gaussians, moved by the six-plane field")
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
-        from ..scene.training.schedule import first_motion_steps
+        from ..scene.schedule import first_motion_steps
         from .estimates import node_training_seconds, training_seconds
 
         known = Facts.of(facts)

@@ -13,11 +13,11 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
+from e4dgs.scene.motion.recipe import RECIPES
 from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training import trainer as module
-from e4dgs.scene.training.recipe import RECIPES
-from e4dgs.scene.training.schedule import coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.training.motions import make_nodes
 from sliding_gaussians import SETTINGS, fresh, make_views, wandering_views

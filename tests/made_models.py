@@ -7,10 +7,10 @@ import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.field import DeformationField
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.nodes import ControlNodes
-from e4dgs.scene.motion.rigid_parts import RigidParts
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
+from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 
 FRAMES = 12

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import torch
 from e4dgs.scene.losses.measured_depth import MeasuredDepth
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.rigid_parts import RigidParts
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
+from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
+from e4dgs.scene.motion.recipe import FREE, NODES
 from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.control.density import measure_responsibility
 from e4dgs.scene.training.control.splits import split
 from e4dgs.scene.training.drawn_tiles import DrawnTiles
-from e4dgs.scene.training.recipe import FREE, NODES
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.training.motions import make_nodes
 from sliding_gaussians import SETTINGS, fresh, make_views

@@ -19,15 +19,15 @@ from ...rasterizer.cuda import selftest
 from ...rasterizer.cuda.programs import backproject_convexes, backproject_gaussians, needed, project_convexes
 from ...rasterizer.cuda.runtime import Program, warm_up
 from ..model import Model
-from ..motion.field import DeformationField
-from ..motion.free import FreeMotion
-from ..motion.nodes import ControlNodes
+from ..motion.lifetimes.lifetimes import FreeMotion
+from ..motion.nodes.control_nodes import ControlNodes
+from ..motion.planes.field import DeformationField
+from ..motion.recipe import RECIPES
 from ..primitives import ConvexSet, GaussianSet
+from ..schedule import Phase
 from ..settings import TrainingSettings
 from ..training.control.learned_model import LearnedModel
 from ..training.objective import Objective
-from ..training.recipe import RECIPES
-from ..training.schedule import Phase
 from ..views import Views
 from .programs import program
 

@@ -20,12 +20,12 @@ from ..losses.motion_terms import MeasuredFlow, MotionTerms
 from ..losses.photometric import Recording
 from ..losses.surface import surface_loss
 from ..model import Model
+from ..motion.recipe import Recipe
+from ..schedule import Phase
 from ..settings import TrainingSettings
 from ..views import Views, Window
 from .drawn_tiles import Drawn, DrawnTiles
 from .optimiser import ALL_ROWS, Rows
-from .recipe import Recipe
-from .schedule import Phase
 from .steps.dropout import keeps, thinned
 
 WHOLE_EVERY = 8  # one step in so many uses the whole image where the others are cropped to the object

@@ -15,6 +15,9 @@ from ..colour import CameraAffine, colour_recorders
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow
 from ..model import Model
+from ..motion.nodes.turning import leave_only_rigid_parts
+from ..motion.recipe import PLANES, Recipe
+from ..schedule import Phase, alike_since
 from ..settings import TrainingSettings
 from ..views import Views
 from .checkpoint import FILE, load_checkpoint, save_checkpoint
@@ -27,15 +30,12 @@ from .curriculum import Curriculum
 from .guard import NonFiniteGuard
 from .log import TrainingLog
 from .objective import Objective
-from .recipe import PLANES, Recipe
 from .replayed.objective import ReplayedObjective
 from .replayed.responsibility import ReplayedResponsibility
 from .replayed.rooms import Rooms
-from .schedule import Phase, alike_since
 from .steps.at_once import StepsAtOnce
 from .steps.late import LateSteps
 from .steps.step import Step, Steps
-from .turning import leave_only_rigid_parts
 
 
 class Trainer:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from ...scene.model import Model
-    from ...scene.motion.nodes import ControlNodes
+    from ...scene.motion.nodes.control_nodes import ControlNodes
 
 Kept = tuple[Any, tuple[int, int]]  # indices, still ones first; how many are still and how many move
 MOST_KEYS = 1025
@@ -42,9 +42,9 @@ class Moved:
 
 def motion_arrays(model: Model, gaussians: Kept, convexes: Kept, axes: np.ndarray | None, times: int, step: float) -> Moved:
     """How the ``gaussians`` and ``convexes`` of ``model`` move. axes: see `gaussian_shapes`. step: of positions, world units."""
-    from ...scene.motion.field import DeformationField
-    from ...scene.motion.free import FreeMotion
-    from ...scene.motion.nodes import ControlNodes
+    from ...scene.motion.lifetimes.lifetimes import FreeMotion
+    from ...scene.motion.nodes.control_nodes import ControlNodes
+    from ...scene.motion.planes.field import DeformationField
 
     header = {"motion": "static", "keys": 0, "nodes": 0, "modes": 0, "light": False}
     moves = gaussians[1][1] + convexes[1][1] > 0

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from ...pipeline import Context
-from ...scene.motion.free import FreeMotion
+from ...scene.motion.lifetimes.lifetimes import FreeMotion
 from ...scene.primitives import GaussianSet
 from ...scene.seeds.carve import carve
 from ...scene.seeds.outliers import trusted

@@ -9,13 +9,13 @@ import torch
 
 from ...pipeline import Context
 from ...scene.model import Model
-from ...scene.motion.field import DeformationField
-from ...scene.motion.free import FreeMotion
-from ...scene.motion.nodes import ControlNodes
+from ...scene.motion.lifetimes.lifetimes import FreeMotion
+from ...scene.motion.nodes.control_nodes import ControlNodes
+from ...scene.motion.planes.field import DeformationField
 from ...scene.primitives import ConvexSet, GaussianSet
+from ...scene.schedule import HALF_RESOLUTION, Phase, coarse_phases, node_phases
 from ...scene.seeds.near_plane import near_plane
 from ...scene.settings import GrowthSettings
-from ...scene.training.schedule import HALF_RESOLUTION, Phase, coarse_phases, node_phases
 from ...scene.views import Views
 from ...vision.images.png import encode_png
 from ..artifacts.coarse import StoredCoarse

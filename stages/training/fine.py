@@ -9,8 +9,8 @@ import torch
 from ...pipeline import Context
 from ...scene.model import Model
 from ...scene.primitives import ConvexSet
+from ...scene.schedule import fine_phases, left_to_fine
 from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettings
-from ...scene.training.schedule import fine_phases, left_to_fine
 from ..artifacts.coarse import StoredCoarse, required
 from ..artifacts.dataset import load_frameset, load_views, measured_flow
 from ..artifacts.hulls import StoredHulls

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from ...pipeline import Context
 from ...scene.model import Model
+from ...scene.motion.recipe import FIRST_MOTION
+from ...scene.schedule import first_motion_phases, first_motion_steps
 from ...scene.training.checkpoint import load_checkpoint
-from ...scene.training.recipe import FIRST_MOTION
-from ...scene.training.schedule import first_motion_phases, first_motion_steps
 from ...scene.views import Views
 from .train import train
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ...scene.motion.field import DeformationField
-from ...scene.motion.nodes import ControlNodes, farthest_points
+from ...scene.motion.nodes.control_nodes import ControlNodes, farthest_points
+from ...scene.motion.planes.field import DeformationField
 from ...scene.settings import TrainingSettings
 from ...scene.views import Views
 

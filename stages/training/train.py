@@ -6,10 +6,10 @@ from typing import Any
 
 from ...pipeline import Context
 from ...scene.model import Model
+from ...scene.motion.recipe import RECIPES
+from ...scene.schedule import Phase
 from ...scene.settings import TrainingSettings
 from ...scene.training.log import TrainingLog
-from ...scene.training.recipe import RECIPES
-from ...scene.training.schedule import Phase
 from ...scene.training.trainer import Trainer
 from ...scene.views import Views
 

@@ -8,9 +8,9 @@ from e4dgs.scene.edge_seeds import edge_seeds
 from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.checkpoint import model_of
 from e4dgs.scene.training.control.density import measure_responsibility
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, make_views
 

@@ -3,8 +3,8 @@
 import pytest
 import torch
 from e4dgs.scene.cuda.lives import live
-from e4dgs.scene.motion.lives import live as anywhere
-from e4dgs.scene.motion.lives import live_reference
+from e4dgs.scene.motion.lifetimes.at_frame import live as anywhere
+from e4dgs.scene.motion.lifetimes.at_frame import live_reference
 from e4dgs.scene.primitives import LIFE, Life
 from pretend_cuda import pretending_cuda
 from simt import CHECKED, RACES, Emulator, why_not

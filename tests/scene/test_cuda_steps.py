@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from e4dgs.scene.motion.recipe import PLANES
 from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
-from e4dgs.scene.training.recipe import PLANES
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.steps.late import LATEST
 from e4dgs.scene.training.trainer import Trainer
 from pretend_cuda import pretending_cuda

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.training.schedule import Phase
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.training.motions import make_nodes
 from pretend_cuda import pretending_cuda

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.objective import DROPOUT_GROWS
 from e4dgs.scene.training.optimiser import ALL_ROWS
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.steps.dropout import MOST_OPAQUE, keeps, thinned
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, fresh, make_views

@@ -7,8 +7,8 @@ import pytest
 import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.free import MOST_PACE, PACE, FreeMotion
-from e4dgs.scene.motion.lives import live, live_reference, turned_by
+from e4dgs.scene.motion.lifetimes.at_frame import live, live_reference, turned_by
+from e4dgs.scene.motion.lifetimes.lifetimes import MOST_PACE, PACE, FreeMotion
 from e4dgs.scene.primitives import ALWAYS, LIFE, ConvexSet, GaussianSet, Life
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.settings import TrainingSettings

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
+from e4dgs.scene.motion.recipe import FREE
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.density import Responsibility
 from e4dgs.scene.training.control.growth import DensityControl
-from e4dgs.scene.training.recipe import FREE
-from e4dgs.scene.training.schedule import Phase
 
 BRIEF, STAYS = 0, 1
 STEP, STEPS = 700, 1000  # in the last round of growth

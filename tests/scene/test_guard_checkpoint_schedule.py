@@ -2,9 +2,7 @@
 
 import pytest
 import torch
-from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
-from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
-from e4dgs.scene.training.schedule import (
+from e4dgs.scene.schedule import (
     Phase,
     alike_since,
     coarse_phases,
@@ -14,6 +12,8 @@ from e4dgs.scene.training.schedule import (
     left_to_fine,
     node_phases,
 )
+from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
+from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
 
 
 def parameter(gradient):

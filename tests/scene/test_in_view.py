@@ -7,8 +7,8 @@ import torch
 from e4dgs.rasterizer import TILE, Camera, Convexes, Frame, Gaussians, rasterize
 from e4dgs.scene import _kernels
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.motion.in_view import in_view
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.stages.training.motions import make_nodes

@@ -5,10 +5,10 @@ import pytest
 import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.nodes import ControlNodes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.recipe import NODES
 from e4dgs.scene.primitives import SH_C0, SHADES, ConvexSet, GaussianSet
-from e4dgs.scene.training.recipe import NODES
-from e4dgs.scene.training.schedule import Phase
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, wandering_views
 

@@ -7,7 +7,7 @@ from e4dgs.rasterizer import Camera
 from e4dgs.scene.losses.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
 from e4dgs.scene.losses.motion_terms import MotionTerms
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.field import DeformationField
+from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.settings import TrainingSettings

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.courses import RANK, SharedCourses, encode, encode_places
 from e4dgs.scene.motion.interface import Rest
-from e4dgs.scene.motion.nodes import ControlNodes, farthest_points, spacing
-from e4dgs.scene.motion.rigid_parts import RigidParts
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes, farthest_points, spacing
+from e4dgs.scene.motion.nodes.courses import RANK, SharedCourses, encode, encode_places
+from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 
 
@@ -140,7 +140,7 @@ def test_what_is_kept_of_the_places_follows_a_state_that_is_loaded():
 def test_nothing_is_kept_that_a_cuda_graph_in_the_making_computes(monkeypatch):
     """It would lie in memory that other graphs write to."""
     nodes, other = moving(), moving()
-    monkeypatch.setattr("e4dgs.scene.motion.nodes.in_capture", lambda device: True)
+    monkeypatch.setattr("e4dgs.scene.motion.nodes.control_nodes.in_capture", lambda device: True)
     strain, _ = nodes.priors(torch.zeros(0, 3), torch.zeros(0), 0.5, 0.1)
     assert not nodes._known
     monkeypatch.undo()

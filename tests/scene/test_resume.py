@@ -8,10 +8,10 @@ from functools import cache
 import interrupted
 import pytest
 import torch
+from e4dgs.scene.motion.recipe import FIRST_MOTION, NODES
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training import convergence
 from e4dgs.scene.training.checkpoint import FILE
-from e4dgs.scene.training.recipe import FIRST_MOTION, NODES
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.stages.training.motions import make_nodes
 from interrupted import EVERY, KINDS, QUICK, ROUNDS, Dying, Killed, digests, prepared, run
 from sliding_gaussians import fresh, make_views, wandering_views

@@ -8,11 +8,11 @@ import torch
 from e4dgs.rasterizer import Gaussians, rasterize
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.nodes import ControlNodes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.steady_turn import DIRECTIONS, FEW_DIRECTIONS, MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
+from e4dgs.scene.motion.nodes.turning import FRESH, WIDER, make_turning_parts_rigid
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.training import turning
-from e4dgs.scene.training.spin import DIRECTIONS, FEW_DIRECTIONS, MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
-from e4dgs.scene.training.turning import FRESH, WIDER, make_turning_parts_rigid
 from e4dgs.scene.views import Views
 from pretend_cuda import pretending_cuda
 from scipy.spatial.transform import Rotation

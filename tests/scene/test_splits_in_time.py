@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.lives import presence
+from e4dgs.scene.motion.lifetimes.at_frame import presence
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
+from e4dgs.scene.motion.recipe import FREE
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control import growth
 from e4dgs.scene.training.control.density import Responsibility, measure_responsibility
 from e4dgs.scene.training.control.growth import IN_TIME, IN_TIME_FROM, IN_TIME_UNSEEN, DensityControl
 from e4dgs.scene.training.control.splits import into_lives, split
-from e4dgs.scene.training.recipe import FREE
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.scene.views import Views
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.losses.appearance import on_other_background
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
+from e4dgs.scene.motion.recipe import FREE, NODES, PLANES
 from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training import convergence, objective
 from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.curriculum import MIN_CAMERAS
 from e4dgs.scene.training.drawn_tiles import LEAST_TIMES, Drawn
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.objective import SMOOTH_END
-from e4dgs.scene.training.recipe import FREE, NODES, PLANES
-from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.training.motions import make_nodes
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, wandering_views

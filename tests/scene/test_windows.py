@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.losses.measured_depth import MeasuredDepth
+from e4dgs.scene.motion.recipe import PLANES
 from e4dgs.scene.training.objective import Objective
-from e4dgs.scene.training.recipe import PLANES
 from sliding_gaussians import SETTINGS, make_views
 
 SIZE, UNIT = 96, 4.0

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 import torch
 from e4dgs.pipeline import Progress
+from e4dgs.scene.schedule import first_motion_steps, node_phases
 from e4dgs.scene.training.checkpoint import model_of
-from e4dgs.scene.training.schedule import first_motion_steps, node_phases
 from e4dgs.stages.coarse import CoarseSettings
 from e4dgs.stages.training import first_motion
 from e4dgs.stages.training.motions import make_nodes

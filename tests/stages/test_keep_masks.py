@@ -133,8 +133,8 @@ def test_metrics_see_only_what_counts(masked, tmp_path):
 
 def test_training_sees_only_what_counts(masked, tmp_path):
     """The same steps on pictures that differ under the masks end in the same model."""
+    from e4dgs.scene.schedule import coarse_phases
     from e4dgs.scene.settings import TrainingSettings
-    from e4dgs.scene.training.schedule import coarse_phases
     from e4dgs.scene.training.trainer import Trainer
 
     def trained(root, folder, keep=True):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, Progress
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetimes import FreeMotion
 from e4dgs.scene.views import Views
 from e4dgs.stages.seeding import seeds as room
 from e4dgs.stages.seeding.moving import MovingSeeds

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from ...motion.lives import turned_by
+from ...motion.lifetimes.at_frame import turned_by
 from ...rotation import compose, rotate
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from torch import Tensor
 from ....rasterizer import rasterize
 from ...colour import row_of
 from ...model import Model
-from ...motion.free import FreeMotion
+from ...motion.lifetimes.lifetimes import FreeMotion
 from ...primitives import ConvexSet, PrimitiveSet
 from ...views import Views, inside_image
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...model import Model
-from ...motion.skinning import distances
+from ...motion.nodes.skinning import distances
 from ...views import Views, inside_image
 
 TIMES = 12  # times sampled over the capture to measure how far a primitive travels

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from ...motion.free import FreeMotion
+from ...motion.lifetimes.lifetimes import FreeMotion
+from ...motion.nodes.turning import bound_to_rigid_parts
+from ...motion.recipe import Recipe
+from ...schedule import Phase
 from ...settings import TrainingSettings
 from ...views import Views
 from ..curriculum import Curriculum
-from ..recipe import Recipe
-from ..schedule import Phase
-from ..turning import bound_to_rigid_parts
 from .density import Measure, Responsibility, measure_responsibility, survivors
 from .dynamics import on_moving_pixels
 from .hidden import seen_share

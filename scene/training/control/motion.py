@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from ...motion.nodes.turning import make_turning_parts_rigid
+from ...motion.recipe import Recipe
+from ...schedule import Phase
 from ...settings import TrainingSettings
 from ...views import Views
 from ..curriculum import Curriculum
-from ..recipe import Recipe
-from ..schedule import Phase
-from ..turning import make_turning_parts_rigid
 from .density import measure_responsibility
 from .dynamics import freeze_static_gaussians
 from .learned_model import LearnedModel

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from ...motion.lives import turned_by
+from ...motion.lifetimes.at_frame import turned_by
 from ...primitives import GaussianSet
 from ...rotation import compose, quats_to_matrices
 

@@ -17,10 +17,10 @@ from ...cuda.leaves import own_leaves
 from ...losses.depth_spread import BEGIN, EVERY
 from ...losses.motion_terms import PRIOR_EVERY
 from ...model import Model
+from ...schedule import Phase
 from ...views import Views
 from ..drawn_tiles import Drawn
 from ..objective import Judged, Objective
-from ..schedule import Phase
 from .of_one_view import OfOneView
 from .one_view import Kind, OneView
 from .rooms import Rooms

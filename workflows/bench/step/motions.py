@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ....scene.model import Model
-from ....scene.motion.free import FreeMotion
+from ....scene.motion.lifetimes.lifetimes import FreeMotion
 from ....scene.settings import TrainingSettings
 from ....scene.views import Views
 from ....stages.training.motions import make_nodes

@@ -18,7 +18,7 @@ from torch.autograd.graph import Node
 
 from ....scene.losses.motion_terms import MotionTerms
 from ....scene.model import Model
-from ....scene.motion.free import FreeMotion
+from ....scene.motion.lifetimes.lifetimes import FreeMotion
 from ....scene.training import objective
 from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured

@@ -12,13 +12,13 @@ import torch
 
 from ....pipeline import Runner, SettingsError
 from ....scene.model import Model
-from ....scene.motion.field import DeformationField
+from ....scene.motion.planes.field import DeformationField
+from ....scene.motion.recipe import PLANES, RECIPES
 from ....scene.primitives import ConvexSet, GaussianSet
+from ....scene.schedule import Phase
 from ....scene.seeds.carve import carve
 from ....scene.seeds.volume import common_volume
 from ....scene.settings import TrainingSettings
-from ....scene.training.recipe import PLANES, RECIPES
-from ....scene.training.schedule import Phase
 from ....scene.training.trainer import Trainer
 from ....scene.views import Views
 from ...session import Options, open_session

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..settings import Strategy
+from .settings import Strategy
 
 WARM_UP = 0.1  # of the coarse stage: the rest state is learned first, without motion
 ALTERNATION = 100  # steps for which one kind is refined while the other is frozen

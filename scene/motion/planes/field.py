@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..rotation import compose
+from ...rotation import compose
+from ..interface import Displacement, Moved, Rest, Time
 from .displace import displace
 from .field_kernel import field_outputs
 from .hexplane import HexPlanes
-from .interface import Displacement, Moved, Rest, Time
 
 
 class DeformationField(nn.Module):

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..fibonacci import fibonacci_sphere
-from ..views import Views
+from ...fibonacci import fibonacci_sphere
+from ...views import Views
 
 ERROR_SHARE = 0.15  # of the whole error: parts with less are left alone
 CELLS = 50  # along the scene's longest side; the error is summed in each

@@ -10,11 +10,11 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from ..model import Model
-from ..motion.nodes import ControlNodes
-from ..primitives import GaussianSet
-from ..views import Views
-from .spin import Part, Spin, SpinSearch, compact_parts
+from ...model import Model
+from ...primitives import GaussianSet
+from ...views import Views
+from .control_nodes import ControlNodes
+from .steady_turn import Part, Spin, SpinSearch, compact_parts
 
 WIDER = 1.2  # radius of the rigid part, relative to that of the part found, whose ragged rim leaves some of it out
 FRESH = 1500  # Gaussians that a rigid part starts with

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .. import _kernels
-from ..rotation import rotate
-from .interface import Displacement
+from ... import _kernels
+from ...rotation import rotate
+from ..interface import Displacement
 
 
 def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displacement:
@@ -20,8 +20,8 @@ def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displ
     if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (heads, rest)):
         return Displacement(*_Displace.apply(heads, rest, tuple(centre.tolist()), reach))
     if all(p.is_cuda and p.dtype == torch.float32 for p in (heads, rest, centre)):
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.displace import displace as on_gpu
+        from ....rasterizer.cuda.runtime import launcher_for
+        from ...cuda.displace import displace as on_gpu
 
         return on_gpu(launcher_for(rest.device), heads, rest, centre, reach)
     turn = torch.cat([1 + heads[:, 3:4], heads[:, 4:7]], 1)

@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..cuda.graph import in_capture
-from ..cuda.over_time import OverTime
-from ..primitives import HYPER
-from ..rotation import rotate
+from ...cuda.graph import in_capture
+from ...cuda.over_time import OverTime
+from ...primitives import HYPER
+from ...rotation import rotate
+from ..interface import Moved, Rest, Time, together
 from .courses import SharedCourses, encode_places
-from .interface import Moved, Rest, Time, together
 from .light import Light
 from .rigid_parts import RigidParts
 from .skinning import Nodes, distances, nearest_nodes, skin

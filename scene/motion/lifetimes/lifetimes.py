@@ -12,9 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..primitives import GaussianSet, PrimitiveSet
-from .interface import Time
-from .lives import live, presence
+from ...primitives import GaussianSet, PrimitiveSet
+from ..interface import Time
+from .at_frame import live, presence
 
 PACE, MOST_PACE = 0.35, 4.0  # rates grow with this power of the share of the times at which a primitive is present, at most so much
 

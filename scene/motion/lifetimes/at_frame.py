@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import _kernels
-from ..primitives import Life
-from ..rotation import compose, rotate
+from ... import _kernels
+from ...primitives import Life
+from ...rotation import compose, rotate
 
 Alive = tuple[Tensor, Tensor | None, Tensor]
 
@@ -26,8 +26,8 @@ def live(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dy
         moved, shown, *turned = _Live.apply(float(frame), dynamic, points, opacities, *life, *turned_too)
         return moved, turned[0] if turned else None, shown
     if points.is_cuda and points.dtype == torch.float32:
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.lives import live as on_gpu
+        from ....rasterizer.cuda.runtime import launcher_for
+        from ...cuda.lives import live as on_gpu
 
         return on_gpu(launcher_for(points.device), points, quats, opacities, life, dynamic, frame)
     return live_reference(points, quats, opacities, life, dynamic, frame)

@@ -7,10 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ..cuda.over_time import OverTime
-from ..primitives import SHADES
+from ...cuda.over_time import OverTime
+from ...primitives import SHADES
+from ..interface import Time, together
 from .courses import TIME_BANDS, encode_times, layers, through
-from .interface import Time, together
 
 WIDTH = 64
 
