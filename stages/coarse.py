@@ -8,9 +8,10 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Stage
+from ..scene.motion.kinds import KINDS, choose
 from ..scene.settings import Strategy, TrainingSettings
 from .facts import Facts
-from .training.choices import BY_NODE_PHASES, auto_iterations, use_nodes
+from .training.choices import auto_iterations
 
 
 class CoarseSettings(TrainingSettings):
@@ -42,25 +43,17 @@ class Coarse(Stage):
     device_class = True
 
     def applies(self, facts: Mapping[str, Any], settings: CoarseSettings) -> Applies:
-        known = Facts.of(facts)
-        if known.static:
-            return Applies.yes("nothing moves: Gaussians without a deformation field")
-        if use_nodes(known, settings):
-            return Applies.yes("Gaussians, moved by control nodes")
-        if settings.motion == "free" or (settings.motion == "auto" and known.pairs):
-            return Applies.yes("Gaussians; those on moving pixels live around a time of their own")
-        return Applies.yes("Gaussians, moved by the six-plane field")
+        return Applies.yes(KINDS[choose(settings.motion, Facts.of(facts))].moves)
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
-        from ..scene.schedule import first_motion_steps
-        from .estimates import node_training_seconds, training_seconds
+        from .estimates import first_training_seconds, training_seconds
 
         known = Facts.of(facts)
-        steps = settings.iterations or auto_iterations(known, settings)
-        if use_nodes(known, settings):
-            first = first_motion_steps(steps) if settings.strategy in BY_NODE_PHASES else 0
-            return node_training_seconds(known, steps, first)
-        return training_seconds(known, steps, known.static, area=1 - 0.75 * settings.full_from)
+        kind = choose(settings.motion, known)
+        steps = settings.iterations or auto_iterations(known, settings, kind)
+        area = 1.0 if KINDS[kind].steps else 1 - 0.75 * settings.full_from
+        first = KINDS[kind].first_steps(settings.strategy, steps)
+        return training_seconds(known, steps, kind, area) + first_training_seconds(first)
 
     def resources(self, facts: Mapping[str, Any], settings: CoarseSettings, device: str) -> Resources:
         from .estimates import training_resources

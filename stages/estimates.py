@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from ..pipeline import Resources
+from ..scene.motion.kinds import KINDS
 from .facts import Facts
 
-# One training step on two cores, fitted to the captures in benchmarks/results. The motion model costs the same at any image size.
-SECONDS_PER_MEGAPIXEL_STEP = 0.35
-SECONDS_PER_STEP = 0.03
-SECONDS_PER_STATIC_STEP = 0.01
-SECONDS_PER_NODE_STEP = 0.014
-SECONDS_PER_FIRST_STEP = 0.01  # of control nodes, on very small images
-SECONDS_PER_MEGAPIXEL_NODE_STEP = 0.1  # of the full image, although most steps render only a window around the object
+SECONDS_PER_FIRST_STEP = 0.01  # of a first training on very small images, on two cores
 
 # In GB of 1e9 bytes, fitted to the peak memory of the captures in benchmarks/results. None exceeds the estimate by more than a fifth.
 GB_OF_TORCH = 0.7
@@ -32,13 +27,13 @@ def picture_resources(facts: Facts, gb_per_megapixel: float, gb: float = 0.3, gp
     return Resources(memory_gb=gb + gb_per_megapixel * facts.width * facts.height / 1e6, gpu=gpu)
 
 
-def training_seconds(facts: Facts, iterations: int, static: bool, area: float = 1.0) -> float:
-    """Seconds that ``iterations`` steps take on two cores. area: mean area of the training images, as a share of the full images."""
+def training_seconds(facts: Facts, iterations: int, kind: str, area: float = 1.0) -> float:
+    """Seconds that ``iterations`` steps with a ``kind`` of motion take on two cores. area: mean area of the training images, as a share of
+    the full images."""
     megapixels = facts.width * facts.height / 1e6
-    return iterations * ((SECONDS_PER_STATIC_STEP if static else SECONDS_PER_STEP) + SECONDS_PER_MEGAPIXEL_STEP * megapixels * area)
+    return iterations * (KINDS[kind].step_seconds + KINDS[kind].megapixel_seconds * megapixels * area)
 
 
-def node_training_seconds(facts: Facts, iterations: int, first: int) -> float:
-    """Seconds that ``iterations`` steps with control nodes take on two cores, and ``first`` steps on very small images before them."""
-    of_full = SECONDS_PER_NODE_STEP + SECONDS_PER_MEGAPIXEL_NODE_STEP * facts.width * facts.height / 1e6
-    return iterations * of_full + first * SECONDS_PER_FIRST_STEP
+def first_training_seconds(iterations: int) -> float:
+    """Seconds that ``iterations`` steps of a first training take on two cores."""
+    return iterations * SECONDS_PER_FIRST_STEP

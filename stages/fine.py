@@ -8,9 +8,10 @@ from typing import Any
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Stage
+from ..scene.motion.kinds import KINDS, choose
 from ..scene.settings import RefinementSettings
 from .facts import Facts
-from .training.choices import fine_iterations, nodes_by_default
+from .training.choices import fine_iterations
 
 
 class FineSettings(RefinementSettings):
@@ -23,7 +24,7 @@ class FineSettings(RefinementSettings):
 
 def rests(facts: Facts, settings: FineSettings) -> bool:
     """Whether there is nothing to do unless `hulls` was told to place convexes."""
-    return settings.iterations is None and nodes_by_default(facts)
+    return settings.iterations is None and not KINDS[choose("auto", facts)].convexes
 
 
 class Fine(Stage):
@@ -46,7 +47,9 @@ class Fine(Stage):
         from .estimates import training_seconds
 
         known = Facts.of(facts)
-        return 2.0 if rests(known, settings) else training_seconds(known, fine_iterations(settings, known), known.static)
+        if rests(known, settings):
+            return 2.0
+        return training_seconds(known, fine_iterations(settings, known), "static" if known.static else "planes")
 
     def resources(self, facts: Mapping[str, Any], settings: FineSettings, device: str) -> Resources:
         from .estimates import training_resources

@@ -8,8 +8,9 @@ from typing import Any
 from pydantic import Field
 
 from ..pipeline import Applies, Context, Resources, Settings, Stage
+from ..scene.motion.kinds import choose
 from .facts import Facts
-from .training.choices import most_convexes, nodes_by_default
+from .training.choices import most_convexes
 
 
 class HullSettings(Settings):
@@ -34,7 +35,7 @@ class Hulls(Stage):
     def applies(self, facts: Mapping[str, Any], settings: HullSettings) -> Applies:
         if settings.budget == 0:
             return Applies.no("hulls.budget is 0")
-        most = most_convexes(settings.budget, nodes_by_default(Facts.of(facts)))
+        most = most_convexes(settings.budget, choose("auto", Facts.of(facts)))
         if most == 0:
             return Applies.yes("with control nodes convexes gain nothing, so there are none; hulls.budget sets a number")
         return Applies.yes(f"up to {most} convexes where edges are dense and badly shown")

@@ -19,10 +19,11 @@ from ...rasterizer.cuda import selftest
 from ...rasterizer.cuda.programs import backproject_convexes, backproject_gaussians, needed, project_convexes
 from ...rasterizer.cuda.runtime import Program, warm_up
 from ..model import Model
-from ..motion.lifetimes.lifetimes import FreeMotion
+from ..motion.interface import Motion
+from ..motion.lifetimes.lifetime import set_lifetime
+from ..motion.lifetimes.lifetimes import Lifetimes
 from ..motion.nodes.control_nodes import ControlNodes
 from ..motion.planes.field import DeformationField
-from ..motion.recipe import RECIPES
 from ..primitives import ConvexSet, GaussianSet
 from ..schedule import Phase
 from ..settings import TrainingSettings
@@ -69,7 +70,7 @@ def _step(motion: str, device: str) -> dict[str, Tensor]:
     """What a step of training computes, by names for people."""
     settings = TrainingSettings.model_validate({"sh_degree": DEGREES[motion], **WEIGHTS})
     model = _model(motion).to(device)
-    objective = Objective(_views(device), settings, RECIPES[motion], DISTANCE, motion == "planes", TOTAL, 0, _measured_flow, None)
+    objective = Objective(_views(device), settings, model.motion.recipe, DISTANCE, motion == "planes", TOTAL, 0, _measured_flow, None)
     judged = objective(model, 1, STEP, Phase("all", TOTAL), DEGREES[motion])
     judged.loss.backward()  # type: ignore[no-untyped-call]
     optimiser = LearnedModel(model, settings, DISTANCE, 1.0).optimiser
@@ -96,21 +97,21 @@ def _model(motion: str) -> Model:
     corners = rng.uniform(-0.9, 0.9, (6, 1, 3)) + rng.uniform(-0.3, 0.3, (6, 6, 3))
     convexes = ConvexSet.from_points(corners, rng.random((6, 3)), degree, opacity=0.5)
     ends = torch.full((3,), -1.2), torch.full((3,), 1.2)
-    field: DeformationField | ControlNodes | FreeMotion = DeformationField(*ends, TIMES)
+    moving: Motion = DeformationField(*ends, TIMES)
     if motion == "nodes":
-        field = ControlNodes(torch.tensor(rng.uniform(-1, 1, (24, 3))), torch.zeros(3), 1.0, 1.0)
+        moving = ControlNodes(torch.tensor(rng.uniform(-1, 1, (24, 3))), torch.zeros(3), 1.0, 1.0)
     if motion == "free":
-        field = FreeMotion(TIMES)
+        moving = Lifetimes(TIMES)
         for kind in (gaussians, convexes):
-            kind.live((TIMES - 1) * torch.rand(len(kind), generator=g), 1.0)
+            set_lifetime(kind, (TIMES - 1) * torch.rand(len(kind), generator=g), 1.0)
             kind.dynamic[::4] = False
     with torch.no_grad():  # motions start at rest, where most gradients are zero; of a ball, every turn looks the same
         shapes = [gaussians.parameters["log_scales"], gaussians.parameters["sh_rest"]]
         drifts = [kind.parameters[name] for kind in (gaussians, convexes) for name in ("velocities", "spins") if motion == "free"]
-        for amount, parameters in ((0.03, [*field.parameters(), *drifts]), (0.3, shapes)):
+        for amount, parameters in ((0.03, [*moving.parameters(), *drifts]), (0.3, shapes)):
             for p in parameters:
                 p.add_(amount * torch.randn(p.shape, generator=g))
-    return Model(gaussians, convexes, field, degree, antialiased=motion != "planes")  # both modes are tried
+    return Model(gaussians, convexes, moving, degree, antialiased=motion != "planes")  # both modes are tried
 
 
 def _views(device: str) -> Views:

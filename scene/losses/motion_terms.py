@@ -15,7 +15,8 @@ from torch import Tensor
 
 from ...rasterizer import Camera, Gaussians
 from ..model import Model
-from ..motion.interface import Motion, Time
+from ..motion.interface import Motion
+from ..motion.times import Time
 from ..settings import TrainingSettings
 from ..views import CACHE_BYTES, Views
 from .flow_loss import data_flow_loss, interval_loss
@@ -79,14 +80,13 @@ class MotionTerms:
     def __call__(self, model: Model, moved: Gaussians, i: int, scale: float, iteration: int, total: int) -> Tensor:
         """Weighted sum of the terms for training frame ``i``. ``moved``: its Gaussians at its time. ``scale``: image scale of the phase."""
         s, t = self.settings, self.views.moment(i)
-        assert model.field is not None
         dynamic = model.gaussians.dynamic
         loss = torch.zeros((), device=model.device)
         if self.rest:
             loss = loss + self.rest / self.unit * displacement(moved, model.gaussians.means, dynamic)
-        if iteration % PRIOR_EVERY == 0 and not model.field.steady:
+        if iteration % PRIOR_EVERY == 0 and not model.motion.steady:
             if s.tv:
-                loss = loss + PRIOR_EVERY * s.tv * model.field.regulariser()
+                loss = loss + PRIOR_EVERY * s.tv * model.motion.regulariser()
             if s.rigid or self.inertia:
                 loss = loss + PRIOR_EVERY * self._priors(model, t, iteration)
         if self.flow_due(model, iteration, total) and model.moves():
@@ -101,14 +101,13 @@ class MotionTerms:
 
     def may_bend(self, model: Model) -> bool:
         """Whether L_interval has a weight and can differ from 0."""
-        return self.interval > 0 and self.times >= 3 and model.field is not None and not model.field.steady
+        return self.interval > 0 and self.times >= 3 and not model.motion.steady
 
     def _priors(self, model: Model, t: Time, iteration: int) -> Tensor:
         s = self.settings
-        assert model.field is not None
-        if not model.field.priors_at_places:
+        if not model.motion.priors_at_places:
             none = model.gaussians.means.detach()[:0]
-            return motion_priors(model.field, none, none, t, self.dt, self.unit, s.rigid, self.inertia)
+            return motion_priors(model.motion, none, none, t, self.dt, self.unit, s.rigid, self.inertia)
         generator = torch.Generator().manual_seed(s.seed * 1_000_003 + iteration)
         moving = model.gaussians.dynamic.nonzero()[:, 0]
         if not len(moving):
@@ -117,12 +116,11 @@ class MotionTerms:
         chosen = torch.randint(len(moving), (PRIOR_SAMPLES,), generator=generator).to(moving.device)
         rest = model.gaussians.means.detach()[moving[chosen]]
         noise = torch.randn(rest.shape, generator=generator).to(rest.device)
-        return motion_priors(model.field, rest, noise, t, self.dt, self.unit, s.rigid, self.inertia)
+        return motion_priors(model.motion, rest, noise, t, self.dt, self.unit, s.rigid, self.inertia)
 
     def _flow(self, model: Model, i: int, t: Time, scale: float) -> Tensor:
         s, views = self.settings, self.views
         total = torch.zeros((), device=model.device)
-        assert model.field is not None
         if self.may_bend(model):
             start = t.clamp(max=1 - 2 * self.dt) if isinstance(t, Tensor) else min(t, 1 - 2 * self.dt)
             camera = views.rasterizer_camera(i, scale * FLOW_SCALE)

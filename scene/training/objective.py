@@ -161,7 +161,7 @@ class Objective:
             loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha, weight)
         loss = loss + self._surface(frame, target, i, now.smooth, weight, phase.scale, window)
         loss = loss + self.opacity / (views.width * views.height) * (opacities.sum() + convexes.opacities.sum())
-        if phase.move and model.field is not None:
+        if phase.move and not model.motion.static:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
         return Judged(loss, image_loss, frame.color, target, weight, recording, rows)
 

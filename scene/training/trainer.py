@@ -15,8 +15,7 @@ from ..colour import CameraAffine, colour_recorders
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow
 from ..model import Model
-from ..motion.nodes.turning import leave_only_rigid_parts
-from ..motion.recipe import PLANES, Recipe
+from ..motion.recipe import Recipe
 from ..schedule import Phase, alike_since
 from ..settings import TrainingSettings
 from ..views import Views
@@ -65,17 +64,18 @@ class Trainer:
         measured_flow: MeasuredFlow | None = None,
         measured_depth: MeasuredDepth | None = None,
         moving: Callable[[int], Tensor | None] | None = None,
-        recipe: Recipe = PLANES,
+        recipe: Recipe | None = None,
         advance: Callable[[int, str], None] = lambda n, note: None,
         log: Callable[[str], None] = lambda message: None,
     ) -> None:
-        self.model, self.views, self.phases, self.settings, self.recipe = model, views, phases, settings, recipe
+        self.recipe = recipe = model.motion.recipe if recipe is None else recipe
+        self.model, self.views, self.phases, self.settings = model, views, phases, settings
         self.checkpoints, self.part, self.grow, self.advance, self._say = checkpoints, part, grow, advance, log
         self.total = sum(phase.iterations for phase in phases)
         self.iteration = 0
         self._left_out = 0  # steps of phases that ended early
         self.log, self.guard, self.loss = TrainingLog(), NonFiniteGuard(), SmoothedLoss()
-        moves = grow and model.field is not None and any(phase.move for phase in phases)
+        moves = grow and not model.motion.static and any(phase.move for phase in phases)
         static_steps = sum(phase.iterations for phase in phases if not phase.move)
         opened = round(settings.open_until * self.total) if moves and recipe.opens else 0
         self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, static_steps, opened)
@@ -140,7 +140,7 @@ class Trainer:
             self.log.psnr.append([self.iteration, judged.psnr()])
         judged.backward()
         if self.motion.rigid_parts_alone:
-            leave_only_rigid_parts(model, self.learned.optimiser.parameters() | judged.rows.named())
+            model.motion.leave_only_rigid_parts(model, self.learned.optimiser.parameters() | judged.rows.named())
         now = Step(self.iteration, i, judged.loss.detach(), judged.image_loss)
         not_taken = self.steps.take(now, self.iteration / max(self.total, 1), self._frozen(phase, step), judged.rows)
         if len(model.convexes) and self.recipe.largest_convex < math.inf:
@@ -165,7 +165,7 @@ class Trainer:
         if not phase.alternation or not len(self.model.convexes):
             return frozenset()
         turn = (step // phase.alternation) % 2
-        return frozenset({"convexes"} if turn == 0 else {"gaussians", "field"})
+        return frozenset({"convexes"} if turn == 0 else {"gaussians", "motion"})
 
     def _after_step(self, phase: Phase) -> None:
         if self.iteration % 50 == 0:

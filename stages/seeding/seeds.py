@@ -5,11 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from ...pipeline import Context
-from ...scene.motion.lifetimes.lifetimes import FreeMotion
-from ...scene.primitives import GaussianSet
 from ...scene.seeds.carve import carve
 from ...scene.seeds.outliers import trusted
 from ...scene.seeds.volume import common_volume
@@ -27,7 +24,6 @@ from .moving import FEWEST_CAMERAS, MovingSeeds, camera_seeds, rig_seeds, rig_ti
 FIXED_SHARE = 0.3  # masks of fixed cameras, each marking all pixels that ever change
 MOVING_SHARE = 0.5  # masks of single frames of a moving camera, if moving objects have seeds of their own
 COVERED_SHARE = 0.05  # the same, if they have none and seeds that they sometimes hide must represent them
-OVERLAP = 0.6  # standard deviation of a Gaussian's lifetime, relative to the frames between two times with seeds
 SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide,
 SWEPT_DENSITY = 1.5  # and relative to the share of the pixels whose depth it found: the others need seeds, too
 LEAST_POINTS = 30  # least number of points for depths interpolated between them to be meaningful
@@ -102,19 +98,6 @@ def moving_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarra
     if found is not None:
         ctx.log(f"seeds: {len(found.points)} on moving objects, at {len(np.unique(found.time))} times")
     return found
-
-
-def living(seeds: MovingSeeds, motion: FreeMotion, sh_degree: int, max_scale: float) -> list[GaussianSet]:
-    """Gaussians on ``seeds``, one set per time, whose lifetimes overlap with those of the times before and after."""
-    times = np.unique(seeds.time)
-    apart = (motion.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
-    sets = []
-    for t in times:
-        row = seeds.time == t
-        one = GaussianSet.from_points(seeds.points[row], seeds.colors[row], sh_degree, max_scale=max_scale)
-        one.live(motion.frame(t), max(OVERLAP * apart, 1.0), torch.from_numpy(seeds.velocities[row]).float())
-        sets.append(one)
-    return sets
 
 
 def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, moving_seeded: bool) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ...pipeline import Context
+from ...scene.motion.kinds import KINDS
 from ..artifacts.flow import flow_of
 from ..facts import Facts
 
@@ -18,15 +19,12 @@ ITERATIONS = 6000
 ITERATIONS_A_TIME = 280  # steps per time of a rig, since each time needs its own
 MOST_ITERATIONS = 30_000
 LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
-ITERATIONS_NODES = 40_000
 ITERATIONS_FINE = 1500
 LEAST_FINE = 300
 CLIP_PIXELS = 250_000  # of a picture up to which a clip gets all steps on a CPU
-BY_NODE_PHASES = ("two-stage", "alternating")  # strategies in which control nodes have a schedule of their own
 CONVEXES = 8000
 SEEDS, MOST_SEEDS = 8000, 40_000
 WIDE_PATH = 60.0  # degrees
-NODE_TIMES = 9  # least number of times; fewer say too little about motion
 
 
 def found_facts(ctx: Context, views: Views) -> Facts:
@@ -43,16 +41,17 @@ def one_way(facts: Facts) -> bool:
     return facts.pairs > 0 and not (facts.rig or facts.static or facts.fixed_cameras or facts.alpha)
 
 
-def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:
-    """Most Gaussians at one time: one per four pixels of a view, one per five with control nodes, one per eight if nothing moves, between
-    12,000 and 120,000. For a rig, which sees a whole room, one per four, between 40,000 and 240,000. Along a path three per eight pixels,
-    up to 160,000: most of them are at rest, and so present at each time."""
+def auto_budget(facts: Facts, views: Views, kind: str) -> int:
+    """Most Gaussians at one time: one per four pixels of a view, or as the ``kind`` of motion says, between 12,000 and 120,000. For a rig,
+    which sees a whole room, one per four, between 40,000 and 240,000. Along a path three per eight pixels, up to 160,000: most of them are
+    at rest, and so present at each time."""
     pixels = views.width * views.height
     if facts.rig:
         return int(min(max(pixels // 4, 40_000), 240_000))
-    if one_way(facts) and not nodes:
+    pixels_each = KINDS[kind].pixels
+    if one_way(facts) and pixels_each is None:
         return int(min(max(3 * pixels // 8, 12_000), 160_000))
-    return int(min(max(pixels // (8 if facts.static else 5 if nodes else 4), 12_000), 120_000))
+    return int(min(max(pixels // (pixels_each or 4), 12_000), 120_000))
 
 
 def auto_seeds(facts: Facts, budget: int) -> int:
@@ -69,23 +68,11 @@ def auto_sh_degree(facts: Facts, width: float) -> int:
     return 1 if facts.rig or (one_way(facts) and width < WIDE_PATH) else 2
 
 
-def use_nodes(facts: Facts, settings: CoarseSettings) -> bool:
-    """Whether control nodes move the scene."""
-    if facts.static or settings.motion != "auto":
-        return settings.motion == "nodes" and not facts.static
-    return nodes_by_default(facts)
-
-
-def nodes_by_default(facts: Facts) -> bool:
-    """Whether something moves and each frame has its own camera: one view per time says too little for planes."""
-    return not facts.static and facts.cameras == facts.frames and facts.pairs == 0 and facts.times >= NODE_TIMES
-
-
-def auto_iterations(facts: Facts, settings: CoarseSettings, device: str = "cpu") -> int:
+def auto_iterations(facts: Facts, settings: CoarseSettings, kind: str, device: str = "cpu") -> int:
     """6000 steps, fewer for large clips on a CPU (`share_of_steps`); for a rig (several cameras at each time) at least 280 per time, up to
-    30,000; `ITERATIONS_NODES` for control nodes. The number is multiplied by the effort, but never below 2000."""
-    steps = ITERATIONS_NODES
-    if not use_nodes(facts, settings):
+    30,000; or as many as the ``kind`` of motion says. The number is multiplied by the effort, but never below 2000."""
+    steps = KINDS[kind].steps
+    if steps is None:
         moving_rig = facts.rig and not facts.static
         steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.times if moving_rig else 0), MOST_ITERATIONS)
         steps = max(round(steps * share_of_steps(facts, device)), LEAST_ITERATIONS)
@@ -109,8 +96,9 @@ def share_of_steps(facts: Facts, device: str) -> float:
     return min(1.0, CLIP_PIXELS / (facts.width * facts.height)) if clip and device == "cpu" else 1.0
 
 
-def most_convexes(budget: int | None, nodes: bool) -> int:
-    """The largest number of convexes: ``budget``, or `CONVEXES` if it is None, but none with control nodes, where they gain nothing."""
+def most_convexes(budget: int | None, kind: str) -> int:
+    """The largest number of convexes: ``budget``, or `CONVEXES` if it is None, but none with a ``kind`` of motion with which they gain
+    nothing."""
     if budget is not None:
         return budget
-    return 0 if nodes else CONVEXES
+    return CONVEXES if KINDS[kind].convexes else 0

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from ...pipeline import Context
 from ...scene.model import Model
-from ...scene.motion.lifetimes.lifetimes import FreeMotion
-from ...scene.motion.nodes.control_nodes import ControlNodes
-from ...scene.motion.planes.field import DeformationField
-from ...scene.primitives import ConvexSet, GaussianSet
-from ...scene.schedule import HALF_RESOLUTION, Phase, coarse_phases, node_phases
+from ...scene.motion.kinds import KINDS, choose, motion_class
+from ...scene.motion.start import Start
+from ...scene.primitives import ConvexSet
 from ...scene.seeds.near_plane import near_plane
 from ...scene.settings import GrowthSettings
 from ...scene.views import Views
@@ -24,12 +22,10 @@ from ..artifacts.model import write_model
 from ..artifacts.training_log import write_training_log
 from ..facts import Facts
 from ..seeding.fill import measured_depth, moving_pixels
-from ..seeding.moving import MovingSeeds
 from ..seeding.picture import seeds_picture
-from ..seeding.seeds import initial_dynamic, living, load_seeds, moving_seeds
-from .choices import BY_NODE_PHASES, auto_budget, auto_iterations, auto_seeds, auto_sh_degree, found_facts, one_way, use_nodes
+from ..seeding.seeds import initial_dynamic, load_seeds, moving_seeds
+from .choices import auto_budget, auto_iterations, auto_seeds, auto_sh_degree, found_facts, one_way
 from .first_motion import find_first_motion
-from .motions import make_field, make_nodes
 from .path_width import path_width
 from .train import train
 
@@ -37,22 +33,7 @@ if TYPE_CHECKING:
     from ..coarse import CoarseSettings
 
 SMALL_IMAGE = 40_000  # px; smaller images show too little at half size
-NODE_SEEDS = 2500  # few seeds that multiply where the error is give better results than many
 MOST_SCALE = 0.05  # of the viewing distance, largest initial standard deviation of a Gaussian
-LEAST_DYNAMIC = 50  # dynamic seeds, from which on the field spans only these
-
-Kind = Literal["static", "planes", "nodes", "free"]
-
-
-class Start(NamedTuple):
-    """Seeds of the Gaussians. points [N, 3] world units; colors [N, 3] in [0, 1]; dynamic [N] bool. moving: further seeds on moving
-    objects, at several times. max_scale: largest initial standard deviation, world units."""
-
-    points: np.ndarray
-    colors: np.ndarray
-    dynamic: np.ndarray
-    moving: MovingSeeds | None
-    max_scale: float
 
 
 def train_coarse(ctx: Context) -> None:
@@ -62,40 +43,41 @@ def train_coarse(ctx: Context) -> None:
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device)
     facts = found_facts(ctx, views)
-    static, nodes = facts.static, use_nodes(facts, settings)
-    budget = settings.budget or auto_budget(facts, views, nodes)
+    expected = motion_class(choose(settings.motion, facts))
+    budget = settings.budget or auto_budget(facts, views, expected.kind)
     count = settings.seeds or auto_seeds(facts, budget)
     points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, count, fill=one_way(facts))
-    moving = None if static or nodes else moving_seeds(ctx, frames, views, points, budget // 2)
+    moving = moving_seeds(ctx, frames, views, points, budget // 2) if expected.moving_seeds else None
     views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
     if frames.background is None:
         views.background = mean_colour(views)
-    if nodes:
-        chosen = np.random.default_rng(settings.seed).permutation(len(points))[:NODE_SEEDS]
+    if expected.most_seeds is not None:
+        chosen = np.random.default_rng(settings.seed).permutation(len(points))[: expected.most_seeds]
         points, colors = points[chosen], colors[chosen]
     unit = views.viewing_distance(points)
     begin = encode_png(seeds_picture(views, points, colors, moving))
-    dynamic = np.zeros(len(points), bool) if static else initial_dynamic(ctx, points, views, moving is not None)
-    free = settings.motion == "free" or (settings.motion == "auto" and moving is not None)
-    kind: Kind = "static" if static else "nodes" if nodes else "free" if free else "planes"
+    dynamic = np.zeros(len(points), bool) if facts.static else initial_dynamic(ctx, points, views, moving is not None)
+    kind = choose(settings.motion, facts, moving is not None)
+    if kind != expected.kind:
+        found = "no seeds were" if moving is None else "seeds were"
+        ctx.log(f"{found} found on moving objects: {KINDS[kind].moves}")
     sh_degree = chosen_sh_degree(ctx, facts, views, trusted) if settings.sh_degree is None else settings.sh_degree
-    start = Start(points, colors, dynamic, moving, MOST_SCALE * unit)
-    model = first_model(kind, start, views, sh_degree, settings).to(ctx.device)
+    start = Start(points, colors, dynamic, moving, sh_degree, MOST_SCALE * unit)
+    model = first_model(kind, start, views, settings).to(ctx.device)
 
-    steps = settings.iterations or auto_iterations(facts, settings, ctx.device)
-    if kind == "nodes" and settings.strategy in BY_NODE_PHASES:
-        find_first_motion(ctx, model, views, settings, steps, is_small(views))
+    steps = settings.iterations or auto_iterations(facts, settings, kind, ctx.device)
+    find_first_motion(ctx, model, views, settings, steps, is_small(views))
     log = train(
         ctx,
         "coarse",
         model,
         views,
-        phases(kind, steps, views, settings),
+        model.motion.phases(settings.strategy, steps, settings.full_from, is_small(views)),
         settings,
         budget=budget,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
-        moving=moving_pixels(ctx, frames, views) if kind == "free" else None,
+        moving=moving_pixels(ctx, frames, views) if model.motion.splits_in_time else None,
     )
     if not len(model.gaussians):
         ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")
@@ -114,36 +96,11 @@ def chosen_sh_degree(ctx: Context, facts: Facts, views: Views, points: np.ndarra
     return degree
 
 
-def first_model(kind: Kind, start: Start, views: Views, sh_degree: int, settings: CoarseSettings) -> Model:
-    """The initial model: Gaussians on the seeds, and the motion model."""
-    points, colors, dynamic, moving, max_scale = start
-    if moving is not None and kind != "free":  # the rest pose is the position at the middle time
-        middle = moving.time == moving.time[np.abs(moving.time - 0.5).argmin()]
-        points, colors = np.concatenate([points, moving.points[middle]]), np.concatenate([colors, moving.colors[middle]])
-        dynamic = np.concatenate([dynamic, np.ones(int(middle.sum()), bool)])
-    gaussians = GaussianSet.from_points(points, colors, sh_degree, max_scale=max_scale)
-    field: DeformationField | ControlNodes | FreeMotion | None = None
-    if kind != "static":
-        gaussians.dynamic = torch.from_numpy(dynamic)
-    if kind == "free":
-        field = FreeMotion(len(np.unique(views.time)))
-        gaussians.live(0.5 * (field.times - 1), field.times)
-        if moving is not None:
-            gaussians = GaussianSet.joined([gaussians, *living(moving, field, sh_degree, max_scale)])
-    elif kind == "nodes":
-        field = make_nodes(points, settings)
-    elif kind == "planes":
-        field = make_field(points[dynamic] if dynamic.sum() >= LEAST_DYNAMIC else points, views, settings)
-    empty = ConvexSet.empty(6, sh_degree)
-    return Model(gaussians, empty, field, sh_degree, views.near, views.background, antialiased=settings.antialiased)
-
-
-def phases(kind: Kind, steps: int, views: Views, settings: CoarseSettings) -> list[Phase]:
-    """The training schedule. Half-size images come first if they show enough."""
-    if kind == "nodes" and settings.strategy in BY_NODE_PHASES:
-        return node_phases(steps, 1.0 if is_small(views) else HALF_RESOLUTION)
-    full_from = 0.0 if is_small(views) else settings.full_from
-    return coarse_phases(settings.strategy, steps, kind == "static", full_from, kind != "free")
+def first_model(kind: str, start: Start, views: Views, settings: CoarseSettings) -> Model:
+    """The initial model: Gaussians on the seeds, and what moves them."""
+    motion, gaussians = motion_class(kind).start(start, views, settings)
+    empty = ConvexSet.empty(6, start.sh_degree)
+    return Model(gaussians, empty, motion, start.sh_degree, views.near, views.background, antialiased=settings.antialiased)
 
 
 def is_small(views: Views) -> bool:

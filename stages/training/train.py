@@ -6,7 +6,6 @@ from typing import Any
 
 from ...pipeline import Context
 from ...scene.model import Model
-from ...scene.motion.recipe import RECIPES
 from ...scene.schedule import Phase
 from ...scene.settings import TrainingSettings
 from ...scene.training.log import TrainingLog
@@ -17,9 +16,7 @@ from ...scene.views import Views
 def train(
     ctx: Context, name: str, model: Model, views: Views, phases: list[Phase], settings: TrainingSettings, **options: Any
 ) -> TrainingLog:
-    """Trains ``model`` in place through ``phases``, with the recipe for its kind of motion unless ``options``, which are further arguments
-    of `Trainer`, contain one."""
-    options.setdefault("recipe", RECIPES["planes" if model.field is None else str(model.field.config["kind"])])
+    """Trains ``model`` in place through ``phases``. ``options`` are further arguments of `Trainer`."""
     with ctx.progress(sum(phase.iterations for phase in phases), name) as bar:
         trainer = Trainer(
             model,

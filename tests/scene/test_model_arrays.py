@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "artifacts.md"
@@ -16,7 +17,7 @@ def model():
     rng = np.random.default_rng(0)
     gaussians = GaussianSet.from_points(rng.uniform(-1, 1, (SIZES["N"], 3)), rng.random((SIZES["N"], 3)), 2)
     convexes = ConvexSet.from_points(rng.uniform(-1, 1, (SIZES["M"], SIZES["K"], 3)), rng.random((SIZES["M"], 3)), 2)
-    return Model(gaussians, convexes, None, 2)
+    return Model(gaussians, convexes, Static(), 2)
 
 
 def test_every_array_of_a_model_is_on_the_page():

@@ -7,7 +7,10 @@ from e4dgs.rasterizer import Camera
 from e4dgs.scene.losses.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
 from e4dgs.scene.losses.motion_terms import MotionTerms
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.carrier import Carrier
+from e4dgs.scene.motion.planes.displace import Displacement
 from e4dgs.scene.motion.planes.field import DeformationField
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.settings import TrainingSettings
@@ -17,7 +20,7 @@ from e4dgs.scene.views import Views
 WIDTH, HEIGHT = 48, 32
 
 
-class Path(torch.nn.Module):
+class Path(Carrier):
     """A motion with a known path: dx = velocity t + acceleration t^2, for every position."""
 
     def __init__(self, velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
@@ -26,15 +29,10 @@ class Path(torch.nn.Module):
         self.acceleration = torch.nn.Parameter(torch.tensor(acceleration).float())
 
     worth_culling = True
-    steady = False
     priors_at_places = True
-    carry, light = DeformationField.carry, DeformationField.light  # by its displacement
-
-    def links(self, points, hyper):
-        return None
+    carry = DeformationField.carry  # by its displacement
 
     def forward(self, rest, t):
-        from e4dgs.scene.motion.interface import Displacement
 
         dx = (self.velocity * t + self.acceleration * t * t).expand(len(rest), 3)
         return Displacement(dx, torch.tensor([1.0, 0, 0, 0]).expand(len(rest), 4), torch.zeros(len(rest), 3))
@@ -55,7 +53,7 @@ def model(motion=None, convex=False):
     rng = np.random.default_rng(0)
     hull = rng.normal(size=(1, 6, 3)) * 0.3
     c = ConvexSet.from_points(hull, np.full((1, 3), 0.5), 0) if convex else ConvexSet.empty(6, 0)
-    return Model(g, c, motion, 0)
+    return Model(g, c, motion or Static(), 0)
 
 
 def views(frames=3):
@@ -173,7 +171,7 @@ def terms(interval, times, measured=None, **settings):
 
 def test_steps_draw_whole_images_for_flow_only_if_there_is_a_flow_term():
     bends, steady = model(Path()), model(Path())
-    steady.field.steady = True
+    steady.motion.steady = True
     due = terms(1e-3, 3, flow_every=8).flow_due
     assert [step for step in range(100) if due(bends, step, 100)] == list(range(32, 100, 8))  # from 30 % of the steps
     assert due(bends, 32, 106) and not due(bends, 32, 107)

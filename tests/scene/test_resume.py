@@ -8,11 +8,11 @@ from functools import cache
 import interrupted
 import pytest
 import torch
-from e4dgs.scene.motion.recipe import FIRST_MOTION, NODES
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.schedule import FIRST_MOTION, NODES
 from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training import convergence
 from e4dgs.scene.training.checkpoint import FILE
-from e4dgs.stages.training.motions import make_nodes
 from interrupted import EVERY, KINDS, QUICK, ROUNDS, Dying, Killed, digests, prepared, run
 from sliding_gaussians import fresh, make_views, wandering_views
 
@@ -81,7 +81,7 @@ def test_writing_checkpoints_changes_nothing(tmp_path):
         views = wandering_views(9, 16)
         model = fresh(views, static=True)
         model.gaussians.dynamic[:] = True
-        model.field = make_nodes(model.gaussians.means.detach().numpy(), QUICK)
+        model.motion = ControlNodes.over(model.gaussians.means.detach().numpy(), QUICK.seed)
         phases = [Phase("warm-up", 60, False, 0.5), Phase("deformation", 39, True, 0.5)]
         settings = QUICK.model_copy(update={"checkpoint_seconds": every, "lr_means": 4e-2})
         return run(Dying(model, views, phases, settings, budget=90, recipe=FIRST_MOTION, checkpoints=folder))
@@ -98,7 +98,7 @@ def test_a_training_that_goes_on_keeps_its_unit_of_length(tmp_path):
     other = fresh(views, static=True)
     with torch.no_grad():
         other.gaussians.means.mul_(7.0)
-    other.field = make_nodes(other.gaussians.means.detach().numpy(), QUICK)
+    other.motion = ControlNodes.over(other.gaussians.means.detach().numpy(), QUICK.seed)
     again = Dying(other, views, whole.phases, QUICK, budget=90, recipe=NODES, checkpoints=tmp_path)
     assert again.unit == again.objective.unit == whole.unit
     begun = Dying(other, views, whole.phases, QUICK, budget=90, recipe=NODES)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.losses.measured_depth import MeasuredDepth
-from e4dgs.scene.motion.recipe import PLANES
+from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.training.objective import Objective
 from sliding_gaussians import SETTINGS, make_views
 
@@ -27,7 +27,7 @@ def test_terms_on_depth_are_the_same(smooth, depth, scale):
     moving[:, 10:14] = True
     inverse = torch.linspace(0.1, 0.4, SIZE).expand(SIZE, SIZE).contiguous()
     known = MeasuredDepth({0: inverse}, UNIT, lambda i: moving)
-    objective = Objective(views, SETTINGS.model_copy(update={"depth": depth}), PLANES, UNIT, True, 100, 0, None, known)
+    objective = Objective(views, SETTINGS.model_copy(update={"depth": depth}), DeformationField.recipe, UNIT, True, 100, 0, None, known)
     size = round(SIZE * scale)
     left, top, right, bottom = window = tuple(round(edge * scale) for edge in WINDOW)
     inside = slice(top, bottom), slice(left, right)

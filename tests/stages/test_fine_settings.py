@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter, SettingsError, build_settings
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.settings import GrowthSettings, TrainingSettings
 from e4dgs.stages.artifacts.coarse import StoredCoarse
 from e4dgs.stages.artifacts.model import read_model, write_model
@@ -13,7 +14,6 @@ from e4dgs.stages.facts import Facts
 from e4dgs.stages.fine import Fine, FineSettings
 from e4dgs.stages.training.choices import fine_iterations
 from e4dgs.stages.training.fine import training_settings
-from e4dgs.stages.training.motions import make_nodes
 from run_stage import run_frames, run_stage
 from sliding_gaussians import fresh, wandering_views
 
@@ -64,7 +64,7 @@ def test_with_nodes_and_without_convexes_the_model_of_coarse_is_kept_unless_step
     inputs = {"frames": frames.artifact, "poses": None, "flow": None, "hulls": None}
     capture = frames.context.capture
     model = fresh(wandering_views(12), static=True)
-    model.field = make_nodes(model.gaussians.means.detach().numpy(), CoarseSettings())
+    model.motion = ControlNodes.over(model.gaussians.means.detach().numpy())
     tmp_path.joinpath("coarse").mkdir()
     out = ArtifactWriter(tmp_path / "coarse")
     StoredCoarse("two-stage", 90, {}, GrowthSettings()).write(out, b"png")

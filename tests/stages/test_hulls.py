@@ -6,6 +6,7 @@ import torch
 from e4dgs.rasterizer import rasterize
 from e4dgs.scene.edge_seeds import EdgeSeeds, edge_seeds
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.views import Views
 from e4dgs.stages.artifacts.hulls import StoredHulls
@@ -60,7 +61,7 @@ def wall(edge_at: int, shown_at: int) -> tuple[Model, Views]:
     gaussians = GaussianSet.from_points(points, shown, 0, opacity=0.95)
     with torch.no_grad():
         gaussians.log_scales.copy_(torch.tensor([0.05, 0.25, 0.01]).log().expand(len(points), 3))
-    return Model(gaussians, ConvexSet.empty(6, 0), None, 0), views
+    return Model(gaussians, ConvexSet.empty(6, 0), Static(), 0), views
 
 
 def test_error_counts_at_edges_alone():

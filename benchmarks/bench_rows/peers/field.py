@@ -11,7 +11,7 @@ from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from e4dgs.scene.motion.interface import Displacement
+from e4dgs.scene.motion.planes.displace import Displacement
 from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.motion.planes.hexplane import lookup_reference
 from e4dgs.scene.rotation import rotate

@@ -1,8 +1,9 @@
-"""Makes a part that was found to spin a rigid one that turns at the rate found, with new Gaussians around its centre."""
+"""Makes a part that was found to turn a rigid one that turns at the rate found, with new Gaussians around its centre."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 import torch
@@ -10,11 +11,12 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from ...model import Model
-from ...primitives import GaussianSet
+from ....rasterizer import Camera
+from ...primitives import Attribute, ConvexSet, GaussianSet, PrimitiveSet
 from ...views import Views
-from .control_nodes import ControlNodes
-from .steady_turn import Part, Spin, SpinSearch, compact_parts
+from ..interface import Moved, Scene
+from .rigid_parts import RigidParts
+from .steady_turn import Part, SteadyTurn, TurnSearch, compact_parts
 
 WIDER = 1.2  # radius of the rigid part, relative to that of the part found, whose ragged rim leaves some of it out
 FRESH = 1500  # Gaussians that a rigid part starts with
@@ -23,71 +25,95 @@ MEDIAN, SMOOTH = 5, 1.5  # frames: median window and standard deviation of the G
 FRAMES_PER_KEY = 2  # one key a frame instead lost 2.3 dB on validation views of a tumbling cube
 
 
-def make_turning_parts_rigid(model: Model, views: Views, error: Tensor, seed: int, log: Callable[[str], None]) -> Tensor | None:
-    """Search for steady turns in the parts with much of the ``error`` [N] of the Gaussians, and make each part that turns rigid.
+class Jointed(Protocol):
+    """What is asked here of `ControlNodes`."""
 
-    Existing rigid parts are left alone. The model must be moved by `ControlNodes`; its motion is replaced. Returns the old row of each row
-    of the new ``model.gaussians`` (-1 if new), or None if nothing turns.
-    """
+    attributes: ClassVar[Mapping[str, Attribute]]
+    extent: float
+    rigid_parts: RigidParts
+
+    def carried(self, scene: Scene, index: Tensor, t: float) -> Moved: ...
+    def links(self, primitives: PrimitiveSet) -> Tensor: ...
+    def in_rigid_parts(self, scene: Scene) -> Tensor: ...
+    def with_rigid_parts(self, rigid_parts: RigidParts) -> Self: ...
+
+
+Turning = TypeVar("Turning", bound=Jointed)
+
+
+class _Changed:
+    """A scene whose motion and Gaussians were changed, and are not those of the model yet."""
+
+    def __init__(self, nodes: Jointed, gaussians: GaussianSet, convexes: ConvexSet) -> None:
+        self.gaussians, self.convexes = gaussians, convexes
+        self._links = {one.KIND: nodes.links(one) for one in (gaussians, convexes)}
+
+    def moving(self, primitives: PrimitiveSet, camera: Camera | None = None) -> Tensor:
+        return primitives.dynamic.nonzero()[:, 0]
+
+    def links(self, primitives: PrimitiveSet) -> Tensor | None:
+        return self._links[primitives.KIND]
+
+
+def make_turning_parts_rigid(
+    nodes: Turning, scene: Scene, views: Views, error: Tensor, seed: int, say: Callable[[str], None]
+) -> tuple[Turning, GaussianSet, Tensor] | None:
+    """Search for steady turns in the parts with much of the ``error`` [N] of the Gaussians, and make each part that turns rigid. Existing
+    rigid parts are left alone. Returns nodes with these rigid parts, Gaussians, and the old row of each (-1 if new); None if nothing
+    turns."""
     source = None
-    error = torch.where(bound_to_rigid_parts(model), 0.0, error)
-    for part in compact_parts(model.gaussians.means.detach().cpu().numpy(), error.cpu().numpy())[:MOST_PARTS]:
+    error = torch.where(nodes.in_rigid_parts(scene), 0.0, error)
+    for part in compact_parts(scene.gaussians.means.detach().cpu().numpy(), error.cpu().numpy())[:MOST_PARTS]:
         frames = views.train[np.argsort(views.time[views.train], kind="stable")]
-        search = SpinSearch(views, frames, part_path(model, part, views.time[frames]), part.radius)
-        spin = search.find()
-        if spin is None:
-            log(f"a part holds {part.share:.0%} of the error; no steady turn explains it")
+        search = TurnSearch(views, frames, part_path(nodes, scene, part, views.time[frames]), part.radius)
+        turn = search.find()
+        if turn is None:
+            say(f"a part holds {part.share:.0%} of the error; no steady turn explains it")
             continue
-        degrees = np.degrees(np.linalg.norm(spin.omega))
-        log(f"a part that holds {part.share:.0%} of the error turns by {degrees:.1f} degrees a frame; it moves as one rigid part from here")
-        kept = _make_rigid(model, part, spin, search, views.time[frames], seed)
+        degrees = np.degrees(np.linalg.norm(turn.omega))
+        say(f"a part that holds {part.share:.0%} of the error turns by {degrees:.1f} degrees a frame; it moves as one rigid part from here")
+        nodes, gaussians, kept = _make_rigid(nodes, scene.gaussians, part, turn, search, views.time[frames], seed)
+        scene = _Changed(nodes, gaussians, scene.convexes)
         source = kept if source is None else torch.where(kept >= 0, source[kept.clamp(min=0)], kept)
         error = torch.where(kept >= 0, error[kept.clamp(min=0)], torch.zeros((), device=error.device))
-    return source
+    return None if source is None else (nodes, scene.gaussians, source)
 
 
-def bound_to_rigid_parts(model: Model) -> Tensor:
-    """[N] bool: the Gaussians that belong to a rigid part."""
-    assert isinstance(model.field, ControlNodes)
-    return model.field.in_rigid_parts(model.links(model.gaussians))
-
-
-def leave_only_rigid_parts(model: Model, parameters: dict[str, Tensor]) -> None:
-    """Clear the gradients of all ``parameters`` (by the trainer's names) that do not belong to a rigid part."""
-    others = ~bound_to_rigid_parts(model)
+def leave_only(chosen: Tensor, parameters: Mapping[str, Tensor], of_parts: str) -> None:
+    """Clear the gradients of all ``parameters`` but the rows of the Gaussians ``chosen`` [N] bool and what is named ``of_parts``..."""
     for name, parameter in parameters.items():
-        if parameter.grad is None or name.startswith("field.rigid_parts."):
+        if parameter.grad is None or name.startswith(of_parts):
             continue
         if name.startswith("gaussians."):
-            parameter.grad[others] = 0.0
+            parameter.grad[~chosen] = 0.0
         else:
             parameter.grad = None
 
 
 @torch.no_grad()
-def part_path(model: Model, part: Part, times: np.ndarray) -> np.ndarray:
+def part_path(nodes: Jointed, scene: Scene, part: Part, times: np.ndarray) -> np.ndarray:
     """[n, 3] mean position of the part's Gaussians at ``times`` [n], world units, with jumps in single frames smoothed out."""
-    means = model.gaussians.means.detach()
+    means = scene.gaussians.means.detach()
     members = ((means - torch.tensor(part.centre, device=means.device)).norm(dim=1) <= part.radius).nonzero()[:, 0]
-    path = np.stack([model.carried(members, float(t)).points.mean(0).cpu().numpy() for t in times])
+    path = np.stack([nodes.carried(scene, members, float(t)).points.mean(0).cpu().numpy() for t in times])
     # The blurred part is placed wherever it looks best in each frame; the real part moves more steadily.
     return gaussian_filter1d(median_filter(path, (MEDIAN, 1), mode="nearest"), SMOOTH, axis=0, mode="nearest")
 
 
 @torch.no_grad()
-def _make_rigid(model: Model, part: Part, spin: Spin, search: SpinSearch, times: np.ndarray, seed: int) -> Tensor:
-    nodes, gaussians = model.field, model.gaussians
-    assert isinstance(nodes, ControlNodes)
-    means, device = gaussians.means.detach(), model.device
-    centre = torch.tensor(part.centre + spin.offset, dtype=torch.float32, device=device)
+def _make_rigid(
+    nodes: Turning, gaussians: GaussianSet, part: Part, turn: SteadyTurn, search: TurnSearch, times: np.ndarray, seed: int
+) -> tuple[Turning, GaussianSet, Tensor]:
+    means, device = gaussians.means.detach(), gaussians.device
+    centre = torch.tensor(part.centre + turn.offset, dtype=torch.float32, device=device)
     radius = WIDER * part.radius
     keys = len(nodes.rigid_parts.quats) if len(nodes.rigid_parts) else max(2, len(times) // FRAMES_PER_KEY)
     at = np.interp(np.linspace(0, 1, keys), times, np.arange(len(times)))
-    turns = Rotation.from_rotvec((at - 0.5 * (len(times) - 1))[:, None] * spin.omega).as_quat()[:, [3, 0, 1, 2]]
-    path = search.path.cpu().numpy() + spin.offset
+    turns = Rotation.from_rotvec((at - 0.5 * (len(times) - 1))[:, None] * turn.omega).as_quat()[:, [3, 0, 1, 2]]
+    path = search.path.cpu().numpy() + turn.offset
     path = np.stack([np.interp(at, np.arange(len(times)), path[:, axis]) for axis in range(3)], 1)
     shifts = torch.tensor(path).float().to(device) - centre
-    model.field = nodes.with_rigid_parts(nodes.rigid_parts.joined(centre, radius, torch.tensor(turns).float().to(device), shifts))
+    nodes = nodes.with_rigid_parts(nodes.rigid_parts.joined(centre, radius, torch.tensor(turns).float().to(device), shifts))
 
     outside = (means - centre).norm(dim=1).minimum((means - torch.tensor(part.centre, device=device)).norm(dim=1)) > radius
     kept = outside.nonzero()[:, 0]
@@ -96,8 +122,6 @@ def _make_rigid(model: Model, part: Part, spin: Spin, search: SpinSearch, times:
     points *= part.radius * rng.uniform(size=(FRESH, 1)) ** (1 / 3) / np.linalg.norm(points, axis=1, keepdims=True)
     bands = 1 + gaussians.sh_rest.shape[1]
     fresh = GaussianSet.from_points(centre.cpu().numpy() + points, np.full((FRESH, 3), 0.5), round(bands**0.5) - 1).to(device)
-    fresh.hyper.copy_(model.field.rigid_parts.hyper(model.field.extent)[-1:].expand(FRESH, -1))
-    old = gaussians.select(kept)
-    parameters = {name: torch.cat([old.parameters[name].detach(), fresh.parameters[name].detach()]) for name in GaussianSet.FIELDS}
-    model.gaussians = GaussianSet(parameters, torch.cat([old.dynamic, fresh.dynamic]))
-    return torch.cat([kept, kept.new_full((FRESH,), -1)])
+    fresh = fresh.carrying(nodes.attributes)
+    fresh.hyper.copy_(nodes.rigid_parts.hyper(nodes.extent)[-1:].expand(FRESH, -1))
+    return nodes, GaussianSet.joined([gaussians.select(kept), fresh]), torch.cat([kept, kept.new_full((FRESH,), -1)])

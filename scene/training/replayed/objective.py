@@ -73,7 +73,7 @@ class ReplayedObjective:
         self._usable, self.captures = replayable(objective.views), 0
 
     def __call__(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int) -> Judged:
-        if not self._usable or not model.replayable:
+        if not self._usable or not model.motion.replayable:
             return self.objective(model, i, step, phase, sh_degree)
         drawn = self.objective.drawn_of(i, phase.scale, step)
         row = row_of(model.affine, self.objective.views, i)
@@ -111,14 +111,14 @@ class ReplayedObjective:
 
     def _kind(self, model: Model, i: int, step: int, phase: Phase, sh_degree: int, drawn: Drawn | None, row: int | None) -> Kind:
         o, now = self.objective, self.objective.now(step)
-        moves = phase.move and model.field is not None
+        moves = phase.move and not model.motion.static
         flow = moves and o.motion_terms.flow_due(model, step, o.total)
         return Kind(
             phase.scale,
             phase.move,
             sh_degree,
             spread=o.spread > 0 and step % EVERY == 0 and step > BEGIN * o.total,
-            prior=moves and not model.field.steady and step % PRIOR_EVERY == 0,  # type: ignore[union-attr]
+            prior=moves and not model.motion.steady and step % PRIOR_EVERY == 0,
             flow=flow,
             edges=flow and o.motion_terms.may_bend(model),
             target=flow and o.motion_terms.has_target(i),
@@ -135,7 +135,7 @@ class ReplayedObjective:
         known, names = self._parameters(), list[str]()
 
         def compute() -> Results:
-            with own_leaves(model.field, model.affine):
+            with own_leaves(model.motion, model.affine):
                 leaves = {name: p for name, p in twin.named_parameters().items() if name in known}
                 judged = objective(twin, i, step, phase, view.kind.sh_degree)
                 found = torch.autograd.grad(judged.loss, list(leaves.values()), allow_unused=True)

@@ -36,7 +36,7 @@ class ReplayedResponsibility:
     def __call__(self, model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility:
         rows = [row_of(model.affine, views, i) for i in frames]
         kind = Kind(scale, move, model.sh_degree, recorded=rows[0] is not None)
-        covered = self._usable and model.replayable and all((row is None) == (rows[0] is None) for row in rows)
+        covered = self._usable and model.motion.replayable and all((row is None) == (rows[0] is None) for row in rows)
         if not covered or kind not in self._seen:
             self._seen.add(kind)
             return measure_responsibility(model, views, frames, move, scale)

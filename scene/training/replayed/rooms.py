@@ -28,9 +28,9 @@ class Rooms:
     def hold(self, model: Model) -> None:
         """Let the rooms hold ``model``, whose parameters are moved there."""
         sets: tuple[PrimitiveSet, ...] = (model.gaussians, model.convexes)
-        links = tuple(None if model.field is None else model.links(s) for s in sets)
+        links = tuple(model.links(s) for s in sets)
         taken = *sets, *(s.dynamic for s in sets), *(s.dynamic._version for s in sets), *map(_place, links)
-        modules = model.field, model.affine
+        modules = model.motion, model.affine
         same_modules = unchanged(modules, self._modules)
         if same_modules and unchanged(taken, self._taken):
             return
@@ -46,7 +46,7 @@ class Rooms:
             if own is not None:
                 model.set_links(primitives, own)
         self.changes += 1
-        self._taken = *taken[:-2], *(None if model.field is None else _place(model.links(s)) for s in sets)
+        self._taken = *taken[:-2], *(_place(model.links(s)) for s in sets)
 
     def whole(self, model: Model) -> Model:
         """``model`` with all rows of the rooms, which a graph may read."""

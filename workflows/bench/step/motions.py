@@ -9,10 +9,10 @@ import numpy as np
 import torch
 
 from ....scene.model import Model
-from ....scene.motion.lifetimes.lifetimes import FreeMotion
-from ....scene.settings import TrainingSettings
+from ....scene.motion.lifetimes.lifetime import set_lifetime
+from ....scene.motion.lifetimes.lifetimes import Lifetimes
+from ....scene.motion.nodes.control_nodes import ControlNodes
 from ....scene.views import Views
-from ....stages.training.motions import make_nodes
 from ..rows import Bench, Check, Measured
 from ..timing import interleaved
 from .training import PERIOD, make_model, make_trainer, views_of
@@ -73,11 +73,12 @@ def is_rig(views: Views) -> bool:
 def model_in_motion(bench: Bench, views: Views, masks: list[np.ndarray] | None, motion: str, moving: float) -> Model:
     """A model whose ``motion`` is "nodes" or "free", of which the share ``moving`` is dynamic."""
     model = make_model(bench, views, masks, NODES_COUNT if motion == "nodes" else RIG_COUNT)
-    gaussians = model.gaussians
     if motion == "nodes":
-        model.field = make_nodes(gaussians.means.detach().numpy(), TrainingSettings.model_validate({}))
+        model.motion = ControlNodes.over(model.gaussians.means.detach().numpy())
     elif motion == "free":
-        model.field = FreeMotion(len(np.unique(views.time)))
-        gaussians.live(0.5 * (model.field.times - 1), model.field.times)
+        times = len(np.unique(views.time))
+        model.motion = Lifetimes(times)
+        set_lifetime(model.gaussians, 0.5 * (times - 1), times)
+    gaussians = model.gaussians
     gaussians.dynamic = torch.arange(len(gaussians)) < moving * len(gaussians)
     return model

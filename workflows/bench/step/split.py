@@ -18,7 +18,7 @@ from torch.autograd.graph import Node
 
 from ....scene.losses.motion_terms import MotionTerms
 from ....scene.model import Model
-from ....scene.motion.lifetimes.lifetimes import FreeMotion
+from ....scene.motion.carrier import Carrier
 from ....scene.training import objective
 from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured
@@ -93,7 +93,7 @@ def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
         (views, "rasterizer_camera", "data", None),
         (Model, "in_view", "in view", None),
         (Model, "at", "model forward", seen.placed),
-        (model.field, "alive" if isinstance(model.field, FreeMotion) else "carry", "motion forward", seen.moved),
+        (model.motion, "carry" if isinstance(model.motion, Carrier) else "alive", "motion forward", seen.moved),
         (MotionTerms, "__call__", "regularisers forward", None),
         (trainer.learned.optimiser, "step", "optimiser", None),
         (trainer.guard, "accepts", "guard", None),
