@@ -29,11 +29,11 @@ from e4dgs.scene.formats.ply import seen
 from e4dgs.scene.formats.usd import write_usd
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.scene.model import Model
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.exports.bake import bake, loss_of
 from e4dgs.stages.exports.capture_cameras import camera_of, distinct_views
 from e4dgs.stages.exports.mesh import fuse, hulls, size_of
 from e4dgs.stages.exports.splats import KINDS, encoder
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.workflows.bench.machine import machine
 from e4dgs.workflows.load import load
 from export_errors import errors, psnr

@@ -51,12 +51,12 @@ def agreement(capture: Path, workspace: Path, name: str) -> dict[str, float]:
     import torch
     from e4dgs.pipeline import Records, Store
     from e4dgs.scene.losses.flow_loss import rendered_flow
-    from e4dgs.stages.artifacts.flow import StoredFlow
-    from e4dgs.stages.artifacts.frameset import FrameSet
-    from e4dgs.stages.artifacts.model import read_model
-    from e4dgs.stages.evaluation.flow_pictures import COVERED, EDGE, TRUSTED
-    from e4dgs.stages.evaluation.judge import Judge
-    from e4dgs.stages.evaluation.spread import spread
+    from e4dgs.stages.evaluate.judge import Judge
+    from e4dgs.stages.evaluate.pictures.flow import COVERED, EDGE, TRUSTED
+    from e4dgs.stages.evaluate.spread import spread
+    from e4dgs.stages.flow.artifact import StoredFlow
+    from e4dgs.stages.shared.frameset import FrameSet
+    from e4dgs.stages.shared.model import read_model
 
     store, records = Store(workspace / "store"), Records(workspace / "scenes" / name / "records")
 
@@ -136,9 +136,9 @@ def steps(capture: str, workspace: str, name: str, interval: str, data: str, eve
     from e4dgs.scene.schedule import Phase
     from e4dgs.scene.settings import TrainingSettings
     from e4dgs.scene.training.trainer import Trainer
-    from e4dgs.stages.artifacts.dataset import load_views, measured_flow
-    from e4dgs.stages.artifacts.frameset import FrameSet
-    from e4dgs.stages.artifacts.model import read_model
+    from e4dgs.stages.shared.dataset import load_views, measured_flow
+    from e4dgs.stages.shared.frameset import FrameSet
+    from e4dgs.stages.shared.model import read_model
 
     store, records = Store(Path(workspace) / "store"), Records(Path(workspace) / "scenes" / name / "records")
     artifacts = {stage: store.open(stage, (records.read(stage) or {})["key"]) for stage in ("frames", "flow", "coarse")}

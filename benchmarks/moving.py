@@ -24,8 +24,9 @@ from typing import Any
 
 import numpy as np
 from e4dgs.pipeline import Artifact, ArtifactWriter, Progress
-from e4dgs.stages.artifacts.frameset import FrameSet
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
+from e4dgs.stages.frames.settings import FramesSettings, recognise_for
+from e4dgs.stages.frames.stage import Frames
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow
 from e4dgs.vision.moving.fixed_camera import fixed_camera_masks
 from e4dgs.vision.moving.objects import moving_masks

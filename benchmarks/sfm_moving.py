@@ -25,8 +25,10 @@ from typing import Any
 
 import numpy as np
 from e4dgs.pipeline import Artifact, ArtifactWriter
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
-from e4dgs.stages.poses import Poses, PosesSettings
+from e4dgs.stages.frames.settings import FramesSettings, recognise_for
+from e4dgs.stages.frames.stage import Frames
+from e4dgs.stages.poses.settings import PosesSettings
+from e4dgs.stages.poses.stage import Poses
 from e4dgs.vision.sfm.alignment import pose_error
 from e4dgs.workflows.bench.machine import machine
 from sfm_pose_error import read_truth

@@ -31,8 +31,8 @@ from typing import Any
 import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.model import Model
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.exports.camera_path import CameraPath, named_path
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.workflows.bench.machine import machine
 from e4dgs.workflows.results import words_of
 from e4dgs.workflows.session import Options, open_session

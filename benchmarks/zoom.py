@@ -21,8 +21,8 @@ import numpy as np
 import torch
 from e4dgs.pipeline import Records, Store
 from e4dgs.scene.metrics.psnr import psnr
-from e4dgs.stages.artifacts.dataset import load_frameset
-from e4dgs.stages.evaluation.judge import Judge
+from e4dgs.stages.evaluate.judge import Judge
+from e4dgs.stages.shared.dataset import load_frameset
 from e4dgs.vision.images.pictures import composite, read_picture
 from e4dgs.workflows.bench.machine import machine
 

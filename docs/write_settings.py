@@ -6,10 +6,11 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-from e4dgs.scene.settings import RefinementSettings
+from e4dgs.pipeline import Settings, settings_by_name
 from e4dgs.workflows.presets import PRESETS
 from e4dgs.workflows.reconstruction import reconstruction
 from pydantic.fields import FieldInfo
@@ -19,38 +20,55 @@ INTRODUCTION = """# Settings
 
 <!-- Written by docs/write_settings.py from the settings classes. Do not edit. -->
 
-Give a setting with `--set stage.key=value`, as often as needed. A wrong key or value is answered with the valid ones. Order: defaults, then
-`--preset`, then `--static` and `--format`, then `--set`; the last one wins.
+Give a setting with `--set stage.key=value`, as often as needed. `--set train.key=value` sets it for all stages that train. A wrong name or
+value is answered with the valid ones. Order: defaults, `--preset`, `--static`, `--format`, `--seed`, `--set`; the last one wins.
 
-"none" as a default means that the program chooses, as the text says. Changing a setting of a stage reruns that stage and those
-that read its result.
+"none" as a default means that the program chooses, as the text says. After a change, the stages that read the setting run again, and those
+that read their results.
 """
 HEAD = "| setting | default | values | meaning |\n|---|---|---|---|"
-SHARED = "Both training stages, `coarse` and `fine`, have these. They are set for each stage by itself, for example `--set fine.seed=3`."
+MAIN = (
+    *("frames.format", "frames.static", "frames.holdout", "frames.background", "frames.max_size", "frames.max_frames", "frames.every"),
+    *("poses.matcher", "poses.camera_model", "poses.mapper", "flow.method", "flow.weights", "coarse.iterations", "coarse.effort"),
+    *("coarse.motion", "coarse.budget", "coarse.strategy", "hulls.budget", "fine.iterations", "train.seed", "train.sh_degree"),
+    *("evaluate.splits", "evaluate.lpips_weights"),
+)
+ADVANCED = "These are right for nearly all captures."
 
 
 def page() -> str:
-    stages = reconstruction().stages
-    both = RefinementSettings.model_fields
+    """The text of the page. Raises ValueError if the first table names a setting that does not exist."""
+    classes = reconstruction().settings
+    names = settings_by_name(classes)
+    if missing := set(MAIN) - set(names):
+        raise ValueError(f"no such setting: {', '.join(sorted(missing))}")
     parts = [INTRODUCTION, "## Presets\n", "| preset | what it sets |\n|---|---|", *presets(), ""]
-    for name, stage in stages.items():
-        fields: dict[str, FieldInfo] = stage.settings.model_fields
-        trained = issubclass(stage.settings, RefinementSettings)
-        own = {key: field for key, field in fields.items() if not trained or key not in both or differs(field, both[key])}
-        parts += [f"## {name}\n", HEAD, *(row(f"{name}.{key}", field) for key, field in own.items()), ""]
-        if name == "fine":
-            parts += ["## coarse and fine\n", SHARED + "\n", HEAD]
-            parts += [row(key, field) for key, field in both.items() if key != "iterations"] + [""]
-    return "\n".join(parts).rstrip() + "\n"
+    parts += ["## Settings that people change\n", HEAD, *(row(name, names[name][1]) for name in MAIN), ""]
+    parts += ["## Advanced\n", ADVANCED]
+    for group in dict.fromkeys(name.partition(".")[0] for name in [*(f"{stage}." for stage in classes), *names]):
+        own = {name: field for name, (_, field) in names.items() if name.startswith(f"{group}.") and name not in MAIN}
+        if own:
+            of = next(stages for name, (stages, _) in names.items() if name in own)
+            parts += [f"\n### {group}\n", *([f"Shared by {' and '.join(of)}.\n"] if len(of) > 1 else []), HEAD]
+            parts += [row(name, field) for name, field in own.items()]
+    return "\n".join([*parts, *older(classes)]).rstrip() + "\n"
+
+
+def older(classes: Mapping[str, type[Settings]]) -> list[str]:
+    """The table of older names."""
+    renamed = {
+        f"{stage}.{old}": new
+        for stage, cls in classes.items()
+        for base in cls.__mro__
+        for old, new in vars(base).get("renamed", {}).items()
+    }
+    rows = [f"| `{old}` | `{new}` |" for old, new in sorted(renamed.items())]
+    return ["\n## Older names\n", "They are understood, and a line says the new name.\n", "| older | now |\n|---|---|", *rows]
 
 
 def presets() -> list[str]:
     chosen = {name: ", ".join(f"`{key}={value}`" for key, value in values.items()) for name, values in PRESETS.items()}
     return [f"| `{name}` | {text or 'nothing: the defaults'} |" for name, text in chosen.items()]
-
-
-def differs(field: FieldInfo, other: FieldInfo) -> bool:
-    return (field.default, field.description) != (other.default, other.description)
 
 
 def row(key: str, field: FieldInfo) -> str:

@@ -12,7 +12,7 @@ from .records import Records
 from .running.build import Outcome
 from .running.progress import Progress, duration
 from .running.runner import Runner
-from .settings import Settings, build_settings, describe, split_assignment
+from .settings import Settings, build_settings, describe, settings_by_name, split_assignment
 from .stage import Applies, Capture, Context, Given, Stage
 from .storage.artifact import Artifact
 from .storage.collect import Collected, collect, unused
@@ -56,6 +56,7 @@ __all__ = [
     "duration",
     "explain",
     "make_plan",
+    "settings_by_name",
     "split_assignment",
     "thread_count",
     "unused",

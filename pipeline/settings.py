@@ -1,11 +1,13 @@
 """Settings of a stage: frozen, complete and range-checked. On the command line they are written as ``stage.key=value``.
 
-The command line, the cache key and the record for replaying a run are all derived from the same object.
+What several stages share is written ``group.key=value`` and reaches all of them. The command line, the cache key and the record for
+replaying a run are all derived from the same object.
 """
 
 import difflib
+import inspect
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -19,10 +21,15 @@ class Settings(BaseModel):
 
     A field of type ``Path`` enters the cache key as the content of the file, not its name.
 
-    renamed: names that settings had in earlier versions, with their present names. The old names are not accepted; errors mention the new.
+    group: of a class from which the settings of several stages inherit: its own fields are written ``group.key`` and are set for all of
+    them at once. "" for the settings of a single stage.
+    renamed: names that settings had in earlier versions, with their present full names. The old names are understood, and said.
+    respelled: older spellings of values, by setting: ``{"motion": {"auto": None}}``.
     """
 
+    group: ClassVar[str] = ""
     renamed: ClassVar[Mapping[str, str]] = {}
+    respelled: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
@@ -36,23 +43,28 @@ def split_assignment(text: str) -> tuple[str, str, str]:
     return stage, key, value.strip()
 
 
-def build_settings(classes: Mapping[str, type[Settings]], assignments: Iterable[tuple[str, Any]]) -> dict[str, Settings]:
+def build_settings(
+    classes: Mapping[str, type[Settings]], assignments: Iterable[tuple[str, Any]], say: Callable[[str], None] = lambda line: None
+) -> dict[str, Settings]:
     """The settings of every stage: the defaults, then the assignments in order (a later one wins).
 
-    ``classes`` maps stage names to settings classes. An assignment is ``("stage.key", value)``; a string value is parsed
-    according to the field's type. Raises a SettingsError that lists the valid keys or the field's range.
+    ``classes`` maps stage names to settings classes. An assignment is ``("stage.key", value)`` or ``("group.key", value)``; a string value
+    is parsed according to the field's type. ``say`` gets a line for each name or value in an older spelling. Raises a SettingsError that
+    lists the valid keys or the field's range.
     """
+    names = settings_by_name(classes)
     values: dict[str, dict[str, Any]] = {stage: {} for stage in classes}
-    for name, value in assignments:
-        stage, _, key = name.partition(".")
-        if stage not in classes:
-            raise SettingsError(f"{name}: there is no stage {stage!r}{_hint(stage, classes)}; stages: {', '.join(classes)}")
-        fields = classes[stage].model_fields
-        if key not in fields:
-            known = "\n  ".join(describe(stage, k, f) for k, f in fields.items()) or "(none)"
-            hint = f" (it is now {new!r})" if (new := classes[stage].renamed.get(key)) else _hint(key, fields)
-            raise SettingsError(f"{name}: {stage} has no setting {key!r}{hint}; its settings are:\n  {known}")
-        values[stage][key] = _parse(stage, key, fields[key], value)
+    for given, value in assignments:
+        name = given if given in names else _present_name(given, classes, names)
+        key, (stages, field) = name.partition(".")[2], names[name]
+        if name != given:
+            say(f"{given} is now {name}" + (f", which {' and '.join(stages)} share" if len(stages) > 1 else ""))
+        older = classes[stages[0]].respelled.get(key, {})
+        if isinstance(value, str) and value in older:
+            say(f"{name}={value} is now {name}={'none' if older[value] is None else older[value]}")
+            value = older[value]
+        for stage in stages:
+            values[stage][key] = _parse(name, field, value)
     built = {}
     for stage, cls in classes.items():
         try:
@@ -62,8 +74,44 @@ def build_settings(classes: Mapping[str, type[Settings]], assignments: Iterable[
     return built
 
 
-def describe(stage: str, key: str, field: FieldInfo) -> str:
-    """One line that describes a setting: its type, range, default and description."""
+def settings_by_name(classes: Mapping[str, type[Settings]]) -> dict[str, tuple[list[str], FieldInfo]]:
+    """Every setting by its full name, ``stage.key`` or ``group.key``: the stages that have it, and its field."""
+    found: dict[str, tuple[list[str], FieldInfo]] = {}
+    for stage, cls in classes.items():
+        for key, field in cls.model_fields.items():
+            found.setdefault(_full_name(stage, cls, key), ([], field))[0].append(stage)
+    return found
+
+
+def _full_name(stage: str, cls: type[Settings], key: str) -> str:
+    """The group is that of the class that defines the field: a stage's own class may define it anew."""
+    definer = next(base for base in cls.__mro__ if key in inspect.get_annotations(base))
+    return f"{definer.__dict__.get('group') or stage}.{key}"
+
+
+def _present_name(given: str, classes: Mapping[str, type[Settings]], names: Mapping[str, tuple[list[str], FieldInfo]]) -> str:
+    """The name today of a setting in an older spelling. Raises SettingsError if there never was such a setting."""
+    first, _, key = given.partition(".")
+    members = {first: [first]} if first in classes else {}
+    for name, (stages, _) in names.items():
+        members.setdefault(name.partition(".")[0], stages)
+    if first not in members:
+        known = ", ".join(dict.fromkeys([*classes, *members]))
+        raise SettingsError(f"{given}: there is no stage {first!r}{_hint(first, members)}; stages: {known}")
+    for stage in members[first]:
+        if key in classes[stage].model_fields:
+            return _full_name(stage, classes[stage], key)
+        for cls in classes[stage].__mro__:
+            if new := cls.__dict__.get("renamed", {}).get(key):
+                return new
+    own = {name: field for name, (_, field) in names.items() if name.startswith(f"{first}.")}
+    listed = "\n  ".join(describe(name, field) for name, field in own.items()) or "(none)"
+    hint = _hint(key, [name.partition(".")[2] for name in own])
+    raise SettingsError(f"{given}: {first} has no setting {key!r}{hint}; its settings are:\n  {listed}")
+
+
+def describe(name: str, field: FieldInfo) -> str:
+    """One line that describes the setting ``name``: its type, range, default and description."""
     kind = getattr(field.annotation, "__name__", None) if not getattr(field.annotation, "__args__", None) else None
     kind = kind or str(field.annotation).replace("typing.", "").replace("pathlib.", "")
     limits = []
@@ -79,11 +127,11 @@ def describe(stage: str, key: str, field: FieldInfo) -> str:
             if (limit := getattr(item, attribute, None)) is not None:
                 limits.append(f"{sign} {limit}")
     default = "required" if field.is_required() else f"default {field.get_default(call_default_factory=True)!r}"
-    text = f"{stage}.{key}: {' '.join([kind, ' and '.join(limits)]).strip()}, {default}"
+    text = f"{name}: {' '.join([kind, ' and '.join(limits)]).strip()}, {default}"
     return f"{text}. {field.description}" if field.description else text
 
 
-def _parse(stage: str, key: str, field: FieldInfo, value: Any) -> Any:
+def _parse(name: str, field: FieldInfo, value: Any) -> Any:
     kind: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
     adapter: TypeAdapter[Any] = TypeAdapter(kind)
     candidates = [value]
@@ -101,7 +149,7 @@ def _parse(stage: str, key: str, field: FieldInfo, value: Any) -> Any:
         except ValidationError as error:
             first = error
     assert first is not None
-    raise SettingsError(f"{stage}.{key}={value}: {_messages(first)}\n  {describe(stage, key, field)}") from None
+    raise SettingsError(f"{name}={value}: {_messages(first)}\n  {describe(name, field)}") from None
 
 
 def _wants_list(adapter: TypeAdapter[Any], value: str) -> bool:

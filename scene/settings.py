@@ -14,7 +14,8 @@ Strategy = Literal["two-stage", "joint", "alternating", "progressive"]
 class RefinementSettings(Settings):
     """Settings that apply wherever a model is trained. Learning rates of positions are fractions of the viewing distance."""
 
-    renamed: ClassVar = {"still": "rest"}
+    group: ClassVar = "train"
+    renamed: ClassVar = {"still": "train.rest"}
 
     iterations: int | None = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
     seed: int = Field(

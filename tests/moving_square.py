@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.views import Views
-from e4dgs.stages.artifacts.flow import StoredFlow
+from e4dgs.stages.flow.artifact import StoredFlow
 
 WIDTH, HEIGHT, FRAMES, FOCAL = 160, 96, 9, 100.0
 WALL, NEAR = 8.0, 4.0  # world units to the wall and to the square before it

@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from e4dgs.pipeline import Artifact, ArtifactWriter, Capture, Context, Progress, Settings, Stage
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
-from e4dgs.stages.poses import Poses, PosesSettings
+from e4dgs.stages.frames.settings import FramesSettings, recognise_for
+from e4dgs.stages.frames.stage import Frames
+from e4dgs.stages.poses.settings import PosesSettings
+from e4dgs.stages.poses.stage import Poses
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from e4dgs.scene.views import Views
-from e4dgs.stages.artifacts.flow import StoredFlow
+from e4dgs.stages.flow.artifact import StoredFlow
 from factory import Cells, Motion, Object, Options, Sphere, make, optical_flow, render
 from write_artifact import write_artifact
 

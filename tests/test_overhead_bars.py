@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from blake3 import blake3
 from e4dgs.pipeline import make_plan
-from e4dgs.stages.coarse import Coarse
-from e4dgs.stages.evaluate import Evaluate
+from e4dgs.stages.coarse.stage import Coarse
+from e4dgs.stages.evaluate.stage import Evaluate
 from e4dgs.workflows.runs import execute
 from e4dgs.workflows.session import Options, open_session
 from rich.console import Console

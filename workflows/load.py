@@ -34,7 +34,7 @@ def load(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, device: st
         if record is None or stage in skipped:
             continue
         if store.has(stage, record["key"]):
-            from ..stages.artifacts.model import read_model
+            from ..stages.shared.model import read_model
 
             return read_model(store.open(stage, record["key"])).to(resolve_device(device))
     raise ArtifactError(f"{scene}: no finished model of this scene is in {store.root}; make one with: e4dgs run all CAPTURE")

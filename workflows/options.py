@@ -1,6 +1,6 @@
 """The options that are common to all commands about a capture, each defined and explained once, and how a command receives them.
 
-A command that is decorated with `of_capture` or `of_last_run` takes one parameter ``options: Options`` in place of them all.
+A command that is decorated with `of_capture`, `of_captures` or `of_last_run` takes one parameter ``options: Options`` in place of them all.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from .last_run import Given, options_of_last_run, scene_or_capture
-from .session import DEFAULT_WORKSPACE, Options
+from .session import DEFAULT_WORKSPACE, SEEDS, Options
 
 Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, a folder with poses, or a scene.")]
 Scene = Annotated[
@@ -33,6 +33,7 @@ StoreAlso = Annotated[
     list[Path] | None,
     typer.Option("--store-also", metavar="DIR", help="Another workspace, which is only read: its results are reused; may be repeated."),
 ]
+Seed = Annotated[int | None, typer.Option("--seed", min=0, max=2**31 - 1, help="Seed of everything that is drawn at random; 0 by default.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]
 
 _REQUIRED = inspect.Parameter.empty
@@ -40,6 +41,7 @@ _OF_RUN: Mapping[str, tuple[Any, Any]] = {  # name -> annotation, default
     "workspace": (Workspace, DEFAULT_WORKSPACE),
     "preset": (Preset, "default"),
     "set": (Set, None),
+    "seed": (Seed, None),
     "device": (Device, "auto"),
     "name": (Name, None),
     "static": (Static, False),
@@ -47,20 +49,45 @@ _OF_RUN: Mapping[str, tuple[Any, Any]] = {  # name -> annotation, default
     "store_also": (StoreAlso, None),
     "debug": (Debug, False),  # read by `cli.main`
 }
-_OF_LAST_RUN = {name: row for name, row in _OF_RUN.items() if name != "store_also"} | {"preset": (PresetOfRun, None)}
+_OF_SEVERAL = {name: row for name, row in _OF_RUN.items() if name != "name"}
+_OF_LAST_RUN = {name: row for name, row in _OF_RUN.items() if name not in ("seed", "store_also")} | {"preset": (PresetOfRun, None)}
 
 
 def of_capture(command: Callable[..., None]) -> Callable[..., None]:
     """Gives a command the options of a run of a capture, as ``options: Options``."""
 
     def gathered(capture: Path, workspace: Path, debug: bool, **given: Any) -> Options:
-        capture, name, workspace = scene_or_capture(capture, workspace, given["name"])
-        assignments, also = given["set"] or (), given["store_also"] or ()
-        return Options(
-            capture, workspace, given["preset"], assignments, given["device"], name, given["static"], given["format"], store_also=also
-        )
+        return _options(*scene_or_capture(capture, workspace, given.pop("name")), **given)
 
     return _with_options(command, {"capture": (Capture, _REQUIRED)}, _OF_RUN, gathered)
+
+
+def of_captures(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Gives a command about several captures the options of their runs, except those that it calls ``without``, as ``options: Options``.
+    Its capture is `Path()` and stands for each of them."""
+    rows = {name: row for name, row in _OF_SEVERAL.items() if name not in without}
+
+    def gathered(workspace: Path, debug: bool, **given: Any) -> Options:
+        return _options(Path(), None, workspace, **given)
+
+    return lambda command: _with_options(command, {}, rows, gathered)
+
+
+def _options(
+    capture: Path,
+    name: str | None,
+    workspace: Path,
+    preset: str = "default",
+    set: list[str] | None = None,
+    seed: int | None = None,
+    device: str = "auto",
+    static: bool = False,
+    format: str | None = None,
+    store_also: list[Path] | None = None,
+) -> Options:
+    seeds = () if seed is None else tuple(f"{setting}={seed}" for setting in SEEDS)
+    assignments, also = (*seeds, *(set or ())), store_also or ()
+    return Options(capture, workspace, preset, assignments, device, name, static, format, store_also=also)
 
 
 def of_last_run(stage: str, done: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:

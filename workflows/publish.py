@@ -8,10 +8,10 @@ from typing import Any
 
 from ..pipeline import Artifact, Outcome, Row
 from ..pipeline.files import read_json, write_atomically, write_json
-from ..stages.artifacts.coarse import read_seeds_png
-from ..stages.artifacts.evaluate import read_metrics, read_player
-from ..stages.artifacts.told import told
-from ..stages.artifacts.training_log import read_training_log
+from ..stages.coarse.artifact import read_seeds_png
+from ..stages.evaluate.artifact import read_metrics, read_player
+from ..stages.shared.report_attributes import report_attributes
+from ..stages.shared.training_log import read_training_log
 from .reconstruction import EVALUATION, TRAINING
 from .results import run_command
 from .session import Session
@@ -90,7 +90,7 @@ def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcom
     from ..stages.report.page import render_report
     from .player.page import page
 
-    infos = {name: told(outcome.artifact) for name, outcome in outcomes.items() if outcome.artifact is not None}
+    infos = {name: report_attributes(outcome.artifact) for name, outcome in outcomes.items() if outcome.artifact is not None}
     plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
     coarse = outcomes["coarse"].artifact if "coarse" in outcomes else None
     seeds = None if coarse is None else read_seeds_png(coarse)

@@ -13,13 +13,13 @@ def reconstruction() -> Graph:
     of one camera, and edge masks. coarse: Gaussians and their motion. hulls: initial convexes. fine: both kinds together. evaluate:
     metrics on held-out views, and pictures for the report.
     """
-    from ..stages.coarse import Coarse
-    from ..stages.evaluate import Evaluate
-    from ..stages.fine import Fine
-    from ..stages.flow import Flow
-    from ..stages.frames import Frames
-    from ..stages.hulls import Hulls
-    from ..stages.poses import Poses
+    from ..stages.coarse.stage import Coarse
+    from ..stages.evaluate.stage import Evaluate
+    from ..stages.fine.stage import Fine
+    from ..stages.flow.stage import Flow
+    from ..stages.frames.stage import Frames
+    from ..stages.hulls.stage import Hulls
+    from ..stages.poses.stage import Poses
 
     return Graph([Frames(), Poses(), Flow(), Coarse(), Hulls(), Fine(), Evaluate()])
 

@@ -18,6 +18,7 @@ from .scenes import Scene, find_scene
 from .storage.archive import InUse, unpacked
 
 DEFAULT_WORKSPACE = Path("e4dgs-workspace")
+SEEDS = ("poses.seed", "train.seed")  # settings that --seed sets
 
 
 @dataclass
@@ -38,7 +39,7 @@ class Options:
 
 @dataclass
 class Session:
-    """A job and the scene that it writes to. notes: remarks of the capture's reader, for people."""
+    """A job and the scene that it writes to. notes: for people: older spellings of settings, and remarks of the capture's reader."""
 
     options: Options
     job: Job
@@ -54,10 +55,11 @@ class Session:
 def open_session(options: Options) -> Session:
     """Recognises the capture and sets up its job. Writes nothing except unpacked archives and sound onsets of long videos (`heard/`).
     Raises SettingsError, CaptureError, or StageError if an archive cannot be unpacked into the workspace."""
-    from ..stages.frames import FramesSettings, recognise_for
+    from ..stages.frames.settings import FramesSettings, recognise_for
 
     graph = reconstruction()
-    settings = build_settings(graph.settings, assignments_of(options))
+    notes: list[str] = []
+    settings = build_settings(graph.settings, assignments_of(options), notes.append)
     device = resolve_device(options.device)
     frames = settings["frames"]
     assert isinstance(frames, FramesSettings)
@@ -79,7 +81,7 @@ def open_session(options: Options) -> Session:
     store = Store(workspace / "store")
     also = [Store(path) for path in other_stores(options.store_also) if path != store.root]
     job = Job(graph, capture, settings, store, scene.records, device, also)
-    return Session(options, job, scene, capture.notes)
+    return Session(options, job, scene, (*notes, *capture.notes))
 
 
 def other_stores(paths: Sequence[Path]) -> list[Path]:

@@ -9,7 +9,8 @@ from typing import Literal, get_args
 
 from ...pipeline import CaptureError
 from . import checks
-from .capture import Capture, assemble
+from .assembly.assemble import assemble
+from .capture import Capture
 from .formats import colmap, dnerf, images, llff, n3v, nerfies, nerfstudio, panoptic, video, videos
 from .formats.scans import polycam, record3d, rgbd, tum
 from .keep_masks import FOLDER

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ...rasterizer import Frame, Gaussians
     from ...scene.convex_gaussians import GaussianFit
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
 
 SPREADS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # standard deviations of a Gaussian over those of its convex's points; the fit begins at the best
 LOOKS = 4  # views by which candidates are judged

@@ -9,7 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
 
 NAMES = ("turntable", "spiral", "capture")
 USUAL_SECONDS = 4.0  # of a film where nothing says how long it should take

@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from ...rasterizer import Camera
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
 
 
 def distinct_views(frames: FrameSet, indices: np.ndarray, most: int) -> np.ndarray:

@@ -14,8 +14,8 @@ from ...vision.flow.colours import colour_wheel, flow_colours, typical_largest
 from ...vision.flow.flo import write_flo
 from ...vision.images.overlay import EDGE_COLOUR, MASK_STRENGTH, MOVING_COLOUR, overlay
 from ...vision.images.png import encode_png
-from ..artifacts.flow import StoredFlow
-from ..artifacts.frameset import FrameSet
+from ..flow.artifact import StoredFlow
+from ..shared.frameset import FrameSet
 from .numbered import staged
 
 SUFFIXES = (".flo", ".png", "_backward.flo", "_backward.png", "_edges.png", "_moving.png")

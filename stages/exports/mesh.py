@@ -14,7 +14,7 @@ from .capture_cameras import camera_of, distinct_views
 if TYPE_CHECKING:
     from ...scene.mesh import Mesh
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
 
 CAMERAS, LOOKS = 150, 12  # most cameras that are fused, and most cameras from which the size of the scene is estimated
 SOLID = 0.6  # alpha; pixels with less are not fused

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from ...rasterizer import Camera, Gaussians
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
 
 VIEWS = 24  # training views over which the adjustment is averaged
 LEAST_SCALE = 0.5  # of its own, to which a standard deviation may shrink: what is smaller than a pixel cannot lose all its extent

@@ -17,7 +17,7 @@ from .numbered import new_sequence, numbered
 if TYPE_CHECKING:
     from ...rasterizer import Gaussians
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
 
 Kind = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]
 KINDS: dict[Kind, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb"}

@@ -16,7 +16,7 @@ from .bake import Loss, bake, loss_of
 if TYPE_CHECKING:
     from ...rasterizer import Gaussians
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
 
 USUAL_RATE = 24.0  # time codes per second for a capture without times in seconds
 

@@ -15,7 +15,7 @@ from .web_scene import web_scene
 if TYPE_CHECKING:
     from ...scene.formats.web.scene import WebScene
     from ...scene.model import Model
-    from ..artifacts.frameset import FrameSet
+    from ..shared.frameset import FrameSet
 
 CAMERAS = 48  # of the capture's, to which the page can jump
 LOOKS = 6  # views by which the file is compared with the model

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ...pipeline import Artifact, duration
-from ..artifacts.evaluate import StoredPictures, read_movies
-from ..evaluation.edge_colours import KEYS
+from ..evaluate.artifact import StoredPictures, read_movies
+from ..evaluate.pictures.edge_colours import KEYS
 from .curves import in_order, is_number, over_time, training_curves
 from .plot import Plot, svg
 

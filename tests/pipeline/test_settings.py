@@ -4,13 +4,14 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import pytest
-from e4dgs.pipeline import Settings, SettingsError, build_settings, split_assignment
+from e4dgs.pipeline import Settings, SettingsError, build_settings, settings_by_name, split_assignment
 from e4dgs.pipeline.keys import settings_parts
 from pydantic import Field, ValidationError
 
 
 class Fit(Settings):
-    renamed: ClassVar = {"steps": "iterations"}
+    renamed: ClassVar = {"steps": "fit.iterations"}
+    respelled: ClassVar = {"mode": {"quick": "fast"}}
 
     iterations: int = Field(100, ge=1, le=5000, description="optimiser steps")
     rate: float = 0.1
@@ -47,12 +48,11 @@ def test_values_take_the_type_of_their_field():
         ),
         ("fit.iterations=many", "fit.iterations=many: .*valid integer"),
         ("fit.iterations=many", "unable to parse string as an integer"),
-        ("fit.mode=quick", "'slow' or 'fast'"),
+        ("fit.mode=swift", "'slow' or 'fast'"),
         ("fit.levels=some", r"fit\.levels=some: 0: .*valid integer"),
         ("fit.modes=quick", "0: Input should be 'slow' or 'fast'"),
         ("fit.rate=nan", "finite number"),
         ("fit.iteratons=3", r"fit has no setting 'iteratons' \(did you mean 'iterations'\?\); its settings are:\n  fit.iterations: int"),
-        ("fit.steps=3", r"fit has no setting 'steps' \(it is now 'iterations'\); its settings are:\n  fit.iterations: int"),
         ("fot.rate=3", r"there is no stage 'fot' \(did you mean 'fit'\?\); stages: fit"),
         ("fit.rate", "expected stage.key=value"),
         ("rate=3", "expected stage.key=value"),
@@ -80,3 +80,62 @@ def test_a_file_counts_with_its_content(tmp_path):
     assert settings_parts(fit(f"fit.weights={first}")) != settings_parts(fit(f"fit.weights={second}"))
     with pytest.raises(SettingsError, match=r"weights=.*gone\.bin: there is no such file"):
         settings_parts(fit(f"fit.weights={tmp_path / 'gone.bin'}"))
+
+
+class Learned(Settings):
+    group: ClassVar = "learn"
+    renamed: ClassVar = {"lr": "learn.speed"}
+
+    speed: float = Field(0.5, gt=0, description="how fast")
+    seed: int = 0
+
+
+class First(Learned):
+    steps: int = 10
+
+
+class Second(Learned):
+    renamed: ClassVar = {"count": "first.steps"}
+
+    steps: int = 20
+    seed: int = 7  # its own, in spite of the group's
+
+
+GROUPED = {"first": First, "second": Second}
+
+
+def test_a_group_reaches_every_stage_that_shares_it():
+    built = build_settings(GROUPED, [("learn.speed", "2"), ("second.steps", "5"), ("learn.seed", 3)])
+    assert built["first"] == First(speed=2.0, seed=3) and built["second"] == Second(speed=2.0, steps=5), "the second has its own seed"
+    assert list(settings_by_name(GROUPED)) == ["learn.speed", "learn.seed", "first.steps", "second.seed", "second.steps"]
+
+
+@pytest.mark.parametrize(
+    ("older", "line"),
+    [
+        ("first.speed", "first.speed is now learn.speed, which first and second share"),
+        ("second.lr", "second.lr is now learn.speed, which first and second share"),
+        ("learn.lr", "learn.lr is now learn.speed, which first and second share"),
+        ("second.count", "second.count is now first.steps"),
+    ],
+)
+def test_older_names_are_understood_and_said(older, line):
+    lines = []
+    built = build_settings(GROUPED, [(older, "4")], lines.append)
+    assert lines == [line]
+    present = line.split(" is now ")[1].split(",")[0]
+    assert built == build_settings(GROUPED, [(present, "4")])
+
+
+def test_older_values_are_understood_and_said():
+    lines = []
+    assert build_settings({"fit": Fit}, [("fit.mode", "quick")], lines.append)["fit"] == Fit(mode="fast")
+    assert lines == ["fit.mode=quick is now fit.mode=fast"]
+
+
+def test_a_wrong_key_of_a_group_lists_the_group():
+    expected = r"learn has no setting 'sped' \(did you mean 'speed'\?\); its settings are:\n  learn.speed: float > 0"
+    with pytest.raises(SettingsError, match=expected):
+        build_settings(GROUPED, [("learn.sped", "4")])
+    with pytest.raises(SettingsError, match=r"there is no stage 'lean' \(did you mean 'learn'\?\); stages: first, second, learn"):
+        build_settings(GROUPED, [("lean.speed", "4")])

@@ -393,7 +393,7 @@ def test_smooth_path_in_the_dnerf_layout_is_one_camera(tmp_path):
 
 def test_recognition_imports_nothing_heavy(dnerf_capture):
     code = (
-        "import sys; from e4dgs.stages.frames import FramesSettings, recognise_for;"
+        "import sys; from e4dgs.stages.frames.stage import FramesSettings, recognise_for;"
         f"recognise_for({str(dnerf_capture.root)!r}, FramesSettings());"
         "print([m for m in ('torch', 'cv2', 'scipy', 'pycolmap', 'zarr') if m in sys.modules])"
     )

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.training import schedule
-from e4dgs.stages.artifacts.coarse import StoredCoarse
-from e4dgs.stages.artifacts.dataset import load_frameset, load_views
-from e4dgs.stages.artifacts.model import read_model
-from e4dgs.stages.coarse import Coarse, CoarseSettings
-from e4dgs.stages.training import coarse as work
+from e4dgs.stages.coarse import run as work
+from e4dgs.stages.coarse.artifact import StoredCoarse
+from e4dgs.stages.coarse.settings import CoarseSettings
+from e4dgs.stages.coarse.stage import Coarse
+from e4dgs.stages.shared.dataset import load_frameset, load_views
+from e4dgs.stages.shared.model import read_model
 from factory import Cells, Motion, Object, Options, Sphere, make, optical_flow, render, write_colmap
 from run_stage import run_frames, run_stage
 from write_artifact import write_artifact

@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.common_size import common_size, crop
+from e4dgs.stages.captures.assembly.common_size import common_size, crop
+from e4dgs.stages.shared.frameset import FrameSet
 from factory import Camera, Options, make, render, write_colmap, write_dnerf, write_images, write_n3v, write_nerfstudio, write_panoptic
 from factory.writers import flatten
 from PIL import Image

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.evaluation.edge_colours import ADDED, BOTH, MISSING
-from e4dgs.stages.evaluation.edges_picture import GROUND, edges_picture
+from e4dgs.stages.evaluate.pictures.edge_colours import ADDED, BOTH, MISSING
+from e4dgs.stages.evaluate.pictures.edges import GROUND, edges_picture
 
 
 def squares(*corners: tuple[int, int]) -> np.ndarray:

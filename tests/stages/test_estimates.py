@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import build_settings
-from e4dgs.stages.coarse import Coarse
-from e4dgs.stages.fine import Fine
+from e4dgs.stages.coarse.stage import Coarse
+from e4dgs.stages.fine.stage import Fine
 from e4dgs.workflows.reconstruction import reconstruction
 from e4dgs.workflows.session import Options, assignments_of
 

@@ -18,14 +18,15 @@ from e4dgs.scene.metrics.lpips import expected_shapes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.artifacts.evaluate import StoredPictures, read_movies
-from e4dgs.stages.evaluate import Evaluate, EvaluateSettings
-from e4dgs.stages.evaluation.evaluate import means
-from e4dgs.stages.evaluation.flicker import measure_flicker
-from e4dgs.stages.evaluation.judge import LEAST_TIMES, Judge
-from e4dgs.stages.evaluation.pictures import depth_picture, depth_range, error_picture
-from e4dgs.stages.evaluation.spread import most_measured, spread, stretches, worst_and_others
-from e4dgs.stages.evaluation.views import choose_views
+from e4dgs.stages.evaluate.artifact import StoredPictures, read_movies
+from e4dgs.stages.evaluate.flicker import measure_flicker
+from e4dgs.stages.evaluate.judge import LEAST_TIMES, Judge
+from e4dgs.stages.evaluate.pictures.book import depth_picture, depth_range, error_picture
+from e4dgs.stages.evaluate.run import means
+from e4dgs.stages.evaluate.settings import EvaluateSettings
+from e4dgs.stages.evaluate.spread import most_measured, spread, stretches, worst_and_others
+from e4dgs.stages.evaluate.stage import Evaluate
+from e4dgs.stages.evaluate.views import choose_views
 from run_stage import run_stage
 from safetensors.torch import save_file
 

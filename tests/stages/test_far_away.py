@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.far_away import FAR, brought_near, told_moved
+from e4dgs.stages.captures.assembly.far_away import FAR, brought_near, told_moved
 from e4dgs.workflows.exports.camera_path import path_of_file
 from scipy.spatial.transform import Rotation
 

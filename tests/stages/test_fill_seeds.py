@@ -6,16 +6,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import Context
+from e4dgs.scene.motion.kinds import choose
 from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.scene.views import Views
-from e4dgs.stages.artifacts.dataset import load_frameset, load_views
-from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.coarse.defaults import WIDE_PATH, auto_sh_degree
+from e4dgs.stages.coarse.path_width import path_width
+from e4dgs.stages.coarse.run import mean_colour
+from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.seeding.fill import Swept, fill_seeds, middle_frames
-from e4dgs.stages.seeding.seeds import SWEPT_SHARE, load_seeds
-from e4dgs.stages.training.choices import WIDE_PATH, auto_budget, auto_seeds, auto_sh_degree, one_way
-from e4dgs.stages.training.coarse import mean_colour
-from e4dgs.stages.training.path_width import path_width
+from e4dgs.stages.seeds.defaults import auto_seeds
+from e4dgs.stages.seeds.fill import Swept, fill_seeds, middle_frames
+from e4dgs.stages.seeds.place import SWEPT_SHARE, load_seeds
+from e4dgs.stages.shared.dataset import load_frameset, load_views
+from e4dgs.stages.shared.defaults import auto_budget, one_way
 from factory import Options, make, render, write_panoptic
 from run_stage import run_frames
 
@@ -89,7 +92,7 @@ def test_a_sweep_that_knows_few_depths_leaves_seeds_for_the_other_pixels(rig, mo
     context, frames, views, _, _ = rig
     far = np.tile([[1e3, 1e3, 1e3]], (5 * COUNT, 1)) + np.arange(5 * COUNT)[:, None]
     swept = Swept(far, np.full(far.shape, 0.5), {}, known)
-    monkeypatch.setattr("e4dgs.stages.seeding.seeds.sweep", lambda *given: swept)
+    monkeypatch.setattr("e4dgs.stages.seeds.place.sweep", lambda *given: swept)
     seeds = load_seeds(context, frames, views, COUNT)
     assert (seeds.points[:, 0] >= 1e3).sum() == round(expected * COUNT)
 
@@ -106,8 +109,8 @@ def test_a_rig_gets_a_budget_for_a_room(rig):
     views = rig[2]
     rig, walk = Facts(frames=4 * 12, times=12), Facts(frames=90, times=90)
     assert rig.rig and not walk.rig and not Facts(frames=3 * 12, times=12).rig
-    assert auto_budget(rig, views, nodes=False) == 40_000
-    assert auto_budget(walk, views, nodes=False) == 12_000
+    assert auto_budget(rig, views, "planes") == 40_000
+    assert auto_budget(walk, views, "planes") == 12_000
     assert auto_seeds(rig, 40_000) == 20_000 and auto_seeds(walk, 12_000) == 8000
 
 
@@ -116,7 +119,7 @@ def test_a_rig_gets_a_budget_for_a_room(rig):
 )
 def test_along_a_path_seeds_are_half_of_a_larger_budget(size, budget, seeds):
     views, walk = SimpleNamespace(width=size[0], height=size[1]), Facts(frames=90, times=90, pairs=89)
-    assert one_way(walk) and auto_budget(walk, views, nodes=False) == budget and auto_seeds(walk, budget) == seeds
+    assert one_way(walk) and auto_budget(walk, views, "planes") == budget and auto_seeds(walk, budget) == seeds
 
 
 @pytest.mark.parametrize(
@@ -134,7 +137,9 @@ def test_other_captures_keep_their_seeds_budget_and_degree(other):
     assert not one_way(facts)
     views = SimpleNamespace(width=480, height=270)
     if not facts.rig:
-        assert auto_seeds(facts, 32_400) == 8000 and auto_budget(facts, views, nodes=False) == 480 * 270 // (8 if facts.static else 4)
+        assert auto_seeds(facts, 32_400) == 8000 and auto_budget(facts, views, choose("planes", facts)) == 480 * 270 // (
+            8 if facts.static else 4
+        )
         assert auto_sh_degree(facts, width=0.0) == 2
 
 

@@ -7,13 +7,14 @@ import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter, SettingsError, build_settings
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.settings import GrowthSettings, TrainingSettings
-from e4dgs.stages.artifacts.coarse import StoredCoarse
-from e4dgs.stages.artifacts.model import read_model, write_model
-from e4dgs.stages.coarse import CoarseSettings
+from e4dgs.stages.coarse.artifact import StoredCoarse
+from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.fine import Fine, FineSettings
-from e4dgs.stages.training.choices import fine_iterations
-from e4dgs.stages.training.fine import training_settings
+from e4dgs.stages.fine.defaults import fine_iterations
+from e4dgs.stages.fine.run import training_settings
+from e4dgs.stages.fine.settings import FineSettings
+from e4dgs.stages.fine.stage import Fine
+from e4dgs.stages.shared.model import read_model, write_model
 from run_stage import run_frames, run_stage
 from sliding_gaussians import fresh, wandering_views
 

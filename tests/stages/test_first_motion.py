@@ -8,9 +8,9 @@ from e4dgs.pipeline import Progress
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.motion.nodes.schedule import first_motion_steps, node_phases
 from e4dgs.scene.training.checkpoint import model_of
-from e4dgs.stages.coarse import CoarseSettings
-from e4dgs.stages.training import first_motion
-from e4dgs.stages.training.train import train
+from e4dgs.stages.coarse import first_motion
+from e4dgs.stages.coarse.settings import CoarseSettings
+from e4dgs.stages.shared.train import train
 from sliding_gaussians import fresh, wandering_views
 
 STEPS = 60
@@ -37,7 +37,7 @@ def test_nodes_move_and_nothing_holds_them_rigid(start, monkeypatch):
     monkeypatch.setattr(first_motion, "train", recorded)
     before = model.motion.at(0.1).shifts.detach().clone()
     first_motion.find_first_motion(ctx, model, views, settings, STEPS, small=True)
-    assert given["steps"] == first_motion_steps(STEPS) and given["scales"] == {0.5}
+    assert given["steps"] == first_motion_steps("two-stage", STEPS) and given["scales"] == {0.5}
     assert given["settings"].rigid == 0 and settings.rigid > 0
     assert float((model.motion.at(0.1).shifts.detach() - before).abs().max()) > 1e-4
 

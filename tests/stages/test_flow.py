@@ -10,11 +10,12 @@ import pytest
 import torch
 from e4dgs.pipeline import Artifact, StageError
 from e4dgs.scene.edges import edge_weights
-from e4dgs.stages.artifacts.dataset import measured_flow
-from e4dgs.stages.artifacts.flow import StoredFlow
-from e4dgs.stages.artifacts.frameset import FrameSet
-from e4dgs.stages.flow import Flow, FlowSettings
-from e4dgs.stages.measured_flow.choose_pairs import choose_pairs
+from e4dgs.stages.flow.artifact import StoredFlow
+from e4dgs.stages.flow.choose_pairs import choose_pairs
+from e4dgs.stages.flow.settings import FlowSettings
+from e4dgs.stages.flow.stage import Flow
+from e4dgs.stages.shared.dataset import measured_flow
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.flow.method import Dis, FlowMethod
 from e4dgs.vision.flow.raft.architecture import SMALL
 from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow, flow_pair
@@ -337,9 +338,9 @@ def test_it_says_when_what_moves_goes_too_far_to_be_followed(motion, followed, t
     agrees, masks = flow.read("confidence") > 0, flow.read("moving") > 0
     share = np.median([agrees[p][masks[i]].mean() for p, (i, _) in enumerate(flow.read("pair")) if masks[i].any()])
     assert not said if followed else f"{100 * share:.0f} % of their pixels" in said[0]
-    monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FOLLOWED", share)
+    monkeypatch.setattr("e4dgs.stages.flow.measure.FOLLOWED", share)
     assert not warnings("at the threshold")[0]
-    monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FOLLOWED", np.nextafter(share, 1))
+    monkeypatch.setattr("e4dgs.stages.flow.measure.FOLLOWED", np.nextafter(share, 1))
     assert warnings("above it")[0]
 
 
@@ -348,11 +349,11 @@ def test_where_flow_fails_masks_are_no_sign_of_motion(detect_static, above, stat
     options = Options(backdrop="room", rig="path", times=10, width=160, height=128, samples=2, fov_degrees=60.0, motion=10.0)
     frames = run_frames(write_nerfstudio(make(options), tmp_path / "capture").root, tmp_path)
     settings, inputs = FlowSettings(detect_static=detect_static), {"frames": frames.artifact, "poses": None}
-    monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FAILED", 0.0)
+    monkeypatch.setattr("e4dgs.stages.flow.measure.FAILED", 0.0)
     flow = run_stage(Flow(), frames.context.capture, tmp_path / "first", settings, inputs).artifact
     agrees, masks = flow.read("confidence") > 0, flow.read("moving") > 0
     share = np.median([agrees[p][masks[i]].mean() for p, (i, _) in enumerate(flow.read("pair")) if masks[i].any()])
-    monkeypatch.setattr("e4dgs.stages.measured_flow.measure.FAILED", np.nextafter(share, 1) if above else share)
+    monkeypatch.setattr("e4dgs.stages.flow.measure.FAILED", np.nextafter(share, 1) if above else share)
     ran = run_stage(Flow(), frames.context.capture, tmp_path / "again", settings, inputs)
     found = StoredFlow(ran.artifact)
     assert found.static is static and (ran.artifact.read("moving").any() and ran.artifact.attrs["moving_share"] > 0) is not static

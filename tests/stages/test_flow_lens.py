@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from e4dgs.stages.flow import Flow, FlowSettings
-from e4dgs.stages.measured_flow.lens import straightened
+from e4dgs.stages.flow.lens import straightened
+from e4dgs.stages.flow.settings import FlowSettings
+from e4dgs.stages.flow.stage import Flow
 from e4dgs.vision.images.lenses import pinholes, straight_places, undistort_maps
 from factory import Options, make, optical_flow, write_nerfstudio
 from factory.camera import Camera

@@ -11,11 +11,11 @@ from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.artifacts.evaluate import StoredPictures
-from e4dgs.stages.artifacts.flow import StoredFlow
-from e4dgs.stages.evaluation.flow_pictures import add_flow, difference
-from e4dgs.stages.evaluation.judge import Judge
-from e4dgs.stages.evaluation.pictures import PictureBook
+from e4dgs.stages.evaluate.artifact import StoredPictures
+from e4dgs.stages.evaluate.judge import Judge
+from e4dgs.stages.evaluate.pictures.book import PictureBook
+from e4dgs.stages.evaluate.pictures.flow import add_flow, difference
+from e4dgs.stages.flow.artifact import StoredFlow
 from e4dgs.vision.flow.colours import flow_colours
 
 WIDTH, HEIGHT, COUNT = 48, 40, 8

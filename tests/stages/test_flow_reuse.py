@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 import pytest
 from e4dgs.pipeline import Applies, Graph, Job, Outcome, Records, Runner, Settings, Stage, Store, build_settings, make_plan
-from e4dgs.stages.artifacts.poses import StoredPoses
-from e4dgs.stages.flow import Flow
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
-from e4dgs.stages.measured_flow import scout as flow_scout
+from e4dgs.stages.flow import scout as flow_scout
+from e4dgs.stages.flow.stage import Flow
+from e4dgs.stages.frames.settings import FramesSettings, recognise_for
+from e4dgs.stages.frames.stage import Frames
+from e4dgs.stages.poses.artifact import StoredPoses
 from e4dgs.vision.flow.method import Dis
 from factory import Options, make, write_n3v
 from factory.writers import write_mp4
@@ -209,7 +210,7 @@ def test_flow_of_another_size_is_not_taken_over(tmp_path, measured, monkeypatch)
     """The size follows from the motion in the whole capture, which no plan knows."""
     run(job(tmp_path, posed(tmp_path / "capture", pictures(6))))
     path = posed(tmp_path / "capture", pictures(8))
-    monkeypatch.setattr("e4dgs.stages.measured_flow.pairs.working_size", lambda *arguments: (flow_scout.ENOUGH // 6, 1.0))
+    monkeypatch.setattr("e4dgs.stages.flow.pairs.working_size", lambda *arguments: (flow_scout.ENOUGH // 6, 1.0))
     measured.clear()
     lines: list[str] = []
     run(job(tmp_path, path), lines)
@@ -219,11 +220,9 @@ def test_flow_of_another_size_is_not_taken_over(tmp_path, measured, monkeypatch)
 
 def test_where_nothing_moves_there_is_no_flow_to_take_over(tmp_path, measured, monkeypatch):
     static = SimpleNamespace(static=True, reason="all of it stands still", largest_moving_share=0.0)
-    monkeypatch.setattr("e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: static)
+    monkeypatch.setattr("e4dgs.stages.flow.run.static_scene", lambda *arguments: static)
     run(job(tmp_path, posed(tmp_path / "capture", pictures(6)), flow__detect_static=True))
-    monkeypatch.setattr(
-        "e4dgs.stages.measured_flow.capture.static_scene", lambda *arguments: SimpleNamespace(**{**vars(static), "static": False})
-    )
+    monkeypatch.setattr("e4dgs.stages.flow.run.static_scene", lambda *arguments: SimpleNamespace(**{**vars(static), "static": False}))
     outcome = run(job(tmp_path, posed(tmp_path / "capture", pictures(8)), flow__detect_static=True))
     assert "are new" not in outcome.reason and len(measured) == 2 * 7
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from e4dgs.stages.measured_flow.scout import ENOUGH, glance, no_motion, working_size
+from e4dgs.stages.flow.scout import ENOUGH, glance, no_motion, working_size
 
 
 def texture(height: int = 120, width: int = 160, seed: int = 0) -> np.ndarray:

@@ -6,7 +6,8 @@ import struct
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
+from e4dgs.stages.frames.settings import FramesSettings, recognise_for
+from e4dgs.stages.frames.stage import Frames
 from factory import render
 from factory.writers import flatten
 from PIL import Image

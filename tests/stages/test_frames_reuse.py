@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from e4dgs.pipeline import Graph, Job, Outcome, Records, Runner, Store, build_settings, make_plan
-from e4dgs.stages.decoding import videos
-from e4dgs.stages.frames import Frames, FramesSettings, recognise_for
+from e4dgs.stages.frames import videos
+from e4dgs.stages.frames.settings import FramesSettings, recognise_for
+from e4dgs.stages.frames.stage import Frames
 from PIL import Image
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
-from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.images import pictures
 from factory import Camera, render
 from factory.writers import flatten
@@ -145,5 +145,5 @@ def test_opaque_pictures_beside_transparent_ones_get_an_alpha(open_set, dnerf_ca
 
 
 def test_importing_it_costs_no_torch_and_no_opencv():
-    code = "import sys, e4dgs.stages.artifacts.frameset; print([m for m in ('torch', 'cv2') if m in sys.modules])"
+    code = "import sys, e4dgs.stages.shared.frameset; print([m for m in ('torch', 'cv2') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"

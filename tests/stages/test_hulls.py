@@ -9,11 +9,11 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.views import Views
-from e4dgs.stages.artifacts.hulls import StoredHulls
-from e4dgs.stages.hulls import HullSettings
-from e4dgs.stages.training.choices import CONVEXES, most_convexes
-from e4dgs.stages.training.fine import replace_by_convexes
-from e4dgs.stages.training.hulls import choose
+from e4dgs.stages.fine.run import replace_by_convexes
+from e4dgs.stages.hulls.artifact import StoredHulls
+from e4dgs.stages.hulls.defaults import CONVEXES, most_convexes
+from e4dgs.stages.hulls.run import choose
+from e4dgs.stages.hulls.settings import HullSettings
 
 
 def found(error, density=1.0, weight=10.0):
@@ -39,9 +39,11 @@ def test_only_where_edges_are_dense_and_that_is_seen(density, weight, count):
     assert len(choose(found([1, 2, 3, 4], density, weight), settings(), 100)) == count
 
 
-@pytest.mark.parametrize(("given", "nodes", "most"), [(None, False, CONVEXES), (None, True, 0), (0, False, 0), (7, False, 7), (7, True, 7)])
-def test_with_control_nodes_there_are_none_unless_asked_for(given, nodes, most):
-    assert most_convexes(given, nodes) == most
+@pytest.mark.parametrize(
+    ("given", "kind", "most"), [(None, "planes", CONVEXES), (None, "nodes", 0), (0, "free", 0), (7, "static", 7), (7, "nodes", 7)]
+)
+def test_with_control_nodes_there_are_none_unless_asked_for(given, kind, most):
+    assert most_convexes(given, kind) == most
 
 
 def test_no_error_no_convexes():

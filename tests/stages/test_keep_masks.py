@@ -10,11 +10,11 @@ from e4dgs.pipeline import CaptureError
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.artifacts.dataset import load_views
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.evaluation.judge import Judge
-from e4dgs.stages.seeding.fill import moving_mask, unsteady_mask
+from e4dgs.stages.evaluate.judge import Judge
+from e4dgs.stages.seeds.fill import moving_mask, unsteady_mask
+from e4dgs.stages.shared.dataset import load_views
+from e4dgs.stages.shared.frameset import FrameSet
 from factory import Options, make, write_images
 from PIL import Image
 from run_stage import run_frames, run_poses

@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import recognise
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.images.lenses import pinholes, undistort_maps
 from factory import Camera, Options, make, render, write_colmap, write_nerfstudio
 from factory.writers import flatten

@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import recognise
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.images.pictures import read_keep, read_mask, read_picture
 from PIL import Image, ImageOps
 from run_stage import run_frames

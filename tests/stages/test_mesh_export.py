@@ -7,8 +7,8 @@ from e4dgs.pipeline import StageError
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.exports.mesh import Size, fuse, look, size_of
+from e4dgs.stages.shared.frameset import FrameSet
 from factory import Options, Sphere, make, write_dnerf
 from open3d_here import needs_open3d
 from run_stage import run_frames

@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
-from e4dgs.stages.measured_flow import moving_masks as module
-from e4dgs.stages.measured_flow.moving_masks import FIXED_SIZE, MovingMasks
+from e4dgs.stages.flow import moving_masks as module
+from e4dgs.stages.flow.moving_masks import FIXED_SIZE, MovingMasks
 from e4dgs.vision.flow.two_way import FlowPair
 
 WIDTH, HEIGHT, FRAMES, STEP = 2 * FIXED_SIZE, 270, 7, 40

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.seeds.hull import visual_hull
-from e4dgs.stages.seeding import moving
-from e4dgs.stages.seeding.depths import ANYWHERE
-from e4dgs.stages.seeding.moving import (
+from e4dgs.stages.seeds import moving
+from e4dgs.stages.seeds.depths import ANYWHERE
+from e4dgs.stages.seeds.moving import (
     APART,
     APART_ALONE,
     HULL,

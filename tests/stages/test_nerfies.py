@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import recognise
+from e4dgs.stages.shared.frameset import FrameSet
 from factory import Camera, Options, make, render, surface_points, write_nerfies
 from factory.writers import flatten
 from run_stage import run_frames

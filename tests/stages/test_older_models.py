@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import Artifact, StageError, Store
-from e4dgs.stages.artifacts.model import read_model
+from e4dgs.stages.shared.model import read_model
 from e4dgs.workflows.storage.stored import every
 
 OLDER = Path(__file__).resolve().parents[1] / "older"

@@ -1,11 +1,16 @@
 """The stages that learn and render, with `--device cuda`: on `pretending_cuda`, which refuses what a GPU would refuse."""
 
 import numpy as np
-from e4dgs.stages.coarse import Coarse, CoarseSettings
-from e4dgs.stages.evaluate import Evaluate, EvaluateSettings
-from e4dgs.stages.fine import Fine, FineSettings
-from e4dgs.stages.flow import Flow, FlowSettings
-from e4dgs.stages.hulls import Hulls, HullSettings
+from e4dgs.stages.coarse.settings import CoarseSettings
+from e4dgs.stages.coarse.stage import Coarse
+from e4dgs.stages.evaluate.settings import EvaluateSettings
+from e4dgs.stages.evaluate.stage import Evaluate
+from e4dgs.stages.fine.settings import FineSettings
+from e4dgs.stages.fine.stage import Fine
+from e4dgs.stages.flow.settings import FlowSettings
+from e4dgs.stages.flow.stage import Flow
+from e4dgs.stages.hulls.settings import HullSettings
+from e4dgs.stages.hulls.stage import Hulls
 from factory import Options, make, write_n3v
 from pretend_cuda import pretending_cuda
 from run_stage import run_frames, run_stage

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from e4dgs.pipeline import ArtifactWriter, Context, Progress
-from e4dgs.stages.artifacts.frameset import FrameSet
-from e4dgs.stages.poses import PosesSettings
-from e4dgs.stages.posing.pictures import write_images
+from e4dgs.stages.poses.pictures import write_images
+from e4dgs.stages.poses.settings import PosesSettings
+from e4dgs.stages.shared.frameset import FrameSet
 from PIL import Image
 from run_stage import run_frames
 

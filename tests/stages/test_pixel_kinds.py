@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import checks, recognise
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.images.pictures import composite, read_picture
 from PIL import Image
 from run_stage import run_frames

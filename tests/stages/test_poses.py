@@ -8,8 +8,9 @@ import sys
 import numpy as np
 import pytest
 from e4dgs.pipeline import StageError
-from e4dgs.stages.artifacts.frameset import FrameSet
-from e4dgs.stages.poses import Poses, PosesSettings
+from e4dgs.stages.poses.settings import PosesSettings
+from e4dgs.stages.poses.stage import Poses
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.sfm import runner
 from e4dgs.vision.sfm.alignment import camera_centres, pose_error, similarity
 from e4dgs.vision.sfm.coverage import cover, runs, spans
@@ -134,7 +135,7 @@ def test_an_unknown_task_is_an_error_and_leaves_no_result(tmp_path):
 
 def test_planning_imports_nothing_heavy():
     code = (
-        "import sys, e4dgs.stages.poses as p\n"
+        "import sys, e4dgs.stages.poses.stage as p\n"
         "facts = dict(poses=False, frames=90, width=480, height=270, static=False)\n"
         "assert p.Poses().applies(facts, p.PosesSettings()).needed and p.Poses().estimate(facts, p.PosesSettings()) > 10\n"
         "print([m for m in ('torch', 'cv2', 'pycolmap', 'scipy', 'zarr') if m in sys.modules])"

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from e4dgs.pipeline import StageError
-from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.sfm.alignment import camera_centres, pose_error, similarity
 from e4dgs.vision.sfm.explains import FARTHEST, NOISE, misfit
 from e4dgs.vision.sfm.fixed_cameras import is_fixed

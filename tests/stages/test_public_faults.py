@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import Capture, recognise
+from e4dgs.stages.shared.frameset import FrameSet
 from run_stage import run_frames
 
 FAULTS = Path(__file__).resolve().parents[2].parent / "shared" / "faults"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
-from e4dgs.stages.artifacts.flow import StoredFlow
-from e4dgs.stages.seeding.chain import Chain
-from e4dgs.stages.seeding.depths import (
+from e4dgs.stages.flow.artifact import StoredFlow
+from e4dgs.stages.seeds.chain import Chain
+from e4dgs.stages.seeds.depths import (
     ANYWHERE,
     BEFORE,
     BESIDE,
@@ -18,7 +18,7 @@ from e4dgs.stages.seeding.depths import (
     depth_below,
     object_depths,
 )
-from e4dgs.stages.seeding.objects import LEAST_AREA, Objects, follow_objects
+from e4dgs.stages.seeds.objects import LEAST_AREA, Objects, follow_objects
 from moving_square import FRAMES, HEIGHT, WALL, WIDTH, flow_of, pose, views, wall
 
 SIZE, GROWTH = 24, 1.08  # px of the square in the first frame, factor a frame

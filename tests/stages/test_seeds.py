@@ -8,9 +8,9 @@ import pytest
 from e4dgs.pipeline import Artifact, Progress
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.views import Views
-from e4dgs.stages.seeding import seeds as room
-from e4dgs.stages.seeding.moving import MovingSeeds
-from e4dgs.stages.seeding.seeds import initial_dynamic, moving_seeds
+from e4dgs.stages.seeds import place as room
+from e4dgs.stages.seeds.moving import MovingSeeds
+from e4dgs.stages.seeds.place import initial_dynamic, moving_seeds
 from write_artifact import write_artifact
 
 LOOKS = 20

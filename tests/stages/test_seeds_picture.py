@@ -2,8 +2,8 @@
 
 import numpy as np
 from e4dgs.scene.views import Views
-from e4dgs.stages.seeding.moving import MovingSeeds
-from e4dgs.stages.seeding.picture import DIMMED, MOVING, seeds_picture
+from e4dgs.stages.seeds.moving import MovingSeeds
+from e4dgs.stages.seeds.picture import DIMMED, MOVING, seeds_picture
 
 WIDTH, HEIGHT = 64, 48
 

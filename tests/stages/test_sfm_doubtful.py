@@ -6,9 +6,9 @@ from unittest.mock import MagicMock as Mock
 import numpy as np
 import pycolmap
 import pytest
-from e4dgs.stages.artifacts.frameset import FrameSet
-from e4dgs.stages.posing import second_pass
-from e4dgs.stages.posing.moving_masks import FEWEST, lens_moving_masks
+from e4dgs.stages.poses import second_pass
+from e4dgs.stages.poses.moving_masks import FEWEST, lens_moving_masks
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.sfm.coverage import cover
 from e4dgs.vision.sfm.epipolar import fundamental
 from e4dgs.vision.sfm.pose_agreement import DOUBTFUL, SUPPORT, doubtful, explained

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from e4dgs.stages.artifacts.frameset import FrameSet
-from e4dgs.stages.posing import second_pass
-from e4dgs.stages.posing.moving_masks import FEWEST, lens_moving_masks
-from e4dgs.stages.posing.second_pass import LEAST, choose_pass, needless
+from e4dgs.stages.poses import second_pass
+from e4dgs.stages.poses.moving_masks import FEWEST, lens_moving_masks
+from e4dgs.stages.poses.second_pass import LEAST, choose_pass, needless
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.sfm import runner
 from e4dgs.vision.sfm.alignment import pose_error
 from e4dgs.vision.sfm.masks import on_moving, static_matches
@@ -150,7 +150,7 @@ def test_masks_lie_on_the_box_and_frames_without_a_pose_have_none(busy, truth, b
 
 def test_masks_follow_the_lens(busy):
     """A mask of the pinhole image is bent as the picture is: what was masked is what is shown there."""
-    from e4dgs.stages.posing.moving_masks import _Lens
+    from e4dgs.stages.poses.moving_masks import _Lens
     from e4dgs.vision.images.pictures import undistort
 
     K, terms = busy.synthetic.views[0].camera.K, np.array([0.4, 0.0, 0.0, 0.0])

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.reading import TEST, TRAIN, VAL
-from e4dgs.stages.evaluate import EvaluateSettings
-from e4dgs.stages.evaluation.protocol import protocol
-from e4dgs.stages.evaluation.views import choose_views
+from e4dgs.stages.evaluate.protocol import protocol
+from e4dgs.stages.evaluate.settings import EvaluateSettings
+from e4dgs.stages.evaluate.views import choose_views
+from e4dgs.stages.shared.frameset import FrameSet
 from factory import Options, make, write_dnerf
 from run_stage import run_frames
 

@@ -11,10 +11,10 @@ from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.exports.bake import SPREADS, Baked, bake, loss_of
 from e4dgs.stages.exports.capture_cameras import camera_of
 from e4dgs.stages.exports.plain import PlainLook, compensated
+from e4dgs.stages.shared.frameset import FrameSet
 from run_stage import run_frames
 
 

@@ -7,8 +7,8 @@ import zlib
 
 import numpy as np
 import pytest
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.captures import checks, recognise
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.images.pictures import read_mask, read_picture
 from factory import Options, make, write_colmap, write_nerfstudio
 from PIL import Image

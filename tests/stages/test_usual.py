@@ -13,7 +13,7 @@ SMALL = {"cpu": Usual(48, "a CPU"), "cuda": Usual(64, "a GPU")}
 @pytest.fixture
 def small(monkeypatch):
     """Limits that the small captures of the tests exceed."""
-    from e4dgs.stages import frames
+    from e4dgs.stages.frames import settings as frames
 
     monkeypatch.setattr(module, "USUAL", SMALL)
     monkeypatch.setattr(frames, "USUAL", SMALL)

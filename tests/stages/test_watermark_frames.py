@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from e4dgs.stages.artifacts.dataset import load_views
-from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.shared.dataset import load_views
+from e4dgs.stages.shared.frameset import FrameSet
 from factory import Options, make, write_images, write_nerfstudio
 from PIL import Image
 from run_stage import run_frames

@@ -7,8 +7,8 @@ import pytest
 import torch
 from e4dgs.scene.formats.web.container import header_of
 from e4dgs.scene.formats.web.scene import WebScene
-from e4dgs.stages.artifacts.frameset import FrameSet
 from e4dgs.stages.exports.web import export_web, light_web
+from e4dgs.stages.shared.frameset import FrameSet
 from made_models import made
 from PIL import Image
 from run_stage import run_frames

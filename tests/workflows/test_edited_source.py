@@ -72,7 +72,7 @@ def rerun(copy: Copy, name: str, line: str, cuda: bool = False) -> set[str]:
         ("vision/sfm/worker/survey.py", {"poses", "coarse"}),
         ("scene/training/rates.py", {"coarse", "fine"}),
         ("rasterizer/math/hull.h", {"coarse", "hulls", "fine", "evaluate"}),
-        ("stages/evaluation/judge.py", {"evaluate"}),
+        ("stages/evaluate/judge.py", {"evaluate"}),
         ("stages/estimates.py", set()),
         ("stages/report/page.py", set()),
         ("rasterizer/cuda/alpha.cuh", set()),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact
-from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.flow.colours import flow_colours
 from e4dgs.vision.flow.flo import read_flo
 from e4dgs.workflows import cli

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from e4dgs.pipeline import Store
-from e4dgs.stages.artifacts.model import read_model
+from e4dgs.stages.shared.model import read_model
 from e4dgs.workflows import cli
 from e4dgs.workflows.batch.ledger import Ledger, Progress
 from e4dgs.workflows.batch.listing import Entry

@@ -10,7 +10,7 @@ import e4dgs
 import pytest
 import torch
 from e4dgs.pipeline import Artifact
-from e4dgs.stages.artifacts.frameset import FrameSet
+from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.workflows.cli import main
 from factory import Options, make, write_colmap, write_images, write_nerfies, write_video, write_videos
 

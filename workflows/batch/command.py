@@ -13,7 +13,7 @@ from rich.console import Console
 from ...pipeline import SettingsError
 from ...stages.captures import usual
 from ..machine.writable import writing_to
-from ..options import Debug, Device, Format, Preset, Set, Static, StoreAlso, Workspace
+from ..options import Debug, Workspace, of_captures
 from ..results import words_of
 from ..session import DEFAULT_WORKSPACE, Options, other_stores
 from .board import table, watch
@@ -31,6 +31,7 @@ INSTEAD = {
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
+@of_captures()
 def batch(
     captures: Annotated[list[str], typer.Argument(metavar="CAPTURE...", help="Paths, patterns with *, lists of scenes in YAML.")],
     name: Annotated[str, typer.Option("--name", help="Name of the batch; the same name continues it.")] = "batch",
@@ -44,21 +45,15 @@ def batch(
     ] = None,
     stage_timeout: Annotated[float | None, typer.Option("--stage-timeout", min=0.1, help="Seconds after which a stage is stopped.")] = None,
     emit: Annotated[Literal["slurm"] | None, typer.Option("--emit", help="Write job scripts and run nothing.")] = None,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    static: Static = False,
-    format: Format = None,
-    store_also: StoreAlso = None,
-    debug: Debug = False,
+    *,
+    options: Options,
 ) -> None:
     """Run many captures; an unfinished batch is continued. Exit code 1 if a scene failed."""
     from .summary import rows_of, write_summary
 
     if not _NAME.fullmatch(name):
         raise SettingsError(f"--name {name}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
-    settings = tuple(_split(text) for text in set or ())
+    settings, workspace, device = tuple(_split(text) for text in options.assignments), options.workspace.resolve(), options.device
     _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
     cluster = None
     if executor != "local":
@@ -73,12 +68,13 @@ def batch(
     # Pictures are prepared on nodes without a GPU, and have the size that is usual where they are trained on.
     gpu = device != "cpu" and (emit is not None if cluster is None else cluster.gpu is not None)
     sized = (("frames.max_size", str(usual.USUAL["cuda"].size)),) if gpu else ()
-    also = tuple(str(path) for path in other_stores(store_also or ()))
-    entries = entries_of(captures, Entry("", "", (*sized, *settings), preset, static, format, device, store_also=also))
+    also = tuple(str(path) for path in other_stores(options.store_also))
+    common = Entry("", "", (*sized, *settings), options.preset, options.static, options.format, device, store_also=also)
+    entries = entries_of(captures, common)
     words = ["e4dgs", "batch", *captures, *words_of_batch(name, executor, jobs, memory, retries, stage_timeout, emit)]
-    words += words_of(Options(Path(), workspace, preset, set or (), device, None, static, format, store_also or ()))[1:]
-    with writing_to(workspace.resolve()):
-        ledger = Ledger.create(workspace.resolve(), name, entries, shlex.join(words))
+    words += words_of(options)[1:]
+    with writing_to(workspace):
+        ledger = Ledger.create(workspace, name, entries, shlex.join(words))
     for entry in entries:
         if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
             ledger.write(entry.name, Progress())

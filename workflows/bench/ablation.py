@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,15 +13,14 @@ import typer
 
 from ...pipeline import SettingsError
 from ...pipeline.files import write_atomically
-from ...stages.training.choices import CONVEXES
-from ..options import Captures, Debug, Device, Format, Preset, Set, Static, Workspace
-from ..session import DEFAULT_WORKSPACE, Options
+from ...stages.hulls.defaults import CONVEXES
+from ..options import Captures, of_captures
+from ..session import Options
 from . import output
 from .machine import machine
-from .pipeline import content, measure, summaries, table
+from .pipeline import content, measured, summaries, table
 
-NO_DATA, NO_INTERVAL = (tuple(f"{stage}.{term}=0" for stage in ("coarse", "fine")) for term in ("data_flow", "interval"))
-INTERVAL = ("coarse.interval=0.001", "fine.interval=0.001")  # by default, only planes have it
+NO_DATA, NO_INTERVAL, INTERVAL = ("train.data_flow=0",), ("train.interval=0",), ("train.interval=0.001",)  # by default, only planes have it
 NO_CONVEXES, CONVEX = ("hulls.budget=0",), (f"hulls.budget={CONVEXES}",)  # by default, captures with control nodes get none
 ROWS: Mapping[str, tuple[str, ...]] = {
     "a, base": (*NO_DATA, *NO_INTERVAL, *NO_CONVEXES),
@@ -65,6 +65,7 @@ and tOF, for captures of fixed cameras. Seconds of all stages; a cached stage co
 """
 
 
+@of_captures("seed", "store_also")
 def ablation(
     captures: Captures,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where ablation.csv, .html and .json go.")],
@@ -72,26 +73,19 @@ def ablation(
     rows: Annotated[
         str | None, typer.Option("--rows", metavar="NAME,NAME", help="Only rows whose names begin like this: a,b,full.")
     ] = None,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    preset: Preset = "default",
-    set: Set = None,
-    device: Device = "auto",
-    static: Static = False,
-    format: Format = None,
-    debug: Debug = False,
+    *,
+    options: Options,
 ) -> None:
     """Run the rows of the paper's Table 3 (convexes, edge terms, strategies) on captures. Stages on which rows agree run once."""
     console = output.make_console()
     chosen = choose(rows)
-    every = [Options(capture, workspace, preset, set or (), device, None, static, format) for capture in captures]
-    jobs = [(options, name, seed) for options in every for name in chosen for seed in range(seeds)]
+    points = [(name, options.preset, ROWS[name]) for name in chosen]
+    jobs = [(replace(options, capture=capture), point, seed) for capture in captures for point in points for seed in range(seeds)]
     runs = []
-    for number, (options, name, seed) in enumerate(jobs, 1):
-        console.print(f"[{number}/{len(jobs)}] {options.capture.name}: {name}, seed {seed}", highlight=False, markup=False)
-        point = name, preset, ROWS[name]
-        runs.append(measure(options, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False)))
-        output.write(out / "ablation.json", content(runs, machine(), every[0]))  # after each run, so a failure does not lose earlier ones
-        write(out, summaries(runs), f"Preset {preset}. {' '.join(set or ())}")
+    for run in measured(jobs, console):
+        runs.append(run)
+        output.write(out / "ablation.json", content(runs, machine(), jobs[0][0]))  # after each run, so a failure does not lose earlier ones
+        write(out, summaries(runs), f"Preset {options.preset}. {' '.join(options.assignments)}")
     console.print(table(summaries(runs)))
     output.show_file(console, "table", out / "ablation.html")
 

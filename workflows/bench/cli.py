@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..options import Captures, Debug, Device, Format, Set, Static, Workspace
-from ..session import DEFAULT_WORKSPACE, Options
+from ..options import Captures, Debug, of_captures
+from ..session import Options
 from . import output
 from .ablation import ablation
 from .machine import machine
-from .pipeline import LADDER, check_plot, content, draw, measure, parse_points, summaries, table
+from .pipeline import LADDER, check_plot, content, draw, measured, parse_points, summaries, table
 from .rows import Bench
 from .run import run
 from .suites import REPEATS, SECONDS, SUITES
@@ -102,31 +103,26 @@ app.command()(ablation)
 
 
 @app.command()
+@of_captures("preset", "seed", "store_also")
 def pipeline(
     captures: Captures,
     points: Annotated[str, typer.Option("--points", help="Presets or settings joined by +, separated by commas.")] = LADDER,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each point, with seeds 0, 1, ...")] = 1,
-    workspace: Workspace = DEFAULT_WORKSPACE,
-    set: Set = None,
-    device: Device = "auto",
-    static: Static = False,
-    format: Format = None,
     out: Out = None,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.svg", help="Draw the curves: .svg or .png.")] = None,
-    debug: Debug = False,
+    *,
+    options: Options,
 ) -> None:
     """Quality against run time of whole runs on captures; presets are points of the curve. Results are kept and reused in the workspace."""
     check_plot(plot)
     console = output.make_console()
     chosen = parse_points(points)
-    every = [Options(capture, workspace, "default", set or (), device, None, static, format) for capture in captures]
-    jobs = [(options, point, seed) for options in every for point in chosen for seed in range(seeds)]
+    jobs = [(replace(options, capture=capture), point, seed) for capture in captures for point in chosen for seed in range(seeds)]
     runs = []
-    for number, (options, point, seed) in enumerate(jobs, 1):
-        console.print(f"[{number}/{len(jobs)}] {options.capture.name}: {point[0]}, seed {seed}", highlight=False, markup=False)
-        runs.append(measure(options, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False)))
+    for one in measured(jobs, console):
+        runs.append(one)
         if out is not None:  # after each run, so that a failure does not lose earlier ones
-            output.write(out, content(runs, machine(), every[0]))
+            output.write(out, content(runs, machine(), jobs[0][0]))
     console.print(table(summaries(runs)))
     if plot is not None:
         draw(plot, summaries(runs))

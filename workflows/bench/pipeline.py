@@ -7,7 +7,7 @@ only once. A run's seconds still count every stage; for a cached stage they are 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,11 +20,13 @@ from rich.table import Table
 from ...pipeline import SettingsError, make_plan
 from ..presets import PRESETS
 from ..runs import execute
-from ..session import Options, open_session
+from ..session import SEEDS, Options, open_session
 
 LADDER = "coarse.effort=0.05,fast,coarse.effort=0.4,default"
 HELD_OUT = ("test", "val")
 METRICS = ("psnr", "psnr_affine", "ssim", "lpips", "edge_psnr", "psnr_foreground", "psnr_moving", "psnr_static")
+Point = tuple[str, str, tuple[str, ...]]  # name, preset, assignments
+Job = tuple[Options, Point, int]  # the last is the seed
 FLICKER = ("static", "edges", "warped", "flow")
 
 
@@ -48,8 +50,8 @@ class Run:
         return next((self.metrics[split] for split in (*HELD_OUT, *self.metrics) if split in self.metrics), {})
 
 
-def parse_points(text: str) -> list[tuple[str, str, tuple[str, ...]]]:
-    """(name, preset, assignments) of each point in the comma-separated ``text``: a preset, or settings joined by "+". Raises
+def parse_points(text: str) -> list[Point]:
+    """Each point in the comma-separated ``text``: a preset, or settings joined by "+". Raises
     SettingsError."""
     points = []
     for name in filter(None, (part.strip() for part in text.split(","))):
@@ -64,10 +66,17 @@ def parse_points(text: str) -> list[tuple[str, str, tuple[str, ...]]]:
     return points
 
 
-def measure(options: Options, point: tuple[str, str, tuple[str, ...]], seed: int, console: Console, say: Callable[[str], None]) -> Run:
+def measured(jobs: Sequence[Job], console: Console) -> Iterator[Run]:
+    """Runs the ``jobs`` one after another, each announced on the ``console``."""
+    for number, (options, point, seed) in enumerate(jobs, 1):
+        console.print(f"[{number}/{len(jobs)}] {options.capture.name}: {point[0]}, seed {seed}", highlight=False, markup=False)
+        yield measure(options, point, seed, console, lambda line: console.print("  " + line, markup=False, highlight=False))
+
+
+def measure(options: Options, point: Point, seed: int, console: Console, say: Callable[[str], None]) -> Run:
     """Runs everything at ``point``; ``options`` apply to all points."""
     name, preset, assignments = point
-    seeds = tuple(f"{stage}.seed={seed}" for stage in ("coarse", "fine")) if seed else ()
+    seeds = tuple(f"{setting}={seed}" for setting in SEEDS) if seed else ()
     own = replace(options, preset=preset, assignments=(*options.assignments, *assignments, *seeds))
     session = open_session(own)
     slug = "".join(c if c.isalnum() or c in "._-" else "-" for c in f"{session.scene.name}-{name}-{seed}")

@@ -11,12 +11,12 @@ import numpy as np
 
 from ...pipeline import CaptureError
 from ...stages.captures import checks
-from ...stages.captures.far_away import seen_from
+from ...stages.captures.assembly.far_away import seen_from
 from ...stages.exports.camera_path import NAMES, CameraPath
 from .path_lens import BENT, FIELDS, lens_of, refuse_other_kinds, size_of
 
 if TYPE_CHECKING:
-    from ...stages.artifacts.frameset import FrameSet
+    from ...stages.shared.frameset import FrameSet
 
 MOST_FRAMES = 100_000
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z back

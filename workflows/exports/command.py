@@ -59,9 +59,9 @@ def flow(
             session.claim()
         folder = session.scene.folder / "export" / "flow"
 
-    from ...stages.artifacts.flow import StoredFlow
-    from ...stages.artifacts.frameset import FrameSet
     from ...stages.exports.flow import common_largest, export_flow
+    from ...stages.flow.artifact import StoredFlow
+    from ...stages.shared.frameset import FrameSet
 
     console = Console()
     fields = StoredFlow(artifact)

@@ -19,8 +19,8 @@ from .trained import open_trained, writing
 
 if TYPE_CHECKING:
     from ...scene.model import Model
-    from ...stages.artifacts.frameset import FrameSet
     from ...stages.exports.camera_path import CameraPath
+    from ...stages.shared.frameset import FrameSet
 
 
 @of_last_run("coarse")

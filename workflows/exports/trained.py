@@ -18,7 +18,7 @@ from ..session import Options, Session, open_session
 
 if TYPE_CHECKING:
     from ...scene.model import Model
-    from ...stages.artifacts.frameset import FrameSet
+    from ...stages.shared.frameset import FrameSet
 
 MOST_TIMES = 60
 
@@ -73,8 +73,8 @@ def open_trained(options: Options) -> Trained:
     artifact, frames = found[trained], found["frames"]
     assert artifact is not None and frames is not None  # `results` guarantees the first, and no stage runs without the second
 
-    from ...stages.artifacts.frameset import FrameSet
-    from ...stages.artifacts.model import read_model
+    from ...stages.shared.frameset import FrameSet
+    from ...stages.shared.model import read_model
 
     return Trained(session, read_model(artifact), FrameSet(frames, session.job.capture.root, found.get("poses")))
 

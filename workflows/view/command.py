@@ -29,7 +29,7 @@ def view(
     place = listening(host, port)
     session = open_session(options)
 
-    from ...stages.artifacts.frameset import FrameSet
+    from ...stages.shared.frameset import FrameSet
     from .server import Viewer
     from .source import Source
 

@@ -14,7 +14,7 @@ from ...rasterizer import Camera, Convexes, Gaussians, rasterize
 from ...scene.edges import edge_mask_canny
 from ...scene.losses.flow_loss import project, rendered_flow
 from ...scene.model import Model
-from ...stages.evaluation.pictures import depth_picture, to_bytes
+from ...stages.evaluate.pictures.book import depth_picture, to_bytes
 from ...vision.flow.colours import flow_colours
 
 PRIMITIVES = ("all", "Gaussians", "convexes", "dynamic", "static")

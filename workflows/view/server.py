@@ -14,8 +14,8 @@ import viser.transforms as tf
 from ...rasterizer import Camera
 from ...scene.camera_paths import upward
 from ...scene.model import Model
-from ...stages.artifacts.frameset import FrameSet
 from ...stages.exports.camera_path import looked_at
+from ...stages.shared.frameset import FrameSet
 from .looks import photo_beside, picture
 from .panel import Choice, Panel
 from .quiet import hush, unsaid

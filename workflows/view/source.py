@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ...pipeline import Artifact, ArtifactError, Row, make_plan
 from ...scene.model import Model
 from ...scene.training.checkpoint import FILE, model_of
-from ...stages.artifacts.model import read_model
+from ...stages.shared.model import read_model
 from ..results import made, missing
 from ..session import Session
 

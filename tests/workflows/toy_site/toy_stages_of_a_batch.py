@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from e4dgs.pipeline import Graph, Resources, Settings, Stage, StageError
-from e4dgs.stages.frames import FramesSettings
+from e4dgs.stages.frames.settings import FramesSettings
 from pydantic import Field
 
 EVALUATION = "evaluate"

@@ -34,7 +34,7 @@ PERIOD = 8  # steps in which every term of the loss occurs as often as on averag
 
 def views_of(bench: Bench) -> tuple[Views, list[np.ndarray] | None, str]:
     """Training views with decoded pictures, masks of their objects if there is alpha, and the capture's name."""
-    from ....stages.artifacts.dataset import load_frameset, load_views
+    from ....stages.shared.dataset import load_frameset, load_views
 
     path = bench.capture or SAMPLE
     if not path.exists():

@@ -1,1 +1,0 @@
-"""Typed readers and writers of the artifacts that stages exchange."""

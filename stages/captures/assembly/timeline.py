@@ -1,0 +1,87 @@
+"""When each frame was taken, by which camera, for which split, and which frame follows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ....pipeline import CaptureError
+from ..reading import DEFAULT_FPS, TEST, TRAIN, VAL, Options, Reading, Shot
+from . import skipped_times as skipping
+
+
+class Timeline(NamedTuple):
+    """Of F frames: split, camera, next, time and seconds [F], as in a `Capture`. times, cameras: how many there are. static: whether all
+    frames show one time. notes: for people."""
+
+    split: np.ndarray
+    camera: np.ndarray
+    time: np.ndarray
+    seconds: np.ndarray
+    next: np.ndarray
+    times: int
+    cameras: int
+    static: bool
+    notes: tuple[str, ...]
+
+
+def timeline(root: Path, reading: Reading, options: Options) -> Timeline:
+    """Times in [0, 1], splits and pairs of the frames of ``reading``. Raises CaptureError if none is left for training."""
+    shots = reading.shots
+    notes: tuple[str, ...] = ()
+    split = _splits(root, reading, options)
+    raw = np.array([s.time for s in shots], dtype=np.float64)
+    time = np.zeros_like(raw) if options.static else _unit_times(raw)
+    times = len(np.unique(np.round(time, 9)))
+    static = options.static or times == 1
+    fps = options.fps or reading.fps or DEFAULT_FPS
+    seconds = np.array([t * (times - 1) / fps if s.seconds is None else s.seconds for s, t in zip(shots, time, strict=True)])
+    index = {key: i for i, key in enumerate(sorted({s.camera for s in shots}))}
+    camera = np.array([index[s.camera] for s in shots], dtype=np.int32)
+    if options.every_time > 1:
+        left_out = skipping.skipped_times(root, split == TRAIN, camera, time, options.every_time)
+        split[split != TRAIN] = VAL  # new views apart from new times: one mean of both would say little about either
+        split[left_out] = TEST
+        notes = (skipping.told(split, time, options.every_time),)
+    following = np.full(len(shots), -1, np.int32) if static else _next_frames(shots, camera, time, split)
+    return Timeline(split, camera, time, seconds, following, times, len(index), static, notes)
+
+
+def _splits(root: Path, reading: Reading, options: Options) -> np.ndarray:
+    """[F] uint8: the splits of the files, or every N-th frame held out. Raises CaptureError if no frame is for training."""
+    split = np.array([s.split for s in reading.shots], dtype=np.uint8)
+    if not reading.has_split and options.holdout and options.every_time == 1:
+        split[np.arange(len(split)) % options.holdout == 0] = TEST
+    if not (split == TRAIN).any():
+        advice = "check the split files" if reading.has_split else "use frames.holdout=0"
+        raise CaptureError(f"{root}: {len(split)} frames, none of them for training; {advice}")
+    return split
+
+
+def _unit_times(raw: np.ndarray) -> np.ndarray:
+    """Times of all splits together, rescaled to exactly [0,1]; 0 if all are equal. Motion, exports and the player cover that interval."""
+    span = raw.max() - raw.min()
+    return (raw - raw.min()) / span if span > 0 else np.zeros_like(raw)
+
+
+def _next_frames(shots: Sequence[Shot], camera: np.ndarray, time: np.ndarray, split: np.ndarray) -> np.ndarray:
+    """Index of the same camera's train frame at its next time, -1 if none.
+
+    Held-out frames have no next frame and are skipped, so that flow is never measured on a picture that is used for evaluation. Pictures
+    of different sizes form no pair: scaled to a common size, they would seem to move. Nor do pictures with a cut between them.
+    """
+    result = np.full(len(shots), -1, np.int32)
+    for key in np.unique(camera):
+        members = np.flatnonzero(camera == key)
+        members = members[np.argsort(time[members], kind="stable")].tolist()
+        last, linked = -1, True
+        for i in members:
+            if split[i] == TRAIN:
+                if last >= 0 and linked and time[i] > time[last] and shots[last].size == shots[i].size:
+                    result[last] = i
+                last, linked = i, True
+            linked = linked and shots[i].linked
+    return result

@@ -1,0 +1,1 @@
+"""Stage `coarse`: trains Gaussians to represent the scene's shape and motion."""

@@ -1,0 +1,1 @@
+"""Stage `evaluate`: compares renders with the captured pictures, in numbers and in pictures."""

@@ -1,0 +1,1 @@
+"""The pictures and movies of an evaluation, for the report."""

@@ -1,0 +1,81 @@
+"""The work of `evaluate`: measures the model's renders against the captured pictures, and collects pictures for the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ...pipeline import Context, StageError
+from ..coarse.artifact import steps_of
+from ..flow.artifact import flow_of
+from ..shared.frameset import FrameSet
+from ..shared.model import read_model
+from .artifact import write_metrics
+from .flicker import measure_flicker
+from .judge import Judge
+from .pictures.book import PictureBook
+from .pictures.flow import add_flow
+from .pictures.movies import write_movies
+from .player import write_scene
+from .protocol import load_lpips, protocol
+from .spread import SAMPLE, most_measured, spread, worst_and_others
+from .views import choose_views, time_strip
+
+METRICS = (
+    *("psnr", "ssim", "edge_psnr", "lpips", "psnr_affine", "ssim_affine"),
+    *("psnr_moving", "psnr_static", "psnr_foreground", "psnr_other_background"),
+)
+
+
+def evaluate(ctx: Context) -> None:
+    """Measures the model of `fine`, or that of `coarse` if `fine` was skipped."""
+    artifact = ctx.inputs["fine"] if ctx.inputs["fine"] is not None else ctx.inputs["coarse"]
+    if artifact is None:
+        raise StageError("there is no trained model: both coarse and fine were skipped; set coarse.iterations above 0")
+    frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs["poses"])  # type: ignore[arg-type]
+    model = read_model(artifact).to(ctx.device)
+    most = most_measured(ctx.settings.measured, steps_of(ctx.inputs["coarse"]))
+    views, notes = choose_views(frames, ctx.settings.splits, most)
+    for note in notes:
+        ctx.log(note)
+    lpips, lpips_facts = load_lpips(ctx.settings, frames)
+    book = PictureBook(ctx.settings.picture_size)
+    judge = Judge(model, frames, lpips, fixed=frames.fixed_cameras)
+    splits: dict[str, Any] = {}
+    sample = {} if "train" in views else {"train": spread([int(i) for i in frames.train], SAMPLE)}
+    with ctx.progress(sum(map(len, [*views.values(), *sample.values()])), "views") as bar:
+        for split, indices in (sample | views).items():
+            rows = []
+            for i in indices:
+                rows.append(judge.view(i)[0])
+                bar.advance(1, f"{rows[-1]['psnr']:.1f} dB")
+            for i in worst_and_others(rows, ctx.settings.max_views) if split in views else ():
+                row, frame, truth = judge.view(i)
+                book.add_view(split, frames.names[i], float(frames.time[i]), truth, frame, row, judge.kept(i))
+            splits[split] = {**means(rows), **lpips_facts, "frames": len(rows), "per_view": rows}
+            if lpips is not None:
+                splits[split].pop("lpips_reason", None)
+    book.add_strip(*time_strip(judge, frames, next(reversed(views.values()))))
+    if (flow := flow_of(ctx.inputs)) is not None:
+        add_flow(book, judge, flow, ctx.settings.max_views)
+    book.stored.write(ctx.out)
+    write_movies(ctx, judge, frames, next(reversed(views.values())), ctx.settings.movie_frames)
+    if ctx.settings.player and (reason := write_scene(ctx.out, judge, frames)) is not None:
+        ctx.log(f"the report does not play the scene: {reason}; e4dgs export web writes a page of any size")
+    metrics = {
+        "protocol": protocol(frames, sample | views, ctx.settings, lpips_facts, notes),
+        "splits": splits,
+        "primitives": {"gaussians": len(model.gaussians), "convexes": len(model.convexes)},
+        "flicker": measure_flicker(judge, frames, most, ctx.progress),
+    }
+    write_metrics(ctx.out, metrics, {"render_fps": judge.frames_per_second(next(reversed(views.values())))})
+
+
+def means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """Mean of each metric over the views that have it; None if no view has it."""
+    result: dict[str, float | None] = {}
+    for name in METRICS:
+        if name in rows[0]:
+            values = [float(row[name]) for row in rows if row[name] is not None]
+            result[name] = sum(values) / len(values) if values else None
+    return result

@@ -1,0 +1,53 @@
+"""Stage `evaluate`: metrics of held-out views against the captured pictures, frames per second, and pictures for the report.
+
+Renders are clamped to [0, 1] and compared as floats, not quantised. The ground truth is the undistorted 8-bit frame, composited on the
+capture's background. Frames without a pose are counted but not measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ...pipeline import Applies, Context, Resources, Stage
+from ..facts import Facts
+from .settings import EvaluateSettings
+from .spread import SAMPLE, flicker_cameras
+
+
+class Evaluate(Stage):
+    """PSNR, SSIM, PSNR near edges and LPIPS of every held-out view, and of some training views for comparison.
+
+    The model of `fine` is measured, or that of `coarse` if `fine` was skipped.
+    """
+
+    name = "evaluate"
+    inputs = ("frames", "poses", "flow", "coarse", "fine")
+    settings = EvaluateSettings
+    reads_capture = True
+    device_class = True
+
+    def applies(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> Applies:
+        counts = Facts.of(facts).splits
+        chosen = [f"{counts[split]} {split} views" for split in settings.splits if counts.get(split)]
+        if chosen:
+            return Applies.yes(", ".join(chosen))
+        return Applies.yes(f"no views in {', '.join(settings.splits)}: training views are measured instead")
+
+    def estimate(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> float | None:
+        """On two cores: about 1.2 s per view and megapixel for rendering and metrics, without LPIPS; as much at each time for flicker."""
+        known = Facts.of(facts)
+        views = SAMPLE + sum(known.splits.get(split, 0) for split in settings.splits)
+        if known.fixed_cameras and not known.static:
+            views += flicker_cameras(known.times) * known.times
+        return 3.0 + 1.2 * views * known.width * known.height / 1e6
+
+    def resources(self, facts: Mapping[str, Any], settings: EvaluateSettings, device: str) -> Resources:
+        from ..estimates import training_resources
+
+        return training_resources(Facts.of(facts), device)
+
+    def run(self, ctx: Context) -> None:
+        from .run import evaluate
+
+        evaluate(ctx)

@@ -1,1 +1,0 @@
-"""The work of stage `evaluate`: compares renders with the captured pictures, in numbers and in pictures."""

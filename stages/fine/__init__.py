@@ -1,0 +1,1 @@
+"""Stage `fine`: puts convexes in place of the chosen Gaussians, and refines both."""

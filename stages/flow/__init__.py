@@ -1,0 +1,1 @@
+"""Stage `flow`: measures flow between frames, edge weights, and masks of what moves."""

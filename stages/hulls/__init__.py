@@ -1,0 +1,1 @@
+"""Stage `hulls`: chooses the Gaussians that become convexes."""

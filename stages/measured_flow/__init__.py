@@ -1,1 +1,0 @@
-"""The work of stage `flow` on the frames of a capture."""

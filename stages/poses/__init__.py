@@ -1,0 +1,1 @@
+"""Stage `poses`: structure from motion for captures without camera poses."""

@@ -1,0 +1,122 @@
+"""Writes the pictures and masks of a capture as files for COLMAP."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+from ...pipeline import Context
+from ...vision.images.files import BadImageError, open_image
+from ...vision.images.pictures import composite
+
+if TYPE_CHECKING:
+    from ..shared.frameset import FrameSet
+
+# How files begin that COLMAP reads: PNG, JPEG, BMP, TIFF (and TIFF above 4 GB). It reads no WebP, and no BMP without a file header.
+_READ_BY_COLMAP = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+
+def lens_groups(frames: FrameSet) -> list[int]:
+    """A number for each frame; frames with the same number share a lens. Pictures of different sizes count as different lenses, since they
+    come from another camera or another zoom."""
+    if frames.crop is None:
+        return [int(c) for c in frames.camera]
+    lenses = [(int(c), *crop) for c, crop in zip(frames.camera, frames.crop.tolist(), strict=True)]
+    number = {lens: n for n, lens in enumerate(dict.fromkeys(lenses))}
+    return [number[lens] for lens in lenses]
+
+
+def picture_folder(ctx: Context) -> Path:
+    """The folder of the pictures, created if it does not exist."""
+    folder = ctx.checkpoints / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def write_images(ctx: Context, frames: FrameSet) -> list[str]:
+    """Writes pictures for COLMAP under plain names and returns the names. They are links to the capture's own files if COLMAP can use all
+    of them, otherwise new PNG files of the frames' size."""
+    folder = picture_folder(ctx)
+    names: list[str] = []
+    # COLMAP reads files as they are stored: it does not rotate, crop or composite them. Masks need pictures of the frames' size.
+    plain = not frames.alpha and not frames.upright and frames.crop is None and not frames.masked
+    linked = frames.files is not None and plain and all(_read_by_colmap(frames.root / file) for file in frames.files)
+    with ctx.progress(len(frames), "pictures") as progress:
+        for i in range(len(frames)):
+            suffix = Path(frames.files[i]).suffix.lower() if linked and frames.files is not None else ".png"
+            names.append(f"{i:06d}{suffix}")
+            target = folder / names[-1]
+            if not target.exists():
+                target.unlink(missing_ok=True)  # a dangling link, whose target has moved
+                if linked and frames.files is not None:
+                    _link(frames.root / frames.files[i], target)
+                else:
+                    exif = _focal_length(frames.root / frames.files[i]) if frames.files is not None and frames.crop is None else None
+                    _save(frames, i, target, exif)
+            progress.advance()
+    return names
+
+
+def write_picture(frames: FrameSet, i: int, folder: Path) -> str:
+    """Writes the picture of frame ``i`` as PNG and returns its name. An existing file is kept."""
+    target = folder / f"{i:06d}.png"
+    if not target.exists():
+        _save(frames, i, target)
+    return target.name
+
+
+def write_masks(ctx: Context, frames: FrameSet) -> Path:
+    """Writes masks, black where no features are to be detected, and returns their folder. As COLMAP wants it, a mask is named after its
+    picture, with .png appended."""
+    folder = ctx.checkpoints / "masks"
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(len(frames)):
+        kept = frames.kept(i)
+        if kept is not None:
+            Image.fromarray(np.where(kept, 255, 0).astype(np.uint8)).save(folder / f"{i:06d}.png.png", compress_level=1)
+    return folder
+
+
+def _save(frames: FrameSet, i: int, target: Path, exif: Image.Exif | None = None) -> None:
+    partial = target.with_name(f"partial{target.suffix}")
+    partial.unlink(missing_ok=True)
+    Image.fromarray(composite(frames.original(i), frames.background)).save(partial, compress_level=1, exif=exif)
+    partial.replace(target)
+
+
+def _focal_length(file: Path) -> Image.Exif:
+    """EXIF data with only the picture's 35 mm equivalent focal length, from which COLMAP initialises the intrinsics."""
+    details, tag = 0x8769, 0xA405
+    result = Image.Exif()
+    try:
+        with open_image(file) as image:
+            value = image.getexif().get_ifd(details).get(tag)
+    except BadImageError:  # EXIF data are often broken, and they are optional
+        value = None
+    if isinstance(value, int) and 1 <= value <= 10_000:
+        result[details] = {tag: value}
+    return result
+
+
+def _read_by_colmap(file: Path) -> bool:
+    """Whether COLMAP reads such a file. Its content decides, as it does for COLMAP; a WebP file may be called .jpg."""
+    try:
+        with file.open("rb") as opened:
+            return opened.read(4).startswith(_READ_BY_COLMAP)
+    except OSError:  # decoding it says what is wrong
+        return False
+
+
+def _link(source: Path, target: Path) -> None:
+    partial = target.with_name(f"partial{target.suffix}")
+    partial.unlink(missing_ok=True)
+    try:
+        os.symlink(source.resolve(), partial)
+    except OSError:  # a file system without links
+        shutil.copyfile(source, partial)
+    partial.replace(target)

@@ -1,0 +1,60 @@
+"""Stage `poses`: structure from motion for captures without camera poses. docs/artifacts.md documents the arrays and attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ...pipeline import Applies, Context, Resources, Stage
+from ...vision.sfm.pairs import choose, enlarged, image_pairs
+from ..facts import Facts
+from .settings import PosesSettings
+
+
+class Poses(Stage):
+    """Intrinsics and a pose for every frame that registers, sparse points, and a report of which frames did not register and why."""
+
+    name = "poses"
+    inputs = ("frames",)
+    settings = PosesSettings
+    reads_capture = True
+
+    def applies(self, facts: Mapping[str, Any], settings: PosesSettings) -> Applies:
+        known = Facts.of(facts)
+        if known.poses:
+            return Applies.no("the files hold poses")
+        if known.cameras > 1 and not known.static:
+            return Applies.yes(
+                f"structure from motion on {known.cameras} cameras at shared times; those that stand still get one pose each"
+            )
+        again = "" if settings.moving == "off" or known.static else "; a second pass if moving objects could disturb the cameras"
+        return Applies.yes(f"structure from motion on {known.frames} frames{again}")
+
+    def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
+        """Measured on one core: features 0.1 s + 1.3 s per megapixel (0.35 s where pictures are not enlarged), 0.1 s per pair, 0.9 s to
+        register an image (half if the camera only turns), 0.2 s to adjust it, 0.15 s to find moving objects, 8 s for the start and the
+        test whether the camera only turns. A second pass is not counted; it takes the time of registering once more and a third of the
+        pairs' time. Several cameras are assumed to stand still, as most do."""
+        from ...vision.sfm.looks import look_times
+
+        known = Facts.of(facts)
+        frames = known.frames
+        large = known.cameras == 1 and not enlarged(known.width, known.height, known.static)
+        features = 0.1 + (0.35 if large else 1.3) * known.width * known.height / 1e6
+        if known.cameras > 1 and not known.static:
+            cameras, times = known.cameras, look_times(known.cameras, known.times)
+            features, pairs = cameras * times * features, times * cameras * (cameras - 1) / 2
+            return 10 + features + 0.2 * pairs + 2.0 * cameras
+        pairs = len(image_pairs(choose(settings.matcher, frames, known.static), frames, settings.overlap))
+        looked = 0.15 if settings.moving == "auto" and not known.static else 0.0
+        return 8 + frames * (1.1 + looked + features) + 0.1 * pairs
+
+    def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
+        from ..estimates import picture_resources
+
+        return picture_resources(Facts.of(facts), 2.0)
+
+    def run(self, ctx: Context) -> None:
+        from .run import pose_capture
+
+        pose_capture(ctx)

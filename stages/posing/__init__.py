@@ -1,1 +1,0 @@
-"""The work of stage `poses` on the frames of a capture."""

@@ -1,0 +1,199 @@
+"""Seeds on moving objects at several times, with positions and velocities from masks and flow.
+
+If several cameras see the same time, seeds lie where they agree on the depth of what their masks show, and for the rest on the visual hull
+of the masks. For one moving camera they lie on the pixels of its mask, at the depth that `depths.py` finds. Velocities are measured over
+neighbouring frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from ...scene.seeds.colours import median_colours
+from ...scene.seeds.hull import visual_hull
+from ...scene.seeds.surfaces import surface_points
+from ...scene.views import Views
+from ...vision.sequences import camera_sequences
+from ..flow.artifact import StoredFlow
+from .chain import Chain
+from .depths import depth_at, object_depths, steady
+from .objects import follow_objects
+from .scene_flow import next_positions
+
+KEYS = 24  # least number of times at which seeds are placed
+APART = 8  # frames; if these times of a rig would lie farther apart, more are used,
+WAY = 0.014  # of the image's width; also if moving pixels would move farther between them
+APART_ALONE = 3  # frames, about the most between these times of one camera: its own motion is in the flow, which thus tells no speeds
+SLOWER = 75  # percent of the moving pixels, that is: the others are faster
+LEAST_AT_ONCE = 250  # seeds; so many remain for each time of a rig that has more than `KEYS`
+PAIRS = 60  # of frames in which the speed is measured
+FEWEST_FRAMES = 3  # least number of frames of a camera for a path
+FEWEST_CAMERAS = 2  # least number of cameras that see a time for a hull
+HULL = 20_000  # points of a visual hull
+AT_ONCE = 4  # times of a rig whose seeds are placed at once, which bounds the memory
+MEASURED_SHARE = 0.6  # of the seeds at a time, where cameras agree on their depth
+AROUND = 3  # frames on either side over which the velocity is measured for one camera
+
+
+class MovingSeeds(NamedTuple):
+    """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units per frame, time [N] in [0, 1] of each position."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    velocities: np.ndarray
+    time: np.ndarray
+
+
+def key_times(times: np.ndarray, apart: float, most: int | None = None) -> np.ndarray:
+    """Indices into ``times`` [T] of the key times, at which seeds are placed: evenly spread, including the first and the last; about
+    ``apart`` frames from one another, but at least `KEYS` and not more than ``most``."""
+    count = max(KEYS, int(len(times) / apart))
+    return np.unique(np.linspace(0, len(times) - 1, min(count, len(times), most or count)).round().astype(int))
+
+
+def rig_times(flow: StoredFlow, times: np.ndarray, most: int) -> np.ndarray:
+    """Indices into the training times ``times`` [T] of the key times of a rig, which share ``most`` seeds: the faster things move, the
+    closer they are, because a seed moves steadily and lives for about as long as there is to the next."""
+    apart = min(APART, WAY / max(speed(flow), 1e-6))
+    return key_times(times, max(apart, 1.0), max(KEYS, most // LEAST_AT_ONCE))
+
+
+def speed(flow: StoredFlow) -> float:
+    """How far moving pixels move between neighbouring frames, in widths of the image: `SLOWER` percent of them are slower. 0 if nothing
+    moves."""
+    found = []
+    for p in range(0, len(flow.pairs), max(1, len(flow.pairs) // PAIRS)):
+        row = flow.moving(flow.pairs[p][0]) > 127
+        if row.any():
+            found.append(np.linalg.norm(flow.forward(p)[row].astype(np.float32), axis=1))
+    return float(np.percentile(np.concatenate(found), SLOWER)) / flow.size[1] if found else 0.0
+
+
+def rig_seeds(
+    flow: StoredFlow,
+    views: Views,
+    mask: Callable[[int], np.ndarray | None],
+    rows: np.ndarray,
+    most: int,
+    seed: int,
+    advance: Callable[[int], None] = lambda n: None,
+) -> MovingSeeds | None:
+    """Up to ``most`` seeds on what the masks show at key times; None if no seed is found or fewer than two cameras have masks.
+
+    mask(i): [H, W] bool, moving pixels of frame i, or None. rows: indices of the key times among the training times. advance: called with
+    the number of key times that are done.
+    """
+    times = np.unique(views.time[views.train])
+    sequences = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) == len(times)]
+    chains = [(Chain(flow, frames), frames) for frames in sequences]
+
+    def at(k: int) -> MovingSeeds | None:
+        frames = views.train[views.time[views.train] == times[k]]
+        known = [(i, m) for i in frames if (m := mask(int(i))) is not None]
+        advance(1)
+        if len(known) < FEWEST_CAMERAS:
+            return None
+        chosen, masks = np.array([i for i, _ in known]), [m for _, m in known]
+        points, colors = on_surfaces(views, masks, chosen, most // len(rows), seed)
+        if not len(points):
+            return None
+        alive = np.ones(len(points), bool)
+        steps = [(d, next_positions(views, chains, k, d, points, alive)) for d in (1, -1) if 0 <= k + d < len(times) and len(chains) > 1]
+        known_steps = np.stack([there for _, (_, there) in steps]) if steps else np.zeros((1, len(points)), bool)
+        moved = np.stack([d * (to - points) for d, (to, _) in steps]) if steps else np.zeros((1, len(points), 3))
+        velocity = (moved * known_steps[..., None]).sum(0) / np.maximum(known_steps.sum(0), 1)[:, None]
+        return MovingSeeds(points, colors, velocity * per_frame(views, times, k), np.full(len(points), times[k]))
+
+    # Beside one another, since a part of the work on one time is done by one thread.
+    with ThreadPoolExecutor(min(torch.get_num_threads(), AT_ONCE)) as pool:
+        return join([found for found in pool.map(at, rows) if found is not None])
+
+
+def on_surfaces(views: Views, masks: list[np.ndarray], frames: np.ndarray, most: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Up to ``most`` points [n, 3] (world units) on what the ``masks`` of ``frames`` of one time show, and colours [n, 3] in [0, 1]: where
+    cameras agree on its depth, and for the rest on the visual hull."""
+    hull = visual_hull(views, masks, frames, HULL, seed)
+    if not len(hull):
+        return hull, np.zeros((0, 3))
+    measured, measured_colors, left = surface_points(views, frames.tolist(), [views.load(int(i)) for i in frames], masks, hull)
+    rng = np.random.default_rng(seed)
+    measured_chosen = rng.permutation(len(measured))[: int(MEASURED_SHARE * most)]
+    hull = hull[left]
+    hull = hull[rng.permutation(len(hull))[: most - len(measured_chosen)]]
+    points, colors = measured[measured_chosen], measured_colors[measured_chosen]
+    return np.concatenate([points, hull]), np.concatenate([colors, median_colours(views, hull, frames, masks)[0]])
+
+
+def camera_seeds(
+    flow: StoredFlow, views: Views, static: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
+) -> MovingSeeds | None:
+    """Up to ``most`` seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth.
+
+    static [P, 3]: points that are mostly static. advance: called with the number of frames that are done.
+    """
+    found = []
+    cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
+    for frames in cameras:
+        chain = Chain(flow, frames)
+        objects = follow_objects(chain, len(frames))
+        depths = object_depths(objects, views, frames, static)
+        advance(len(frames))
+        known = [float(np.median(values[values > 0])) for values in depths if (values > 0).any()]
+        if not known:
+            continue
+        usual = float(np.median(known))
+        rows = key_times(views.time[frames], APART_ALONE)
+        area = sum(int(chain.mask(k).sum()) for k in rows)
+        stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(most, 1)))))
+        for k in rows:
+            y, x = np.nonzero(chain.mask(k)[stride // 2 :: stride, stride // 2 :: stride])
+            begin = (np.stack([x, y], 1) * stride + stride // 2).astype(np.float32)
+            if not len(begin):
+                continue
+            places, alive = chain.follow(k, begin, AROUND)
+            near = [j for j in range(k - AROUND, k + AROUND + 1) if 0 <= j < len(frames)]
+            z = np.zeros(alive.shape, np.float32)
+            for j in near:
+                z[j] = depth_at(objects, depths[j], views.K[frames[j]], j, places[j], usual)
+            z = steady(z, alive)
+            where = np.stack([lift(views, frames[j], places[j], z[j]) for j in near])
+            number = views.time[[frames[j] for j in near]] * (len(np.unique(views.time)) - 1)
+            velocity = slope(number, where, alive[near])
+            picture = views.load(frames[k]) / 255.0
+            color = picture[begin[:, 1].astype(int), begin[:, 0].astype(int)]
+            time = np.full(len(begin), views.time[frames[k]])
+            found.append(MovingSeeds(where[near.index(k)].astype(np.float64), color, velocity, time))
+    return join(found)
+
+
+def slope(x: np.ndarray, y: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Least-squares slope [N, 3] of ``y`` [K, N, 3] over ``x`` [K], using only ``known`` [K, N] values; 0 if fewer than two are known."""
+    weight = known[..., None].astype(np.float64)
+    count = np.maximum(weight.sum(0), 1)
+    dx = x[:, None, None] - (weight * x[:, None, None]).sum(0) / count
+    dy = y - (weight * y).sum(0) / count
+    spread = (weight * dx * dx).sum(0)
+    return (weight * dx * dy).sum(0) / np.where(spread > 0, spread, 1.0)
+
+
+def per_frame(views: Views, times: np.ndarray, k: int) -> float:
+    """Factor from world units per step between training times around index ``k`` to world units per frame of the capture."""
+    low, high = max(k - 1, 0), min(k + 1, len(times) - 1)
+    frames = (times[high] - times[low]) * (len(np.unique(views.time)) - 1)
+    return (high - low) / frames if frames > 0 else 1.0
+
+
+def join(found: list[MovingSeeds]) -> MovingSeeds | None:
+    return MovingSeeds(*(np.concatenate(parts) for parts in zip(*found))) if found else None
+
+
+def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """World positions [n, 3] of pixels ``places`` [n, 2] (centres at +0.5) of frame ``i`` at depths ``z`` [n]."""
+    K, pose = views.K[i], views.cam_from_world[i]
+    ray = np.stack([(places[:, 0] + 0.5 - K[0, 2]) / K[0, 0], (places[:, 1] + 0.5 - K[1, 2]) / K[1, 1], np.ones(len(places))], 1)
+    return ((ray * z[:, None] - pose[:3, 3]) @ pose[:3, :3]).astype(np.float32)

@@ -1,0 +1,164 @@
+"""`FrameSet`: the frames of a capture as numpy arrays, with poses from the files or from structure from motion. Imports no torch."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...pipeline import Artifact
+from ...vision.images import lenses, pictures
+from ..frames.artifact import StoredFrames
+from ..poses.artifact import StoredPoses
+
+WHOLLY = 254  # of 255: value from which a pixel of a scaled or undistorted mask lies wholly inside
+_MAPS_KEPT = 4  # cached maps take 8 bytes per pixel; one camera needs two, one for each direction
+
+
+class FrameSet:
+    """Frames of a capture: fields of the `frames` artifact, and pictures undistorted to the pinhole camera K.
+
+    frames: the `frames` artifact. root: the capture's folder, for pictures in files. poses: the `poses` artifact, whose K,
+    cam_from_world, distortion and points replace the capture's.
+
+    camera [F] int32; time, seconds [F] float64; split [F] uint8; next [F] int32 (-1 if none); K [F,3,3] float64 px and
+    cam_from_world [F,4,4] float64 (OpenCV), None without poses; registered [F] bool; points [P,3] float64 and
+    point_colors [P,3] uint8 or None; width, height px; background "white" | "black" | None; names.
+    every_time: every so many-th time trains, and the pictures of the same cameras at the other times are test; 1 if all times train.
+    watermark: [H,W] uint8, 255 where something stands still in all distorted pictures, such as a logo; None if nothing does.
+    origin: [3], the point of the files' world that is the origin of this one; None if nothing was moved.
+    masked: whether some pixels do not count, so that `kept` may return a mask.
+    files, upright: the image files, and whether they are rotated as their EXIF data ask; crop [F,4] px, or None if all pictures are shown
+    whole.
+    fixed_cameras: several cameras that do not move, according to the files or structure from motion.
+    train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
+    Pictures may be read from several threads at once; they are not cached here.
+    """
+
+    def __init__(self, frames: Artifact, root: Path, poses: Artifact | None = None) -> None:
+        stored, solved = StoredFrames.read(frames), None if poses is None else StoredPoses.read(poses)
+        source, facts = solved or stored, stored.facts
+        self.root = Path(root)
+        self.width, self.height = facts.width, facts.height
+        self.background, self.alpha = stored.background, facts.alpha
+        self.upright, self.untimed, self.every_time = facts.upright, facts.untimed, facts.every_time
+        self.names, self.files = stored.names, stored.files
+        self.mask_files, self.keep_files = stored.mask_files, stored.keep_files
+        self.keep_turns = stored.keep_turns or [1] * len(self.names)
+        self.watermark = stored.watermark
+        self.masked = self.keep_files is not None or self.watermark is not None
+        self.K_hint = stored.K_hint
+        self.origin = None if stored.origin is None else np.array(stored.origin)
+        self.camera, self.time, self.seconds = stored.camera, stored.time, stored.seconds
+        self.split, self.next, self.crop = stored.split, stored.next, stored.crop
+        self._images = stored.images
+        self.fixed_cameras = facts.fixed_cameras or (solved is not None and bool(solved.fixed_cameras))
+        self.K, self.cam_from_world = source.K, source.cam_from_world
+        self._distortion = np.zeros((len(self), 4)) if source.distortion is None else source.distortion
+        self._lens_K = self.K if source.lens_K is None else source.lens_K
+        self._fisheye = np.zeros(len(self), np.uint8) if source.fisheye is None else source.fisheye
+        self.points, self.point_colors = source.points, source.point_colors
+        if self.K is None or self.cam_from_world is None:
+            self.registered = np.zeros(len(self), bool)
+        else:
+            finite = np.isfinite(self.cam_from_world).all((1, 2)) & np.isfinite(self.K).all((1, 2))
+            self.registered = finite if source.registered is None else finite & source.registered
+        usable = np.ones(len(self), bool) if self.cam_from_world is None else self.registered
+        self.train, self.val, self.test = (np.flatnonzero(usable & (self.split == s)) for s in range(3))
+        self._maps: dict[bytes, tuple[np.ndarray, ...]] = {}
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    def image(self, i: int) -> np.ndarray:
+        """Frame i, undistorted to the pinhole camera K: uint8 [H,W,3], or [H,W,4] with straight alpha for captures with alpha."""
+        picture = self.original(i)
+        maps = self.undistortion(i)
+        return picture if maps is None else pictures.undistort(picture, maps)
+
+    def original(self, i: int) -> np.ndarray:
+        """Frame i at the capture's size, still with its lens distortion. Structure from motion matches these pictures."""
+        if self._images is not None:
+            return self._images[i]
+        assert self.files is not None
+        stored = pictures.read_picture(self.root, self.files[i], self.upright)
+        picture = pictures.resize(stored, self.width, self.height, None if self.crop is None else self.crop[i])
+        if self.alpha and picture.shape[2] == 3:
+            picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
+        return picture
+
+    def composited(self, i: int) -> np.ndarray:
+        """Frame i as uint8 [H,W,3] on the capture's background."""
+        return pictures.composite(self.image(i), self.background)
+
+    def both(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Frame i on the capture's background, distorted and as `composited` returns it; the same array twice if there is no distortion."""
+        stored, maps = self.original(i), self.undistortion(i)
+        seen = pictures.composite(stored, self.background)
+        return seen, seen if maps is None else pictures.composite(pictures.undistort(stored, maps), self.background)
+
+    def picture_parts(self, i: int, digests: Mapping[str, str]) -> list[Any]:
+        """Everything that determines the distorted picture of frame i, as JSON, without reading it. digests: BLAKE3 digest of each of the
+        capture's files by name."""
+        if self._images is not None:
+            return [self._images.digest(i), self.width, self.height]
+        assert self.files is not None
+        part = None if self.crop is None else self.crop[i].tolist()
+        shown = [self.width, self.height, part, self.upright, self.alpha, self.background]
+        return [digests[Path(self.files[i]).as_posix()], *shown]
+
+    def mask(self, i: int) -> np.ndarray | None:
+        """Mask of the moving pixels of frame i, uint8 [H,W] (255 = moving), undistorted like the image; None if the capture has none."""
+        name = self.mask_files[i] if self.mask_files is not None else None
+        return None if name is None else self._fitted(i, pictures.read_mask(self.root, name))
+
+    def kept(self, i: int) -> np.ndarray | None:
+        """Pixels of frame i that count, bool [H,W], undistorted like the image; None if all do, since it has no mask and no watermark. A
+        pixel that is partly excluded does not count."""
+        name = self.keep_files[i] if self.keep_files is not None else None
+        masks = [] if name is None else [self._fitted(i, pictures.read_keep(self.root, name, self.keep_turns[i]))]
+        if self.watermark is not None:
+            masks.append(self._undistorted(i, 255 - self.watermark))
+        return None if not masks else np.asarray(np.logical_and.reduce([mask >= WHOLLY for mask in masks]))
+
+    def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
+        """A mask of frame i, scaled, cropped and undistorted like its image."""
+        return self._undistorted(i, pictures.resize(mask, self.width, self.height, None if self.crop is None else self.crop[i]))
+
+    def _undistorted(self, i: int, mask: np.ndarray) -> np.ndarray:
+        maps = self.undistortion(i)
+        return mask if maps is None else pictures.undistort(mask, maps)
+
+    def bent(self, i: int) -> bool:
+        """Whether the lens distorts frame i, so that the pinhole picture differs from the original; always False without a pose."""
+        return self._lens_K is not None and bool(self.registered[i] and (self._distortion[i].any() or self._fisheye[i]))
+
+    def straight_places(self, i: int) -> np.ndarray | None:
+        """Position in the pinhole picture of each pixel of the distorted frame i: float32 [H,W,2] px, pixel centres at whole numbers; None
+        if the frame is not `bent`."""
+        places = self._of_lens(i, b"back", lambda *lens: (lenses.straight_places(*lens),))
+        return None if places is None else places[0]
+
+    def undistortion(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Maps for `pictures.undistort`: position in the distorted picture of each pixel of the pinhole picture; None if not `bent`."""
+        return self._of_lens(i, b"there", lenses.undistort_maps)  # type: ignore[return-value]
+
+    def _of_lens(self, i: int, what: bytes, make: Callable[..., tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...] | None:
+        """Result of ``make`` for the lens of frame i, cached since other frames share the lens; None if the frame is not `bent`."""
+        if self.K is None or self._lens_K is None or not self.bent(i):
+            return None
+        lens_K, terms, fisheye = self._lens_K[i], self._distortion[i], bool(self._fisheye[i])
+        key = what + self.K[i].tobytes() + lens_K.tobytes() + terms.tobytes() + bytes([fisheye])
+        with self._lock:
+            maps = self._maps.get(key)
+        if maps is None:
+            maps = make(self.K[i], terms, self.width, self.height, lens_K, fisheye)
+            with self._lock:
+                if len(self._maps) >= _MAPS_KEPT:
+                    self._maps.pop(next(iter(self._maps)))
+                self._maps[key] = maps
+        return maps

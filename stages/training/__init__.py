@@ -1,1 +1,0 @@
-"""The work of stages `coarse`, `hulls` and `fine`: from frames and flow to a trained model."""
