@@ -18,6 +18,7 @@ from torch import Tensor
 from ...rasterizer.cuda import selftest
 from ...rasterizer.cuda.programs import backproject_convexes, backproject_gaussians, needed, project_convexes
 from ...rasterizer.cuda.runtime import Program, warm_up
+from ..losses.term import Run
 from ..model import Model
 from ..motion.interface import Motion
 from ..motion.lifetimes.lifetime import set_lifetime
@@ -70,7 +71,8 @@ def _step(motion: str, device: str) -> dict[str, Tensor]:
     """What a step of training computes, by names for people."""
     settings = TrainingSettings.model_validate({"sh_degree": DEGREES[motion], **WEIGHTS})
     model = _model(motion).to(device)
-    objective = Objective(_views(device), settings, model.motion.recipe, DISTANCE, motion == "planes", TOTAL, 0, _measured_flow, None)
+    recipe = model.motion.recipe
+    objective = Objective(Run(_views(device), settings, recipe, DISTANCE, motion == "planes", TOTAL, 0, _measured_flow))
     judged = objective(model, 1, STEP, Phase("all", TOTAL), DEGREES[motion])
     judged.loss.backward()  # type: ignore[no-untyped-call]
     optimiser = LearnedModel(model, settings, DISTANCE, 1.0).optimiser

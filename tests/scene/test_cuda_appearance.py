@@ -70,7 +70,8 @@ def composed(image, target, alpha=None, known=None, kept=None, weight=None, gain
     """`appearance_loss` of whatever device and type the image has."""
     frame = SimpleNamespace(color=image, alpha=alpha)
     recording = None if gain is None else (gain, offset)
-    return appearance_loss(frame, target, SETTINGS, BACKGROUND, known, kept, weight, recording, SHARE)
+    rendered = SimpleNamespace(frame=frame, target=target, kept=kept, weight=weight, recording=recording, share=SHARE)
+    return appearance_loss(rendered, SETTINGS, BACKGROUND, known)
 
 
 def on(launcher):

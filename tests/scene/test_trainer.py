@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.losses.appearance import on_other_background
+from e4dgs.scene.losses.surface import SMOOTH_END, Surface
 from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
@@ -19,7 +20,6 @@ from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.curriculum import MIN_CAMERAS
 from e4dgs.scene.training.drawn_tiles import LEAST_TIMES, Drawn
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
-from e4dgs.scene.training.objective import SMOOTH_END
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, wandering_views
 
@@ -238,8 +238,8 @@ def test_a_training_that_leaves_out_what_is_not_in_view_learns_the_same(monkeypa
         model.motion = Lifetimes(LEAST_TIMES)
         set_lifetime(model.gaussians, torch.arange(len(model.gaussians)) % LEAST_TIMES, 1.5)
         _, _, trainer = train(views, model=model, settings=settings, recipe=Lifetimes.recipe)
-        judged = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
-        counts.append(None if judged.rows.index is None else len(judged.rows.index))
+        found = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
+        counts.append(None if found.rows.index is None else len(found.rows.index))
         ends.append(trainer.learned.tensors())
     assert counts[0] is None and 0 < counts[1] < len(model.gaussians)
     assert ends[0].keys() == ends[1].keys() and all(torch.allclose(ends[0][name], ends[1][name], rtol=1e-4, atol=3e-5) for name in ends[0])
@@ -250,7 +250,7 @@ def test_surfaces_that_several_cameras_see_are_smoothed_less_and_less(cameras, w
     views = make_views(cameras=cameras, times=2, size=8)
     for earlier in (0, 300):
         _, _, trainer = train(views, settings=SETTINGS.model_copy(update={"iterations": 100}), earlier=earlier)
-        begin, end = (trainer.objective.smooth(step) for step in (0, 100))
+        begin, end = (Surface(trainer.objective.run).smooth(step) for step in (0, 100))
         assert begin == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END ** (earlier / (earlier + 100)))
         assert end == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END)
 
@@ -259,10 +259,10 @@ def test_a_step_that_draws_nothing_changes_no_shape_and_has_a_finite_psnr(monkey
     views = make_views(cameras=1, times=LEAST_TIMES, size=64)
     views.load_moving = lambda i: np.zeros((64, 64), np.uint8)
     model, _, trainer = train(views, settings=SETTINGS.model_copy(update={"iterations": 1}))
-    nothing = Drawn(torch.zeros(4, 4, dtype=torch.bool), torch.zeros(64, 64))
+    nothing = Drawn(torch.zeros(4, 4))
     monkeypatch.setattr(trainer.objective, "drawn", SimpleNamespace(of=lambda *given: nothing))
-    judged = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
-    judged.loss.backward()
-    assert np.isfinite(judged.psnr()) and float(judged.image_loss) == pytest.approx(0, abs=1e-6)
+    found = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
+    found.loss.backward()
+    assert np.isfinite(found.psnr()) and float(found.image_loss) == pytest.approx(0, abs=1e-6)
     shapes = model.gaussians.parameters
     assert all(shapes[name].grad is None or not shapes[name].grad.any() for name in ("log_scales", "quats", "sh_dc"))

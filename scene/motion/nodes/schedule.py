@@ -46,9 +46,9 @@ def first_motion(strategy: Strategy, iterations: int, small: bool) -> FirstTrain
     Nodes that start on detailed images settle where a limb is folded or swapped with another. No gradient leads out of there, and the
     prior towards rigid parts holds them in it, so it is off here.
     """
-    steps = first_motion_steps(strategy, iterations)
-    if not steps:
+    if strategy not in BY_NODE_PHASES:
         return None
+    steps = first_motion_steps(strategy, iterations)
     scale = HALF_RESOLUTION if small else QUARTER_RESOLUTION
     warm_up = round(steps * WARM_UP)
     phases = [Phase("first shape", warm_up, False, scale), Phase("first motion", steps - warm_up, True, scale)]
