@@ -169,7 +169,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     scene = open_scene(arguments.workspace, arguments.name, arguments.size)
-    moments = [float(t) for t in np.linspace(0, 1, arguments.times)] if scene.model.field is not None else [0.5]
+    moments = [float(t) for t in np.linspace(0, 1, arguments.times)] if not scene.model.motion.static else [0.5]
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = arguments.keep or Path(scratch)

@@ -133,8 +133,8 @@ def steps(capture: str, workspace: str, name: str, interval: str, data: str, eve
     import time
 
     from e4dgs.pipeline import Records, Store
+    from e4dgs.scene.schedule import Phase
     from e4dgs.scene.settings import TrainingSettings
-    from e4dgs.scene.training.schedule import Phase
     from e4dgs.scene.training.trainer import Trainer
     from e4dgs.stages.shared.dataset import load_views, measured_flow
     from e4dgs.stages.shared.frameset import FrameSet

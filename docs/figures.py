@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from e4dgs.rasterizer import Camera, Convexes, Gaussians, rasterize
 from e4dgs.scene.fibonacci import fibonacci_sphere
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.lives import live
-from e4dgs.scene.primitives import Life
+from e4dgs.scene.motion.lifetimes.at_frame import at_frame
+from e4dgs.scene.motion.lifetimes.lifetime import Lifetime
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -80,8 +80,8 @@ def spheres() -> plt.Figure:
 def lives() -> plt.Figure:
     """Opacity and place of three primitives with lives of their own."""
     times = 60
-    motion = FreeMotion(times)
-    life = Life(
+    motion = Lifetimes(times)
+    life = Lifetime(
         torch.tensor([10.0, 30.0, 45.0]),
         torch.log(torch.tensor([6.0, 10.0, 5.0])),
         torch.tensor([[0.02, 0, 0], [-0.01, 0, 0], [0.03, 0, 0]]),
@@ -89,7 +89,7 @@ def lives() -> plt.Figure:
     )
     points, whole, dynamic = torch.zeros(3, 1, 3), torch.ones(3), torch.ones(3, dtype=torch.bool)
     moments = np.linspace(0, 1, 200)
-    alive = [live(points, None, whole, life, dynamic, motion.frame(float(t))) for t in moments]
+    alive = [at_frame(points, None, whole, life, dynamic, motion.frame(float(t))) for t in moments]
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(7, 3.6), sharex=True)
     frames = moments * (times - 1)
     for i in range(3):

@@ -59,7 +59,7 @@ def build_settings(
         key, (stages, field) = name.partition(".")[2], names[name]
         if name != given:
             say(f"{given} is now {name}" + (f", which {' and '.join(stages)} share" if len(stages) > 1 else ""))
-        older = classes[stages[0]].respelled.get(key, {})
+        older = next((found for cls in classes[stages[0]].__mro__ if (found := vars(cls).get("respelled", {}).get(key))), {})
         if isinstance(value, str) and value in older:
             say(f"{name}={value} is now {name}={'none' if older[value] is None else older[value]}")
             value = older[value]

@@ -13,21 +13,21 @@ from torch import Tensor
 from ..rasterizer import Camera, Convexes, Frame, Gaussians, rasterize
 from .colour import CameraAffine
 from .cuda.renders import Renders
-from .motion.field import DeformationField
-from .motion.free import FreeMotion
-from .motion.in_view import in_view
-from .motion.interface import Moved, Rest, Time, check_time
-from .motion.nodes import ControlNodes
+from .motion.interface import Motion, Moved
+from .motion.kinds import motion_class
+from .motion.static import Static
+from .motion.times import Time, check_time
 from .primitives import ConvexSet, GaussianSet, PrimitiveSet
 from .views import inside_image
 
-KINDS: Mapping[str, Any] = {"planes": DeformationField, "nodes": ControlNodes, "free": FreeMotion}
+AT_REST = Static()
+MARGIN = 0.25  # of the size of an image, beyond which nothing is moved that comes to rest there
 
 
 class Model:
-    """Edge4DGS = {G, C} (Eq. 1) with an optional deformation field.
+    """Edge4DGS = {G, C} (Eq. 1) and a motion.
 
-    gaussians, convexes: the two sets at rest. field: the motion, None if nothing moves. sh_degree: highest degree that is rendered.
+    gaussians, convexes: the two sets at rest, which carry what the motion needs. sh_degree: highest degree that is rendered.
     near: world units; nothing nearer to a camera was learned, so nothing nearer is drawn. background: RGB in [0, 1] used in training.
     affine: how each training camera records the model's colours; None if all record them alike. Held-out views use the mean camera.
     antialiased: the mode of `rasterize` for which the model is trained and in which it is drawn.
@@ -37,16 +37,16 @@ class Model:
         self,
         gaussians: GaussianSet,
         convexes: ConvexSet,
-        field: DeformationField | ControlNodes | FreeMotion | None,
+        motion: Motion,
         sh_degree: int,
         near: float = 0.01,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         affine: CameraAffine | None = None,
         antialiased: bool = False,
     ) -> None:
+        self._motion = motion
         self.gaussians = gaussians
         self.convexes = convexes
-        self.field = field
         self.sh_degree = sh_degree
         self.near = near
         self.background = background
@@ -58,15 +58,41 @@ class Model:
         self._renders = Renders()
 
     @property
+    def gaussians(self) -> GaussianSet:
+        return self._gaussians
+
+    @gaussians.setter
+    def gaussians(self, gaussians: GaussianSet) -> None:
+        self._gaussians = gaussians.carrying(self._motion.attributes)
+
+    @property
+    def convexes(self) -> ConvexSet:
+        return self._convexes
+
+    @convexes.setter
+    def convexes(self, convexes: ConvexSet) -> None:
+        self._convexes = convexes.carrying(self._motion.attributes)
+
+    @property
+    def motion(self) -> Motion:
+        """What moves the primitives. These carry what it needs, and nothing else."""
+        return self._motion
+
+    @motion.setter
+    def motion(self, motion: Motion) -> None:
+        self._motion = motion
+        self.gaussians, self.convexes = self._gaussians, self._convexes
+
+    @property
     def device(self) -> torch.device:
         return self.gaussians.device
 
     def to(self, device: str | torch.device) -> Model:
         """Move the model to ``device`` in place and return it. Cameras stay where they are: `rasterize` reads them from the CPU."""
         self.gaussians, self.convexes = self.gaussians.to(device), self.convexes.to(device)
-        for part in (self.field, self.affine):
-            if part is not None:
-                part.to(device)
+        self.motion.to(device)
+        if self.affine is not None:
+            self.affine.to(device)
         self.relink()
         return self
 
@@ -78,48 +104,19 @@ class Model:
         """
         check_time(t)
         degree = self.sh_degree if sh_degree is None else min(sh_degree, self.sh_degree)
-        g, c = self.gaussians, self.convexes
-        means, quats, log_scales, points = g.means, g.quats, g.log_scales, c.points
-        light = None
-        field = self.field if move else None
-        if field is not None and not isinstance(field, FreeMotion):
-            light = field.light(t)
-            index = self._moving(g, camera, margin=0.25)
-            convex_index = self._moving(c, camera, margin=0.25)
-            n = len(index)
-            if n + len(convex_index):
-                moved = field.carry(self._rest(index, convex_index), t)
-                if n == len(means):  # the usual case in small scenes; avoids indexed copies
-                    means, quats = moved.points[:n], moved.quats
-                    log_scales = log_scales if moved.log_scales is None else log_scales + moved.log_scales
-                else:
-                    means = means.index_copy(0, index, moved.points[:n])
-                    quats = quats.index_copy(0, index, moved.quats)
-                    log_scales = log_scales if moved.log_scales is None else log_scales.index_add(0, index, moved.log_scales)
-                if len(convex_index):
-                    points = points.index_copy(0, convex_index, moved.points[n:].reshape(-1, *points.shape[1:]))
-        (scales,), shown, sh = g.look((log_scales,), degree, light)
-        (tau, kappa), convex_shown, convex_sh = c.look((c.log_tau, c.log_kappa), degree, light)
-        if isinstance(field, FreeMotion):
-            means, turned, shown = field.alive(g, t, shown)
-            assert turned is not None
-            quats = turned
-            if len(c):
-                points, _, convex_shown = field.alive(c, t, convex_shown)
-        return Gaussians(means, quats, scales, shown, sh=sh), Convexes(points, tau, kappa, convex_shown, sh=convex_sh)
+        return (self.motion if move else AT_REST).primitives_at(self, t, camera, degree)
 
     def named_parameters(self) -> dict[str, Tensor]:
-        """Everything that is trained, by name: "gaussians.means", ..., "field.network.place.0.weight", ..."""
+        """Everything that is trained, by name: "gaussians.means", ..., "motion.network.place.0.weight", ..."""
         named = {f"{s.KIND}.{name}": p for s in (self.gaussians, self.convexes) for name, p in s.parameters.items()}
-        for kind, part in (("field", self.field), ("affine", self.affine)):
+        for kind, part in (("motion", self.motion), ("affine", self.affine)):
             named |= {} if part is None else {f"{kind}.{name}": p for name, p in part.named_parameters()}
         return named
 
     def in_rooms(self, rooms: Sequence[tuple[PrimitiveSet, Tensor, Tensor | None]]) -> Model:
         """This model with other Gaussians and convexes, of which it is known which move and what links them to the motion. A CUDA graph may
         be captured of what it computes."""
-        if isinstance(self.field, ControlNodes):
-            self.field.remember()
+        self.motion.remember()
         twin = Model(*(primitives for primitives, _, _ in rooms), *self._rest_of_it())  # type: ignore[arg-type]
         for primitives, index, link in rooms:
             twin._moved[primitives.KIND] = primitives.dynamic, primitives.dynamic._version, index
@@ -132,20 +129,14 @@ class Model:
         return Model(gaussians, self.convexes, *self._rest_of_it())
 
     def _rest_of_it(self) -> tuple[Any, ...]:
-        return self.field, self.sh_degree, self.near, self.background, self.affine, self.antialiased
+        return self.motion, self.sh_degree, self.near, self.background, self.affine, self.antialiased
 
     def in_view(self, t: Time, camera: Camera, tiles: Tensor | None = None, move: bool = True, fuller: float = 1.0) -> Tensor | None:
         """[m] int64: the Gaussians that ``camera`` may show at time ``t``, if that can be told without moving them all; else None.
         ``tiles``, ``fuller``: see `motion.in_view.in_view`."""
-        if self.device.type != "cpu" or not isinstance(self.field, FreeMotion | None):
+        if self.device.type != "cpu":
             return None  # a GPU would have to wait for the number found
-        frame = float(self.field.frame(float(t))) if self.field is not None and move else None
-        return in_view(self.gaussians, camera, frame, tiles, fuller)
-
-    @property
-    def replayable(self) -> bool:
-        """Whether a CUDA graph of this model can show other times: planes need the time on the CPU."""
-        return isinstance(self.field, ControlNodes | FreeMotion | None)
+        return self.motion.in_view(self.gaussians, camera, t if move else None, tiles, fuller)
 
     def moves(self) -> bool:
         """Whether any primitive is dynamic."""
@@ -153,18 +144,11 @@ class Model:
 
     def opacities_at(self, t: Time, move: bool = True) -> Tensor:
         """[N] opacities of all Gaussians at time ``t``, in view or not, attached to autograd."""
-        return self.field.opacities(self.gaussians, t) if isinstance(self.field, FreeMotion) and move else self.gaussians.opacities
+        return (self.motion if move else AT_REST).opacities(self.gaussians, t)
 
     def carried(self, index: Tensor, t: float) -> Moved:
         """The Gaussians ``index`` as the motion carries them at time ``t``, whether they are dynamic or not."""
-        assert self.field is not None
-        if isinstance(self.field, FreeMotion):
-            chosen = self.gaussians.select(index)
-            chosen.dynamic.fill_(True)
-            means, quats, _ = self.field.alive(chosen, t)
-            assert quats is not None
-            return Moved(means, quats, None)
-        return self.field.carry(self._rest(index, index[:0]), t)
+        return self.motion.carried(self, index, t)
 
     def relink(self) -> None:
         """Search again for the parts of the motion that carry each primitive; call this after rest positions have changed."""
@@ -172,13 +156,10 @@ class Model:
 
     def links(self, primitives: PrimitiveSet) -> Tensor | None:
         """`Motion.links` of all rest points of this model's Gaussians or convexes, cached until `relink` or until the set is replaced."""
-        assert self.field is not None
         known = self._links.get(primitives.KIND)
         if known is not None and known[0] is primitives and primitives.KIND not in self._stale:
             return known[1]
-        points = primitives.rest_points().detach()
-        hyper = primitives.hyper.detach().repeat_interleave(len(points) // max(len(primitives), 1), 0)
-        link, old = self.field.links(points, hyper), known[1] if known is not None else None
+        link, old = self.motion.links(primitives), known[1] if known is not None else None
         if link is not None and old is not None and link.shape == old.shape and link.device == old.device:
             link = old.copy_(link)  # a CUDA graph of a step reads it there
         self._links[primitives.KIND] = primitives, link
@@ -195,33 +176,13 @@ class Model:
         self._links[primitives.KIND] = primitives, link
         self._stale.discard(primitives.KIND)
 
-    def _rest(self, index: Tensor, convex_index: Tensor) -> Rest:
-        """The Gaussians ``index`` and the corners of the convexes ``convex_index``."""
-        g, c = self.gaussians, self.convexes
-        whole = len(index) == len(g)
-        # Not by brackets, whose gradient on a GPU sorts the indices first.
-        points, quats, hyper = (p if whole else p.index_select(0, index) for p in (g.means, g.quats, g.hyper))
-        link = self.links(g)
-        link = link if whole or link is None else link[index]
-        if len(convex_index):
-            corners = c.points.shape[1]
-            points = torch.cat([points, c.points.index_select(0, convex_index).reshape(-1, 3)])
-            hyper = torch.cat([hyper, c.hyper.index_select(0, convex_index).repeat_interleave(corners, 0)])
-            other = self.links(c)
-            if link is not None and other is not None:
-                link = torch.cat([link, other.reshape(len(c), corners, -1)[convex_index].flatten(0, 1)])
-        return Rest(points, quats, hyper, link)
-
-    def moving(self, primitives: PrimitiveSet) -> Tensor:
-        """Indices [m] of the dynamic ones among this model's Gaussians or convexes, cached until that changes."""
-        return self._moving(primitives, None, 0.0)
-
-    def _moving(self, primitives: PrimitiveSet, camera: Camera | None, margin: float) -> Tensor:
-        """Indices [m] of the dynamic primitives whose rest position lies in the camera's view, widened by ``margin`` of its size."""
+    def moving(self, primitives: PrimitiveSet, camera: Camera | None = None) -> Tensor:
+        """Indices [m] of the dynamic ones among this model's Gaussians or convexes, cached until that changes. With a ``camera``, if
+        culling pays off for this motion, only of those whose rest position lies in its view, widened by `MARGIN`."""
         moving = primitives.dynamic
-        if camera is not None and len(primitives) and self.field is not None and self.field.worth_culling:
+        if camera is not None and len(primitives) and self.motion.worth_culling:
             centres = primitives.rest_points().reshape(len(primitives), -1, 3).mean(1)
-            return indices(moving & inside_image(camera, centres, margin))
+            return indices(moving & inside_image(camera, centres, MARGIN))
         # Who is dynamic seldom changes, and asking makes the host wait for a GPU.
         known = self._moved.get(primitives.KIND)
         if known is None or known[0] is not moving or known[1] != moving._version:
@@ -235,7 +196,7 @@ class Model:
         camera = replace(camera, near=max(camera.near, self.near))
         background = torch.tensor(self.background) if background is None else background
         with torch.no_grad():
-            if self.device.type == "cuda" and backend in ("auto", "cuda") and self.replayable:
+            if self.device.type == "cuda" and backend in ("auto", "cuda") and self.motion.replayable:
                 return self._renders(self._draw, self._memory(), self.device, camera, time, background)
             return self._draw(camera, time, background, backend)
 
@@ -246,14 +207,13 @@ class Model:
         """What a CUDA graph of a render reads, so that it can be told whether that is still there."""
         sets = self.gaussians, self.convexes
         parameters = (p.data_ptr() for s in sets for p in s.parameters.values())
-        links = () if self.field is None else [None if link is None else link.data_ptr() for link in map(self.links, sets)]
-        return self.field, *sets, *(s.dynamic._version for s in sets), *parameters, *links
+        links = (None if link is None else link.data_ptr() for link in map(self.links, sets))
+        return self.motion, *sets, *(s.dynamic._version for s in sets), *parameters, *links
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Every tensor of the model by name. Together with `config` this is all that `from_arrays` needs."""
         arrays = {**self.gaussians.to_arrays(), **self.convexes.to_arrays()}
-        if self.field is not None:
-            arrays |= {"field_" + name: p.cpu().numpy() for name, p in self.field.state_dict().items()}
+        arrays |= {"field_" + name: p.cpu().numpy() for name, p in self.motion.state_dict().items()}
         if self.affine is not None:
             arrays |= {"affine_" + name: p.cpu().numpy() for name, p in self.affine.state_dict().items()}
         return arrays
@@ -263,7 +223,7 @@ class Model:
         """JSON values that go with the arrays."""
         return {
             "sh_degree": self.sh_degree,
-            "field": None if self.field is None else self.field.config,
+            "field": self.motion.config,
             "near": self.near,
             "background": list(self.background),
             "affine_cameras": None if self.affine is None else self.affine.cameras,
@@ -273,23 +233,23 @@ class Model:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], config: Mapping[str, Any]) -> Model:
         """Inverse of `to_arrays` and `config`. Raises KeyError if an array is missing."""
-        field = None
-        if config["field"] is not None:
-            state = {name.removeprefix("field_"): torch.tensor(np.asarray(arrays[name])) for name in arrays if name.startswith("field_")}
-            field = motion_from_state(state, config["field"])
+        state = {name.removeprefix("field_"): torch.tensor(np.asarray(arrays[name])) for name in arrays if name.startswith("field_")}
+        motion = motion_from_state(state, config["field"])
         affine = None
         if config["affine_cameras"] is not None:
             affine = CameraAffine(config["affine_cameras"])
             affine.load_state_dict({name: torch.tensor(np.asarray(arrays["affine_" + name])) for name in affine.state_dict()})
         red, green, blue = (float(c) for c in config["background"])
-        sets = GaussianSet.from_arrays(arrays), ConvexSet.from_arrays(arrays)
+        sets = GaussianSet.from_arrays(arrays, motion.attributes), ConvexSet.from_arrays(arrays, motion.attributes)
         antialiased = bool(config.get("antialiased", False))  # models from before that mode are for the default one
-        return cls(*sets, field, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, antialiased)
+        return cls(*sets, motion, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, antialiased)
 
 
-def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any]) -> DeformationField | ControlNodes | FreeMotion:
-    """The motion with this `state_dict` and ``config``. Raises KeyError if something is missing."""
-    return KINDS[config["kind"]].from_state(dict(state), dict(config))
+def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any] | None) -> Motion:
+    """The motion with this `state_dict` and ``config``, which is None in models of earlier versions in which nothing moves. Raises KeyError
+    if something is missing."""
+    config = AT_REST.config if config is None else config
+    return motion_class(config["kind"]).from_state(dict(state), dict(config))
 
 
 def indices(chosen: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -13,45 +13,34 @@ from torch import Tensor
 from .rotation import quats_to_matrices
 
 SH_C0 = 0.28209479177387814  # value of the degree-0 spherical harmonic
-HYPER = 2  # extra coordinates of control nodes, in addition to x, y, z
-SHADES = 3  # courses of light that the colours of primitives can follow
-ALWAYS = 1e4  # frames; a primitive with so long a life is present throughout
 TAU_RADIUS = 20.0  # initial tau of a convex times its radius: the smooth maximum exceeds the true one by at most ln K / 20 of the radius
 REACH = 1.9  # standard deviations from a Gaussian's mean to the points of the convex that takes its place
 KAPPA_REACH = 20.0  # kappa of that convex times its radius; of what was tried on two captures, this pair changes images little
 KAPPA_RADIUS = 12.0  # initial kappa times radius: alpha falls from 95 % to 5 % of the opacity over half of the radius
-LIFE = ("times", "log_spans", "velocities", "spins")
+NO_ATTRIBUTES: Mapping[str, Attribute] = {}
 
 
-class Life(NamedTuple):
-    """When primitives are present and how they move during that time. ``times`` [N]: the middle of each life, in frames. ``log_spans`` [N]:
-    the logarithm of its standard deviation in frames. ``velocities`` [N, 3]: world units a frame. ``spins`` [N, 3]: rotation vectors,
-    radians a frame. Frames are the times of the capture, counted from 0."""
+class Attribute(NamedTuple):
+    """What each primitive carries for a motion, in addition to its shape and its colours. ``shape``: of one row. ``initial``: the value of
+    all its numbers at which the primitive is at rest."""
 
-    times: Tensor
-    log_spans: Tensor
-    velocities: Tensor
-    spins: Tensor
-
-
-def whole_life(count: int) -> dict[str, Tensor]:
-    """`Life` of ``count`` primitives that are present throughout and do not move."""
-    # Each tensor has its own memory, so that training or setting one does not write into another.
-    return dict(zip(LIFE, (torch.zeros(count), torch.full((count,), math.log(ALWAYS)), torch.zeros(count, 3), torch.zeros(count, 3))))
+    shape: tuple[int, ...] = ()
+    initial: float = 0.0
 
 
 class PrimitiveSet:
     """N primitives of one kind: named parameter tensors with N rows, and a flag for those that move.
 
-    ``parameters`` maps each name of `FIELDS` to a leaf tensor [N, ...] float32; ``dynamic`` [N] bool: True for those that the motion moves.
+    ``parameters`` maps each name of `FIELDS`, and then of what the motion needs (see `carrying`), to a leaf tensor [N, ...] float32;
+    ``dynamic`` [N] bool: True for those that the motion moves.
     """
 
     KIND: ClassVar[str]
     FIELDS: ClassVar[tuple[str, ...]]
 
     def __init__(self, parameters: dict[str, Tensor], dynamic: Tensor | None = None) -> None:
-        if tuple(parameters) != self.FIELDS:
-            raise ValueError(f"{self.KIND} need the fields {self.FIELDS}, got {tuple(parameters)}")
+        if tuple(parameters)[: len(self.FIELDS)] != self.FIELDS:
+            raise ValueError(f"{self.KIND} need the fields {self.FIELDS} before others, got {tuple(parameters)}")
         rows = {name: p.shape[0] for name, p in parameters.items()}
         if len(set(rows.values())) != 1:
             raise ValueError(f"{self.KIND}: every field must have the same number of rows, got {rows}")
@@ -83,9 +72,22 @@ class PrimitiveSet:
         """[N] in (0, 1)."""
         return torch.sigmoid(self.opacity_logits)
 
+    def carrying(self, attributes: Mapping[str, Attribute]) -> Self:
+        """The same primitives, which carry these ``attributes`` and no others: those that were missing have their initial value. The set
+        itself if it is one, else another one of the same tensors."""
+        if self.parameters.keys() == {*self.FIELDS, *attributes}:
+            return self
+        kept = {name: self.parameters[name] for name in self.FIELDS}
+        for name, (shape, initial) in attributes.items():
+            known = self.parameters.get(name)
+            kept[name] = torch.full((len(self), *shape), initial, device=self.device).requires_grad_() if known is None else known
+        other = type(self)(kept, self.dynamic)
+        other.parameters, other.dynamic = kept, self.dynamic
+        return other
+
     def sh(self, degree: int, light: Tensor | None = None) -> Tensor:
-        """[N, (degree+1)^2, 3], or fewer coefficients if the set has no more. Under ``light`` [SHADES] (`Motion.light`), the colour that
-        all directions share is multiplied by 1 + shades . light."""
+        """[N, (degree+1)^2, 3], or fewer coefficients if the set has no more. Under ``light`` [C], the colour that all directions share is
+        multiplied by 1 + shades . light, where the set carries the attribute `shades` [N, C]."""
         dc = self.sh_dc
         if light is not None:
             # Not a matrix product: its gradient may depend on where tensors lie in memory, and a resumed training would differ.
@@ -94,14 +96,14 @@ class PrimitiveSet:
         rest = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
         return torch.cat([dc, self.sh_rest[:, :rest]], dim=1) if rest else dc
 
-    def look(self, logs: tuple[Tensor, ...], degree: int, light: Tensor | None = None) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
+    def activated(self, logs: tuple[Tensor, ...], degree: int, light: Tensor | None = None) -> tuple[tuple[Tensor, ...], Tensor, Tensor]:
         """The exponentials of ``logs``, one or two float32 tensors of N rows; `opacities`; `sh`. On an NVIDIA GPU this is one kernel."""
         if self.device.type == "cuda":
             from ..rasterizer.cuda.runtime import launcher_for
             from .cuda.looks import look
 
             shown = min((degree + 1) ** 2 - 1, self.sh_rest.shape[1])
-            given = logs, self.opacity_logits, self.sh_dc, self.sh_rest, shown, self.shades, light
+            given = logs, self.opacity_logits, self.sh_dc, self.sh_rest, shown, self.parameters.get("shades"), light
             return look(launcher_for(self.device), *given)
         return tuple(map(torch.exp, logs)), self.opacities, self.sh(degree, light)
 
@@ -109,27 +111,14 @@ class PrimitiveSet:
         """[N * corners, 3] positions that the motion displaces."""
         raise NotImplementedError
 
-    @property
-    def life(self) -> Life:
-        return Life(*(self.parameters[name] for name in LIFE))
-
-    def live(self, time: float | Tensor, span: float, velocities: Tensor | None = None) -> None:
-        """Centre the life of all rows on frame ``time`` (a number or [N]), with a standard deviation of ``span`` frames and, if given,
-        ``velocities`` [N, 3]."""
-        with torch.no_grad():
-            self.times[:] = time
-            self.log_spans.fill_(math.log(span))
-            if velocities is not None:
-                self.velocities.copy_(velocities)
-
     def select(self, index: Tensor) -> Self:
         """The rows ``index`` (long) as a new set."""
         return type(self)({name: p.detach().index_select(0, index) for name, p in self.parameters.items()}, self.dynamic[index])
 
     @classmethod
     def joined(cls, sets: Sequence[Self]) -> Self:
-        """All rows of ``sets``, concatenated."""
-        parameters = {name: torch.cat([one.parameters[name].detach() for one in sets]) for name in cls.FIELDS}
+        """All rows of ``sets``, concatenated. All carry the same attributes."""
+        parameters = {name: torch.cat([one.parameters[name].detach() for one in sets]) for name in sets[0].parameters}
         return cls(parameters, torch.cat([one.dynamic for one in sets]))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -139,20 +128,20 @@ class PrimitiveSet:
         return arrays
 
     @classmethod
-    def from_arrays(cls, arrays) -> Self:
-        """Inverse of `to_arrays`; ``arrays`` is any mapping with these names. Sets from before `shades` do not follow the light."""
-        dynamic, shades = torch.tensor(np.asarray(arrays[f"{cls.KIND}_dynamic"])), f"{cls.KIND}_shades"
-        stored = {name: arrays[f"{cls.KIND}_{name}"] for name in cls.FIELDS if name != "shades"}
-        stored["shades"] = arrays[shades] if shades in arrays else np.zeros((len(dynamic), SHADES), np.float32)
-        return cls({name: torch.tensor(np.asarray(stored[name])) for name in cls.FIELDS}, dynamic)
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Attribute] = NO_ATTRIBUTES) -> Self:
+        """Inverse of `to_arrays` for sets that carry ``attributes``. Those that are missing have their initial value, and arrays of others
+        are not read."""
+        names = [*cls.FIELDS, *(name for name in attributes if f"{cls.KIND}_{name}" in arrays)]
+        stored = {name: torch.tensor(np.asarray(arrays[f"{cls.KIND}_{name}"])) for name in names}
+        return cls(stored, torch.tensor(np.asarray(arrays[f"{cls.KIND}_dynamic"]))).carrying(attributes)
 
 
 class GaussianSet(PrimitiveSet):
     """Eq. 2: means [N,3] world units, quats [N,4] w x y z of any norm, log_scales [N,3], opacity_logits [N], sh_dc [N,1,3],
-    sh_rest [N,R,3], hyper [N,2] (see `Rest`), shades [N,3] (see `sh`), and the life of each (see `Life`)."""
+    sh_rest [N,R,3]."""
 
     KIND = "gaussians"
-    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest", "hyper", "shades", *LIFE)
+    FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
 
     def rest_points(self) -> Tensor:
         return self.means
@@ -176,19 +165,15 @@ class GaussianSet(PrimitiveSet):
                 "opacity_logits": torch.full((n,), float(np.log(opacity / (1 - opacity)))),
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(n, (sh_degree + 1) ** 2 - 1, 3),
-                "hyper": torch.zeros(n, HYPER),
-                "shades": torch.zeros(n, SHADES),
-                **whole_life(n),
             }
         )
 
 
 class ConvexSet(PrimitiveSet):
-    """Eq. 3: points [M,K,3] world units, log_tau and log_kappa [M] (1/world unit), opacity_logits [M], sh_dc [M,1,3], sh_rest [M,R,3],
-    hyper [M,2] (see `Rest`), shades [M,3] (see `sh`), and the life of each (see `Life`)."""
+    """Eq. 3: points [M,K,3] world units, log_tau and log_kappa [M] (1/world unit), opacity_logits [M], sh_dc [M,1,3], sh_rest [M,R,3]."""
 
     KIND = "convexes"
-    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest", "hyper", "shades", *LIFE)
+    FIELDS = ("points", "log_tau", "log_kappa", "opacity_logits", "sh_dc", "sh_rest")
 
     def rest_points(self) -> Tensor:
         return self.points.reshape(-1, 3)
@@ -204,9 +189,6 @@ class ConvexSet(PrimitiveSet):
                 "opacity_logits": zero,
                 "sh_dc": torch.zeros(0, 1, 3),
                 "sh_rest": torch.zeros(0, (sh_degree + 1) ** 2 - 1, 3),
-                "hyper": torch.zeros(0, HYPER),
-                "shades": torch.zeros(0, SHADES),
-                **whole_life(0),
             }
         )
 
@@ -223,15 +205,12 @@ class ConvexSet(PrimitiveSet):
                 "opacity_logits": torch.full((m,), float(np.log(opacity / (1 - opacity)))),
                 "sh_dc": torch.tensor((colors - 0.5) / SH_C0).float()[:, None],
                 "sh_rest": torch.zeros(m, (sh_degree + 1) ** 2 - 1, 3),
-                "hyper": torch.zeros(m, HYPER),
-                "shades": torch.zeros(m, SHADES),
-                **whole_life(m),
             }
         )
 
     @classmethod
     def replacing(cls, gaussians: GaussianSet, corners: int) -> ConvexSet:
-        """A convex in place of each of the M ``gaussians``, with its colours, opacity, motion and life. Its ``corners`` points lie on a
+        """A convex in place of each of the M ``gaussians``, with its colours, opacity and attributes. Its ``corners`` points lie on a
         Fibonacci sphere that is stretched to `REACH` standard deviations of the Gaussian."""
         from .fibonacci import fibonacci_sphere
 
@@ -243,5 +222,6 @@ class ConvexSet(PrimitiveSet):
             # A Gaussian of a surface is flat: what the image shows of it are its two larger axes.
             log_radius = scales.sort(1).values[:, 1:].log().mean(1)
             shape = {"points": points, "log_tau": math.log(TAU_RADIUS) - log_radius, "log_kappa": math.log(KAPPA_REACH) - log_radius}
-            parameters = {name: (shape[name] if name in shape else g[name]).detach().clone() for name in cls.FIELDS}
+            names = *cls.FIELDS, *(name for name in g if name not in gaussians.FIELDS)
+            parameters = {name: (shape[name] if name in shape else g[name]).detach().clone() for name in names}
         return cls(parameters, gaussians.dynamic)

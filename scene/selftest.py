@@ -21,21 +21,22 @@ from ..rasterizer.cuda.runtime import Program, warm_up
 from .cuda.programs import program
 from .losses.term import Run
 from .model import Model
-from .motion.field import DeformationField
-from .motion.free import FreeMotion
-from .motion.nodes import ControlNodes
+from .motion.interface import Motion
+from .motion.lifetimes.lifetime import set_lifetime
+from .motion.lifetimes.lifetimes import Lifetimes
+from .motion.nodes.control_nodes import ControlNodes
+from .motion.planes.field import DeformationField
 from .primitives import ConvexSet, GaussianSet
+from .schedule import Phase
 from .settings import TrainingSettings
 from .training.control.learned_model import LearnedModel
 from .training.objective import Objective
-from .training.recipe import RECIPES
-from .training.schedule import Phase
 from .views import Views
 
 WIDTH, HEIGHT = 40, 24
 CAMERAS, TIMES = 2, 3
 DISTANCE = 4.0  # world units from the cameras to the middle of the scene
-DEGREES = {"planes": 2, "nodes": 1, "free": 1}  # of spherical harmonics, by the motions to try; the last two share programs
+DEGREES = {"planes": 2, "nodes": 1, "lifetimes": 1}  # of spherical harmonics, by the motions to try; the last two share programs
 WEIGHTS = {"spread_weight": 0.3, "tv_weight": 0.3}  # of terms that are off or lost among the others by default
 STEP, TOTAL = 80, 100  # every term of the loss is evaluated at this step of this many
 
@@ -70,7 +71,8 @@ def _step(motion: str, device: str) -> dict[str, Tensor]:
     """What a step of training computes, by names for people."""
     settings = TrainingSettings.model_validate({"sh_degree": DEGREES[motion], **WEIGHTS})
     model = _model(motion).to(device)
-    objective = Objective(Run(_views(device), settings, RECIPES[motion], DISTANCE, motion == "planes", TOTAL, 0, _measured_flow))
+    recipe = model.motion.recipe
+    objective = Objective(Run(_views(device), settings, recipe, DISTANCE, motion == "planes", TOTAL, 0, _measured_flow))
     judged = objective(model, 1, STEP, Phase("all", TOTAL), DEGREES[motion])
     judged.loss.backward()  # type: ignore[no-untyped-call]
     optimiser = LearnedModel(model, settings, DISTANCE, 1.0).optimiser
@@ -97,21 +99,21 @@ def _model(motion: str) -> Model:
     corners = rng.uniform(-0.9, 0.9, (6, 1, 3)) + rng.uniform(-0.3, 0.3, (6, 6, 3))
     convexes = ConvexSet.from_points(corners, rng.random((6, 3)), degree, opacity=0.5)
     ends = torch.full((3,), -1.2), torch.full((3,), 1.2)
-    field: DeformationField | ControlNodes | FreeMotion = DeformationField(*ends, TIMES)
+    moving: Motion = DeformationField(*ends, TIMES)
     if motion == "nodes":
-        field = ControlNodes(torch.tensor(rng.uniform(-1, 1, (24, 3))), torch.zeros(3), 1.0, 1.0)
-    if motion == "free":
-        field = FreeMotion(TIMES)
+        moving = ControlNodes(torch.tensor(rng.uniform(-1, 1, (24, 3))), torch.zeros(3), 1.0, 1.0)
+    if motion == "lifetimes":
+        moving = Lifetimes(TIMES)
         for kind in (gaussians, convexes):
-            kind.live((TIMES - 1) * torch.rand(len(kind), generator=g), 1.0)
+            set_lifetime(kind, (TIMES - 1) * torch.rand(len(kind), generator=g), 1.0)
             kind.dynamic[::4] = False
     with torch.no_grad():  # motions start at rest, where most gradients are zero; of a ball, every turn looks the same
         shapes = [gaussians.parameters["log_scales"], gaussians.parameters["sh_rest"]]
-        drifts = [kind.parameters[name] for kind in (gaussians, convexes) for name in ("velocities", "spins") if motion == "free"]
-        for amount, parameters in ((0.03, [*field.parameters(), *drifts]), (0.3, shapes)):
+        drifts = [kind.parameters[name] for kind in (gaussians, convexes) for name in ("velocities", "spins") if motion == "lifetimes"]
+        for amount, parameters in ((0.03, [*moving.parameters(), *drifts]), (0.3, shapes)):
             for p in parameters:
                 p.add_(amount * torch.randn(p.shape, generator=g))
-    return Model(gaussians, convexes, field, degree, antialiased=motion != "planes")  # both modes are tried
+    return Model(gaussians, convexes, moving, degree, antialiased=motion != "planes")  # both modes are tried
 
 
 def _views(device: str) -> Views:

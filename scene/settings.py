@@ -41,10 +41,12 @@ class MotionSettings(Settings):
 
     group: ClassVar = "train"
 
-    motion: Literal["auto", "planes", "nodes", "free"] = Field(
-        "auto",
-        description="what moves primitives: planes, the six-plane field; nodes, control nodes (auto: if each frame is seen from another "
-        "side); free, each primitive moves and lives for a time of its own (auto: if masks show what moves)",
+    respelled: ClassVar = {"motion": {"auto": None, "free": "lifetimes"}}
+
+    motion: Literal["planes", "nodes", "lifetimes"] | None = Field(
+        None,
+        description="what moves primitives: planes, the six-plane field; nodes, control nodes; lifetimes, each primitive moves and lives "
+        "for a time of its own. none: nodes if each frame is seen from another side, lifetimes if masks show what moves, else planes",
     )
 
 
@@ -55,6 +57,8 @@ class RefinementSettings(RandomSettings):
     renamed: ClassVar = {name: f"train.{name}_weight" for name in _WEIGHTS} | {
         "still": "train.rest_weight",
         "min_weight": "train.min_contribution",
+        "lr_mlp": "train.lr_network",
+        "lr_nodes": "train.lr_network",
     }
 
     iterations: int | None = Field(6000, ge=0, le=1_000_000, description="optimiser steps of this stage")
@@ -63,8 +67,9 @@ class RefinementSettings(RandomSettings):
     )
     lr_means: float = Field(8e-4, gt=0, description="initial learning rate of positions; decays to a fiftieth")
     lr_field: float = Field(2e-2, gt=0, description="initial learning rate of the planes; decays to a tenth")
-    lr_mlp: float = Field(3e-3, gt=0, description="initial learning rate of the deformation MLP; decays to a tenth")
-    lr_nodes: float = Field(3e-3, gt=0, description="initial learning rate of the control nodes' network; decays to a fiftieth")
+    lr_network: float = Field(
+        3e-3, gt=0, description="initial learning rate of the motion's network; decays to a tenth (planes) or a fiftieth"
+    )
     l1_weight: float = Field(0.8, ge=0, description="lambda_1 of Eq. 9, weight of L1")
     ssim_weight: float = Field(0.2, ge=0, description="lambda_2 of Eq. 9, weight of 1 - SSIM")
     tv_weight: float = Field(1e-2, ge=0, description="lambda_3 of Eq. 9, weight of the smoothness of the planes")

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from ..pipeline import Resources
+from ..scene.motion.kinds import KINDS, choose
 from .facts import Facts
-from .shared.defaults import one_way, use_nodes
+from .shared.defaults import one_way
 
-# One training step on two cores, fitted to the captures in benchmarks/results. The motion model costs the same at any image size.
-SECONDS_PER_MEGAPIXEL_STEP = 0.35
-SECONDS_PER_STEP = 0.03
-SECONDS_PER_STATIC_STEP = 0.01
-SECONDS_PER_NODE_STEP = 0.014
-SECONDS_PER_FIRST_STEP = 0.01  # of control nodes, on very small images
-SECONDS_PER_MEGAPIXEL_NODE_STEP = 0.1  # of the full image, although most steps render only a window around the object
+SECONDS_PER_FIRST_STEP = 0.01  # of a first training on very small images, on two cores
 
 # Seeds, on two cores.
 SECONDS_PER_MEGAPIXEL_MAP = 12.0  # of a picture in the plane sweep, which is at most `SWEPT_SIZE` px wide
@@ -43,16 +38,16 @@ def picture_resources(facts: Facts, gb_per_megapixel: float, gb: float = 0.3, gp
     return Resources(memory_gb=gb + gb_per_megapixel * facts.width * facts.height / 1e6, gpu=gpu)
 
 
-def training_seconds(facts: Facts, iterations: int, static: bool, area: float = 1.0) -> float:
-    """Seconds that ``iterations`` steps take on two cores. area: mean area of the training images, as a share of the full images."""
+def training_seconds(facts: Facts, iterations: int, kind: str, area: float = 1.0) -> float:
+    """Seconds that ``iterations`` steps with a ``kind`` of motion take on two cores. area: mean area of the training images, as a share of
+    the full images."""
     megapixels = facts.width * facts.height / 1e6
-    return iterations * ((SECONDS_PER_STATIC_STEP if static else SECONDS_PER_STEP) + SECONDS_PER_MEGAPIXEL_STEP * megapixels * area)
+    return iterations * (KINDS[kind].step_seconds + KINDS[kind].megapixel_seconds * megapixels * area)
 
 
-def node_training_seconds(facts: Facts, iterations: int, first: int) -> float:
-    """Seconds that ``iterations`` steps with control nodes take on two cores, and ``first`` steps on very small images before them."""
-    of_full = SECONDS_PER_NODE_STEP + SECONDS_PER_MEGAPIXEL_NODE_STEP * facts.width * facts.height / 1e6
-    return iterations * of_full + first * SECONDS_PER_FIRST_STEP
+def first_training_seconds(iterations: int) -> float:
+    """Seconds that ``iterations`` steps of a first training take on two cores."""
+    return iterations * SECONDS_PER_FIRST_STEP
 
 
 def seeds_seconds(facts: Facts, motion: str) -> float:
@@ -66,7 +61,7 @@ def seeds_seconds(facts: Facts, motion: str) -> float:
         maps = min(several, SWEPT_MOST) if facts.rig or facts.fixed_cameras else min(facts.frames, SWEPT_ALONE)
         shrink = min(1.0, SWEPT_SIZE / max(facts.width, facts.height, 1))
         seconds += SECONDS_PER_MEGAPIXEL_MAP * maps * facts.width * facts.height * shrink**2 / 1e6
-    if facts.pairs and not facts.static and not use_nodes(facts, motion):
+    if facts.pairs and not facts.static and choose(motion, facts) != "nodes":
         alone = SECONDS_PER_MOVING_FRAME * facts.frames
         seconds += SECONDS_PER_MOVING_TIME * min(facts.times, MOVING_TIMES) if facts.cameras > 1 else alone
     return seconds

@@ -13,13 +13,14 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.schedule import node_phases
 from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import coarse_phases, fine_phases
 from e4dgs.scene.training import trainer as module
-from e4dgs.scene.training.recipe import RECIPES
-from e4dgs.scene.training.schedule import coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.coarse.motions import make_nodes
 from sliding_gaussians import SETTINGS, fresh, make_views, wandering_views
 
 STEPS, TIMES, SIZE, EVERY = 240, 3, 16, 37  # the checkpoints that matter are those at steps 185 and 222
@@ -34,7 +35,7 @@ QUICK = SETTINGS.model_copy(
         "checkpoint_seconds": EVERY - 0.5,
     }
 )
-KINDS = ("planes", "nodes", "free", "fine")
+KINDS = ("planes", "nodes", "lifetimes", "fine")
 
 
 class Killed(Exception):
@@ -102,22 +103,22 @@ def prepared(kind: str, folder: Path | None, dies: tuple[str, int] | None = None
     if kind == "planes":
         phases = coarse_phases("two-stage", STEPS, False, 0.5)
     elif kind == "nodes":
-        model.field = make_nodes(gaussians.means.detach().numpy(), QUICK)
+        model.motion = ControlNodes.over(gaussians.means.detach().numpy(), QUICK.seed)
         with torch.no_grad():
             gaussians.opacity_logits[:8] = -0.5  # nodes are spread again over what is opaque
         phases = node_phases(STEPS, 0.5)
     else:
-        model.field = FreeMotion(TIMES)
-        gaussians.live(torch.arange(len(gaussians)) % TIMES, 1.0)
+        model.motion = Lifetimes(TIMES)
+        set_lifetime(model.gaussians, torch.arange(len(gaussians)) % TIMES, 1.0)
         phases = coarse_phases("two-stage", STEPS, False, 0.5, from_rest=False)
     if kind == "fine":
         corners = gaussians.means.detach().numpy()[:8, None] + 0.15 * np.random.default_rng(0).normal(size=(8, 6, 3))
         model.convexes = ConvexSet.from_points(corners, np.full((8, 3), 0.4), 0, 0.3)
-        model.convexes.live(torch.ones(8), 1.0)
+        set_lifetime(model.convexes, torch.ones(8), 1.0)
         with torch.no_grad():
             gaussians.opacity_logits[:50] = torch.linspace(-2.6, -1.2, 50)  # some of these fade during the rounds
         phases = fine_phases("alternating", 0, STEPS, static=False)
-    recipe = RECIPES[model.field.config["kind"]]
+    recipe = model.motion.recipe
     trainer = dying(model, views, phases, QUICK, budget=90, grow=kind != "fine", recipe=recipe, checkpoints=folder)
     trainer.dies = dies
     return trainer

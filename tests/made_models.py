@@ -7,10 +7,11 @@ import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.field import DeformationField
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.nodes import ControlNodes
-from e4dgs.scene.motion.rigid_parts import RigidParts
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
+from e4dgs.scene.motion.planes.field import DeformationField
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 
 FRAMES = 12
@@ -25,6 +26,8 @@ def made(motion: str, degree: int = 2, gaussians: int = 500, convexes: int = 60,
     centres, size = rng.uniform(-0.8, 0.8, (convexes, 1, 3)), rng.uniform(0.05, 0.25, (convexes, 1, 1))
     points = centres + size * fibonacci_sphere(6) * rng.uniform(0.4, 1.2, (convexes, 6, 1))
     others = ConvexSet.from_points(points.astype(np.float32), rng.uniform(0, 1, (convexes, 3)), degree, opacity=0.85)
+    everything = ControlNodes.attributes | Lifetimes.attributes  # the model keeps what its motion needs
+    some, others = some.carrying(everything), others.carrying(everything)
     with torch.no_grad():
         for one in (some, others):
             numbers = torch.Generator().manual_seed(len(one))
@@ -45,7 +48,7 @@ def made(motion: str, degree: int = 2, gaussians: int = 500, convexes: int = 60,
                 one.spins.copy_(noise(one.spins, 0.15))
         some.quats.copy_(torch.randn(some.quats.shape, generator=torch.Generator().manual_seed(1)))
         some.log_scales.add_(0.6 * torch.randn(some.log_scales.shape, generator=torch.Generator().manual_seed(2)))
-    field = {"static": lambda: None, "lives": lambda: FreeMotion(FRAMES), "nodes": nodes, "planes": planes}[motion]()
+    field = {"static": Static, "lives": lambda: Lifetimes(FRAMES), "nodes": nodes, "planes": planes}[motion]()
     return Model(some, others, field, degree, near, (1.0, 0.9, 0.8), antialiased=antialiased)
 
 

@@ -5,22 +5,24 @@ from dataclasses import replace
 import numpy as np
 import torch
 from e4dgs.scene.losses.measured_depth import MeasuredDepth
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.rigid_parts import RigidParts
+from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
+from e4dgs.scene.motion.nodes.schedule import NODES
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.control.density import measure_responsibility
 from e4dgs.scene.training.control.splits import split
 from e4dgs.scene.training.drawn_tiles import DrawnTiles
-from e4dgs.scene.training.recipe import FREE, NODES
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.coarse.motions import make_nodes
 from sliding_gaussians import SETTINGS, fresh, make_views
 
 TOTAL, SIZE = 200, 48
 PHASE = Phase("moving", TOTAL, move=True)
 QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "flow_every": 8, "interval_weight": 1e-3, "dropout": 0.2, "affine": True})
-KINDS = ("nodes", "nodes, turning", "free", "free, convexes", "static")
+KINDS = ("nodes", "nodes, turning", "lifetimes", "lifetimes, convexes", "static")
 
 
 class Again:
@@ -43,7 +45,7 @@ def half_moves(i):
 
 
 def begun(what, device="cpu"):
-    """A training of "nodes" on one camera with alpha, or of lives ("free") on a rig with everything that a rig has; "turning" adds a rigid
+    """A training of "nodes" on one camera with alpha, or of "lifetimes" on a rig with everything that a rig has; "turning" adds a rigid
     part to the nodes, "convexes" some of these. "static": a rig in which nothing moves."""
     rig = "nodes" not in what
     views = replace(make_views(cameras=4 if rig else 1, times=8, size=SIZE), device=device)
@@ -64,24 +66,24 @@ def begun(what, device="cpu"):
     model = fresh(views)
     gaussians = model.gaussians
     if what == "static":
-        model.field = None
+        model.motion = Static()
         gaussians.dynamic.fill_(False)
     elif rig:
-        model.field = FreeMotion(8)
-        gaussians.live(torch.arange(len(gaussians)) % 8, 2.0)
-        gaussians.dynamic = torch.arange(len(gaussians)) % 3 > 0
+        model.motion = Lifetimes(8)
+        set_lifetime(model.gaussians, torch.arange(len(gaussians)) % 8, 2.0)
+        model.gaussians.dynamic = torch.arange(len(gaussians)) % 3 > 0
     else:
-        model.field = make_nodes(gaussians.means.detach().numpy(), QUICK)
+        model.motion = ControlNodes.over(gaussians.means.detach().numpy(), QUICK.seed)
     if "turning" in what:
         g = torch.Generator().manual_seed(1)
         part = RigidParts.none().joined(torch.zeros(3), 0.5, torch.randn(4, 4, generator=g), 0.1 * torch.randn(4, 3, generator=g))
-        model.field = model.field.with_rigid_parts(part)
+        model.motion = model.motion.with_rigid_parts(part)
     if "convexes" in what:
         corners = gaussians.means.detach()[:5, None] + 0.1 * torch.randn(5, 6, 3, generator=torch.Generator().manual_seed(1))
         model.convexes = ConvexSet.from_points(corners.numpy(), np.full((5, 3), 0.5), model.sh_degree, opacity=0.5)
         if rig:
-            model.convexes.live(3.0, 2.0)
-    recipe = replace(FREE if rig else NODES, interval=1e-3)
+            set_lifetime(model.convexes, 3.0, 2.0)
+    recipe = replace(Lifetimes.recipe if rig else NODES, interval=1e-3)
     trainer = Trainer(model.to(device), views, [PHASE], QUICK, 400, recipe=recipe, measured_flow=flow, measured_depth=depth)
     assert trainer.objective.run.several == rig
     trainer.objective.drawn = DrawnTiles(views, 0, 100_000)

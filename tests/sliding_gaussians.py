@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.planes.field import DeformationField
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.views import Views
-from e4dgs.stages.coarse.motions import make_field
 
 SIZE = 32
 SETTINGS = TrainingSettings(
@@ -24,7 +25,7 @@ def truth(t):
     g = GaussianSet.from_points(points, rng.uniform(size=(12, 3)), 0, opacity=0.9)
     with torch.no_grad():
         g.log_scales.fill_(-1.4)
-    return Model(g, ConvexSet.empty(6, 0), None, 0)
+    return Model(g, ConvexSet.empty(6, 0), Static(), 0)
 
 
 def make_views(cameras=3, times=4, size=SIZE):
@@ -63,7 +64,7 @@ def fresh(views, static=False):
     rng = np.random.default_rng(0)
     points = rng.uniform(-1, 1, (60, 3))
     g = GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, max_scale=0.3)
-    return Model(g, ConvexSet.empty(6, 0), None if static else make_field(points, views, SETTINGS), 0)
+    return Model(g, ConvexSet.empty(6, 0), Static() if static else DeformationField.over(points, len(np.unique(views.time))), 0)
 
 
 def there(views):

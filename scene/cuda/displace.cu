@@ -1,4 +1,4 @@
-// From the field's heads to displacements, forward and backward, one thread per point: see scene/motion/displace.py. All rows are contiguous.
+// From the field's heads to displacements, forward and backward, one thread per point: see scene/motion/planes/displace.py. All rows are contiguous.
 #include "device.cuh"
 
 namespace e4dgs {

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Argument, Launcher
-from ..motion.field_reference import lookup_reference
+from ..motion.planes.field_reference import lookup_reference
 from .programs import program
 
 MOST_LEVELS, MOST_CHANNELS = 4, 64

@@ -1,4 +1,4 @@
-// Primitives at one moment of their lives, forward and backward, one thread per primitive: see scene/motion/lives.py. All rows are
+// Primitives at one moment of their lives, forward and backward, one thread per primitive: see scene/motion/lifetimes/at_frame.py. All rows are
 // contiguous.
 #include "rotation.cuh"
 

@@ -1,4 +1,4 @@
-"""Primitives at one moment of their lives on the GPU: a torch.autograd.Function around the kernels of `lives.cu`."""
+"""Primitives at one moment of their lifetimes on the GPU: a torch.autograd.Function around the kernels of `lives.cu`."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
-from ..primitives import Life
+from ..motion.lifetimes.lifetime import Lifetime
 from .programs import program
 
 THREADS = 128
 
 
-def live(
-    launcher: Launcher, points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float | Tensor
+def at_frame(
+    launcher: Launcher, points: Tensor, quats: Tensor | None, opacities: Tensor, life: Lifetime, dynamic: Tensor, frame: float | Tensor
 ) -> tuple[Tensor, Tensor | None, Tensor]:
-    """`scene.motion.lives.live`: ``points`` [N, K, 3], ``quats`` [N, 4] or None and ``opacities`` [N] at ``frame``. float32 and, of
+    """`scene.motion.lifetimes.at_frame`: ``points`` [N, K, 3], ``quats`` [N, 4] or None and ``opacities`` [N] at ``frame``. float32 and, of
     ``dynamic`` [N], bool, on the launcher's device; the call does not synchronise. ``frame``: a number, or a tensor [] there, which a CUDA
     graph reads anew in each replay.
 

@@ -1,4 +1,4 @@
-// From what is learned of primitives to what is rendered, forward and backward: see `PrimitiveSet.look`. A block does kPrimitives rows of
+// From what is learned of primitives to what is rendered, forward and backward: see `PrimitiveSet.activated`. A block does kPrimitives rows of
 // all tensors, which are contiguous: wide rows number by number, so that neighbouring threads touch neighbouring numbers, the rest by rows.
 #include "block_sums.cuh"
 #include "rotation.cuh"

@@ -18,23 +18,32 @@ Looks = tuple[tuple[Tensor, ...], Tensor, Tensor]
 
 
 def look(
-    launcher: Launcher, logs: tuple[Tensor, ...], logits: Tensor, dc: Tensor, rest: Tensor, shown: int, shades: Tensor, light: Tensor | None
+    launcher: Launcher,
+    logs: tuple[Tensor, ...],
+    logits: Tensor,
+    dc: Tensor,
+    rest: Tensor,
+    shown: int,
+    shades: Tensor | None,
+    light: Tensor | None,
 ) -> Looks:
-    """`PrimitiveSet.look` of N primitives: exp of ``logs``, sigmoid of ``logits`` and [N, 1 + shown, 3] coefficients of colour. The call
-    does not synchronise.
+    """`PrimitiveSet.activated` of N primitives: exp of ``logs``, sigmoid of ``logits`` and [N, 1 + shown, 3] coefficients of colour. The
+    call does not synchronise.
 
     logs: one tensor [N, W] or [N], and perhaps another [N]. logits: [N]. dc: [N, 1, 3]. rest: [N, R, 3], of which the first ``shown`` are
-    used. shades: [N, 3] and light: [3], or None, which leaves out the shades. All float32 on the launcher's device. Gradients reach all
-    that is used and are bit-equal from run to run.
+    used. shades: [N, 3] and light: [3]; without the latter, which may be None, the former are not used. All float32 on the launcher's
+    device. Gradients reach all that is used and are bit-equal from run to run.
 
     Raises ValueError for other shapes or types, and whatever `Launcher.launch` raises.
     """
     n = len(logits)
     others = logs[1] if len(logs) > 1 else None
     right = logits.ndim == 1 and logs[0].shape in ((n,), (n, logs[0].shape[-1])) and (others is None or others.shape == (n,))
-    right = right and dc.shape == (n, 1, 3) and rest.shape == (n, rest.shape[1], 3) and shades.shape == (n, 3)
-    tensors = [*logs, logits, dc, rest, shades, *(() if light is None else (light,))]
-    if not right or len(logs) > 2 or not 0 <= shown <= rest.shape[1] or (light is not None and light.shape != (3,)):
+    right = right and dc.shape == (n, 1, 3) and rest.shape == (n, rest.shape[1], 3)
+    right = right and (shades is None or shades.shape == (n, 3))
+    right = right and (light is None or (shades is not None and light.shape == (3,)))
+    tensors = [p for p in (*logs, logits, dc, rest, shades, light) if p is not None]
+    if not right or len(logs) > 2 or not 0 <= shown <= rest.shape[1]:
         found = ", ".join(str(list(p.shape)) for p in tensors)
         raise ValueError(f"logs must be [N, W] or [N], logits [N], dc [N, 1, 3], rest [N, R, 3], shades [N, 3], light [3]; got {found}")
     if any(p.dtype != torch.float32 for p in tensors):

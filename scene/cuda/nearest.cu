@@ -1,4 +1,4 @@
-// The nodes that weigh most at each point: see scene/motion/skinning.py. One thread per point keeps its best in registers; the nodes go
+// The nodes that weigh most at each point: see scene/motion/nodes/skinning.py. One thread per point keeps its best in registers; the nodes go
 // through shared memory, a chunk at a time. Compile-time features: see nodes.cuh.
 #include "nodes.cuh"
 

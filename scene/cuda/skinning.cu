@@ -1,4 +1,4 @@
-// Points and their quaternions as nodes carry them, forward and backward, one thread per point: see scene/motion/skinning.py. All rows are
+// Points and their quaternions as nodes carry them, forward and backward, one thread per point: see scene/motion/nodes/skinning.py. All rows are
 // contiguous. Gradients of nodes are sums over points: by atomic additions, or, for a fixed order, as rows that sum_links.cu adds.
 // Compile-time features: see nodes.cuh.
 #include "nodes.cuh"

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ...rasterizer import Camera, Convexes, Gaussians, rasterize
 from ..model import Model
-from ..motion.interface import Time
+from ..motion.times import Time
 
 Kind = TypeVar("Kind", Gaussians, Convexes)
 Moved = tuple[Gaussians, Convexes]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ...rasterizer import Camera
 from ..model import Model
-from ..motion.interface import Time
+from ..motion.times import Time
 from ..views import CACHE_BYTES, floats
 from .flow_loss import data_flow_loss, interval_loss
 from .term import Now, Rendered, Run, Term
@@ -46,7 +46,7 @@ class Interval(_FlowTerm):
     name = setting = "interval"
 
     def due(self, model: Model, now: Now) -> bool:
-        return super().due(model, now) and self.run.times >= 3 and model.field is not None and not model.field.steady
+        return super().due(model, now) and self.run.times >= 3 and not model.motion.steady
 
     def inputs(self, model: Model, now: Now) -> tuple[Camera, Tensor] | None:
         scale = now.scale * FLOW_SCALE
@@ -72,7 +72,7 @@ class MeasuredFlowTerm(_FlowTerm):
         return super().due(model, now) and self.run.measured_flow is not None
 
     def inputs(self, model: Model, now: Now) -> FlowTarget | None:
-        return None if model.field is None or not model.moves() else self.target(now.frame)
+        return None if model.motion.static or not model.moves() else self.target(now.frame)
 
     def value(self, rendered: Rendered, inputs: FlowTarget) -> Tensor:
         return self.weight * data_flow_loss(rendered.model, inputs.camera, rendered.time, *inputs[1:])

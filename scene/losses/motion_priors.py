@@ -25,7 +25,7 @@ class Rest(Term):
     name = setting = "rest"
 
     def due(self, model: Model, now: Now) -> bool:
-        return self.weight > 0 and now.move and model.field is not None
+        return self.weight > 0 and now.move and not model.motion.static
 
     def value(self, rendered: Rendered, inputs: Any) -> Tensor:
         rest, dynamic = rendered.model.gaussians.means, rendered.model.gaussians.dynamic
@@ -39,11 +39,10 @@ class PlaneSmoothness(Term):
     name, setting, every = "planes", "tv", PRIOR_EVERY
 
     def due(self, model: Model, now: Now) -> bool:
-        return self.weight > 0 and now.move and model.field is not None and not model.field.steady
+        return self.weight > 0 and now.move and not model.motion.steady
 
     def value(self, rendered: Rendered, inputs: Any) -> Tensor:
-        assert rendered.model.field is not None
-        return self.weight * rendered.model.field.regulariser()
+        return self.weight * rendered.model.motion.regulariser()
 
 
 class RigidAndSteady(Term):
@@ -57,12 +56,11 @@ class RigidAndSteady(Term):
         self.rigid, self.inertia = run.weight("rigid"), run.weight("inertia")
 
     def due(self, model: Model, now: Now) -> bool:
-        return self.rigid + self.inertia > 0 and now.move and model.field is not None and not model.field.steady
+        return self.rigid + self.inertia > 0 and now.move and not model.motion.steady
 
     def inputs(self, model: Model, now: Now) -> tuple[Tensor | None, Tensor | None] | None:
         """Which Gaussians [n] int64, and standard normal numbers [n, 3] for the places beside them."""
-        assert model.field is not None
-        if not model.field.priors_at_places:
+        if not model.motion.priors_at_places:
             return None, None
         generator, moving = torch.Generator().manual_seed(self.run.settings.seed * 1_000_003 + now.number), model.moving(model.gaussians)
         if not len(moving):
@@ -71,7 +69,7 @@ class RigidAndSteady(Term):
         return moving[chosen], torch.randn(PRIOR_SAMPLES, 3, generator=generator).to(moving.device)
 
     def value(self, rendered: Rendered, inputs: tuple[Tensor | None, Tensor | None]) -> Tensor:
-        (chosen, noise), motion, means = inputs, rendered.model.field, rendered.model.gaussians.means.detach()
+        (chosen, noise), motion, means = inputs, rendered.model.motion, rendered.model.gaussians.means.detach()
         assert motion is not None
         rest = means[:0] if chosen is None else means[chosen]
         beside = rest if noise is None else rest + NEIGHBOURHOOD * self.run.unit * noise

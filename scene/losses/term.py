@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ...rasterizer import Camera, Convexes, Frame, Gaussians
 from ..model import Model
-from ..motion.interface import Time
+from ..motion.times import Time
 from ..settings import TrainingSettings
 from ..views import Views, Window
 from .measured_depth import MeasuredDepth

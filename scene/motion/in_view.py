@@ -13,7 +13,7 @@ from ..primitives import GaussianSet
 def in_view(gaussians: GaussianSet, camera: Camera, frame: float | None = None, tiles: Tensor | None = None, fuller: float = 1.0) -> Tensor:
     """[m] int64, ascending: every one of the N ``gaussians`` that can contribute to a drawn pixel of ``camera``, and some that do not.
 
-    ``frame``: the fractional frame number of `FreeMotion`, at which they are where their life puts them, and as opaque; None: nothing
+    ``frame``: the fractional frame number of `Lifetimes`, at which they are where their life puts them, and as opaque; None: nothing
     moves. ``tiles`` [rows, columns] bool, as `rasterize` takes them. ``fuller``: they will be drawn at most so many times as opaque.
     Everything is on the CPU; no gradients.
     """

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..colour import CameraAffine
 from ..model import Model, motion_from_state
+from ..motion.interface import Motion
 from ..primitives import ConvexSet, GaussianSet
 
 FILE = "training.safetensors"
@@ -49,23 +50,27 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | 
 def restore(model: Model, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
     """Give ``model`` the primitives, the motion and the camera colours from what `load_checkpoint` returned."""
     device = model.device
-    gaussians, convexes = _primitives(tensors)
+    motion = _motion(tensors, state)
+    gaussians, convexes = _primitives(tensors, motion)
     model.gaussians, model.convexes = gaussians.to(device), convexes.to(device)
-    if state["model"]["field"] is not None:
-        motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
-        model.field = motion_from_state(motion, state["model"]["field"]).to(device)
-        for primitives in (model.gaussians, model.convexes):
-            if f"link/{primitives.KIND}" in tensors:
-                model.set_links(primitives, tensors[f"link/{primitives.KIND}"].to(device))
+    model.motion = motion.to(device)
+    for primitives in (model.gaussians, model.convexes):
+        if f"link/{primitives.KIND}" in tensors:
+            model.set_links(primitives, tensors[f"link/{primitives.KIND}"].to(device))
     if model.affine is not None:
         with torch.no_grad():
             for name, p in model.affine.named_parameters():
                 p.copy_(tensors[f"parameter/affine.{name}"])
 
 
-def _primitives(tensors: dict[str, Tensor]) -> tuple[GaussianSet, ConvexSet]:
+def _motion(tensors: dict[str, Tensor], state: dict[str, Any]) -> Motion:
+    motion = {name.removeprefix("motion/"): value for name, value in tensors.items() if name.startswith("motion/")}
+    return motion_from_state(motion, state["model"]["field"])
+
+
+def _primitives(tensors: dict[str, Tensor], motion: Motion) -> tuple[GaussianSet, ConvexSet]:
     def of(kind: Any) -> Any:
-        parameters = {name: tensors[f"parameter/{kind.KIND}.{name}"] for name in kind.FIELDS}
+        parameters = {name: tensors[f"parameter/{kind.KIND}.{name}"] for name in (*kind.FIELDS, *motion.attributes)}
         return kind(parameters, tensors[f"dynamic/{kind.KIND}"])
 
     return of(GaussianSet), of(ConvexSet)
@@ -78,8 +83,10 @@ def model_of(folder: Path) -> tuple[Model, int] | None:
         return None
     tensors, state = found
     config = state["model"]
+    motion = _motion(tensors, state)
     affine = None if config["affine_cameras"] is None else CameraAffine(config["affine_cameras"])
-    model = Model(*_primitives(tensors), None, int(config["sh_degree"]), float(config["near"]), tuple(config["background"]), affine)
-    model.antialiased = bool(config["antialiased"])
+    background, antialiased = tuple(config["background"]), bool(config["antialiased"])
+    sets = _primitives(tensors, motion)
+    model = Model(*sets, motion, int(config["sh_degree"]), float(config["near"]), background, affine, antialiased)
     restore(model, tensors, state)
     return model, int(state["iteration"])

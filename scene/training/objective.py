@@ -9,10 +9,10 @@ from ...rasterizer import rasterize
 from ..losses.table import TERMS
 from ..losses.term import Now, Rendered, Run
 from ..model import Model
+from ..schedule import Phase
 from ..views import WHOLLY, floats
 from .drawn_tiles import DrawnTiles
 from .optimiser import ALL_ROWS, Rows
-from .schedule import Phase
 from .steps.dropout import keeps, thinned
 from .steps.evaluation import Evaluation
 from .steps.inputs import Fixed, StepInputs, frame_inputs

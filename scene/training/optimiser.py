@@ -70,9 +70,9 @@ class RowAdam:
     """Adam over named tensors that updates only the rows (first axis) that got a gradient, and whose rows can be replaced.
 
     A row whose gradient is all zero was seen by no ray: it keeps its value and its moments. ``rates`` maps each name to a function of
-    progress in [0, 1] that returns the learning rate. ``pace`` returns, from the `log_spans` [m] of primitives, a factor [m] on the rates
-    of all that belongs to them, or None. Parameters are contiguous float32, all on the CPU or all on one CUDA device, which a step does not
-    synchronise.
+    progress in [0, 1] that returns the learning rate. ``pace`` returns, from the parameters of m primitives by their last names, a factor
+    [m] on the rates of all that belongs to them, or None. Parameters are contiguous float32, all on the CPU or all on one CUDA device,
+    which a step does not synchronise.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class RowAdam:
         parameters: dict[str, Tensor],
         rates: dict[str, Callable[[float], float]],
         betas: tuple[float, float] = (0.9, 0.99),
-        pace: Callable[[Tensor], Tensor | None] = lambda log_spans: None,
+        pace: Callable[[dict[str, Tensor]], Tensor | None] = lambda parameters: None,
     ) -> None:
         self.rates, self.betas, self._pace = rates, betas, pace
         self._parameters = dict(parameters)
@@ -191,8 +191,7 @@ class RowAdam:
 
     def _pace_of(self, kind: str, parameters: dict[str, Tensor]) -> Tensor | None:
         """The factors on the rates of the rows of a kind of primitives, of which ``parameters`` has all rows or some; None: 1."""
-        spans = parameters.get(f"{kind}.log_spans")
-        return None if spans is None else self._pace(spans.detach())
+        return self._pace({name.split(".", 1)[1]: p for name, p in parameters.items() if name.startswith(f"{kind}.")})
 
     def _kept_pace(self, kind: str) -> Tensor | None:
         """`_pace_of` all rows, where the last one was if it has as many."""

@@ -15,6 +15,8 @@ from ..colour import CameraAffine, colour_recorders
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.term import MeasuredFlow, Run
 from ..model import Model
+from ..motion.recipe import Recipe
+from ..schedule import Phase, alike_since
 from ..settings import TrainingSettings
 from ..views import Views
 from .checkpoint import FILE, load_checkpoint, save_checkpoint
@@ -27,14 +29,11 @@ from .curriculum import Curriculum
 from .guard import NonFiniteGuard
 from .log import TrainingLog
 from .objective import Objective
-from .recipe import PLANES, Recipe
 from .replayed.objective import ReplayedObjective
 from .replayed.padded_model import PaddedModel
 from .replayed.responsibility import ReplayedResponsibility
-from .schedule import Phase, alike_since
 from .steps.deferred import DeferredSteps
 from .steps.immediate import ImmediateSteps, Step
-from .turning import leave_only_rigid_parts
 
 
 class Trainer:
@@ -64,17 +63,18 @@ class Trainer:
         measured_flow: MeasuredFlow | None = None,
         measured_depth: MeasuredDepth | None = None,
         moving: Callable[[int], Tensor | None] | None = None,
-        recipe: Recipe = PLANES,
+        recipe: Recipe | None = None,
         advance: Callable[[int, str], None] = lambda n, note: None,
         log: Callable[[str], None] = lambda message: None,
     ) -> None:
-        self.model, self.views, self.phases, self.settings, self.recipe = model, views, phases, settings, recipe
+        self.recipe = recipe = model.motion.recipe if recipe is None else recipe
+        self.model, self.views, self.phases, self.settings = model, views, phases, settings
         self.checkpoints, self.part, self.grow, self.advance, self._say = checkpoints, part, grow, advance, log
         self.total = sum(phase.iterations for phase in phases)
         self.iteration = 0
         self._left_out = 0  # steps of phases that ended early
         self.log, self.guard, self.loss = TrainingLog(), NonFiniteGuard(), SmoothedLoss()
-        moves = grow and model.field is not None and any(phase.move for phase in phases)
+        moves = grow and not model.motion.static and any(phase.move for phase in phases)
         static_steps = sum(phase.iterations for phase in phases if not phase.move)
         opened = round(settings.open_until * self.total) if moves and recipe.opens else 0
         self.curriculum = Curriculum(views.train, views.time[views.train], settings.seed, static_steps, opened)
@@ -139,7 +139,7 @@ class Trainer:
             self.log.psnr.append([self.iteration, found.psnr()])
         found.backward()
         if self.motion.rigid_parts_alone:
-            leave_only_rigid_parts(model, self.learned.optimiser.parameters() | found.rows.named())
+            model.motion.leave_only_rigid_parts(model, self.learned.optimiser.parameters() | found.rows.named())
         now = Step(self.iteration, i, found.loss.detach(), found.image_loss)
         rejected = self.steps.apply(now, self.iteration / max(self.total, 1), self._frozen(phase, step), found.rows)
         if len(model.convexes) and self.recipe.largest_convex < math.inf:
@@ -164,7 +164,7 @@ class Trainer:
         if not phase.alternation or not len(self.model.convexes):
             return frozenset()
         turn = (step // phase.alternation) % 2
-        return frozenset({"convexes"} if turn == 0 else {"gaussians", "field"})
+        return frozenset({"convexes"} if turn == 0 else {"gaussians", "motion"})
 
     def _after_step(self, phase: Phase) -> None:
         if self.iteration % 50 == 0:

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+from ...scene.motion.kinds import KINDS, choose
 from ..facts import Facts
-from ..shared.defaults import one_way, share_of_steps, use_nodes
+from ..shared.defaults import one_way, share_of_steps
 from .settings import CoarseSettings
 
 ITERATIONS = 6000
 ITERATIONS_A_TIME = 280  # steps per time of a rig, since each time needs its own
 MOST_ITERATIONS = 30_000
 LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
-ITERATIONS_NODES = 40_000
-BY_NODE_PHASES = ("two-stage", "alternating")  # strategies in which control nodes have a schedule of their own
 WIDE_PATH = 60.0  # degrees
 
 
 def auto_iterations(facts: Facts, settings: CoarseSettings, device: str = "cpu") -> int:
     """6000 steps, fewer for large clips on a CPU (`share_of_steps`); for a rig (several cameras at each time) at least 280 per time, up to
-    30,000; `ITERATIONS_NODES` for control nodes. The number is multiplied by the effort, but never below 2000."""
-    steps = ITERATIONS_NODES
-    if not use_nodes(facts, settings.motion):
+    30,000; or as many as the kind of motion asks for. The number is multiplied by the effort, but never below 2000."""
+    steps = KINDS[choose(settings.motion, facts)].steps
+    if steps is None:
         moving_rig = facts.rig and not facts.static
         steps = min(max(ITERATIONS, ITERATIONS_A_TIME * facts.times if moving_rig else 0), MOST_ITERATIONS)
         steps = max(round(steps * share_of_steps(facts, device)), LEAST_ITERATIONS)

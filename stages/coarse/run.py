@@ -2,39 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
-import numpy as np
 import torch
 
 from ...pipeline import Context
 from ...scene.model import Model
-from ...scene.motion.field import DeformationField
-from ...scene.motion.free import FreeMotion
-from ...scene.motion.nodes import ControlNodes
-from ...scene.primitives import ConvexSet, GaussianSet
+from ...scene.motion.kinds import KINDS, choose, motion_class
+from ...scene.motion.start import Start
+from ...scene.primitives import ConvexSet
 from ...scene.settings import GrowthSettings
-from ...scene.training.schedule import HALF_RESOLUTION, Phase, coarse_phases, node_phases
 from ...scene.views import Views
 from ..facts import Facts
 from ..seeds.artifact import StoredSeeds, required
 from ..shared.dataset import load_frameset, load_views, measured_flow
-from ..shared.defaults import auto_budget, found_facts, use_nodes
+from ..shared.defaults import auto_budget, found_facts
 from ..shared.masks import measured_depth, moving_pixels
 from ..shared.model import write_model
 from ..shared.train import train
 from ..shared.training_log import write_training_log
 from .artifact import StoredCoarse
-from .defaults import BY_NODE_PHASES, auto_iterations, auto_sh_degree
+from .defaults import auto_iterations, auto_sh_degree
 from .first_motion import find_first_motion
-from .motions import living, make_field, make_nodes
 from .settings import CoarseSettings
 
 SMALL_IMAGE = 40_000  # px; smaller images show too little at half size
 MOST_SCALE = 0.05  # of the viewing distance, largest initial standard deviation of a Gaussian
-LEAST_DYNAMIC = 50  # dynamic seeds, from which on the field spans only these
-
-Kind = Literal["static", "planes", "nodes", "free"]
 
 
 def train_coarse(ctx: Context) -> None:
@@ -46,25 +37,27 @@ def train_coarse(ctx: Context) -> None:
     seeds = StoredSeeds.read(required(ctx.inputs["seeds"]))
     views.near, views.background = seeds.near, seeds.background
     facts = found_facts(ctx, views)
-    kind = kind_of_motion(facts, settings, seeds)
+    expected, kind = choose(settings.motion, facts), choose(settings.motion, facts, seeds.moving is not None)
+    if kind != expected:
+        ctx.log(f"{'no seeds' if seeds.moving is None else 'seeds'} were found on moving objects: {KINDS[kind].moves}")
     unit = views.viewing_distance(seeds.points)
     sh_degree = chosen_sh_degree(ctx, facts, seeds.path_width) if settings.sh_degree is None else settings.sh_degree
-    model = first_model(kind, seeds, MOST_SCALE * unit, views, sh_degree, settings).to(ctx.device)
+    start = Start(seeds.points, seeds.colors, seeds.dynamic, seeds.moving, sh_degree, MOST_SCALE * unit)
+    model = first_model(kind, start, views, settings).to(ctx.device)
 
     steps = settings.iterations or auto_iterations(facts, settings, ctx.device)
-    if kind == "nodes" and settings.strategy in BY_NODE_PHASES:
-        find_first_motion(ctx, model, views, settings, steps, is_small(views))
+    find_first_motion(ctx, model, views, settings, steps, is_small(views))
     log = train(
         ctx,
         "coarse",
         model,
         views,
-        phases(kind, steps, views, settings),
+        model.motion.phases(settings.strategy, steps, settings.full_from, is_small(views)),
         settings,
-        budget=settings.budget or auto_budget(facts, views, kind == "nodes"),
+        budget=settings.budget or auto_budget(facts, views, expected),
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(seeds.depth, unit, ctx, frames),
-        moving=moving_pixels(ctx, frames, views) if kind == "free" else None,
+        moving=moving_pixels(ctx, frames, views) if model.motion.splits_in_time else None,
     )
     if not len(model.gaussians):
         ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")
@@ -72,15 +65,6 @@ def train_coarse(ctx: Context) -> None:
     StoredCoarse(settings.strategy, steps, growth).write(ctx.out)
     write_model(ctx.out, model)
     write_training_log(ctx.out, log)
-
-
-def kind_of_motion(facts: Facts, settings: CoarseSettings, seeds: StoredSeeds) -> Kind:
-    """What moves the scene, once it is known whether anything does and whether masks show it."""
-    if facts.static:
-        return "static"
-    if use_nodes(facts, settings.motion):
-        return "nodes"
-    return "free" if settings.motion == "free" or (settings.motion == "auto" and seeds.moving is not None) else "planes"
 
 
 def chosen_sh_degree(ctx: Context, facts: Facts, width: float | None) -> int:
@@ -91,36 +75,11 @@ def chosen_sh_degree(ctx: Context, facts: Facts, width: float | None) -> int:
     return degree
 
 
-def first_model(kind: Kind, seeds: StoredSeeds, max_scale: float, views: Views, sh_degree: int, settings: CoarseSettings) -> Model:
-    """The initial model: Gaussians on the seeds, and the motion model. max_scale: largest initial standard deviation, world units."""
-    points, colors, dynamic, moving = seeds.points, seeds.colors, seeds.dynamic, seeds.moving
-    if moving is not None and kind != "free":  # the rest pose is the position at the middle time
-        middle = moving.time == moving.time[np.abs(moving.time - 0.5).argmin()]
-        points, colors = np.concatenate([points, moving.points[middle]]), np.concatenate([colors, moving.colors[middle]])
-        dynamic = np.concatenate([dynamic, np.ones(int(middle.sum()), bool)])
-    gaussians = GaussianSet.from_points(points, colors, sh_degree, max_scale=max_scale)
-    field: DeformationField | ControlNodes | FreeMotion | None = None
-    if kind != "static":
-        gaussians.dynamic = torch.from_numpy(dynamic)
-    if kind == "free":
-        field = FreeMotion(len(np.unique(views.time)))
-        gaussians.live(0.5 * (field.times - 1), field.times)
-        if moving is not None:
-            gaussians = GaussianSet.joined([gaussians, *living(moving, field, sh_degree, max_scale)])
-    elif kind == "nodes":
-        field = make_nodes(points, settings)
-    elif kind == "planes":
-        field = make_field(points[dynamic] if dynamic.sum() >= LEAST_DYNAMIC else points, views, settings)
-    empty = ConvexSet.empty(6, sh_degree)
-    return Model(gaussians, empty, field, sh_degree, views.near, views.background, antialiased=settings.antialiased)
-
-
-def phases(kind: Kind, steps: int, views: Views, settings: CoarseSettings) -> list[Phase]:
-    """The training schedule. Half-size images come first if they show enough."""
-    if kind == "nodes" and settings.strategy in BY_NODE_PHASES:
-        return node_phases(steps, 1.0 if is_small(views) else HALF_RESOLUTION)
-    full_from = 0.0 if is_small(views) else settings.full_from
-    return coarse_phases(settings.strategy, steps, kind == "static", full_from, kind != "free")
+def first_model(kind: str, start: Start, views: Views, settings: CoarseSettings) -> Model:
+    """The initial model: Gaussians on the seeds, and what moves them."""
+    motion, gaussians = motion_class(kind).start(start, views, settings)
+    empty = ConvexSet.empty(6, start.sh_degree)
+    return Model(gaussians, empty, motion, start.sh_degree, views.near, views.background, antialiased=settings.antialiased)
 
 
 def is_small(views: Views) -> bool:

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from ...pipeline import Applies, Context, Resources, Stage
+from ...scene.motion.kinds import KINDS, choose
 from ..facts import Facts
-from ..shared.defaults import use_nodes
-from .defaults import BY_NODE_PHASES, auto_iterations
+from .defaults import auto_iterations
 from .settings import CoarseSettings
 
 
@@ -22,25 +22,15 @@ class Coarse(Stage):
     device_class = True
 
     def applies(self, facts: Mapping[str, Any], settings: CoarseSettings) -> Applies:
-        known = Facts.of(facts)
-        if known.static:
-            return Applies.yes("nothing moves: Gaussians without a deformation field")
-        if use_nodes(known, settings.motion):
-            return Applies.yes("Gaussians, moved by control nodes")
-        if settings.motion == "free" or (settings.motion == "auto" and known.pairs):
-            return Applies.yes("Gaussians; those on moving pixels live around a time of their own")
-        return Applies.yes("Gaussians, moved by the six-plane field")
+        return Applies.yes(KINDS[choose(settings.motion, Facts.of(facts))].moves)
 
     def estimate(self, facts: Mapping[str, Any], settings: CoarseSettings) -> float | None:
-        from ...scene.training.schedule import first_motion_steps
-        from ..estimates import node_training_seconds, training_seconds
+        from ..estimates import first_training_seconds, training_seconds
 
         known = Facts.of(facts)
-        steps = settings.iterations or auto_iterations(known, settings)
-        if use_nodes(known, settings.motion):
-            first = first_motion_steps(steps) if settings.strategy in BY_NODE_PHASES else 0
-            return node_training_seconds(known, steps, first)
-        return training_seconds(known, steps, known.static, area=1 - 0.75 * settings.full_from)
+        kind, steps = choose(settings.motion, known), settings.iterations or auto_iterations(known, settings)
+        area = 1.0 if KINDS[kind].steps else 1 - 0.75 * settings.full_from
+        return training_seconds(known, steps, kind, area) + first_training_seconds(KINDS[kind].first_steps(settings.strategy, steps))
 
     def resources(self, facts: Mapping[str, Any], settings: CoarseSettings, device: str) -> Resources:
         from ..estimates import training_resources

@@ -25,7 +25,7 @@ def measure_flicker(
     `per_pair` has the four values of each pair with its `camera` and both `times`. None for captures without a fixed camera that saw
     several times. Held-out cameras are preferred if there are any. If they have more than ``most`` times together, stretches of
     neighbouring times are measured, spread evenly."""
-    if not judge.fixed or judge.model.field is None:
+    if not judge.fixed or judge.model.motion.static:
         return None
     seen: dict[int, list[int]] = {}
     for k in np.flatnonzero(frames.registered):

@@ -59,6 +59,6 @@ def time_strip(judge: Judge, frames: FrameSet, indices: Sequence[int]) -> tuple[
     fixed = all(np.allclose(frames.cam_from_world[i], frames.cam_from_world[first], atol=1e-6) for i in mine)
     if fixed and len(mine) >= 3:
         return frames.names[first], [(float(frames.time[i]), judge.render(i)[0], frames.composited(i)) for i in spread(mine, 8)]
-    if judge.model.field is None:
+    if judge.model.motion.static:
         return frames.names[first], []
     return frames.names[first], [(float(t), judge.render(first, float(t))[0], None) for t in np.linspace(0, 1, 8)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def moves(baked: Baked) -> bool:
-    return baked.model.field is not None
+    return not baked.model.motion.static
 
 
 def fades(baked: Baked) -> tuple[Tensor, Tensor, Tensor] | None:
@@ -19,17 +19,19 @@ def fades(baked: Baked) -> tuple[Tensor, Tensor, Tensor] | None:
     they have at most, [n] each; those that do not move are present throughout. None if the model has no lives."""
     import torch
 
-    from ...scene.motion.free import FreeMotion
+    from ...scene.motion.lifetimes.lifetime import lifetime
 
     model = baked.model
-    if not isinstance(model.field, FreeMotion):
+    if model.motion.played_as != "lives":
         return None
+    motion: Any = model.motion
     with torch.no_grad():
-        span = max(model.field.times - 1, 1)
+        span = max(motion.times - 1, 1)
         middles, spreads = [], []
         for one in (model.gaussians, model.convexes):
-            spread = torch.where(one.dynamic, one.life.log_spans.double().exp() / span, torch.inf)
-            middles.append(torch.where(one.dynamic, one.life.times.double() / span, 0.0))
+            life = lifetime(one)
+            spread = torch.where(one.dynamic, life.log_spans.double().exp() / span, torch.inf)
+            middles.append(torch.where(one.dynamic, life.times.double() / span, 0.0))
             spreads.append(spread)
         gaussians, convexes = model.at(0.0, move=False)
         whole = torch.cat([baked.plain(gaussians).opacities, baked.fit.gaussians(convexes).opacities])

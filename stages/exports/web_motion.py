@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from ...scene.model import Model
-    from ...scene.motion.nodes import ControlNodes
+    from ...scene.motion.nodes.control_nodes import ControlNodes
 
 Kept = tuple[Any, tuple[int, int]]  # indices, still ones first; how many are still and how many move
 MOST_KEYS = 1025
@@ -42,17 +42,14 @@ class Moved:
 
 def motion_arrays(model: Model, gaussians: Kept, convexes: Kept, axes: np.ndarray | None, times: int, step: float) -> Moved:
     """How the ``gaussians`` and ``convexes`` of ``model`` move. axes: see `gaussian_shapes`. step: of positions, world units."""
-    from ...scene.motion.field import DeformationField
-    from ...scene.motion.free import FreeMotion
-    from ...scene.motion.nodes import ControlNodes
-
     header = {"motion": "static", "keys": 0, "nodes": 0, "modes": 0, "light": False}
     moves = gaussians[1][1] + convexes[1][1] > 0
-    if isinstance(model.field, FreeMotion) and moves:
-        return lives(model, {"g": gaussians, "c": convexes}, header | {"motion": "lives", "frames": model.field.times}, step)
-    if isinstance(model.field, ControlNodes):  # whose light may change even if nothing moves
-        return on_nodes(model, model.field, {"g": gaussians, "c": convexes}, header | {"motion": "nodes"}, times, step)
-    if isinstance(model.field, DeformationField) and moves:
+    motion: Any = model.motion
+    if motion.played_as == "lives" and moves:
+        return lives(model, {"g": gaussians, "c": convexes}, header | {"motion": "lives", "frames": motion.times}, step)
+    if motion.played_as == "nodes":  # whose light may change even if nothing moves
+        return on_nodes(model, motion, {"g": gaussians, "c": convexes}, header | {"motion": "nodes"}, times, step)
+    if motion.played_as == "paths" and moves:
         assert axes is not None
         return paths(model, gaussians, convexes, axes, header | {"motion": "paths"}, times, step)
     return Moved(header)
@@ -62,10 +59,11 @@ def lives(model: Model, kinds: dict[str, Kept], header: dict[str, Any], step: fl
     import torch
 
     from ...scene.formats.web.moved import reach_of
+    from ...scene.motion.lifetimes.lifetime import lifetime
 
     moved = Moved(header)
     for kind, (index, (still, _)) in kinds.items():
-        life = (model.gaussians if kind == "g" else model.convexes).select(index[still:]).life
+        life = lifetime((model.gaussians if kind == "g" else model.convexes).select(index[still:]))
         spans = np.rint(numbers(life.log_spans) / LIFE[1]) * LIFE[1]
         reach = numbers(reach_of(torch.tensor(spans, dtype=torch.float32), header["frames"]))[:, None]
         moved.arrays[f"{kind}_life"] = np.stack([numbers(life.times), spans], 1)
@@ -113,7 +111,7 @@ def on_nodes(model: Model, nodes: ControlNodes, kinds: dict[str, Kept], header: 
         points = primitives.rest_points().detach()
         each = len(points) // max(len(primitives), 1)
         hyper = primitives.hyper.detach().repeat_interleave(each, 0)
-        link = nodes.links(points, hyper).long() if len(points) else torch.zeros(0, 1, dtype=torch.int64)
+        link = nodes.links(primitives).long() if len(points) else torch.zeros(0, 1, dtype=torch.int64)
         apart = (points[:, None] - resting.home[link]).square().sum(2) + (hyper[:, None] - resting.home_hyper[link]).square().sum(2)
         weights = torch.softmax(-apart * resting.falloff[link], 1)
         missing = LINKS - link.shape[1]
@@ -157,9 +155,9 @@ def sampled(of: Any, times: int, step: float, scale: np.ndarray, choices: tuple[
 
 
 def paths(model: Model, gaussians: Kept, convexes: Kept, axes: np.ndarray, header: dict[str, Any], times: int, step: float) -> Moved:
-    field_, (index, (still, moving)), (bent, (stiff, bending)) = model.field, gaussians, convexes
+    motion, (index, (still, moving)), (bent, (stiff, bending)) = model.motion, gaussians, convexes
     which, corners = index[still:], bent[stiff:]
-    rest = model._rest(which, corners)
+    rest = motion.rest(model, which, corners)  # type: ignore[operator]
     each = model.convexes.points.shape[1]
     own = axes[still:]
 
@@ -167,7 +165,7 @@ def paths(model: Model, gaussians: Kept, convexes: Kept, axes: np.ndarray, heade
         """[T, points, 10] shifts of ``points``, and the turns and growth of what is there."""
         found = []
         for t in moments:
-            shift, turn, growth = (numbers(p) for p in field_(points, float(t)))  # type: ignore[operator,misc]
+            shift, turn, growth = (numbers(p) for p in motion(points, float(t)))
             found.append(np.concatenate([shift, turn * np.sign(turn[:, :1] + 1e-12), growth], 1))
         return np.stack(found)
 

@@ -77,7 +77,7 @@ def in_order(primitives: PrimitiveSet, model: Model):
     drawn = primitives.opacities >= LEAST_ALPHA
     for value in primitives.parameters.values():
         drawn = drawn & torch.isfinite(value).reshape(len(primitives), value[0].numel() if len(primitives) else 1).all(1)
-    moving = primitives.dynamic if model.field is not None else torch.zeros_like(primitives.dynamic)
+    moving = primitives.dynamic if not model.motion.static else torch.zeros_like(primitives.dynamic)
     centres = primitives.rest_points().detach().reshape(len(primitives), -1, 3).mean(1) if len(primitives) else torch.zeros(0, 3)
     code = torch.tensor(morton(centres.numpy()))
     found = [torch.nonzero(drawn & which)[:, 0] for which in (~moving, moving)]

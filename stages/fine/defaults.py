@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from ...scene.motion.kinds import KINDS, choose
 from ..facts import Facts
-from ..shared.defaults import nodes_by_default, share_of_steps
+from ..shared.defaults import share_of_steps
 from .settings import FineSettings
 
 ITERATIONS = 1500
@@ -21,4 +22,4 @@ def fine_iterations(settings: FineSettings, facts: Facts | None = None, device: 
 
 def rests(facts: Facts, settings: FineSettings) -> bool:
     """Whether there is nothing to do unless `hulls` was told to place convexes."""
-    return settings.iterations is None and nodes_by_default(facts)
+    return settings.iterations is None and not KINDS[choose("auto", facts)].convexes

@@ -6,9 +6,10 @@ import torch
 
 from ...pipeline import Context
 from ...scene.model import Model
+from ...scene.motion.kinds import KINDS
 from ...scene.primitives import ConvexSet
+from ...scene.schedule import fine_phases, left_to_fine
 from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettings
-from ...scene.training.schedule import fine_phases, left_to_fine
 from ..coarse.artifact import StoredCoarse, required
 from ..hulls.artifact import StoredHulls
 from ..seeds.artifact import read_depth
@@ -32,10 +33,9 @@ def train_fine(ctx: Context) -> None:
     views = load_views(frames, ctx.inputs["flow"], ctx.device, model)
     hulls = None if ctx.inputs["hulls"] is None else StoredHulls.read(ctx.inputs["hulls"])
     joint = coarse.strategy == "joint"
-    nodes = model.field is not None and model.field.config["kind"] == "nodes"
     if hulls is not None and len(hulls):
         replace_by_convexes(model, hulls)
-    elif nodes and not joint and settings.iterations is None:
+    elif not KINDS[model.motion.kind].convexes and not joint and settings.iterations is None:
         ctx.log("no convexes: the model of `coarse` is kept, which has been refined to its end")
         write_model(ctx.out, model)
         return
@@ -51,7 +51,7 @@ def train_fine(ctx: Context) -> None:
         views,
         fine_phases(coarse.strategy, coarse.iterations, fine_iterations(settings, facts, ctx.device), facts.static),
         training_settings(settings, coarse.growth),
-        budget=coarse.growth.budget or auto_budget(facts, views, nodes),
+        budget=coarse.growth.budget or auto_budget(facts, views, model.motion.kind),
         earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, facts.static),
         lr_scale=1.0 if joint else settings.lr_scale,
         grow=joint,
@@ -69,7 +69,7 @@ def training_settings(settings: FineSettings, growth: GrowthSettings) -> Trainin
 
 
 def replace_by_convexes(model: Model, hulls: StoredHulls) -> None:
-    """Each convex takes the place of the Gaussian that it came from, with its colours, opacity, motion and life."""
+    """Each convex takes the place of the Gaussian that it came from, with its colours, opacity and attributes."""
     seeds = torch.from_numpy(hulls.seed).long()
     rest = torch.ones(len(model.gaussians), dtype=torch.bool)
     rest[seeds] = False

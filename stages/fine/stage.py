@@ -31,7 +31,9 @@ class Fine(Stage):
         from ..estimates import training_seconds
 
         known = Facts.of(facts)
-        return 2.0 if rests(known, settings) else training_seconds(known, fine_iterations(settings, known), known.static)
+        if rests(known, settings):
+            return 2.0
+        return training_seconds(known, fine_iterations(settings, known), "static" if known.static else "planes")
 
     def resources(self, facts: Mapping[str, Any], settings: FineSettings, device: str) -> Resources:
         from ..estimates import training_resources

@@ -22,7 +22,7 @@ def place_convexes(ctx: Context) -> None:
     """Attributes edges, and the error there, to the Gaussians of `coarse`. Those with the most error become convexes."""
     settings = ctx.settings
     model = read_model(required(ctx.inputs["coarse"])).to(ctx.device)
-    most = most_convexes(settings.budget, nodes=model.field is not None and model.field.config["kind"] == "nodes")
+    most = most_convexes(settings.budget, model.motion.kind)
     none = np.zeros(0)
     found, reason = (
         EdgeSeeds(none, none, none),

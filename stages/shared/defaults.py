@@ -1,4 +1,4 @@
-"""What several stages choose for a capture: its kind of motion, the budget, and how its steps are scaled. Imports nothing heavy."""
+"""What several stages choose for a capture: the budget, and how its steps are scaled. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ...pipeline import Context
+from ...scene.motion.kinds import KINDS
 from ..facts import Facts
 from ..flow.artifact import flow_of
 
@@ -13,7 +14,6 @@ if TYPE_CHECKING:
     from ...scene.views import Views
 
 CLIP_PIXELS = 250_000  # of a picture up to which a clip gets all steps on a CPU
-NODE_TIMES = 9  # least number of times; fewer say too little about motion
 
 
 def found_facts(ctx: Context, views: Views) -> Facts:
@@ -30,28 +30,16 @@ def one_way(facts: Facts) -> bool:
     return facts.pairs > 0 and not (facts.rig or facts.static or facts.fixed_cameras or facts.alpha)
 
 
-def auto_budget(facts: Facts, views: Views, nodes: bool) -> int:
-    """Most Gaussians at one time: one per four pixels of a view, one per five with control nodes, one per eight if nothing moves, between
-    12,000 and 120,000. For a rig, which sees a whole room, one per four, between 40,000 and 240,000. Along a path three per eight pixels,
-    up to 160,000: most of them are at rest, and so present at each time."""
-    pixels = views.width * views.height
+def auto_budget(facts: Facts, views: Views, kind: str) -> int:
+    """Most Gaussians at one time: one per four pixels of a view, or as the ``kind`` of motion says, between 12,000 and 120,000. For a rig,
+    which sees a whole room, one per four, between 40,000 and 240,000. Along a path three per eight pixels, up to 160,000: most of them are
+    at rest, and so present at each time."""
+    pixels, each = views.width * views.height, KINDS[kind].pixels
     if facts.rig:
         return int(min(max(pixels // 4, 40_000), 240_000))
-    if one_way(facts) and not nodes:
+    if one_way(facts) and each is None:
         return int(min(max(3 * pixels // 8, 12_000), 160_000))
-    return int(min(max(pixels // (8 if facts.static else 5 if nodes else 4), 12_000), 120_000))
-
-
-def use_nodes(facts: Facts, motion: str) -> bool:
-    """Whether control nodes move the scene. motion: the setting of that name."""
-    if facts.static or motion != "auto":
-        return motion == "nodes" and not facts.static
-    return nodes_by_default(facts)
-
-
-def nodes_by_default(facts: Facts) -> bool:
-    """Whether something moves and each frame has its own camera: one view per time says too little for planes."""
-    return not facts.static and facts.cameras == facts.frames and facts.pairs == 0 and facts.times >= NODE_TIMES
+    return int(min(max(pixels // (each or 4), 12_000), 120_000))
 
 
 def share_of_steps(facts: Facts, device: str) -> float:

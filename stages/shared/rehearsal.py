@@ -8,9 +8,9 @@ from typing import Any
 
 from ...pipeline import Context
 from ...scene.model import Model
+from ...scene.schedule import Phase
 from ...scene.settings import TrainingSettings
 from ...scene.training.log import TrainingLog
-from ...scene.training.schedule import Phase
 from ...scene.views import Views
 
 

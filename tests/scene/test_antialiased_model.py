@@ -6,10 +6,11 @@ import torch
 from e4dgs.rasterizer import rasterize
 from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.checkpoint import model_of
 from e4dgs.scene.training.control.density import measure_responsibility
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.stages.hulls.edge_seeds import edge_seeds
 from sliding_gaussians import SETTINGS, make_views
@@ -19,7 +20,7 @@ def tiny(antialiased):
     """Gaussians much smaller than a pixel, where the two modes differ most."""
     rng = np.random.default_rng(2)
     gaussians = GaussianSet.from_points(rng.uniform(-0.8, 0.8, (50, 3)), rng.random((50, 3)), 0, opacity=0.9, max_scale=0.004)
-    return Model(gaussians, ConvexSet.empty(6, 0), None, 0, antialiased=antialiased)
+    return Model(gaussians, ConvexSet.empty(6, 0), Static(), 0, antialiased=antialiased)
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,11 @@ import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.colour import CameraAffine, colour_recorders
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.density import measure_responsibility
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.scene.views import Views
 
@@ -22,7 +23,7 @@ def model(**known) -> Model:
     gaussians = GaussianSet.from_points(np.array([[0.0, 0, 4], [0, 0, 1]]), np.array([[0.4] * 3, [1.0] * 3]), 0, opacity=0.95)
     with torch.no_grad():
         gaussians.log_scales[:] = torch.tensor([[1.5], [-2.5]])
-    return Model(gaussians, ConvexSet.empty(6, 0), None, 0, **known)
+    return Model(gaussians, ConvexSet.empty(6, 0), Static(), 0, **known)
 
 
 def camera(width=SIZE) -> Camera:
@@ -120,7 +121,7 @@ def test_growth_reaches_the_budget_on_images_of_full_size():
     seen = views()
     seen.load = lambda i: picture
     points = rng.uniform([-1, -1, 3], [1, 1, 5], (60, 3))
-    blob = Model(GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, opacity=0.6), ConvexSet.empty(6, 0), None, 0)
+    blob = Model(GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, opacity=0.6), ConvexSet.empty(6, 0), Static(), 0)
     settings = TrainingSettings(iterations=400, sh_degree=0, densify_every=25, densify_until=0.9, min_contribution=0.0, min_opacity=0.0)
     trainer = Trainer(blob, seen, [Phase("half", 300, False, 0.5), Phase("full", 100, False)], settings, budget=200)
     log = trainer.run()

@@ -3,7 +3,7 @@
 import pytest
 import torch
 from e4dgs.scene.cuda.over_time import OverTime
-from e4dgs.scene.motion.nodes import ControlNodes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 
 TIMES = ([0.2], [0.9], [0.1, 0.4, 0.5, 0.6], [-1.0])
 

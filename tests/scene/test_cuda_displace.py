@@ -8,8 +8,8 @@ import torch
 from e4dgs.rasterizer.cuda.runtime import launching
 from e4dgs.scene.cuda import displace as on_gpu
 from e4dgs.scene.cuda.displace import displace
-from e4dgs.scene.motion.displace import displace as anywhere
-from e4dgs.scene.motion.field import DeformationField
+from e4dgs.scene.motion.planes.displace import displace as anywhere
+from e4dgs.scene.motion.planes.field import DeformationField
 from simt import CHECKED, RACES, Emulator, why_not
 
 CENTRE, REACH = torch.tensor([0.3, -0.2, 0.1]), 0.7
@@ -132,7 +132,7 @@ def test_tensors_on_a_gpu_take_the_kernels(monkeypatch):
     there, emulator = SimpleNamespace(is_cuda=True, dtype=torch.float32, device=torch.device("cuda", 0)), Emulator()
     monkeypatch.setattr(on_gpu, "displace", lambda *given: given)
     with launching("cuda", emulator):
-        assert importlib.import_module("e4dgs.scene.motion.displace").displace(there, there, there, 0.5) == (
+        assert importlib.import_module("e4dgs.scene.motion.planes.displace").displace(there, there, there, 0.5) == (
             emulator,
             there,
             there,

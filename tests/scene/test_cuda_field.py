@@ -9,9 +9,9 @@ import torch
 from e4dgs.rasterizer.cuda.runtime import launching
 from e4dgs.scene.cuda import field
 from e4dgs.scene.cuda.field import look_up
-from e4dgs.scene.motion import field_kernel
-from e4dgs.scene.motion.field import DeformationField
-from e4dgs.scene.motion.field_reference import lookup_reference
+from e4dgs.scene.motion.planes import field_kernel
+from e4dgs.scene.motion.planes.field import DeformationField
+from e4dgs.scene.motion.planes.field_reference import lookup_reference
 from simt import CHECKED, RACES, Emulator, why_not
 
 BOX = torch.tensor([-1.0, 0, 2]), torch.tensor([1.0, 3, 2.5])

@@ -2,10 +2,10 @@
 
 import pytest
 import torch
-from e4dgs.scene.cuda.lives import live
-from e4dgs.scene.motion.lives import live as anywhere
-from e4dgs.scene.motion.lives import live_reference
-from e4dgs.scene.primitives import LIFE, Life
+from e4dgs.scene.cuda.lives import at_frame
+from e4dgs.scene.motion.lifetimes.at_frame import at_frame as anywhere
+from e4dgs.scene.motion.lifetimes.at_frame import at_frame_reference
+from e4dgs.scene.motion.lifetimes.lifetime import Lifetime
 from pretend_cuda import pretending_cuda
 from simt import CHECKED, RACES, Emulator, why_not
 
@@ -47,7 +47,7 @@ def given(n, corners=1, with_quats=True, still=0.3, at_once=False):
 def outcome(run, inputs, dynamic, used=("moved", "shown", "turned")):
     """Outputs, and the gradients of a sum of those in ``used`` with fixed weights; missing ones are zero."""
     leaves = {name: p.detach().clone().requires_grad_() for name, p in inputs.items()}
-    life = Life(*(leaves[name] for name in LIFE))
+    life = Lifetime(*(leaves[name] for name in Lifetime._fields))
     moved, turned, shown = run(leaves["points"], leaves.get("quats"), leaves["opacities"], life, dynamic, FRAME)
     outputs = {name: p for name, p in (("moved", moved), ("shown", shown), ("turned", turned)) if p is not None}
     draw = torch.Generator().manual_seed(6)
@@ -59,11 +59,11 @@ def outcome(run, inputs, dynamic, used=("moved", "shown", "turned")):
 
 
 def on(launcher):
-    return lambda *rest: live(launcher, *rest)
+    return lambda *rest: at_frame(launcher, *rest)
 
 
 def exactly(inputs, dynamic, used=("moved", "shown", "turned")):
-    return outcome(live_reference, {name: p.double() for name, p in inputs.items()}, dynamic, used)
+    return outcome(at_frame_reference, {name: p.double() for name, p in inputs.items()}, dynamic, used)
 
 
 def assert_close(found, expected):
@@ -106,16 +106,18 @@ def test_all_or_none_may_be_dynamic(corners, still):
     found = outcome(on(Emulator()), inputs, dynamic)
     assert_close(found, exactly(inputs, dynamic))
     if still > 1:
-        assert not dynamic.any() and not any(found[f"g_{name}"].any() for name in LIFE)
+        assert not dynamic.any() and not any(found[f"g_{name}"].any() for name in Lifetime._fields)
         assert all(torch.equal(found[a], inputs[b]) for a, b in (("moved", "points"), ("turned", "quats"), ("shown", "opacities")))
 
 
 def test_what_is_not_dynamic_may_have_any_life():
     inputs, dynamic = given(70, 4)
-    for name in LIFE:
+    for name in Lifetime._fields:
         inputs[name][~dynamic] = torch.nan
     found = outcome(on(Emulator()), inputs, dynamic)
-    assert all(bool(p.isfinite().all()) for p in found.values()) and not any(found[f"g_{name}"][~dynamic].any() for name in LIFE)
+    assert all(bool(p.isfinite().all()) for p in found.values()) and not any(
+        found[f"g_{name}"][~dynamic].any() for name in Lifetime._fields
+    )
 
 
 def test_numbers_that_are_not_finite_stay_with_their_primitive():
@@ -143,8 +145,10 @@ def test_any_order_of_threads_gives_the_same_bits(emulator, corners):
 def test_tensors_that_lie_across_others_are_taken():
     inputs, dynamic = given(40, 4)
     across = {name: torch.stack([p, p], -1)[..., 0] for name, p in inputs.items()}
-    life = Life(*(across[name] for name in LIFE))
-    found = live(Emulator(), across["points"], across["quats"], across["opacities"], life, torch.stack([dynamic, dynamic], 1)[:, 0], FRAME)
+    life = Lifetime(*(across[name] for name in Lifetime._fields))
+    found = at_frame(
+        Emulator(), across["points"], across["quats"], across["opacities"], life, torch.stack([dynamic, dynamic], 1)[:, 0], FRAME
+    )
     expected = outcome(on(Emulator()), inputs, dynamic)
     assert all(torch.equal(p, expected[name]) for name, p in zip(("moved", "turned", "shown"), found))
 

@@ -104,8 +104,8 @@ def test_the_step_on_nodes_notices_a_wrong_program_of_the_antialiased_mode():
 @pytest.mark.parametrize(
     ("motion", "kernel", "named"),
     [
-        ("free", "live", "the loss|the render"),
-        ("free", "live_backward", "the gradient of (gaussians|convexes)"),
+        ("lifetimes", "live", "the loss|the render"),
+        ("lifetimes", "live_backward", "the gradient of (gaussians|convexes)"),
         ("nodes", "skin", "the loss|the render"),
         ("nodes", "skin_backward", "the gradient of (gaussians|convexes|field)"),
     ],

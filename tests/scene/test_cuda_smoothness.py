@@ -7,7 +7,7 @@ import torch
 from e4dgs.rasterizer.cuda.runtime import launching
 from e4dgs.scene.cuda import smoothness
 from e4dgs.scene.cuda.smoothness import total_variation
-from e4dgs.scene.motion.hexplane import HexPlanes, smoothness_reference
+from e4dgs.scene.motion.planes.hexplane import HexPlanes, smoothness_reference
 from simt import CHECKED, RACES, Emulator, why_not
 
 # resolutions, times, channels: nothing to differ from, one axis only, rows shorter and longer than a block's piece, seven channels

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
-from e4dgs.scene.training.recipe import PLANES
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.steps.deferred import LATEST
 from e4dgs.scene.training.trainer import Trainer
 from pretend_cuda import pretending_cuda
@@ -65,7 +65,7 @@ def test_a_step_that_is_not_finite_is_as_if_it_had_not_been(views, monkeypatch):
     with pretending_cuda():
         model = fresh(views)
         model.convexes = ConvexSet.from_points(np.random.default_rng(0).normal(size=(5, 6, 3)), np.full((5, 3), 0.5), 0)
-        trainer, take = begun(views, model, recipe=replace(PLANES, largest_convex=0.01))
+        trainer, take = begun(views, model, recipe=replace(DeformationField.recipe, largest_convex=0.01))
         take(1, 2, 3)
         before, losses = learned(trainer), settled(trainer)
         with monkeypatch.context() as patch:

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.training.schedule import Phase
+from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.coarse.motions import make_nodes
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, there
@@ -66,7 +67,7 @@ def test_nodes_train_as_on_the_cpu(views):
 
     def begun():
         model = fresh(views)
-        model.field = make_nodes(model.gaussians.means.detach().numpy(), QUICK)
+        model.motion = ControlNodes.over(model.gaussians.means.detach().numpy(), QUICK.seed)
         return model
 
     phases = [Phase("moving", 30, move=True)]
@@ -80,8 +81,8 @@ def test_nodes_train_as_on_the_cpu(views):
 def test_primitives_of_their_own_life_train(views):
     with pretending_cuda():
         model = fresh(views)
-        model.field = FreeMotion(4)
-        model.gaussians.live(1.5, 2.0)
+        model.motion = Lifetimes(4)
+        set_lifetime(model.gaussians, 1.5, 2.0)
         before = model.gaussians.velocities.detach().clone()
         log, trainer = trained(model.to("cuda"), there(views), phases=[Phase("moving", 30, move=True)])
     assert log.iterations == 30 and log.nonfinite_steps == 0

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.objective import DROPOUT_GROWS
 from e4dgs.scene.training.optimiser import ALL_ROWS
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.steps.dropout import MOST_OPAQUE, keeps, thinned
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, fresh, make_views
@@ -69,7 +69,7 @@ def test_what_becomes_visible_because_others_are_left_out_is_in_view(tmp_path):
     model.gaussians.dynamic[:] = False
     with torch.no_grad():
         model.gaussians.opacity_logits.fill_(math.log(0.003 / 0.997))  # below 1/255, and above it once it is divided by 0.5
-    model.field = FreeMotion(3)
+    model.motion = Lifetimes(3)
     evaluated = trainer.objective(model, 0, last, PHASE, 0)
     assert len(evaluated.rows.index) and float(evaluated.color.detach().amax()) > 0.003
 

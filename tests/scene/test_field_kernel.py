@@ -5,8 +5,8 @@ import copy
 import pytest
 import torch
 from e4dgs.scene import _kernels
-from e4dgs.scene.motion.displace import displace
-from e4dgs.scene.motion.field import DeformationField
+from e4dgs.scene.motion.planes.displace import displace
+from e4dgs.scene.motion.planes.field import DeformationField
 
 KERNELS = ("avx512", "avx2", "baseline")
 

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.density import Responsibility
 from e4dgs.scene.training.control.growth import DensityControl
-from e4dgs.scene.training.recipe import FREE
-from e4dgs.scene.training.schedule import Phase
 
 BRIEF, STAYS = 0, 1
 STEP, STEPS = 700, 1000  # in the last round of growth
@@ -25,7 +24,7 @@ def split_first(error_of_brief: float, several: bool) -> int:
     gaussians = GaussianSet.from_points(np.array([[-0.5, 0, 3.0], [0.5, 0, 3.0]]), np.zeros((2, 3)), 0, opacity=0.8)
     replaced = []
     learned = SimpleNamespace(
-        model=Model(gaussians, ConvexSet.empty(6, 0), FreeMotion(9), 0), replace=lambda made, rows, step: replaced.append(rows)
+        model=Model(gaussians, ConvexSet.empty(6, 0), Lifetimes(9), 0), replace=lambda made, rows, step: replaced.append(rows)
     )
     none, phase = torch.zeros(0), Phase("deformation", STEPS)
     found = Responsibility(torch.ones(2), none, torch.tensor([error_of_brief, 1.0]), none, torch.tensor([LIFE, 1.0]), none, torch.zeros(2))
@@ -34,7 +33,7 @@ def split_first(error_of_brief: float, several: bool) -> int:
         views=SimpleNamespace(),
         curriculum=SimpleNamespace(several=several, times=range(60), probe=lambda step, count: [0]),
         settings=TrainingSettings(),
-        recipe=FREE,
+        recipe=Lifetimes.recipe,
         phases=[phase],
         budget=2,
         grow=True,

@@ -2,18 +2,10 @@
 
 import pytest
 import torch
+from e4dgs.scene.motion.nodes.schedule import first_motion, first_motion_steps, node_phases
+from e4dgs.scene.schedule import Phase, alike_since, coarse_phases, fine_phases, left_to_fine
 from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
-from e4dgs.scene.training.schedule import (
-    Phase,
-    alike_since,
-    coarse_phases,
-    fine_phases,
-    first_motion_phases,
-    first_motion_steps,
-    left_to_fine,
-    node_phases,
-)
 
 
 def parameter(gradient):
@@ -123,8 +115,10 @@ def test_nodes_see_small_images_first_and_full_size_for_most_of_the_steps(scale)
 @pytest.mark.parametrize(("steps", "first"), [(0, 0), (30, 20), (6000, 4000), (5999, 3999), (40_000, 4000)])
 @pytest.mark.parametrize(("small", "scale"), [(False, 0.25), (True, 0.5)])
 def test_nodes_look_for_the_motion_on_very_small_images_first(steps, first, small, scale):
-    assert first_motion_steps(steps) == first
-    phases = first_motion_phases(first, small)
+    assert first_motion_steps("two-stage", steps) == first and first_motion_steps("joint", steps) == 0
+    training = first_motion("two-stage", steps, small)
+    assert training is not None and training.recipe.rigid_parts_at == () and first_motion("joint", steps, small) is None
+    phases = training.phases
     assert sum(p.iterations for p in phases) == first
     assert all(p.scale == scale and p.move == (p.name == "first motion") for p in phases)
 

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from e4dgs.scene.motion.hexplane import HexPlanes, lookup_reference, smoothness_reference
+from e4dgs.scene.motion.planes.hexplane import HexPlanes, lookup_reference, smoothness_reference
 
 
 def make(resolutions=(5, 9), times=4, channels=8):

@@ -8,6 +8,7 @@ import pytest
 import torch
 from e4dgs.rasterizer import Gaussians, rasterize
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.training.control.hidden import LEAST, footprint, seen_share
 from e4dgs.scene.views import Views
@@ -41,7 +42,7 @@ def model() -> Model:
     with torch.no_grad():
         gaussians.log_scales.copy_(torch.tensor([0.5, 0.05, 0.1]).log()[:, None].expand(3, 3))
         gaussians.opacity_logits.copy_(torch.logit(torch.tensor([FRONT, BEHIND, BEHIND])))
-    return Model(gaussians, ConvexSet.empty(6, 0), None, 0)
+    return Model(gaussians, ConvexSet.empty(6, 0), Static(), 0)
 
 
 def test_what_is_behind_is_seen_as_far_as_the_front_lets_through():

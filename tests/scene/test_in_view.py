@@ -7,11 +7,11 @@ import torch
 from e4dgs.rasterizer import TILE, Camera, Convexes, Frame, Gaussians, rasterize
 from e4dgs.scene import _kernels
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.motion.in_view import in_view
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.settings import TrainingSettings
-from e4dgs.stages.coarse.motions import make_nodes
 
 WIDTH, HEIGHT, TIMES = 150, 90, 9
 DEGREE = 1
@@ -55,7 +55,7 @@ def scene(n=3000, seed=0, size=-3.0, far_from_origin=0.0) -> GaussianSet:
 
 
 def model_of(gaussians: GaussianSet, moves=True, antialiased=True) -> Model:
-    motion = FreeMotion(TIMES) if moves else None
+    motion = Lifetimes(TIMES) if moves else Static()
     return Model(gaussians, ConvexSet.empty(6, DEGREE), motion, DEGREE, antialiased=antialiased)
 
 
@@ -130,6 +130,7 @@ def test_hardly_more_are_chosen_than_the_image_shows(drawn):
 
 def one(**given) -> GaussianSet:
     g = GaussianSet.from_points(torch.tensor([[0.0, 0.0, 0.0]]).numpy(), torch.full((1, 3), 0.5).numpy(), DEGREE, max_scale=0.01)
+    g = g.carrying(Lifetimes.attributes)
     with torch.no_grad():
         for name, value in given.items():
             g.parameters[name][:] = torch.tensor(value)
@@ -208,7 +209,7 @@ def test_no_gaussians_and_none_in_view():
 def test_motion_that_has_to_be_computed_first_is_not_asked():
     gaussians = scene(400)
     model = model_of(gaussians)
-    model.field = make_nodes(gaussians.means.detach().numpy(), TrainingSettings.model_validate({}))
+    model.motion = ControlNodes.over(gaussians.means.detach().numpy())
     assert model.in_view(0.5, looking()) is None
 
 

@@ -5,10 +5,12 @@ import pytest
 import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.nodes import ControlNodes
-from e4dgs.scene.primitives import SH_C0, SHADES, ConvexSet, GaussianSet
-from e4dgs.scene.training.recipe import NODES
-from e4dgs.scene.training.schedule import Phase
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.light import SHADES
+from e4dgs.scene.motion.nodes.schedule import NODES
+from e4dgs.scene.motion.static import Static
+from e4dgs.scene.primitives import SH_C0, ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, wandering_views
 
@@ -24,6 +26,7 @@ def lit(shades=0.5):
     generator = torch.Generator().manual_seed(1)
     with torch.no_grad():
         gaussians.sh_rest.normal_(0, 0.1, generator=generator)
+        gaussians, convexes = (kind.carrying(ControlNodes.attributes) for kind in (gaussians, convexes))
         for kind in (gaussians, convexes):
             kind.shades.copy_(shades * torch.randn(len(kind), SHADES, generator=generator))
     nodes = ControlNodes(torch.tensor(points[:8]), torch.zeros(3), extent=1.0, reach=1.0)
@@ -40,20 +43,20 @@ def test_without_shades_colours_are_the_same_at_all_times_bit_for_bit():
 def test_light_multiplies_the_colour_that_all_directions_share():
     model = lit()
     for t in TIMES:
-        light = model.field.light(t)
+        light = model.motion.light(t)
         assert light.shape == (SHADES,)
         for primitives, own in zip(model.at(t), (model.gaussians, model.convexes)):
             factor = 1 + (own.shades * light).sum(1)
             before = 0.5 + SH_C0 * own.sh_dc[:, 0]
             assert torch.allclose(0.5 + SH_C0 * primitives.sh[:, 0], factor[:, None] * before, atol=1e-5)
             assert torch.equal(primitives.sh[:, 1:], own.sh_rest)
-    assert (model.field.light(0.0) - model.field.light(0.3)).abs().max() > 0.01
+    assert (model.motion.light(0.0) - model.motion.light(0.3)).abs().max() > 0.01
 
 
 def test_a_model_from_before_light_is_loaded_and_looks_the_same_at_all_times():
     model = lit(shades=0.0)
     older = {name: array for name, array in model.to_arrays().items() if not name.endswith("_shades") and "field_light." not in name}
-    assert len(older) == len(model.to_arrays()) - 2 - len(list(model.field.light.parameters()))
+    assert len(older) == len(model.to_arrays()) - 2 - len(list(model.motion.light.parameters()))
     loaded = Model.from_arrays(older, {name: value for name, value in model.config.items() if name != "antialiased"})
     assert not loaded.antialiased
     for t in TIMES:
@@ -88,7 +91,7 @@ def test_gradients_of_colours_under_light_match_central_differences(name):
 
 
 def test_times_outside_the_capture_have_the_light_of_its_ends():
-    nodes = lit().field
+    nodes = lit().motion
     assert torch.equal(nodes.light(-1.0), nodes.light(0.0)) and torch.equal(nodes.light(2.0), nodes.light(1.0))
 
 
@@ -109,7 +112,7 @@ def test_training_finds_a_light_that_rises():
         model = at_rest()
         with torch.no_grad():
             model.gaussians.sh_dc[:20] = (0.25 * (1 + 2 * t) - 0.5) / SH_C0
-        model.field = None
+        model.motion = Static()
         return model.render(view, t).color
 
     pictures = [picture(float(t), views.rasterizer_camera(i)) for i, t in enumerate(views.time)]

@@ -8,18 +8,19 @@ from e4dgs.scene.losses.flow_loss import data_flow_loss, interval_loss, project,
 from e4dgs.scene.losses.flow_terms import Interval, MeasuredFlowTerm
 from e4dgs.scene.losses.term import Now, Run
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.field import DeformationField
+from e4dgs.scene.motion.carrier import Carrier
+from e4dgs.scene.motion.planes.field import DeformationField
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.dynamics import dynamic_from_masks, freeze_static_gaussians
-from e4dgs.scene.training.recipe import PLANES
 from e4dgs.scene.views import Views
 
 WIDTH, HEIGHT = 48, 32
 
 
-class Path(torch.nn.Module):
+class Path(Carrier):
     """A motion with a known path: dx = velocity t + acceleration t^2, for every position."""
 
     def __init__(self, velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
@@ -28,15 +29,11 @@ class Path(torch.nn.Module):
         self.acceleration = torch.nn.Parameter(torch.tensor(acceleration).float())
 
     worth_culling = True
-    steady = False
     priors_at_places = True
-    carry, light = DeformationField.carry, DeformationField.light  # by its displacement
-
-    def links(self, points, hyper):
-        return None
+    carry = DeformationField.carry  # by its displacement
 
     def forward(self, rest, t):
-        from e4dgs.scene.motion.interface import Displacement
+        from e4dgs.scene.motion.planes.displace import Displacement
 
         dx = (self.velocity * t + self.acceleration * t * t).expand(len(rest), 3)
         return Displacement(dx, torch.tensor([1.0, 0, 0, 0]).expand(len(rest), 4), torch.zeros(len(rest), 3))
@@ -57,7 +54,7 @@ def model(motion=None, convex=False):
     rng = np.random.default_rng(0)
     hull = rng.normal(size=(1, 6, 3)) * 0.3
     c = ConvexSet.from_points(hull, np.full((1, 3), 0.5), 0) if convex else ConvexSet.empty(6, 0)
-    return Model(g, c, motion, 0)
+    return Model(g, c, motion or Static(), 0)
 
 
 def views(frames=3):
@@ -171,14 +168,14 @@ def test_flow_terms_reach_the_motion_and_nothing_else():
 
 def due(model, total=100, frames=3, measured=None, **settings):
     """Steps of ``total`` that evaluate L_interval, and those that compare measured flow."""
-    run = Run(views(frames), TrainingSettings(flow_every=8, **settings), PLANES, 1.0, False, total, 0, measured)
+    run = Run(views(frames), TrainingSettings(flow_every=8, **settings), DeformationField.recipe, 1.0, False, total, 0, measured)
     terms = Interval(run), MeasuredFlowTerm(run)
     return [[n for n in range(0, total, term.every) if term.due(model, Now(0, n, 1.0, True))] for term in terms]
 
 
 def test_steps_evaluate_flow_terms_only_if_they_can_tell_something():
     bends, steady = model(Path()), model(Path())
-    steady.field.steady = True
+    steady.motion.steady = True
     late = list(range(32, 100, 8))  # from 30 % of the steps
     assert due(bends) == [late, []]
     assert due(bends, 106)[0][0] == 32 and due(bends, 107)[0][0] == 40

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.courses import RANK, SharedCourses, encode, encode_places
-from e4dgs.scene.motion.interface import Rest
-from e4dgs.scene.motion.nodes import ControlNodes, farthest_points, spacing
-from e4dgs.scene.motion.rigid_parts import RigidParts
+from e4dgs.scene.motion.carrier import Rest
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.courses import RANK, SharedCourses, encode, encode_places
+from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
+from e4dgs.scene.motion.nodes.spread import farthest_points, spacing
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 
 
@@ -27,7 +28,7 @@ def moving(count=12, seed=0):
 def rest(n=40, seed=1):
     generator = torch.Generator().manual_seed(seed)
     points, quats = torch.rand(n, 3, generator=generator) * 2 - 1, torch.randn(n, 4, generator=generator)
-    return Rest(points, quats, torch.zeros(n, 2), None)
+    return Rest(points, quats, {"hyper": torch.zeros(n, 2)}, None)
 
 
 def steer(nodes, output):
@@ -61,7 +62,7 @@ def test_a_lone_node_turns_what_it_carries_about_itself():
     nodes = steer(
         ControlNodes(torch.zeros(1, 3), torch.zeros(3), 1.0, 1.0), [-1 / 0.3 + np.sqrt(0.5) / 0.3, 0, 0, np.sqrt(0.5) / 0.3, 0, 0, 0]
     )
-    moved = nodes.carry(Rest(torch.tensor([[1.0, 0, 0]]), torch.tensor([[1.0, 0, 0, 0]]), torch.zeros(1, 2), None), 0.5)
+    moved = nodes.carry(Rest(torch.tensor([[1.0, 0, 0]]), torch.tensor([[1.0, 0, 0, 0]]), {"hyper": torch.zeros(1, 2)}, None), 0.5)
     assert torch.allclose(moved.points, torch.tensor([[0.0, 1, 0]]), atol=1e-6)  # a quarter turn about z
     assert torch.allclose(moved.quats, torch.tensor([[np.sqrt(0.5), 0, 0, np.sqrt(0.5)]]).float(), atol=1e-6)
 
@@ -74,7 +75,7 @@ def test_turning_in_place_strains_the_graph():
 def test_gradients_reach_every_parameter():
     nodes, given = moving(), rest()
     hyper = torch.full((40, 2), 0.1, requires_grad=True)
-    moved = nodes.carry(given._replace(hyper=hyper), 0.4)
+    moved = nodes.carry(given._replace(attributes={"hyper": hyper}), 0.4)
     rigidity, course = nodes.priors(given.points, given.points, 0.4, 0.1)
     (moved.points.square().sum() + moved.quats.square().sum() + rigidity + course + nodes.light(0.4).square().sum()).backward()
     for name, parameter in nodes.named_parameters():
@@ -140,7 +141,7 @@ def test_what_is_kept_of_the_places_follows_a_state_that_is_loaded():
 def test_nothing_is_kept_that_a_cuda_graph_in_the_making_computes(monkeypatch):
     """It would lie in memory that other graphs write to."""
     nodes, other = moving(), moving()
-    monkeypatch.setattr("e4dgs.scene.motion.nodes.in_capture", lambda device: True)
+    monkeypatch.setattr("e4dgs.scene.motion.nodes.control_nodes.in_capture", lambda device: True)
     strain, _ = nodes.priors(torch.zeros(0, 3), torch.zeros(0), 0.5, 0.1)
     assert not nodes._known
     monkeypatch.undo()
@@ -156,8 +157,8 @@ def test_hyper_coordinates_part_what_touches():
     with torch.no_grad():
         nodes.log_radii.fill_(np.log(0.1))
         nodes.hyper.copy_(torch.tensor([[1.0, 0], [-1.0, 0]]))
-        given = Rest(torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1), torch.tensor([[1.0, 0], [-1.0, 0]]), None)
-        link = nodes.links(given.points, given.hyper)
+        given = Rest(torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1), {"hyper": torch.tensor([[1.0, 0], [-1.0, 0]])}, None)
+        link = nodes.nearest(given.points, given.attributes["hyper"])
     assert link[:, 0].tolist() == [0, 1]
 
 

@@ -94,7 +94,7 @@ def test_rows_step_at_their_own_pace(copied, width):
     start, spans = torch.randn(700, width, generator=generator), torch.randn(700, generator=generator)
     index = torch.arange(0, 699, 3)
     ends = []
-    for pace in (lambda log_spans: torch.exp(-log_spans), lambda log_spans: None):
+    for pace in (lambda p: torch.exp(-p["log_spans"]) if "log_spans" in p else None, lambda p: None):
         named = {"a.p": start.clone(), "a.log_spans": spans.clone(), "b.q": torch.ones(4, width)}
         adam = RowAdam({k: p.requires_grad_() for k, p in named.items()}, {name: lambda progress: 0.1 for name in named}, pace=pace)
         draw = torch.Generator().manual_seed(7)

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.fibonacci import fibonacci_sphere, neighbour_radius
+from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
+from e4dgs.scene.motion.rates import exponential
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.training.control.density import keep_small, survivors
 from e4dgs.scene.training.control.splits import choose_to_split, split
 from e4dgs.scene.training.optimiser import RowAdam
-from e4dgs.scene.training.rates import exponential
 
 
 def gaussians(count=6, degree=1):
@@ -39,7 +40,7 @@ def test_a_convex_takes_the_place_of_its_gaussian():
         g.log_scales.copy_(torch.tensor([0.3, 0.1, 0.004]).log().expand(4, 3))
         g.quats.copy_(torch.from_numpy(rng.normal(size=(4, 4))))
         g.sh_rest.normal_()
-    g.live(torch.arange(4.0), 2.0, torch.ones(4, 3))
+    set_lifetime(g, torch.arange(4.0), 2.0, torch.ones(4, 3))
     g.dynamic[1] = False
     c = ConvexSet.replacing(g, 6)
     assert c.points.shape == (4, 6, 3) and c.points.is_leaf

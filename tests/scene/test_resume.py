@@ -8,11 +8,11 @@ from functools import cache
 import interrupted
 import pytest
 import torch
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.schedule import FIRST_MOTION, NODES
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training import convergence
 from e4dgs.scene.training.checkpoint import FILE
-from e4dgs.scene.training.recipe import FIRST_MOTION, NODES
-from e4dgs.scene.training.schedule import Phase
-from e4dgs.stages.coarse.motions import make_nodes
 from interrupted import EVERY, KINDS, QUICK, ROUNDS, Dying, Killed, digests, prepared, run
 from sliding_gaussians import fresh, make_views, wandering_views
 
@@ -51,17 +51,17 @@ def test_these_trainings_hold_what_could_be_lost():
     """Motion of every kind that was renewed, colours of cameras, convexes, in the end and away from where they began."""
     nodes, fine = whole("nodes"), whole("fine")
     assert sum("the motion was spread" in event for event in nodes.log.events) == len(NODES.spread_at)
-    for kind in ("planes", "free", "fine"):
+    for kind in ("planes", "lifetimes", "fine"):
         assert float(whole(kind).model.affine.offset.detach().abs().max()) > 1e-4
     assert len(fine.model.convexes) and {bool(d) for d in fine.model.convexes.dynamic} == {True}
-    assert float(whole("free").model.gaussians.velocities.detach().abs().max()) > 1e-4
+    assert float(whole("lifetimes").model.gaussians.velocities.detach().abs().max()) > 1e-4
 
 
 def test_a_process_that_is_killed_while_it_saves_is_continued_by_another(tmp_path):
     """A real SIGKILL, when the new checkpoint is written and not yet in its place; several rounds of density control are lost with it."""
 
     def process(*dies: object) -> subprocess.CompletedProcess:
-        words = [interrupted.__file__, "free", tmp_path, torch.get_num_threads(), *dies]
+        words = [interrupted.__file__, "lifetimes", tmp_path, torch.get_num_threads(), *dies]
         return subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True)
 
     killed = process("saving", 6 * EVERY)
@@ -71,7 +71,7 @@ def test_a_process_that_is_killed_while_it_saves_is_continued_by_another(tmp_pat
     assert ended.returncode == 0, ended.stderr
     *found, last = ended.stdout.splitlines()
     assert last.startswith(f"continued continued from the checkpoint at step {5 * EVERY} of")
-    assert dict(line.split() for line in found) == digests(whole("free"))
+    assert dict(line.split() for line in found) == digests(whole("lifetimes"))
 
 
 def test_writing_checkpoints_changes_nothing(tmp_path):
@@ -81,7 +81,7 @@ def test_writing_checkpoints_changes_nothing(tmp_path):
         views = wandering_views(9, 16)
         model = fresh(views, static=True)
         model.gaussians.dynamic[:] = True
-        model.field = make_nodes(model.gaussians.means.detach().numpy(), QUICK)
+        model.motion = ControlNodes.over(model.gaussians.means.detach().numpy(), QUICK.seed)
         phases = [Phase("warm-up", 60, False, 0.5), Phase("deformation", 39, True, 0.5)]
         settings = QUICK.model_copy(update={"checkpoint_seconds": every, "lr_means": 4e-2})
         return run(Dying(model, views, phases, settings, budget=90, recipe=FIRST_MOTION, checkpoints=folder))
@@ -98,7 +98,7 @@ def test_a_training_that_goes_on_keeps_its_unit_of_length(tmp_path):
     other = fresh(views, static=True)
     with torch.no_grad():
         other.gaussians.means.mul_(7.0)
-    other.field = make_nodes(other.gaussians.means.detach().numpy(), QUICK)
+    other.motion = ControlNodes.over(other.gaussians.means.detach().numpy(), QUICK.seed)
     again = Dying(other, views, whole.phases, QUICK, budget=90, recipe=NODES, checkpoints=tmp_path)
     assert again.unit == again.objective.run.unit == whole.unit
     begun = Dying(other, views, whole.phases, QUICK, budget=90, recipe=NODES)

@@ -4,7 +4,7 @@ import platform
 
 import pytest
 import torch
-from e4dgs.scene.motion.skinning import Nodes, nearest_nodes, skin, skin_reference
+from e4dgs.scene.motion.nodes.skinning import Nodes, nearest_nodes, skin, skin_reference
 
 NAMES = ("points", "quats", "hyper", "home_hyper", "falloff", "turns", "shifts")
 

@@ -8,11 +8,11 @@ import torch
 from e4dgs.rasterizer import Gaussians, rasterize
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.nodes import ControlNodes
+from e4dgs.scene.motion.nodes import turning
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.steady_turn import DIRECTIONS, FEW_DIRECTIONS, MIN_FRAMES, TurnSearch, compact_parts, rotation_vectors
+from e4dgs.scene.motion.nodes.turning import FRESH, WIDER
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.training import turning
-from e4dgs.scene.training.spin import DIRECTIONS, FEW_DIRECTIONS, MIN_FRAMES, SpinSearch, compact_parts, rotation_vectors
-from e4dgs.scene.training.turning import FRESH, WIDER, make_turning_parts_rigid
 from e4dgs.scene.views import Views
 from pretend_cuda import pretending_cuda
 from scipy.spatial.transform import Rotation
@@ -64,7 +64,7 @@ def turning_ball(frames, omega, plain=False):
 
 def search(views, shift=(0.0, 0.0, 0.0)):
     frames = np.arange(len(views.train))
-    return SpinSearch(views, frames, path(len(frames)) + np.array(shift), RADIUS)
+    return TurnSearch(views, frames, path(len(frames)) + np.array(shift), RADIUS)
 
 
 def test_a_steady_turn_is_found_and_so_is_its_centre():
@@ -156,21 +156,21 @@ def test_a_turning_part_becomes_a_rigid_part_with_fresh_gaussians(monkeypatch):
     cloud = np.concatenate([rest + RADIUS * fibonacci_sphere(80), rng.uniform(-1, 0, (300, 3))])
     gaussians = GaussianSet.from_points(cloud, np.full((380, 3), 0.5), 0)
     nodes = ControlNodes(torch.tensor(rng.uniform(-1, 0, (10, 3))), torch.zeros(3), 1.0, 1.0)
-    monkeypatch.setattr(turning, "part_path", lambda model, part, times: path(40))  # as trained nodes would carry it
+    monkeypatch.setattr(turning, "part_path", lambda nodes, scene, part, times: path(40))  # as trained nodes would carry it
     model = Model(gaussians, ConvexSet.empty(6, 0), nodes, 0)
     error = torch.tensor(np.concatenate([np.full(80, 9.0), np.ones(300)])).float()
     said = []
-    source = make_turning_parts_rigid(model, views, error, 0, said.append)
+    model.motion, model.gaussians, source = model.motion.with_turning_parts(model, views, error, 0, said.append)
     assert len(model.gaussians) == len(source) == 300 + FRESH and (source[-FRESH:] == -1).all()
     assert torch.equal(source[:300], torch.arange(80, 380)) and "turns by 11" in said[0]
-    rigid_parts = model.field.rigid_parts
+    rigid_parts = model.motion.rigid_parts
     assert len(rigid_parts) == 1 and float(rigid_parts.radius[0]) == pytest.approx(WIDER * RADIUS, rel=0.1)
     a, b = (rigid_parts.pose(k / 39)[0][0].detach() for k in (20, 22))
     turned = np.degrees((Rotation.from_quat(b[[1, 2, 3, 0]]) * Rotation.from_quat(a[[1, 2, 3, 0]]).inv()).as_rotvec())
     assert np.allclose(turned, 2 * np.degrees(OMEGA), atol=3.0)
     there = rigid_parts.home[0] + rigid_parts.pose(10 / 39)[1][0].detach()
     assert np.linalg.norm(there.numpy() - path(40)[10]) < 0.05
-    again = make_turning_parts_rigid(model, views, torch.cat([torch.zeros(300), torch.full((FRESH,), 9.0)]), 0, said.append)
+    again = model.motion.with_turning_parts(model, views, torch.cat([torch.zeros(300), torch.full((FRESH,), 9.0)]), 0, said.append)
     assert again is None and len(said) == 1  # a rigid part is left alone
     # What is fresh goes with the new rigid part alone, and nothing else does.
     link = model.links(model.gaussians)

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.free import FreeMotion
-from e4dgs.scene.motion.lives import presence
+from e4dgs.scene.motion.lifetimes.at_frame import presence
+from e4dgs.scene.motion.lifetimes.lifetime import lifetime, set_lifetime
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control import growth
 from e4dgs.scene.training.control.density import Responsibility, measure_responsibility
 from e4dgs.scene.training.control.growth import IN_TIME, IN_TIME_FROM, IN_TIME_UNSEEN, DensityControl
-from e4dgs.scene.training.control.splits import into_lives, split
-from e4dgs.scene.training.recipe import FREE
-from e4dgs.scene.training.schedule import Phase
+from e4dgs.scene.training.control.splits import split
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.scene.views import Views
 
@@ -24,7 +25,7 @@ TIMES, STEPS = 9, 1000
 
 
 def one(dynamic: bool = False) -> GaussianSet:
-    gaussians = GaussianSet.from_points(np.array([[0.0, 0, 3]]), np.full((1, 3), 0.5), 0, opacity=0.8)
+    gaussians = GaussianSet.from_points(np.array([[0.0, 0, 3]]), np.full((1, 3), 0.5), 0, opacity=0.8).carrying(Lifetimes.attributes)
     with torch.no_grad():
         gaussians.log_scales.fill_(np.log(0.3))
         if dynamic:
@@ -46,7 +47,7 @@ def varying(levels: list[int]) -> float:
     with torch.no_grad():
         gaussians.log_scales.fill_(np.log(20.0))
         gaussians.opacity_logits.fill_(6.0)
-    model = Model(gaussians, ConvexSet.empty(6, 0), FreeMotion(len(levels)), 0)
+    model = Model(gaussians, ConvexSet.empty(6, 0), Lifetimes(len(levels)), 0)
     views = in_front_of([np.full((40, 48, 3), level, np.uint8) for level in levels])
     return float(measure_responsibility(model, views, list(range(len(levels))), move=True).varying_gaussians[0])
 
@@ -58,19 +59,19 @@ def test_error_that_changes_its_sign_over_time_is_measured():
 
 
 def test_without_lives_nothing_is_measured():
-    model = Model(one(), ConvexSet.empty(6, 0), None, 0)
+    model = Model(one(), ConvexSet.empty(6, 0), Static(), 0)
     views = in_front_of([np.full((40, 48, 3), level, np.uint8) for level in (0, 255)])
     assert measure_responsibility(model, views, [0, 1], move=False).varying_gaussians.tolist() == [0.0]
 
 
 def present(lives: GaussianSet, frame: float) -> float:
     """How opaque ``lives`` are together."""
-    return 1 - float((1 - lives.opacities * presence(lives.life, frame)).detach().prod())
+    return 1 - float((1 - lives.opacities * presence(lifetime(lives), frame)).detach().prod())
 
 
 def test_who_stays_gets_two_lives_at_its_place_that_cover_all_times():
     three = GaussianSet.joined([one(), one(dynamic=True), one()])
-    made, source = split(three, torch.tensor([1]), torch.tensor([0]), TIMES)
+    made, source = split(three, torch.tensor([1]), torch.tensor([0]), Lifetimes(TIMES).halves_in_time)
     assert source.tolist() == [2, -1, -1, -1, -1] and made.dynamic.tolist() == [False, True, True, True, True]
     lives = made.select(torch.tensor([3, 4]))
     for name in ("means", "quats", "log_scales", "opacity_logits", "sh_dc"):
@@ -82,10 +83,10 @@ def test_who_stays_gets_two_lives_at_its_place_that_cover_all_times():
 
 def test_the_halves_of_a_life_stay_on_its_course():
     parent = one(dynamic=True)
-    parent.live(4.0, 2.0, torch.tensor([[0.1, 0.0, -0.2]]))
+    set_lifetime(parent, 4.0, 2.0, torch.tensor([[0.1, 0.0, -0.2]]))
     with torch.no_grad():
         parent.spins[:] = torch.tensor([0.0, 0.3, 0.1])
-    (early, late), motion = into_lives(parent, times=40), FreeMotion(40)
+    (early, late), motion = Lifetimes(40).halves_in_time(parent), Lifetimes(40)
     assert early.times.item() < 4 < late.times.item() and early.log_spans.item() < parent.log_spans.item()
     both = GaussianSet.joined([early, late])
     assert present(both, 4.0) == pytest.approx(present(parent, 4.0), abs=0.02)
@@ -120,7 +121,7 @@ def round_of(
     """What a round at ``step`` makes of one Gaussian in the middle of the pictures, of whose error ``share`` changes sign."""
     made = []
     learned = SimpleNamespace(
-        model=Model(one(dynamic), ConvexSet.empty(6, 0), FreeMotion(TIMES), 0), replace=lambda gaussians, rows, step: made.append(gaussians)
+        model=Model(one(dynamic), ConvexSet.empty(6, 0), Lifetimes(TIMES), 0), replace=lambda gaussians, rows, step: made.append(gaussians)
     )
     none, single = torch.zeros(0), torch.ones(1)
     found = Responsibility(single, none, single, none, single, none, torch.tensor([share]))
@@ -128,7 +129,7 @@ def round_of(
     curriculum = SimpleNamespace(several=several, times=np.linspace(0, 1, times), probe=lambda step, count: [0, 1, 2, 3])
     views = in_front_of([np.zeros((40, 48, 3), np.uint8)] * 4)
     control = DensityControl(
-        learned, views, curriculum, TrainingSettings(), FREE, [phase], 9, True, lambda words: None, lambda *given: found, moving
+        learned, views, curriculum, TrainingSettings(), Lifetimes.recipe, [phase], 9, True, lambda words: None, lambda *given: found, moving
     )
     control.round(step, phase)
     return made[0]
@@ -170,7 +171,9 @@ def test_training_asks_the_masks_whether_something_moves(moves, lives, monkeypat
     gaussians = GaussianSet.joined([one(), one()])
     with torch.no_grad():
         gaussians.log_scales.fill_(np.log(20.0))
-    model = Model(gaussians, ConvexSet.empty(6, 0), FreeMotion(16), 0)
+    model = Model(gaussians, ConvexSet.empty(6, 0), Lifetimes(16), 0)
     mask = torch.full((10, 12), moves)
-    Trainer(model, views, [Phase("deformation", 280, move=True)], TrainingSettings(), 8, moving=lambda i: mask, recipe=FREE).run()
+    Trainer(
+        model, views, [Phase("deformation", 280, move=True)], TrainingSettings(), 8, moving=lambda i: mask, recipe=Lifetimes.recipe
+    ).run()
     assert len(model.gaussians) > 2 and bool(model.gaussians.dynamic.any()) is lives

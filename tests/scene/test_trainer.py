@@ -8,17 +8,19 @@ import pytest
 import torch
 from e4dgs.scene.losses.appearance import on_other_background
 from e4dgs.scene.losses.surface import SMOOTH_END, Surface
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.schedule import NODES, node_phases
+from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet
+from e4dgs.scene.schedule import Phase, coarse_phases, fine_phases
 from e4dgs.scene.training import convergence, objective
 from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.curriculum import MIN_CAMERAS
 from e4dgs.scene.training.drawn_tiles import LEAST_TIMES, Drawn
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
-from e4dgs.scene.training.recipe import FREE, NODES, PLANES
-from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
-from e4dgs.stages.coarse.motions import make_nodes
 from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, wandering_views
 
 
@@ -30,7 +32,7 @@ def views():
 def train(views, model=None, settings=SETTINGS, budget=90, phases=None, **options):
     model = model or fresh(views)
     trainer = Trainer(
-        model, views, phases or coarse_phases("two-stage", settings.iterations, model.field is None), settings, budget, **options
+        model, views, phases or coarse_phases("two-stage", settings.iterations, model.motion is None), settings, budget, **options
     )
     return model, trainer.run(), trainer
 
@@ -133,7 +135,7 @@ def test_a_removal_is_made_up_for_before_training_may_stop(views, monkeypatch, r
     """With a patience of 100, the losses of the last 200 steps tell; they are looked at every 100 steps, from half of the steps on."""
     monkeypatch.setattr(convergence, "CONVERGED", 0.99)  # no improvement is enough
     settings = SETTINGS.model_copy(update={"patience": 100, "densify_until": 0.0, "min_contribution": 5.0})
-    recipe = dataclasses.replace(PLANES, prune_at=removed_at / 800)
+    recipe = dataclasses.replace(DeformationField.recipe, prune_at=removed_at / 800)
     model = fresh(views, static=True)
     before = len(model.gaussians)
     _, log, _ = train(views, model, settings, phases=[Phase("rest", 800, move=False)], recipe=recipe)
@@ -146,10 +148,10 @@ def test_control_nodes_are_spread_anew_and_learn():
     settings = SETTINGS.model_copy(update={"iterations": 240})
     model = fresh(views, static=True)
     model.gaussians.dynamic[:] = True
-    model.field = make_nodes(model.gaussians.means.detach().numpy(), settings)
-    begun, before = model.field.positions.clone(), psnr(model, views)
+    model.motion = ControlNodes.over(model.gaussians.means.detach().numpy(), settings.seed)
+    begun, before = model.motion.positions.clone(), psnr(model, views)
     train(views, model, settings, phases=node_phases(240, 0.5), recipe=NODES)
-    moved = torch.cdist(model.field.positions, begun).amin(1)
+    moved = torch.cdist(model.motion.positions, begun).amin(1)
     assert float(moved.median()) > 0.01
     assert psnr(model, views) > before + 3
 
@@ -200,7 +202,7 @@ def test_small_images_hold_few_gaussians(views):
 def test_what_is_hardly_seen_goes_once_and_steps_follow(views, prune_at, step):
     model = fresh(views, static=True)
     model.gaussians.dynamic[:] = True
-    model.field = make_nodes(model.gaussians.means.detach().numpy(), SETTINGS)
+    model.motion = ControlNodes.over(model.gaussians.means.detach().numpy(), SETTINGS.seed)
     with torch.no_grad():
         model.gaussians.means[:7] = torch.tensor([0.0, 0.0, -50.0])  # behind all cameras
     _, log, _ = train(views, model, phases=node_phases(40, 1.0), recipe=dataclasses.replace(NODES, prune_at=prune_at))
@@ -233,9 +235,9 @@ def test_a_training_that_leaves_out_what_is_not_in_view_learns_the_same(monkeypa
         with torch.no_grad():
             model.gaussians.means[::2] += 3.0  # out of view
             model.gaussians.log_scales += torch.tensor([0.3, 0.0, -0.3])  # of a sphere, the turn would be trained by rounding alone
-        model.field = FreeMotion(LEAST_TIMES)
-        model.gaussians.live(torch.arange(len(model.gaussians)) % LEAST_TIMES, 1.5)
-        _, _, trainer = train(views, model=model, settings=settings, recipe=FREE)
+        model.motion = Lifetimes(LEAST_TIMES)
+        set_lifetime(model.gaussians, torch.arange(len(model.gaussians)) % LEAST_TIMES, 1.5)
+        _, _, trainer = train(views, model=model, settings=settings, recipe=Lifetimes.recipe)
         found = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
         counts.append(None if found.rows.index is None else len(found.rows.index))
         ends.append(trainer.learned.tensors())

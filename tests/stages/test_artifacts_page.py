@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 from e4dgs.scene.colour import CameraAffine
-from e4dgs.scene.motion.field import DeformationField
-from e4dgs.scene.motion.nodes import ControlNodes
-from e4dgs.scene.motion.rigid_parts import RigidParts
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
+from e4dgs.scene.motion.planes.field import DeformationField
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "artifacts.md").read_text()

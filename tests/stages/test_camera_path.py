@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.scene.camera_paths import centres
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.exports.camera_path import followed, named_path, seconds_of
 
@@ -27,7 +28,7 @@ def ring(cameras: int = 6, radius: float = 3.0) -> SimpleNamespace:
 
 def nothing() -> Model:
     """A model without primitives."""
-    return Model(GaussianSet.from_points(np.zeros((0, 3)), np.zeros((0, 3)), 0), ConvexSet.empty(6, 0), None, 0)
+    return Model(GaussianSet.from_points(np.zeros((0, 3)), np.zeros((0, 3)), 0), ConvexSet.empty(6, 0), Static(), 0)
 
 
 def walk(pictures: int = 30, times: np.ndarray | None = None) -> SimpleNamespace:

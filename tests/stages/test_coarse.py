@@ -22,7 +22,7 @@ from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 9
 ITERATIONS = 24
-KIND = {"with_masks": "free", "without_masks": "planes"}
+KIND = {"with_masks": "lifetimes", "without_masks": "planes"}
 
 
 @pytest.fixture(scope="module")

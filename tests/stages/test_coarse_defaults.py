@@ -4,17 +4,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from e4dgs.stages.coarse.defaults import ITERATIONS_NODES, LEAST_ITERATIONS, auto_iterations
-from e4dgs.stages.coarse.run import Start, first_model
+from e4dgs.scene.motion.kinds import KINDS, choose
+from e4dgs.scene.motion.start import Start
+from e4dgs.stages.coarse.defaults import LEAST_ITERATIONS, auto_iterations
+from e4dgs.stages.coarse.run import first_model
 from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.facts import Facts
-from e4dgs.stages.shared.defaults import CLIP_PIXELS, auto_budget, found_facts, use_nodes
+from e4dgs.stages.shared.defaults import CLIP_PIXELS, auto_budget, found_facts
 
 
 @pytest.mark.parametrize(
     ("frames", "times", "cameras", "static", "expected"),
     [
-        (81, 67, 81, False, ITERATIONS_NODES),  # a new camera at every time
+        (81, 67, 81, False, KINDS["nodes"].steps),  # a new camera at every time
         (90, 90, 1, False, 6000),  # one camera over time
         (372, 12, 31, False, 6000),  # a rig over few times
         (4 * 45, 45, 4, False, 12_600),
@@ -41,21 +43,33 @@ def test_large_clips_get_fewer_steps_on_a_cpu():
         assert auto_iterations(Facts(**{**clip, **other}, width=960, height=540), CoarseSettings()) == 6000
 
 
+CLIP = {"frames": 90, "cameras": 1, "times": 90, "pairs": 89}
+ORBIT = {"frames": 81, "cameras": 81, "times": 67, "pairs": 0}
+RIG = {"frames": 360, "cameras": 8, "times": 45, "pairs": 352}
+
+
 @pytest.mark.parametrize(
-    ("facts", "motion", "nodes"),
+    ("facts", "asked", "moving_seeds", "kind"),
     [
-        ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0}, "auto", True),
-        ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0}, "planes", False),
-        ({"frames": 81, "cameras": 81, "times": 8, "pairs": 0}, "auto", False),  # too few to tell a path
-        ({"frames": 90, "cameras": 1, "times": 90, "pairs": 89}, "auto", False),
-        ({"frames": 90, "cameras": 1, "times": 90, "pairs": 89}, "nodes", True),
-        ({"frames": 360, "cameras": 8, "times": 45, "pairs": 352}, "auto", False),
-        ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0, "static": True}, "auto", False),
-        ({"frames": 81, "cameras": 81, "times": 67, "pairs": 0, "static": True}, "nodes", False),
+        (ORBIT, None, None, "nodes"),  # each frame is from another side
+        (ORBIT, "planes", None, "planes"),
+        (ORBIT | {"times": 8}, None, None, "planes"),  # too few to tell a path
+        (ORBIT | {"static": True}, None, None, "static"),
+        (ORBIT | {"static": True}, "nodes", None, "static"),
+        (CLIP, None, None, "lifetimes"),
+        (CLIP, None, True, "lifetimes"),
+        (CLIP, None, False, "planes"),  # no seed was found on what moves
+        (CLIP, "nodes", None, "nodes"),
+        (CLIP, "planes", True, "planes"),
+        (CLIP, "lifetimes", False, "lifetimes"),
+        (RIG, None, None, "lifetimes"),
+        (RIG | {"fixed_cameras": True}, None, None, "lifetimes"),
+        (CLIP | {"fixed_cameras": True}, None, None, "planes"),  # one camera that stands still: nothing tells a depth
+        (CLIP | {"fixed_cameras": True}, None, False, "planes"),
     ],
 )
-def test_nodes_move_captures_of_which_each_frame_is_from_another_side(facts, motion, nodes):
-    assert use_nodes(Facts.of(facts), motion) is nodes
+def test_what_moves_a_capture_follows_from_how_it_was_filmed(facts, asked, moving_seeds, kind):
+    assert choose(asked, Facts.of(facts), moving_seeds) == kind
 
 
 @pytest.mark.parametrize(
@@ -76,27 +90,27 @@ def test_a_static_scene_has_as_many_times_as_training_sees(found, times):
     assert (facts.times, facts.rig) == ((times, times == 1) if found else (20, False))
 
 
-@pytest.mark.parametrize("kind", ["nodes", "planes", "free", "static"])
+@pytest.mark.parametrize("kind", ["nodes", "planes", "lifetimes", "static"])
 def test_models_are_antialiased_unless_they_are_asked_not_to_be(kind):
     points = np.random.default_rng(0).uniform(-1, 1, (60, 3))
-    start = Start(points, np.full((60, 3), 0.5), np.ones(60, bool), None, 0.1)
+    start = Start(points, np.full((60, 3), 0.5), np.ones(60, bool), None, 1, 0.1)
     views = SimpleNamespace(time=np.linspace(0, 1, 9), near=0.1, background=(0.0, 0.0, 0.0))
-    assert first_model(kind, start, views, 1, CoarseSettings()).antialiased
-    assert not first_model(kind, start, views, 1, CoarseSettings(antialiased=False)).antialiased
+    assert first_model(kind, start, views, CoarseSettings()).antialiased
+    assert not first_model(kind, start, views, CoarseSettings(antialiased=False)).antialiased
 
 
 @pytest.mark.parametrize(
-    ("frames", "times", "static", "nodes", "size", "expected"),
+    ("frames", "times", "kind", "size", "expected"),
     [
-        (90, 90, False, False, (480, 270), 480 * 270 // 4),
-        (90, 90, True, False, (480, 270), 480 * 270 // 8),
-        (90, 90, False, True, (400, 400), 32_000),
-        (90, 90, False, False, (200, 200), 12_000),
-        (90, 90, False, False, (1280, 720), 120_000),
-        (8 * 45, 45, False, False, (480, 270), 40_000),
-        (8 * 45, 45, True, False, (640, 360), 57_600),
+        (90, 90, "planes", (480, 270), 480 * 270 // 4),
+        (90, 90, "static", (480, 270), 480 * 270 // 8),
+        (90, 90, "nodes", (400, 400), 32_000),
+        (90, 90, "planes", (200, 200), 12_000),
+        (90, 90, "planes", (1280, 720), 120_000),
+        (8 * 45, 45, "planes", (480, 270), 40_000),
+        (8 * 45, 45, "static", (640, 360), 57_600),
     ],
 )
-def test_the_budget_follows_from_the_pixels(frames, times, static, nodes, size, expected):
+def test_the_budget_follows_from_the_pixels(frames, times, kind, size, expected):
     views = SimpleNamespace(width=size[0], height=size[1])
-    assert auto_budget(Facts(frames=frames, times=times, static=static), views, nodes) == expected
+    assert auto_budget(Facts(frames=frames, times=times, static=kind == "static"), views, kind) == expected

@@ -16,7 +16,7 @@ from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
 from e4dgs.rasterizer import Camera, Frame
 from e4dgs.scene.metrics.lpips import expected_shapes
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.field import DeformationField
+from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.evaluate.artifact import StoredPictures, read_movies
 from e4dgs.stages.evaluate.flicker import measure_flicker

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import Context
+from e4dgs.scene.motion.kinds import choose
 from e4dgs.scene.seeds.colours import mean_colour
 from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.scene.seeds.path_width import path_width
@@ -108,8 +109,8 @@ def test_a_rig_gets_a_budget_for_a_room(rig):
     views = rig[2]
     rig, walk = Facts(frames=4 * 12, times=12), Facts(frames=90, times=90)
     assert rig.rig and not walk.rig and not Facts(frames=3 * 12, times=12).rig
-    assert auto_budget(rig, views, nodes=False) == 40_000
-    assert auto_budget(walk, views, nodes=False) == 12_000
+    assert auto_budget(rig, views, "planes") == 40_000
+    assert auto_budget(walk, views, "planes") == 12_000
     assert auto_seeds(rig, 40_000) == 20_000 and auto_seeds(walk, 12_000) == 8000
 
 
@@ -118,7 +119,7 @@ def test_a_rig_gets_a_budget_for_a_room(rig):
 )
 def test_along_a_path_seeds_are_half_of_a_larger_budget(size, budget, seeds):
     views, walk = SimpleNamespace(width=size[0], height=size[1]), Facts(frames=90, times=90, pairs=89)
-    assert one_way(walk) and auto_budget(walk, views, nodes=False) == budget and auto_seeds(walk, budget) == seeds
+    assert one_way(walk) and auto_budget(walk, views, "planes") == budget and auto_seeds(walk, budget) == seeds
 
 
 @pytest.mark.parametrize(
@@ -136,7 +137,9 @@ def test_other_captures_keep_their_seeds_budget_and_degree(other):
     assert not one_way(facts)
     views = SimpleNamespace(width=480, height=270)
     if not facts.rig:
-        assert auto_seeds(facts, 32_400) == 8000 and auto_budget(facts, views, nodes=False) == 480 * 270 // (8 if facts.static else 4)
+        assert auto_seeds(facts, 32_400) == 8000 and auto_budget(facts, views, choose("planes", facts)) == 480 * 270 // (
+            8 if facts.static else 4
+        )
         assert auto_sh_degree(facts, width=0.0) == 2
 
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter, SettingsError, build_settings
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.settings import GrowthSettings, TrainingSettings
 from e4dgs.stages.coarse.artifact import StoredCoarse
-from e4dgs.stages.coarse.motions import make_nodes
 from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.facts import Facts
 from e4dgs.stages.fine.defaults import fine_iterations
@@ -31,7 +31,7 @@ def test_growth_is_set_for_coarse_alone(name):
         build_settings(CLASSES, [(f"fine.{name}", "0")])
 
 
-@pytest.mark.parametrize(("name", "value"), [("budget", 700), ("seed", 5), ("motion", "free")])
+@pytest.mark.parametrize(("name", "value"), [("budget", 700), ("seed", 5), ("motion", "lifetimes")])
 def test_seeds_are_placed_for_what_coarse_trains(name, value):
     """However it is written: as the group's, or as it was before `seeds` was a stage."""
     for given in (f"train.{name}", f"coarse.{name}"):
@@ -79,7 +79,7 @@ def test_with_nodes_and_without_convexes_the_model_of_coarse_is_kept_unless_step
     inputs = {"frames": frames.artifact, "poses": None, "flow": None, "seeds": None, "hulls": None}
     capture = frames.context.capture
     model = fresh(wandering_views(12), static=True)
-    model.field = make_nodes(model.gaussians.means.detach().numpy(), CoarseSettings())
+    model.motion = ControlNodes.over(model.gaussians.means.detach().numpy())
     tmp_path.joinpath("coarse").mkdir()
     out = ArtifactWriter(tmp_path / "coarse")
     StoredCoarse("two-stage", 90, GrowthSettings()).write(out)

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 from e4dgs.pipeline import Progress
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
+from e4dgs.scene.motion.nodes.schedule import first_motion_steps, node_phases
 from e4dgs.scene.training.checkpoint import model_of
-from e4dgs.scene.training.schedule import first_motion_steps, node_phases
 from e4dgs.stages.coarse import first_motion
-from e4dgs.stages.coarse.motions import make_nodes
 from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.shared.train import train
 from sliding_gaussians import fresh, wandering_views
@@ -22,7 +22,7 @@ def start(tmp_path):
     views, settings = wandering_views(12), CoarseSettings(affine=False)
     model = fresh(views, static=True)
     model.gaussians.dynamic[:] = True
-    model.field = make_nodes(model.gaussians.means.detach().numpy(), settings)
+    model.motion = ControlNodes.over(model.gaussians.means.detach().numpy(), settings.seed)
     return views, model, settings, SimpleNamespace(checkpoints=tmp_path, progress=Progress, log=lambda line: None)
 
 
@@ -35,11 +35,11 @@ def test_nodes_move_and_nothing_holds_them_rigid(start, monkeypatch):
         return train(ctx, name, model, views, phases, settings, **options)
 
     monkeypatch.setattr(first_motion, "train", recorded)
-    before = model.field.at(0.1).shifts.detach().clone()
+    before = model.motion.at(0.1).shifts.detach().clone()
     first_motion.find_first_motion(ctx, model, views, settings, STEPS, small=True)
-    assert given["steps"] == first_motion_steps(STEPS) and given["scales"] == {0.5}
+    assert given["steps"] == first_motion_steps("two-stage", STEPS) and given["scales"] == {0.5}
     assert given["settings"].rigid == 0 and settings.rigid > 0
-    assert float((model.field.at(0.1).shifts.detach() - before).abs().max()) > 1e-4
+    assert float((model.motion.at(0.1).shifts.detach() - before).abs().max()) > 1e-4
 
 
 def test_its_checkpoint_is_its_own(start):

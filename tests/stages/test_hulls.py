@@ -5,6 +5,7 @@ import pytest
 import torch
 from e4dgs.rasterizer import rasterize
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.views import Views
 from e4dgs.stages.fine.run import replace_by_convexes
@@ -38,9 +39,11 @@ def test_only_where_edges_are_dense_and_that_is_seen(density, weight, count):
     assert len(choose(found([1, 2, 3, 4], density, weight), settings(), 100)) == count
 
 
-@pytest.mark.parametrize(("given", "nodes", "most"), [(None, False, CONVEXES), (None, True, 0), (0, False, 0), (7, False, 7), (7, True, 7)])
-def test_with_control_nodes_there_are_none_unless_asked_for(given, nodes, most):
-    assert most_convexes(given, nodes) == most
+@pytest.mark.parametrize(
+    ("given", "kind", "most"), [(None, "planes", CONVEXES), (None, "nodes", 0), (0, "lifetimes", 0), (7, "static", 7), (7, "nodes", 7)]
+)
+def test_with_control_nodes_there_are_none_unless_asked_for(given, kind, most):
+    assert most_convexes(given, kind) == most
 
 
 def test_no_error_no_convexes():
@@ -60,7 +63,7 @@ def wall(edge_at: int, shown_at: int) -> tuple[Model, Views]:
     gaussians = GaussianSet.from_points(points, shown, 0, opacity=0.95)
     with torch.no_grad():
         gaussians.log_scales.copy_(torch.tensor([0.05, 0.25, 0.01]).log().expand(len(points), 3))
-    return Model(gaussians, ConvexSet.empty(6, 0), None, 0), views
+    return Model(gaussians, ConvexSet.empty(6, 0), Static(), 0), views
 
 
 def test_error_counts_at_edges_alone():

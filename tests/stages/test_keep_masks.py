@@ -8,6 +8,7 @@ import pytest
 import torch
 from e4dgs.pipeline import CaptureError
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.evaluate.judge import Judge
@@ -119,7 +120,7 @@ def spoiled(root, target):
 def test_metrics_see_only_what_counts(masked, tmp_path):
     rng = np.random.default_rng(0)
     gaussians = GaussianSet.from_points(rng.uniform(-1, 1, (40, 3)), rng.random((40, 3)), 0)
-    model = Model(gaussians, ConvexSet.empty(6, 0), None, 0)
+    model = Model(gaussians, ConvexSet.empty(6, 0), Static(), 0)
     clean, other = frameset(masked, tmp_path / "a"), frameset(spoiled(masked, tmp_path / "spoiled"), tmp_path / "b")
     before, after = (Judge(model, frames, None, False).view(0)[0] for frames in (clean, other))
     assert not np.array_equal(clean.image(0), other.image(0))
@@ -133,8 +134,8 @@ def test_metrics_see_only_what_counts(masked, tmp_path):
 
 def test_training_sees_only_what_counts(masked, tmp_path):
     """The same steps on pictures that differ under the masks end in the same model."""
+    from e4dgs.scene.schedule import coarse_phases
     from e4dgs.scene.settings import TrainingSettings
-    from e4dgs.scene.training.schedule import coarse_phases
     from e4dgs.scene.training.trainer import Trainer
 
     def trained(root, folder, keep=True):
@@ -144,7 +145,7 @@ def test_training_sees_only_what_counts(masked, tmp_path):
             views.load_kept = None
         rng = np.random.default_rng(0)
         gaussians = GaussianSet.from_points(rng.uniform(-2, 2, (80, 3)), np.full((80, 3), 0.5), 0, max_scale=0.3)
-        model = Model(gaussians, ConvexSet.empty(6, 0), None, 0)
+        model = Model(gaussians, ConvexSet.empty(6, 0), Static(), 0)
         torch.manual_seed(0)
         settings = TrainingSettings(iterations=300, sh_degree=0, densify_every=50)
         log = Trainer(model, views, coarse_phases("two-stage", 300, True), settings, 200).run()

@@ -5,6 +5,7 @@ import pytest
 import torch
 from e4dgs.pipeline import StageError
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.exports.mesh import Size, fuse, look, size_of
 from e4dgs.stages.shared.frameset import FrameSet
@@ -61,7 +62,7 @@ def model(posed) -> Model:
     """Small Gaussians on the true surfaces."""
     points = on_surfaces(posed[0], 4000)
     gaussians = GaussianSet.from_points(points.astype(np.float32), np.repeat([RED, BLUE], 4000, axis=0), 0, opacity=0.95, max_scale=0.008)
-    return Model(gaussians, ConvexSet.empty(6, 0), None, 0)
+    return Model(gaussians, ConvexSet.empty(6, 0), Static(), 0)
 
 
 @needs_open3d
@@ -97,7 +98,7 @@ def test_faint_pixels_are_not_fused(posed, model):
     _, frames = posed
     solid = look(model, frames, 0, 0.0)
     assert (solid.depth > 0).any()
-    faint = Model(model.gaussians.select(torch.arange(len(model.gaussians))), model.convexes, None, 0)
+    faint = Model(model.gaussians.select(torch.arange(len(model.gaussians))), model.convexes, Static(), 0)
     with torch.no_grad():
         faint.gaussians.opacity_logits.fill_(-6.0)
     assert not look(faint, frames, 0, 0.0).depth.any()
@@ -114,7 +115,7 @@ def test_a_pixel_that_shows_two_surfaces_is_not_fused(posed, behind, fused):
     with torch.no_grad():
         two.log_scales.fill_(float(np.log(0.3)))
         two.opacity_logits[:] = torch.tensor([0.0, 6.0])  # one sees through the first
-    assert look(Model(two, ConvexSet.empty(6, 0), None, 0), frames, 0, 0.0).depth.any() == fused
+    assert look(Model(two, ConvexSet.empty(6, 0), Static(), 0), frames, 0, 0.0).depth.any() == fused
 
 
 @needs_open3d
@@ -129,7 +130,7 @@ def test_a_few_solid_pixels_are_no_surface_and_no_failure_of_open3d(posed):
     """Open3D looks at every fourth pixel along each side, and refuses a view in which none of them is solid."""
     _, frames = posed
     dot = GaussianSet.from_points(np.zeros((1, 3), np.float32), np.array([RED]), 0, opacity=0.99, max_scale=0.02)
-    model = Model(dot, ConvexSet.empty(6, 0), None, 0)
+    model = Model(dot, ConvexSet.empty(6, 0), Static(), 0)
     seen = [look(model, frames, i, 0.0).depth for i in range(16)]
     assert all(depth.any() for depth in seen) and any(not depth[::4, ::4].any() for depth in seen)
     with pytest.raises(StageError, match="no surface at time 0"):

@@ -8,6 +8,7 @@ from e4dgs.scene.convex_gaussians import GaussianFit
 from e4dgs.scene.formats.axes import Turn
 from e4dgs.scene.formats.freetime import freetime_bytes, read_freetime
 from e4dgs.scene.formats.gaussian_birth import Clock, View, container_bytes, read_container
+from e4dgs.scene.motion.lifetimes.lifetime import lifetime
 from e4dgs.scene.primitives import SH_C0
 from e4dgs.stages.exports.bake import Baked
 from e4dgs.stages.exports.pieces import pieces_of, still_pieces, turned_pieces
@@ -29,9 +30,9 @@ def baked(motion: str, slow: float = 1.0, spin: float = 1.0) -> Baked:
             one.shades.mul_(0.1)  # colours stay in [0, 1], which is all that the containers hold
             one.spins.mul_(spin)
         if motion == "planes":
-            model.field.head.weight.mul_(slow)
+            model.motion.head.weight.mul_(slow)
         if motion == "nodes":
-            model.field.network.place[-1].weight.mul_(slow)
+            model.motion.network.place[-1].weight.mul_(slow)
     return Baked(model, GaussianFit.uniform(model.convexes.points.detach(), 0.8), PlainLook.unchanged(len(model.gaussians)))
 
 
@@ -63,7 +64,7 @@ def test_a_straight_life_is_one_piece_with_its_own_times():
     model = source.model
     assert len(pieces) <= len(model.gaussians) + len(model.convexes), "only what is never seen is left out"
     assert bool((pieces.low == -torch.inf).all()) and bool((pieces.high == torch.inf).all())
-    lives = {round(float(m), 9) for m in model.gaussians.life.times.detach().double() / (FRAMES - 1)}
+    lives = {round(float(m), 9) for m in lifetime(model.gaussians).times.detach().double() / (FRAMES - 1)}
     assert {round(float(m), 9) for m in pieces.middles[pieces.spreads.isfinite()]} & lives
     back = read_freetime(freetime_bytes(soft_pieces(source, FRAMES, PIXEL), FRAMES))
     assert min(psnr(source, back.at(t), t) for t in TIMES) > 50

@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, Progress
-from e4dgs.scene.motion.free import FreeMotion
+from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
 from e4dgs.scene.views import Views
-from e4dgs.stages.coarse.motions import living
 from e4dgs.stages.seeds import place as room
 from e4dgs.stages.seeds.place import initial_dynamic, moving_seeds
 from write_artifact import write_artifact
@@ -118,7 +117,7 @@ def test_seeds_of_each_time_live_around_it_and_overlap_the_next():
     time = np.array([0.0] * 4 + [0.5] * 5 + [1.0] * 6)
     rng = np.random.default_rng(0)
     velocities = rng.normal(size=(15, 3))
-    sets = living(MovingSeeds(rng.normal(size=(15, 3)), rng.uniform(size=(15, 3)), velocities, time), FreeMotion(41), 1, 1.0)
+    sets = Lifetimes(41).around(MovingSeeds(rng.normal(size=(15, 3)), rng.uniform(size=(15, 3)), velocities, time), 1, 1.0)
     assert [len(one) for one in sets] == [4, 5, 6]
     for one, frame in zip(sets, (0.0, 20.0, 40.0)):
         assert one.times.tolist() == [frame] * len(one) and one.dynamic.all()

@@ -9,6 +9,7 @@ from e4dgs.pipeline import SettingsError
 from e4dgs.scene.convex_gaussians import GaussianFit
 from e4dgs.scene.fibonacci import fibonacci_sphere
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.exports.bake import SPREADS, Baked, bake, loss_of
 from e4dgs.stages.exports.capture_cameras import camera_of
@@ -28,7 +29,9 @@ def made_of_convexes() -> Model:
     centres, colors = rng.uniform(-0.8, 0.8, (40, 1, 3)) + np.array([0, 0, 0.4]), rng.uniform(0, 1, (40, 3))
     points = centres + 0.3 * fibonacci_sphere(6) * rng.uniform(0.3, 1.2, (40, 6, 1))
     gaussians = GaussianSet.from_points(centres[:10, 0].astype(np.float32), colors[:10], 1)
-    return Model(gaussians, ConvexSet.from_points(points.astype(np.float32), colors, 1, opacity=0.8), None, 1, background=(1.0, 1.0, 1.0))
+    return Model(
+        gaussians, ConvexSet.from_points(points.astype(np.float32), colors, 1, opacity=0.8), Static(), 1, background=(1.0, 1.0, 1.0)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +63,7 @@ def antialiased(size: float, convexes: bool = False) -> Model:
     rng = np.random.default_rng(6)
     gaussians = GaussianSet.from_points(rng.uniform(-0.8, 0.8, (3000, 3)), rng.uniform(0, 1, (3000, 3)), 1, opacity=0.6, max_scale=size)
     other = made_of_convexes().convexes if convexes else ConvexSet.empty(6, 1)
-    return Model(gaussians, other, None, 1, background=(1.0, 1.0, 1.0), antialiased=True)
+    return Model(gaussians, other, Static(), 1, background=(1.0, 1.0, 1.0), antialiased=True)
 
 
 def test_for_antialiased_viewers_gaussians_stay_as_they_were_trained(frames):
@@ -101,6 +104,6 @@ def test_the_same_model_gives_the_same_gaussians(frames, fitted):
 
 def test_without_convexes_nothing_is_lost(frames):
     model = made_of_convexes()
-    bare = Model(model.gaussians, model.convexes.select(torch.arange(0)), None, 1)
+    bare = Model(model.gaussians, model.convexes.select(torch.arange(0)), Static(), 1)
     loss = loss_of(bake(bare, frames), frames, 0.0)
     assert loss.psnr > 90 and "convexes" not in str(loss)

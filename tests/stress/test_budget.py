@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
+from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
-from e4dgs.scene.training.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from e4dgs.scene.views import Views
 
@@ -27,7 +28,7 @@ def trainer(budget: int, scale: float = 1.0) -> tuple[Trainer, Phase]:
     gaussians = GaussianSet.from_points(rng.uniform(-1, 1, (COUNT, 3)), np.full((COUNT, 3), 0.5), 0, max_scale=0.3)
     phase = Phase("all", 100, move=False, scale=scale)
     settings = TrainingSettings(iterations=100, sh_degree=0, min_contribution=0.0)
-    return Trainer(Model(gaussians, ConvexSet.empty(6, 0), None, 0), views, [phase], settings, budget), phase
+    return Trainer(Model(gaussians, ConvexSet.empty(6, 0), Static(), 0), views, [phase], settings, budget), phase
 
 
 @pytest.mark.parametrize("budget", [1, COUNT - 1, COUNT, COUNT + 1, COUNT + 7, 3 * COUNT, 10 * COUNT])

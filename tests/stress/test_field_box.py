@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from e4dgs.scene.motion.field import DeformationField
-from e4dgs.scene.motion.hexplane import HexPlanes, lookup_reference
+from e4dgs.scene.motion.planes.field import DeformationField
+from e4dgs.scene.motion.planes.hexplane import HexPlanes, lookup_reference
 from torch import Tensor
 
 BOXES = {

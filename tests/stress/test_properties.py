@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import torch
 from e4dgs.scene.losses.photometric import photometric_loss, ssim_reference
-from e4dgs.scene.motion.hexplane import HexPlanes, lookup_reference
+from e4dgs.scene.motion.planes.hexplane import HexPlanes, lookup_reference
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rasterizer.compare import (

@@ -17,6 +17,7 @@ from e4dgs.scene.formats.axes import Turn
 from e4dgs.scene.formats.usd import stage_turn, write_usd
 from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.exports.splats import KINDS, Kind, export_splats, turn_of
 
@@ -75,7 +76,7 @@ def model_of(axes: np.ndarray) -> Model:
         for name, value in gaussians.parameters.items():
             if name.startswith("sh"):
                 value.copy_(torch.from_numpy(rng.normal(size=tuple(value.shape)) * 0.3))
-    return Model(gaussians, ConvexSet.empty(6, 2), None, 2, background=(0.0, 0.0, 0.0))
+    return Model(gaussians, ConvexSet.empty(6, 2), Static(), 2, background=(0.0, 0.0, 0.0))
 
 
 def exported(tmp_path: Path, kind: Kind, axes: np.ndarray, up: str | None = None) -> Path:

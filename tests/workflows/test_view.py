@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import Camera
+from e4dgs.scene.motion.static import Static
 from e4dgs.workflows.cli import main
 
 
@@ -62,11 +63,11 @@ def test_a_layer_with_nothing_in_it_says_so(finished_scene):
     model, camera = finished_scene
     for look in ("colour", "depth", "edges"):
         assert absent(model, look, "all", True) is None and absent(model, look, "convexes", False) is None
-    without = Model(model.gaussians, ConvexSet.empty(6, 0), model.field, model.sh_degree, model.near, model.background)
+    without = Model(model.gaussians, ConvexSet.empty(6, 0), model.motion, model.sh_degree, model.near, model.background)
     assert absent(without, "colour", "convexes", False) == "this model has no convexes"
     assert absent(without, "colour", "all", True) == "this model has no convexes to outline"
     assert absent(without, "colour", "all", False) is None
-    still = Model(model.gaussians, model.convexes, None, model.sh_degree, model.near, model.background)
+    still = Model(model.gaussians, model.convexes, Static(), model.sh_degree, model.near, model.background)
     assert absent(still, "flow", "all", False) == absent(model, "flow", "static", False) == "no flow: nothing of what is shown moves"
     shown = picture(without, camera, 0.5, primitives="convexes")
     assert np.ptp(shown) > 150, "there is something to read"
@@ -132,7 +133,7 @@ def test_a_run_that_trains_is_seen_by_its_checkpoints(finished_run):
     try:
         first = wait_for(source.newest)
         assert first.title.startswith("coarse, step ") and not source.final
-        assert len(first.model.gaussians) and first.model.field is not None and first.model.near > 0
+        assert len(first.model.gaussians) and first.model.motion is not None and first.model.near > 0
         assert wait_for(source.newest).title != first.title, "it goes on with the training"
     finally:
         run.terminate()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from ...scene.losses.photometric import photometric_loss
-from ...scene.motion.field import DeformationField
+from ...scene.motion.planes.field import DeformationField
 from ...scene.training.optimiser import RowAdam
 from .rows import Bench, Measured
 from .threads import over_threads

@@ -110,7 +110,7 @@ def _planned(
     from .camera_path import path_of_file
 
     if path in NAMES:
-        film = asked.film(seconds_of(path, frames, moves=time is None and model.field is not None))
+        film = asked.film(seconds_of(path, frames, moves=time is None and not model.motion.static))
         return named_path(path, frames, model, film.count, film.seconds), (frames.width, frames.height), film, ()
     if not Path(path).is_file():
         raise SettingsError(f"--path {path}: neither one of {', '.join(NAMES)} nor a file")

@@ -43,11 +43,11 @@ class Trained:
     @property
     def times(self) -> int:
         """Number of times of the capture; 1 if nothing moves."""
-        return 1 if self.model.field is None else Facts.of(self.session.job.capture.facts).times
+        return 1 if self.model.motion.static else Facts.of(self.session.job.capture.facts).times
 
     def moments(self, asked: int | None) -> int:
         """How many times are exported: ``asked``, or all of the capture's but at most `MOST_TIMES`; one if nothing moves."""
-        return 1 if self.model.field is None else asked or min(self.times, MOST_TIMES)
+        return 1 if self.model.motion.static else asked or min(self.times, MOST_TIMES)
 
     def chosen(self, count: int | None, time: float | None) -> list[float]:
         """The moments in [0, 1] that are exported: ``time`` alone, or `moments` of them from first to last; one of them is the middle."""

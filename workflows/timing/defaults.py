@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ...pipeline import Job
-from ...scene.training.schedule import first_motion_steps
+from ...scene.motion.kinds import KINDS, choose
+from ...scene.motion.nodes.schedule import first_motion_steps
 from ...stages.coarse.defaults import auto_iterations
 from ...stages.evaluate.spread import SAMPLE, flicker_cameras, most_measured
 from ...stages.facts import Facts
-from ...stages.shared.defaults import use_nodes
 from ..reconstruction import EVALUATION, TRAINING
 from .known import Known, kind_of
 from .resolve import TrainingTimes
@@ -46,8 +46,8 @@ def steps_at_one(job: Job, facts: Facts_ | None = None) -> int:
 def refines(job: Job) -> bool:
     """Whether `fine` has something to do: with control nodes only if convexes or steps are asked for."""
     coarse, hulls, fine = (job.settings[name] for name in (COARSE, HULLS, FINE))
-    nodes = use_nodes(Facts.of(job.capture.facts), coarse.motion)  # type: ignore[attr-defined]
-    if nodes and not hulls.budget and fine.iterations is None:  # type: ignore[attr-defined]
+    motion = KINDS[choose(coarse.motion, Facts.of(job.capture.facts))]  # type: ignore[attr-defined]
+    if not motion.convexes and not hulls.budget and fine.iterations is None:  # type: ignore[attr-defined]
         return False
     return job.graph[FINE].applies(job.capture.facts, fine).needed
 
@@ -61,7 +61,7 @@ def seconds_of_coarse(costs: Sequence[StepCosts], ratio: float = 1.0) -> Callabl
     """Seconds of `coarse` by the costs of its trainings. If there are two, the first one looks for the first motion of control nodes."""
 
     def seconds(steps: int) -> float:
-        each = [first_motion_steps(steps), steps] if len(costs) > 1 else [steps]
+        each = [first_motion_steps("two-stage", steps), steps] if len(costs) > 1 else [steps]
         return ratio * sum(one.seconds(count) for one, count in zip(costs, each, strict=True))
 
     return seconds

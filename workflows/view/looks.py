@@ -65,7 +65,7 @@ def absent(model: Model, look: str, primitives: str, outlines: bool) -> str | No
             "static": "nothing stands still in this model",
         }[primitives]
     moving = int(model.gaussians.dynamic.sum()) + int(model.convexes.dynamic.sum())
-    if look == "flow" and (model.field is None or not moving or primitives == "static"):
+    if look == "flow" and (model.motion.static or not moving or primitives == "static"):
         return "no flow: nothing of what is shown moves"
     return "this model has no convexes to outline" if outlines and not convexes else None
 

@@ -11,9 +11,10 @@ from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from e4dgs.scene.motion.field import DeformationField
-from e4dgs.scene.motion.hexplane import lookup_reference
-from e4dgs.scene.motion.interface import Displacement
+from e4dgs.scene.motion.carrier import Carrier
+from e4dgs.scene.motion.planes.displace import Displacement
+from e4dgs.scene.motion.planes.field import DeformationField
+from e4dgs.scene.motion.planes.hexplane import lookup_reference
 from e4dgs.scene.rotation import rotate
 from torch import Tensor, nn
 
@@ -21,19 +22,19 @@ Lookup = Literal["grid_sample", "gather"]
 AXES = (0, 0, 1), (1, 2, 2)  # of the planes xy, xz, yz: first and second coordinate
 
 
-class TorchField(nn.Module):
-    """Implements `Motion`, as `DeformationField` does.
+class TorchField(Carrier):
+    """The same motion as `DeformationField`.
 
     state: of the field to copy. lookup: "grid_sample" on planes [3, C, R, R], or "gather" on planes [3, R, R, C].
     """
 
+    kind = "torch"
     low: Tensor
     high: Tensor
 
     def __init__(self, state: Mapping[str, Tensor], dtype: torch.dtype = torch.float32, lookup: Lookup = "grid_sample") -> None:
         super().__init__()
         self.lookup = lookup
-        self.config = {"kind": "torch"}
         self.register_buffer("low", state["low"].to(dtype))
         self.register_buffer("high", state["high"].to(dtype))
         levels = sum(name.startswith("planes.space.") for name in state)
@@ -105,10 +106,10 @@ class TorchField(nn.Module):
         change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)
         return rigidity, change.norm(dim=1).mean()
 
-    steady = False
     priors_at_places = True
-    worth_culling, links, spread_over = True, DeformationField.links, DeformationField.spread_over
-    carry, light = DeformationField.carry, DeformationField.light
+    worth_culling = True
+    replayable = False
+    carry, rate = DeformationField.carry, DeformationField.rate
 
     def regulariser(self) -> Tensor:
         """As `HexPlanes.total_variation`."""

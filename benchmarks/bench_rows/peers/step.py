@@ -49,8 +49,7 @@ def copy_of(model: Model) -> Model:
 
 def composed_of_torch(model: Model) -> Model:
     """``model`` with its field replaced by the composition; the Gaussians are shared."""
-    assert model.field is not None
-    model.field = TorchField(model.field.state_dict())  # type: ignore[assignment]
+    model.motion = TorchField(model.motion.state_dict())
     return model
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...motion.lives import turned_by
+from ...motion.lifetimes.at_frame import turned_by
 from ...rotation import compose, rotate
 
 BEYOND = 3.0  # spans; a life's drift and spin are given for so far from its middle, or for the whole clip if that is shorter

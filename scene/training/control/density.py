@@ -14,7 +14,6 @@ from torch import Tensor
 
 from ....rasterizer import rasterize
 from ...model import Model
-from ...motion.free import FreeMotion
 from ...primitives import ConvexSet, PrimitiveSet
 from ...views import WHOLLY, Views, floats, inside_image
 from ..steps.inputs import FrameInputs, frame_inputs
@@ -27,7 +26,7 @@ class Responsibility:
     """For [N] Gaussians and [M] convexes. weight: blending weight in px of a full-size image, as a mean over the probed views whose image
     contains the primitive's centre; infinite if hardly any probed view is within its lifetime. error: weight times error, as a mean over
     the probed views within its lifetime. life: the share of the probed views within its lifetime, in [0, 1]. varying_gaussians: the share
-    of a Gaussian's error that is too bright in some views and too dark in others, in [0, 1]; 0 unless primitives have lives of their own.
+    of a Gaussian's error that is too bright in some views and too dark in others, in [0, 1]; 0 unless the motion splits in time.
     """
 
     weight_gaussians: Tensor
@@ -48,8 +47,8 @@ class Measure(Protocol):
 class Sums(NamedTuple):
     """Sums over frames, of Gaussians and of convexes. total [N, 2]: blending weight, and weight times error. seen [N]: frames whose image
     contains the centre, and lived [N]: all frames, both counted by how much of the primitive is present. signed [N, 3]: weight times
-    difference to the image, and size [N]: the absolute value of a frame's sum of those, as a mean over channels; zero unless primitives
-    have lives of their own."""
+    difference to the image, and size [N]: the absolute value of a frame's sum of those, as a mean over channels; zero unless the motion
+    splits in time."""
 
     total: tuple[Tensor, Tensor]
     seen: tuple[Tensor, Tensor]
@@ -77,8 +76,8 @@ def add_frame(sums: Sums, model: Model, inputs: FrameInputs, move: bool) -> None
     camera = inputs.camera
     with torch.no_grad():
         gaussians, convexes = model.at(inputs.time, camera, move)
-    with_lives = isinstance(model.field, FreeMotion)
-    probes = [torch.zeros(len(one), 5 if with_lives else 2, device=model.device, requires_grad=True) for one in sums.lived]
+    in_time = model.motion.splits_in_time
+    probes = [torch.zeros(len(one), 5 if in_time else 2, device=model.device, requires_grad=True) for one in sums.lived]
     shapes = replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1])
     frame = rasterize(camera, *shapes, inputs.background, antialiased=model.antialiased)
     with torch.no_grad():
@@ -90,13 +89,13 @@ def add_frame(sums: Sums, model: Model, inputs: FrameInputs, move: bool) -> None
         if inputs.kept is not None:
             difference = difference * (floats(inputs.kept) >= WHOLLY)[..., None]
         error = difference.abs().mean(-1, keepdim=True)
-        channels = torch.cat([torch.ones_like(error), error, *([difference] if with_lives else [])], -1)
+        channels = torch.cat([torch.ones_like(error), error, *([difference] if in_time else [])], -1)
     gradients = torch.autograd.grad((frame.extras * channels).sum(), probes, allow_unused=True)
     with torch.no_grad():
         for k, gradient in enumerate(gradients):
             if gradient is not None:
                 sums.total[k].add_(gradient[:, :2])
-                if with_lives:
+                if in_time:
                     sums.signed[k].add_(gradient[:, 2:])
                     sums.size[k].add_(gradient[:, 2:].abs().mean(1))
         opacities = (gaussians.opacities, model.gaussians.opacities), (convexes.opacities, model.convexes.opacities)

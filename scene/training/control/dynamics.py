@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...model import Model
-from ...motion.skinning import distances
+from ...motion.nodes.skinning import distances
 from ...views import Views, inside_image
 
 TIMES = 12  # times sampled over the capture to measure how far a primitive travels
@@ -19,7 +19,6 @@ STATIC_PIXELS = 0.3  # primitives that travel less than this, seen from the near
 
 def mean_path(model: Model, index: Tensor) -> tuple[Tensor, Tensor]:
     """Mean displacement [m, 3] of the Gaussians ``index`` over the capture and the largest distance from it [m], world units."""
-    assert model.field is not None
     with torch.no_grad():
         rest = model.gaussians.means[index]
         paths = torch.stack([model.carried(index, float(t)).points - rest for t in np.linspace(0, 1, TIMES)])
@@ -32,7 +31,7 @@ def freeze_static_gaussians(model: Model, views: Views, pixels: float = STATIC_P
     the middle of the capture. If they are less than ``share`` of those in the field, none leaves, because selecting the others would cost
     more than it saves. Returns how many left."""
     index = model.gaussians.dynamic.nonzero()[:, 0]
-    if model.field is None or not len(index):
+    if model.motion.static or not len(index):
         return 0
     mean, travel = mean_path(model, index)
     centres = torch.tensor(views.centres()[views.train], dtype=torch.float32, device=model.device)

@@ -7,13 +7,11 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from ...motion.free import FreeMotion
+from ...motion.recipe import Recipe
+from ...schedule import Phase
 from ...settings import TrainingSettings
 from ...views import Views
 from ..curriculum import Curriculum
-from ..recipe import Recipe
-from ..schedule import Phase
-from ..turning import bound_to_rigid_parts
 from .density import Measure, Responsibility, measure_responsibility, survivors
 from .dynamics import on_moving_pixels
 from .hidden import seen_share
@@ -95,13 +93,12 @@ class DensityControl:
             # noisy, took nearly all where a single camera moves, and what is static around them stayed blurred.
             error = error * measured.life_gaussians.sqrt()
         if rigid_parts_alone:
-            error = torch.where(bound_to_rigid_parts(model), error, 0.0)
+            error = torch.where(model.motion.in_rigid_parts(model), error, 0.0)
         rounds_left = max(1, round((self.grow_until - progress) * self.total / self.every))
         wanted = room // rounds_left if self.recipe.steady else max(room // rounds_left, alive // 8)
         chosen = choose_to_split(model.gaussians, error, min(room, wanted))
         in_time = self._in_time(measured, progress, chosen, probed)
-        times = model.field.times if isinstance(model.field, FreeMotion) else 1
-        self.learned.replace(*split(model.gaussians, chosen[~in_time], chosen[in_time], times), step)
+        self.learned.replace(*split(model.gaussians, chosen[~in_time], chosen[in_time], model.motion.halves_in_time), step)
 
     def _in_time(self, measured: Responsibility, progress: float, chosen: Tensor, probed: list[int]) -> Tensor:
         """[n] bool, those of the Gaussians ``chosen`` [n] that are split in time: they should look different at some times of their lives,

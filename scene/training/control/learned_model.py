@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from ...model import Model
+from ...motion.interface import Motion
 from ...primitives import ConvexSet, GaussianSet, PrimitiveSet
 from ...settings import TrainingSettings
 from ..checkpoint import restore
@@ -41,28 +42,27 @@ class LearnedModel:
         for name, parameter in new.parameters.items():
             self.optimiser.replace(f"{new.KIND}.{name}", parameter, source)
 
-    def renew(self, motion: Any, step: int) -> None:
+    def renew(self, motion: Motion, step: int) -> None:
         """Continue with another motion, which may share parameters with the previous one."""
         self.before_change()
         self.changed = step
-        self.model.field = motion
+        self.model.motion = motion
         self.model.relink()
         known = self.optimiser.parameters()
         for name, parameter in motion.named_parameters():
-            if known.get(f"field.{name}") is not parameter:
-                self.optimiser.replace(f"field.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
+            if known.get(f"motion.{name}") is not parameter:
+                self.optimiser.replace(f"motion.{name}", parameter, torch.full((parameter.shape[0],), -1, device=parameter.device))
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors by name, for a checkpoint."""
         model = self.model
-        tensors = {f"parameter/{name}": p for name, p in self.model.named_parameters().items() if not name.startswith("field.")}
+        tensors = {f"parameter/{name}": p for name, p in self.model.named_parameters().items() if not name.startswith("motion.")}
         tensors |= {f"optimiser/{name}": value for name, value in self.optimiser.state().items()}
         tensors |= {f"dynamic/{p.KIND}": p.dynamic for p in (model.gaussians, model.convexes)}
-        if model.field is not None:
-            tensors |= {f"motion/{name}": value for name, value in model.field.state_dict().items()}
-            # None is searched here: training would go on with it, and its result would depend on when checkpoints are written.
-            links = {p.KIND: model.known_links(p) for p in (model.gaussians, model.convexes) if len(p)}
-            tensors |= {f"link/{kind}": link for kind, link in links.items() if link is not None}
+        tensors |= {f"motion/{name}": value for name, value in model.motion.state_dict().items()}
+        # None is searched here: training would go on with it, and its result would depend on when checkpoints are written.
+        links = {p.KIND: model.known_links(p) for p in (model.gaussians, model.convexes) if len(p)}
+        tensors |= {f"link/{kind}": link for kind, link in links.items() if link is not None}
         return tensors
 
     def load(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
@@ -73,7 +73,8 @@ class LearnedModel:
 
     def _make_optimiser(self) -> RowAdam:
         named = self.model.named_parameters()
-        return RowAdam(named, learning_rates(named, self._settings, self._unit, self._lr_scale), pace=self._pace)
+        rates = learning_rates(named, self._settings, self._unit, self._lr_scale, self.model.motion)
+        return RowAdam(named, rates, pace=self._pace)
 
-    def _pace(self, log_spans: Tensor) -> Tensor | None:
-        return None if self.model.field is None else self.model.field.pace(log_spans)
+    def _pace(self, parameters: Mapping[str, Tensor]) -> Tensor | None:
+        return self.model.motion.pace(parameters)

@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from ...motion.recipe import Recipe
+from ...schedule import Phase
 from ...settings import TrainingSettings
 from ...views import Views
 from ..curriculum import Curriculum
-from ..recipe import Recipe
-from ..schedule import Phase
-from ..turning import make_turning_parts_rigid
 from .density import measure_responsibility
 from .dynamics import freeze_static_gaussians
 from .learned_model import LearnedModel
@@ -68,7 +67,7 @@ class MotionControl:
             model = self.learned.model
             count = freeze_static_gaussians(model, self.views, self.recipe.freeze_pixels, self.recipe.freeze_share)
             skipped["static Gaussians taken out of the field"] = count
-            self._event(f"step {step}: {count} of {len(model.gaussians)} Gaussians do not move and left the field")
+            self._event(f"step {step}: {count} of {len(model.gaussians)} Gaussians do not move and left the motion")
 
     def state(self) -> dict[str, Any]:
         """JSON values for a checkpoint."""
@@ -82,11 +81,11 @@ class MotionControl:
     def _spread_anew(self, step: int, progress: float) -> None:
         """Spread the motion over the opaque Gaussians, if it is due by the recipe."""
         model = self.learned.model
-        if model.field is None or self._spread >= len(self.recipe.spread_at) or progress < self.recipe.spread_at[self._spread]:
+        if self._spread >= len(self.recipe.spread_at) or progress < self.recipe.spread_at[self._spread]:
             return
         self._spread += 1
         solid = model.gaussians.opacities.detach() > SOLID
-        renewed = model.field.spread_over(model.gaussians.means.detach()[solid].cpu().numpy()) if bool(solid.any()) else None
+        renewed = model.motion.spread_over(model.gaussians.means.detach()[solid].cpu().numpy()) if bool(solid.any()) else None
         if renewed is None:
             return
         self.learned.renew(renewed, step)
@@ -98,8 +97,8 @@ class MotionControl:
         self._say("looking for parts that turn")
         probed = self.curriculum.probe(step, SEARCH_VIEWS)
         error = measure_responsibility(model, self.views, probed, True, phase.scale).error_gaussians
-        source = make_turning_parts_rigid(model, self.views, error, self.settings.seed, self._event)
-        if source is not None and model.field is not None:
-            self.learned.renew(model.field, step)
-            self.learned.replace(model.gaussians, source, step)
+        found = model.motion.with_turning_parts(model, self.views, error, self.settings.seed, self._event)
+        if found is not None:
+            self.learned.renew(found.motion, step)
+            self.learned.replace(found.gaussians, found.source, step)
             self._joined = step

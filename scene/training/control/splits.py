@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
-from ...motion.lives import turned_by
 from ...primitives import GaussianSet
-from ...rotation import compose, quats_to_matrices
-
-# Who stays throughout, and is split in time, counts as living with a standard deviation of so many durations of the capture.
-WHOLE = 0.43
-APART, SHORTER = 0.58, 0.7  # the halves: their middles lie so many standard deviations to either side; their own, in those of the parent
+from ...rotation import quats_to_matrices
 
 
 def choose_to_split(gaussians: GaussianSet, error: Tensor, count: int) -> Tensor:
@@ -22,15 +18,19 @@ def choose_to_split(gaussians: GaussianSet, error: Tensor, count: int) -> Tensor
     return error.topk(count).indices.sort().values if count > 0 else torch.zeros(0, dtype=torch.long, device=error.device)
 
 
-def split(gaussians: GaussianSet, in_space: Tensor, in_time: Tensor | None = None, times: int = 1) -> tuple[GaussianSet, Tensor]:
-    """Split each Gaussian of the indices ``in_space`` into two along its longest axis, and each of ``in_time`` into two lives; the others
-    stay. times: number of distinct times of the capture. Returns the new set and, for each of its rows, the old row whose optimiser state
-    it keeps (-1 for children)."""
+def split(
+    gaussians: GaussianSet,
+    in_space: Tensor,
+    in_time: Tensor | None = None,
+    halves_in_time: Callable[[GaussianSet], list[GaussianSet]] = lambda parents: [],
+) -> tuple[GaussianSet, Tensor]:
+    """Split each Gaussian of the indices ``in_space`` into two along its longest axis, and each of ``in_time`` as ``halves_in_time`` does;
+    the others stay. Returns the new set and, for each of its rows, the old row whose optimiser state it keeps (-1 for children)."""
     halves = along_longest_axis(gaussians.select(in_space))
     kept = torch.ones(len(gaussians), dtype=torch.bool, device=gaussians.device)
     kept[in_space] = False
     if in_time is not None and len(in_time):
-        halves += into_lives(gaussians.select(in_time), times)
+        halves += halves_in_time(gaussians.select(in_time))
         kept[in_time] = False
     rest = kept.nonzero()[:, 0]
     made = GaussianSet.joined([gaussians.select(rest), *halves])
@@ -54,27 +54,6 @@ def along_longest_axis(parents: GaussianSet) -> list[GaussianSet]:
         half.means.add_(sign * offset)
         half.log_scales.add_(shrink)
         half.opacity_logits.copy_(torch.logit(opacity.clamp(1e-4, 1 - 1e-4)))
-        halves.append(half)
-    return halves
-
-
-@torch.no_grad()
-def into_lives(parents: GaussianSet, times: int) -> list[GaussianSet]:
-    """The halves of ``parents``: an earlier and a later life on the same course. Together they are present nearly as their parent was. A
-    parent that stays throughout the ``times`` frames has halves that live around the first and the last quarter of the capture."""
-    longest = WHOLE * times
-    span = torch.where(parents.dynamic, parents.log_spans.exp(), torch.inf)
-    middle = torch.where(span < longest, parents.times, (times - 1) / 2)
-    span = span.clamp(max=longest)
-    halves = []
-    for sign in (-1.0, 1.0):
-        half = _copy(parents)
-        half.times.copy_(middle + sign * APART * span)
-        half.log_spans.copy_(torch.log(SHORTER * span))
-        later = torch.where(parents.dynamic, half.times - parents.times, 0.0)[:, None]
-        half.means.add_(parents.velocities * later)
-        half.quats.copy_(compose(turned_by(parents.spins * later), parents.quats))
-        half.dynamic[:] = True
         halves.append(half)
     return halves
 

@@ -10,8 +10,8 @@ from torch import Tensor
 from ...cuda.graph import Graph, Results
 from ...cuda.leaves import own_leaves
 from ...model import Model
+from ...schedule import Phase
 from ..objective import Objective
-from ..schedule import Phase
 from ..steps.evaluation import Evaluation
 from ..steps.inputs import StepInputs
 from .graphs import Compute, Graphs, Record
@@ -49,7 +49,7 @@ class ReplayedObjective:
 
     def _prepare(self, padded: Model) -> Compute:
         def compute(inputs: StepInputs) -> Results:
-            with own_leaves(padded.field, padded.affine):
+            with own_leaves(padded.motion, padded.affine):
                 named = padded.named_parameters()
                 leaves = [named[name] for name in self._parameters()]
                 found = self.objective.evaluate(padded, inputs)

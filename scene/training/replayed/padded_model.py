@@ -30,9 +30,9 @@ class PaddedModel:
     def load(self, model: Model) -> None:
         """Let the memory hold ``model``, whose parameters are moved there."""
         sets: tuple[PrimitiveSet, ...] = (model.gaussians, model.convexes)
-        links = tuple(None if model.field is None else model.links(s) for s in sets)
+        links = tuple(model.links(s) for s in sets)
         loaded = *sets, *(s.dynamic for s in sets), *(s.dynamic._version for s in sets), *map(_place, links)
-        modules = model.field, model.affine
+        modules = model.motion, model.affine
         same_modules = unchanged(modules, self._modules)
         if same_modules and unchanged(loaded, self._loaded):
             return
@@ -48,7 +48,7 @@ class PaddedModel:
             if own is not None:
                 model.set_links(primitives, own)
         self.loads += 1
-        self._loaded = *loaded[:-2], *(None if model.field is None else _place(model.links(s)) for s in sets)
+        self._loaded = *loaded[:-2], *(_place(model.links(s)) for s in sets)
 
     def padded(self, model: Model) -> Model:
         """``model`` with all rows of the memory, which a graph may read."""

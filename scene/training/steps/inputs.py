@@ -14,7 +14,7 @@ from torch import Tensor
 from ....rasterizer import Camera
 from ...colour import CameraAffine
 from ...losses.photometric import Recording
-from ...motion.interface import Time
+from ...motion.times import Time
 from ...views import Views, Window
 from ..drawn_tiles import Drawn
 

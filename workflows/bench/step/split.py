@@ -18,7 +18,7 @@ from torch.autograd.graph import Node
 
 from ....scene.losses import appearance
 from ....scene.model import Model
-from ....scene.motion.free import FreeMotion
+from ....scene.motion.carrier import Carrier
 from ....scene.training import objective
 from ....scene.training.trainer import Trainer
 from ..rows import Bench, Check, Measured
@@ -29,13 +29,13 @@ from .training import PERIOD, make_trainer, views_of
 FORWARD = ("data", "in view", "model forward", "motion forward", "rasterize forward", "loss forward", "regularisers forward")
 BACKWARD = ("rasterize backward", "loss backward", "model backward", "motion backward", "regularisers backward", "gradients into leaves")
 PARTS = (*FORWARD, *BACKWARD, "guard", "optimiser", "rest")
-WHAT = {"nodes": "control nodes", "free": "lives of their own"}
+WHAT = {"nodes": "control nodes", "lifetimes": "lives of their own"}
 WATCHING = "watching"  # setting and removing hooks, which is not part of a step
 
 
 def measure(bench: Bench) -> Measured:
     views, masks, name = views_of(bench)
-    motion = "free" if is_rig(views) else "nodes"
+    motion = "lifetimes" if is_rig(views) else "nodes"
     trainer, run = make_trainer(model_in_motion(bench, views, masks, motion, 1.0), views)
     periods = max(2, bench.repeats)
     bench.expect(2 * periods + 1)
@@ -92,7 +92,7 @@ def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
         (trainer.objective, "inputs", "data", None),
         (Model, "in_view", "in view", None),
         (Model, "at", "model forward", seen.placed),
-        (model.field, "alive" if isinstance(model.field, FreeMotion) else "carry", "motion forward", seen.moved),
+        (model.motion, "carry" if isinstance(model.motion, Carrier) else "alive", "motion forward", seen.moved),
         *((term, "value", "regularisers forward", None) for term in trainer.objective.terms[1:]),
         (trainer.learned.optimiser, "step", "optimiser", None),
         (trainer.guard, "accepts", "guard", None),

@@ -12,13 +12,12 @@ import torch
 
 from ....pipeline import Runner, SettingsError
 from ....scene.model import Model
-from ....scene.motion.field import DeformationField
+from ....scene.motion.planes.field import DeformationField
 from ....scene.primitives import ConvexSet, GaussianSet
+from ....scene.schedule import Phase
 from ....scene.seeds.carve import carve
 from ....scene.seeds.volume import common_volume
 from ....scene.settings import TrainingSettings
-from ....scene.training.recipe import PLANES, RECIPES
-from ....scene.training.schedule import Phase
 from ....scene.training.trainer import Trainer
 from ....scene.views import Views
 from ...session import Options, open_session
@@ -84,10 +83,8 @@ def make_model(bench: Bench, views: Views, masks: list[np.ndarray] | None, count
 
 def make_trainer(model: Model, views: Views) -> tuple[Trainer, Callable[[], None]]:
     """A trainer in mid-course, and a function that takes `PERIOD` whole steps, without density control and checkpoints in between."""
-    assert model.field is not None
-    recipe = RECIPES.get(str(model.field.config["kind"]), PLANES)
     phase, settings = Phase("deformation", STEPS), TrainingSettings.model_validate({})
-    trainer = Trainer(model, views, [phase], settings, budget=len(model.gaussians), grow=False, recipe=recipe, earlier=EARLIER)
+    trainer = Trainer(model, views, [phase], settings, budget=len(model.gaussians), grow=False, earlier=EARLIER)
     trainer.iteration = BEGUN
 
     def period() -> None:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import torch
 
+from ....scene.schedule import Phase
 from ....scene.training.control.growth import FINAL_VIEWS, MOST_FOR_ONE, PROBE_VIEWS
 from ....scene.training.control.splits import split
-from ....scene.training.schedule import Phase
 from ....scene.training.trainer import Trainer
 from .costs import StepCosts, merged
 from .growth import Growth

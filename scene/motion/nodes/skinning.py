@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .. import _kernels
-from ..rotation import compose, unit_matrices
+from ... import _kernels
+from ...rotation import compose, unit_matrices
 
 
 class Nodes(NamedTuple):
@@ -38,8 +38,8 @@ def nearest_nodes(points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Te
         _kernels.nearest_nodes(points, hyper, home, link, torch.get_num_threads())
         return link
     if points.is_cuda and points.dtype == torch.float32:
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.skinning import nearest_nodes as nearest_on_gpu
+        from ....rasterizer.cuda.runtime import launcher_for
+        from ...cuda.skinning import nearest_nodes as nearest_on_gpu
 
         return nearest_on_gpu(launcher_for(points.device), points, hyper, nodes, count)
     here, there = torch.cat([points, hyper], 1), torch.cat([home[0], home[1]], 1)
@@ -56,8 +56,8 @@ def skin(points: Tensor, quats: Tensor, hyper: Tensor, link: Tensor, nodes: Node
     if points.device.type == "cpu" and points.dtype == torch.float32:
         return _Skin.apply(points, quats, hyper, link, *nodes)
     if points.is_cuda and points.dtype == torch.float32:
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.skinning import skin as skin_on_gpu
+        from ....rasterizer.cuda.runtime import launcher_for
+        from ...cuda.skinning import skin as skin_on_gpu
 
         return skin_on_gpu(launcher_for(points.device), points, quats, hyper, link, nodes)
     return skin_reference(points, quats, hyper, link, nodes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from .interface import Time
+from ..times import Time
 
 # Distance of a rigid part from everything else, in extents, along the first hyper coordinate: no other node is near its own Gaussians.
 FAR = 10.0

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..settings import Strategy
+from .settings import Strategy
 
 WARM_UP = 0.1  # of the coarse stage: the rest state is learned first, without motion
 ALTERNATION = 100  # steps for which one kind is refined while the other is frozen
 HALF_RESOLUTION = 0.5
 QUARTER_RESOLUTION = 0.25
-FIRST_MOTION_STEPS, FIRST_MOTION_SHARE = 4000, 2 / 3  # most steps of the first training of nodes; and as a share of those that follow
-NODE_WARM_UP, NODE_SMALL = 0.02, 0.1  # fractions of the coarse stage with control nodes: without motion; on small images
 
 
 @dataclass(frozen=True)
@@ -50,27 +48,6 @@ def _split(name: str, move: bool, start: int, end: int, change: int, first: floa
     change = min(max(change, start), end)
     halves = [Phase(name, change - start, move, first), Phase(name, end - change, move, last)]
     return [phase for phase in halves if phase.iterations]
-
-
-def first_motion_steps(iterations: int) -> int:
-    """How many steps on very small images precede ``iterations`` steps with control nodes."""
-    return min(FIRST_MOTION_STEPS, round(FIRST_MOTION_SHARE * iterations))
-
-
-def first_motion_phases(steps: int, small: bool) -> list[Phase]:
-    """Phases of `first_motion_steps`: images of a quarter of the size, or of half the size if they are ``small`` anyway."""
-    scale = HALF_RESOLUTION if small else QUARTER_RESOLUTION
-    warm_up = round(steps * NODE_WARM_UP)
-    phases = [Phase("first shape", warm_up, False, scale), Phase("first motion", steps - warm_up, True, scale)]
-    return [phase for phase in phases if phase.iterations > 0]
-
-
-def node_phases(iterations: int, scale: float) -> list[Phase]:
-    """Phases for control nodes: a short static warm-up and some motion on images of ``scale``, then full-size images."""
-    warm_up, small = round(iterations * NODE_WARM_UP), round(iterations * NODE_SMALL)
-    phases = [Phase("warm-up", warm_up, False, scale), Phase("deformation", small - warm_up, True, scale)]
-    phases.append(Phase("deformation", iterations - small, True))
-    return [phase for phase in phases if phase.iterations > 0]
 
 
 def left_to_fine(strategy: Strategy, coarse_iterations: int, static: bool) -> int:

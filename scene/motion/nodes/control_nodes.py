@@ -6,23 +6,36 @@ constrain a few hundred nodes whose motion comes from one small network, shared 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..cuda.graph import in_capture
-from ..cuda.over_time import OverTime
-from ..primitives import HYPER
-from ..rotation import rotate
+from ...cuda.graph import in_capture
+from ...cuda.over_time import OverTime
+from ...primitives import Attribute, GaussianSet, PrimitiveSet
+from ...rotation import rotate
+from ...schedule import HALF_RESOLUTION, Phase
+from ...settings import Strategy, TrainingSettings
+from ...views import Views
+from ..carrier import Carrier, Rest
+from ..interface import Moved, Refined, Scene
+from ..rates import APPEARANCE_END, Rate, exponential
+from ..recipe import FirstTraining
+from ..start import Start
+from ..times import Time, together
 from .courses import SharedCourses, encode_places
-from .interface import Moved, Rest, Time, together
-from .light import Light
+from .light import SHADES, Light
 from .rigid_parts import RigidParts
+from .schedule import BY_NODE_PHASES, NODES, first_motion, node_phases
 from .skinning import Nodes, distances, nearest_nodes, skin
+from .spread import farthest_points, spacing
+from .turning import leave_only, make_turning_parts_rigid
 
+COUNT = 512  # nodes at the start
+HYPER = 2  # extra coordinates, in addition to x, y, z, in which parts that touch can be apart
 NEAREST = 4  # nodes that carry a position
 GRAPH = 6  # neighbours of a node in the rigidity term
 OUTPUT = 0.3  # scale of the network's output: motion grows from rest, slowly enough to stay coherent
@@ -30,8 +43,9 @@ HYPER_SPREAD = 0.1  # standard deviation of the initial hyper coordinates, relat
 RIGID_COURSE = 1 / 3  # of the nodes' weight: a rigid part held steadier than this cannot move away from the turn that the search found
 
 
-class ControlNodes(nn.Module):
-    """Implements `Motion` by linear blend skinning over the nearest nodes. Nodes start at rest.
+class ControlNodes(Carrier):
+    """A motion by linear blend skinning over the nearest nodes, which start at rest. Primitives carry `hyper` [2], their own coordinates
+    beside those of the nodes, and `shades`, see `Light`.
 
     Parameters: the ``network`` (place and time of a node -> a turn about its rest position and a shift), ``log_radii`` [B], the radii of
     the nodes' influence, ``hyper`` [B, 2], and the ``light``.
@@ -44,9 +58,13 @@ class ControlNodes(nn.Module):
         rigid_parts: rigid parts that the network does not move.
     """
 
-    worth_culling = False  # projecting a position into the image takes as long as skinning it
-    steady = False
-    priors_at_places = False
+    kind = "nodes"
+    attributes: ClassVar[Mapping[str, Attribute]] = {"hyper": Attribute((HYPER,)), "shades": Attribute((SHADES,))}
+    placed_by = ("hyper",)
+    recipe = NODES
+    most_seeds = 2500  # few seeds that multiply where the error is give better results than many
+    moving_seeds = False
+    played_as = "nodes"
     positions: Tensor
     centre: Tensor
 
@@ -77,13 +95,11 @@ class ControlNodes(nn.Module):
         self._restlessness = OverTime(self._restlessness_at, lambda: self.network)
 
     @property
-    def config(self) -> dict[str, object]:
-        """What `from_state` needs in addition to the state."""
-        return {"kind": "nodes", "extent": self.extent, "reach": self.reach}
+    def config(self) -> dict[str, Any]:
+        return {"kind": self.kind, "extent": self.extent, "reach": self.reach}
 
     @classmethod
-    def from_state(cls, state: dict[str, Tensor], config: dict) -> ControlNodes:
-        """Inverse of `state_dict` and `config`."""
+    def from_state(cls, state: dict[str, Tensor], config: dict[str, Any]) -> Self:
         rigid_parts = RigidParts(*(state["rigid_parts." + name] for name in ("home", "radius", "quats", "shifts")))
         nodes = cls(state["positions"], state["centre"], config["extent"], config["reach"], rigid_parts=rigid_parts)
         # Models from before light have no shades, so that any light is right for them.
@@ -93,17 +109,36 @@ class ControlNodes(nn.Module):
         nodes.load_state_dict(own | state)
         return nodes
 
+    @classmethod
+    def over(cls, points: np.ndarray, seed: int = 0) -> Self:
+        """Nodes spread over ``points`` [P, 3]. The box that places are scaled by spans their 1st to 99th percentile."""
+        low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
+        inside = points[((points >= low) & (points <= high)).all(1)]
+        extent = max(0.5 * float((high - low).max()), 1e-6)
+        positions = farthest_points(inside if len(inside) else points, COUNT)
+        return cls(torch.tensor(positions), torch.tensor(0.5 * (low + high)), extent, extent, seed=seed)
+
     # -- Motion -------------------------------------------------------------------------------------------------------------------
 
     def carry(self, rest: Rest, t: Time) -> Moved:
         nodes = self._with_rigid_parts(self.at(t), t)
-        link = self.links(rest.points, rest.hyper) if rest.link is None else rest.link
+        hyper = rest.attributes["hyper"]
+        link = self.nearest(rest.points, hyper) if rest.link is None else rest.link
         m, n = len(rest.quats), len(rest.points)
         quats = rest.quats if m == n else torch.cat([rest.quats, rest.quats.new_zeros(n - m, 4)])
-        points, turned = skin(rest.points, quats, rest.hyper, link, nodes)
+        points, turned = skin(rest.points, quats, hyper, link, nodes)
         return Moved(points, turned[:m], None)
 
-    def links(self, points: Tensor, hyper: Tensor) -> Tensor:
+    def light_at(self, t: Time) -> Tensor:
+        return self.light(t)
+
+    def links(self, primitives: PrimitiveSet) -> Tensor:
+        points = primitives.rest_points().detach()
+        hyper = primitives.hyper.detach().repeat_interleave(len(points) // max(len(primitives), 1), 0)
+        return self.nearest(points, hyper)
+
+    def nearest(self, points: Tensor, hyper: Tensor) -> Tensor:
+        """[N, k] int32: the nodes and rigid parts that carry each of ``points`` [N, 3] with ``hyper`` [N, 2]."""
         return nearest_nodes(points, hyper, self._with_rigid_parts(self._resting(), 0.0), NEAREST)
 
     def priors(self, rest: Tensor, neighbours: Tensor, t: Time, dt: float) -> tuple[Tensor, Tensor]:
@@ -135,12 +170,36 @@ class ControlNodes(nn.Module):
         strain = (now[edge] - now[:, None] - turned).norm(dim=2) / at_rest.norm(dim=2).clamp(min=1e-6)
         return strain.mean()
 
-    def pace(self, log_spans: Tensor) -> None:
-        """Primitives are present throughout."""
+    @classmethod
+    def start(cls, start: Start, views: Views, settings: TrainingSettings) -> tuple[Self, GaussianSet]:
+        return cls.over(start.points, settings.seed), start.gaussians().carrying(cls.attributes)
 
-    def regulariser(self) -> Tensor:
-        """Nodes have no planes to smooth."""
-        return torch.zeros((), device=self.positions.device)
+    @classmethod
+    def phases(cls, strategy: Strategy, steps: int, full_from: float, small: bool) -> list[Phase]:
+        if strategy in BY_NODE_PHASES:
+            return node_phases(steps, 1.0 if small else HALF_RESOLUTION)
+        return super().phases(strategy, steps, full_from, small)
+
+    @classmethod
+    def first_training(cls, strategy: Strategy, steps: int, small: bool) -> FirstTraining | None:
+        return first_motion(strategy, steps, small)
+
+    def rate(self, name: str, settings: TrainingSettings, unit: float, scale: float) -> Rate:
+        if name == "log_radii":
+            return exponential(5e-3 * scale, 5e-4)
+        if name == "hyper":
+            return exponential(1e-4 * unit * scale, 1e-5 * unit)
+        if name.startswith("rigid_parts."):
+            first, last = (1e-2 if scale == 1 else 1e-4), 1e-4
+            return exponential(first, last) if name == "rigid_parts.quats" else exponential(first * unit / 4, last * unit / 4)
+        # Nodes end at a fiftieth: each of their parameters moves thousands of primitives, and jitter at the end would blur all of them.
+        return exponential(settings.lr_network if scale == 1 else settings.lr_network / 50, settings.lr_network / 50)
+
+    def attribute_rates(self, settings: TrainingSettings, unit: float, scale: float) -> dict[str, Rate]:
+        return {
+            "hyper": exponential(1e-4 * unit * scale, 1e-5 * unit),
+            "shades": exponential(3e-3 * scale, 3e-3 * APPEARANCE_END),
+        }
 
     # -- the nodes ----------------------------------------------------------------------------------------------------------------
 
@@ -210,14 +269,23 @@ class ControlNodes(nn.Module):
         theirs = Nodes(rigid_parts.home, rigid_parts.hyper(self.extent), 0.5 / rigid_parts.radius.square(), turns, shifts)
         return Nodes(*(torch.cat([own, other]) if len(own) else own for own, other in zip(nodes, theirs)))
 
-    def in_rigid_parts(self, link: Tensor | None) -> Tensor:
-        """[N] bool: the positions that ``link`` [N, k] binds to a rigid part."""
+    # -- rigid parts --------------------------------------------------------------------------------------------------------------
+
+    def with_turning_parts(self, scene: Scene, views: Views, error: Tensor, seed: int, say: Callable[[str], None]) -> Refined | None:
+        found = make_turning_parts_rigid(self, scene, views, error, seed, say)
+        return None if found is None else Refined(*found)
+
+    def in_rigid_parts(self, scene: Scene) -> Tensor:
+        link = scene.links(scene.gaussians)
         assert link is not None
         return link[:, 0] >= len(self.positions)
 
-    def with_rigid_parts(self, rigid_parts: RigidParts) -> ControlNodes:
+    def leave_only_rigid_parts(self, scene: Scene, parameters: Mapping[str, Tensor]) -> None:
+        leave_only(self.in_rigid_parts(scene), parameters, "motion.rigid_parts.")
+
+    def with_rigid_parts(self, rigid_parts: RigidParts) -> Self:
         """The same nodes with ``rigid_parts`` in place of the current ones."""
-        nodes = ControlNodes(self.positions, self.centre, self.extent, self.reach, rigid_parts=rigid_parts)
+        nodes = type(self)(self.positions, self.centre, self.extent, self.reach, rigid_parts=rigid_parts)
         nodes.network, nodes.light, nodes.log_radii, nodes.hyper = self.network, self.light, self.log_radii, self.hyper
         return nodes
 
@@ -230,23 +298,3 @@ class ControlNodes(nn.Module):
         nodes.network, nodes.light = self.network, self.light
         nodes.hyper.copy_(self.hyper[distances(positions, self.positions).argmin(1)])
         return nodes
-
-
-def spacing(positions: Tensor) -> Tensor:
-    """[B] mean distance of each of ``positions`` [B, 3] to its three nearest neighbours; 1 for a single position."""
-    near = min(3, len(positions) - 1)
-    if not near:
-        return torch.ones(len(positions), device=positions.device)
-    return distances(positions, positions).topk(near + 1, largest=False).values[:, 1:].mean(1).clamp(min=1e-6)
-
-
-def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
-    """Up to ``count`` of ``points`` [P, 3] by farthest point sampling: each is as far as possible from those before it. The first is the
-    one nearest to the mean."""
-    first = int(np.linalg.norm(points - points.mean(0), axis=1).argmin())
-    chosen = [first]
-    distance = np.linalg.norm(points - points[first], axis=1)
-    while len(chosen) < min(count, len(points)) and distance.max() > 0:
-        chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return points[chosen]

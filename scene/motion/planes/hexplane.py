@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from .. import _kernels
+from ... import _kernels
 from .field_kernel import field_outputs
 from .field_reference import lookup_reference
 
@@ -52,8 +52,8 @@ class HexPlanes(nn.Module):
         if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in planes):
             return _Smoothness.apply(len(self.space), *planes)
         if all(p.is_cuda and p.dtype == torch.float32 for p in planes):
-            from ...rasterizer.cuda.runtime import launcher_for
-            from ..cuda.smoothness import total_variation
+            from ....rasterizer.cuda.runtime import launcher_for
+            from ...cuda.smoothness import total_variation
 
             return total_variation(launcher_for(planes[0].device), list(self.space), list(self.time))
         return smoothness_reference(list(self.space), list(self.time))

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..schedule import Phase
 
 
 @dataclass(frozen=True)
@@ -16,7 +20,7 @@ class Recipe:
     interval, spread: defaults of these weights of `TrainingSettings`. grow_until: default of its `densify_until`. steady: growth adds
     an equal number in every round, instead of as many as the images allow. rounds: maximum number of rounds of density control, if they
     went on to the last step. prune_at: when primitives that the training views hardly blend are removed; the steps that follow make up
-    for the loss.
+    for the loss. The initial values are those of the planes.
     """
 
     freeze_at: float = 0.45
@@ -38,25 +42,12 @@ class Recipe:
     prune_at: float = 1.0
 
 
-PLANES = Recipe()
-NODES = Recipe(
-    freeze_at=0.6,
-    freeze_share=0.25,
-    spread_at=(0.1, 0.25),
-    rigid_parts_at=(0.1, 0.2, 0.3),
-    grow_until=0.8,
-    rounds=150,
-    opacity=0.01,
-    rest=0.0,
-    inertia=0.03,
-    interval=0.0,
-    spread=0.3,
-    steady=True,
-    largest_convex=0.03,
-    prune_at=0.85,
-    hidden_at=(0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
-)
-# Nodes that only look for the motion: what is found here is moved and refined later, so nothing turns rigid or is hidden yet.
-FIRST_MOTION = replace(NODES, rigid_parts_at=(), spread_at=(0.5,), hidden_at=(), prune_at=0.9)
-FREE = Recipe(opacity=0.01, rest=0.0, freeze_at=2.0, opens=False)
-RECIPES = {"planes": PLANES, "nodes": NODES, "free": FREE}  # keyed by the "kind" in a motion's config
+@dataclass(frozen=True)
+class FirstTraining:
+    """A training of the motion alone, before the training proper. budget: most Gaussians. changes: to the training's settings."""
+
+    name: str
+    phases: list[Phase]
+    recipe: Recipe
+    budget: int
+    changes: Mapping[str, Any] = field(default_factory=dict)

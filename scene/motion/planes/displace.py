@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
-from .. import _kernels
-from ..rotation import rotate
-from .interface import Displacement
+from ... import _kernels
+from ...rotation import rotate
+
+
+class Displacement(NamedTuple):
+    """The change of N rest positions at one time.
+
+    dx: [N, 3] world units, added to the position. dr: [N, 4] unit quaternion (w x y z) that turns the primitive further.
+    ds: [N, 3] added to the logarithm of the scales.
+    """
+
+    dx: Tensor
+    dr: Tensor
+    ds: Tensor
 
 
 def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displacement:
@@ -20,8 +33,8 @@ def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displ
     if all(p.device.type == "cpu" and p.dtype == torch.float32 for p in (heads, rest)):
         return Displacement(*_Displace.apply(heads, rest, tuple(centre.tolist()), reach))
     if all(p.is_cuda and p.dtype == torch.float32 for p in (heads, rest, centre)):
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.displace import displace as on_gpu
+        from ....rasterizer.cuda.runtime import launcher_for
+        from ...cuda.displace import displace as on_gpu
 
         return on_gpu(launcher_for(rest.device), heads, rest, centre, reach)
     turn = torch.cat([1 + heads[:, 3:4], heads[:, 4:7]], 1)

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .. import _kernels
+from ... import _kernels
 from .field_reference import lookup_reference
 
 
@@ -43,8 +43,8 @@ def field_outputs(
 
 def _features(space: Sequence[Tensor], time: Sequence[Tensor], points: Tensor, box: tuple[Tensor, Tensor] | None, t: float) -> Tensor:
     if all(p.is_cuda and p.dtype == torch.float32 for p in (points, *space, *time)):
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.field import look_up, takes
+        from ....rasterizer.cuda.runtime import launcher_for
+        from ...cuda.field import look_up, takes
 
         if takes(space):
             return look_up(launcher_for(points.device), space, time, points, box, t)

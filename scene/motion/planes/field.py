@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..rotation import compose
-from .displace import displace
+from ...primitives import GaussianSet
+from ...rotation import compose
+from ...settings import TrainingSettings
+from ...views import Views
+from ..carrier import Carrier, Rest
+from ..interface import Moved
+from ..rates import Rate, exponential
+from ..start import Start
+from ..times import Time
+from .displace import Displacement, displace
 from .field_kernel import field_outputs
 from .hexplane import HexPlanes
-from .interface import Displacement, Moved, Rest, Time
+
+LEAST_DYNAMIC = 50  # dynamic seeds, from which on the field spans only these
 
 
-class DeformationField(nn.Module):
-    """Implements `Motion`. Heads start at zero, so an untrained field moves nothing.
+class DeformationField(Carrier):
+    """The field as a motion. Heads start at zero, so an untrained field moves nothing.
 
     ``reach``: world units for one unit of the displacement head, a quarter of the box's diagonal. It is kept as a Python float, so that a
     GPU is synchronised when the field is created, loaded or moved, but not when it is used.
@@ -35,9 +44,10 @@ class DeformationField(nn.Module):
     high: Tensor
     reach: float
 
+    kind = "planes"
     worth_culling = True
-    steady = False
     priors_at_places = True
+    replayable = False  # the look-up needs the time on the CPU
 
     def __init__(
         self,
@@ -69,11 +79,28 @@ class DeformationField(nn.Module):
             self.head.weight.zero_()
             self.head.bias.zero_()
         self.to(low.device)  # the initial values are the same on every device
-        self.config = {"kind": "planes", "times": times, "resolutions": list(resolutions), "channels": channels, "width": width}
+        self._sizes = {"times": times, "resolutions": list(resolutions), "channels": channels, "width": width}
+
+    @property
+    def config(self) -> dict[str, Any]:
+        return {"kind": self.kind, **self._sizes}
 
     @classmethod
-    def from_state(cls, state: dict[str, Tensor], config: dict) -> DeformationField:
-        """Inverse of `state_dict` and `config`."""
+    def over(cls, points: np.ndarray, times: int, seed: int = 0) -> Self:
+        """A field over the bounding box of ``points`` [P, 3], widened by a fifth. The box spans the 1st to the 99th percentile, so outliers
+        do not stretch it."""
+        low, high = np.percentile(points, 1, axis=0), np.percentile(points, 99, axis=0)
+        margin = 0.2 * (high - low).max()
+        return cls(torch.tensor(low - margin), torch.tensor(high + margin), times, seed=seed)
+
+    @classmethod
+    def start(cls, start: Start, views: Views, settings: TrainingSettings) -> tuple[Self, GaussianSet]:
+        start = start.at_the_middle()
+        points = start.points[start.dynamic] if start.dynamic.sum() >= LEAST_DYNAMIC else start.points
+        return cls.over(points, len(np.unique(views.time)), settings.seed), start.gaussians()
+
+    @classmethod
+    def from_state(cls, state: dict[str, Tensor], config: dict[str, Any]) -> Self:
         field = cls(
             state["low"], state["high"], config["times"], tuple(config["resolutions"]), channels=config["channels"], width=config["width"]
         )
@@ -109,12 +136,6 @@ class DeformationField(nn.Module):
         m = len(rest.quats)
         return Moved(rest.points + dx, compose(dr[:m], rest.quats), ds[:m])
 
-    def links(self, points: Tensor, hyper: Tensor) -> None:
-        """The planes carry every place."""
-
-    def spread_over(self, points: np.ndarray) -> None:
-        """There are no parts: the planes are fixed to the box."""
-
     def rigid_motion(self, rest: Tensor, t: float) -> Tensor:
         """[N, 7] numbers of order one that are equal for all positions that move as one rigid part."""
         return self._heads(rest, t)[:, :7]
@@ -133,11 +154,9 @@ class DeformationField(nn.Module):
         change = self.rigid_motion(rest, middle - dt) - 2 * here + self.rigid_motion(rest, middle + dt)
         return rigidity, change.norm(dim=1).mean()
 
-    def light(self, t: Time) -> None:
-        """Colours do not change over time."""
-
-    def pace(self, log_spans: Tensor) -> None:
-        """Primitives are present throughout."""
-
     def regulariser(self) -> Tensor:
         return self.planes.total_variation()
+
+    def rate(self, name: str, settings: TrainingSettings, unit: float, scale: float) -> Rate:
+        first = settings.lr_field if name.startswith("planes.") else settings.lr_network
+        return exponential(first * scale, first / 10)

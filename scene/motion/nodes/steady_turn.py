@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from ..fibonacci import fibonacci_sphere
-from ..views import Views
+from ...fibonacci import fibonacci_sphere
+from ...views import Views
 
 ERROR_SHARE = 0.15  # of the whole error: parts with less are left alone
 CELLS = 50  # along the scene's longest side; the error is summed in each
@@ -45,7 +45,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Spin:
+class SteadyTurn:
     """A steady turn. omega: [3] rad per frame of the sequence, world axes. offset: [3] world units, from the given path to the centre of
     the turn. gain: the variance of colours with the turn, as a share of that without it."""
 
@@ -85,7 +85,7 @@ def compact_parts(means: np.ndarray, error: np.ndarray) -> list[Part]:
     return sorted(parts, key=lambda part: -part.share)
 
 
-class SpinSearch:
+class TurnSearch:
     """Looks for the steady turn of one part.
 
     views: posed images. frames [n]: indices of views in order of time. path [n, 3]: observed path of the part's centre, world units.
@@ -160,7 +160,7 @@ class SpinSearch:
         parts = zip(omega.split(size), offset.expand(len(omega), 3).split(size))
         return torch.cat([self.variance(turns, shifts, windows, directions).mean(1) for turns, shifts in parts])
 
-    def find(self) -> Spin | None:
+    def find(self) -> SteadyTurn | None:
         """The turn that explains the colours best, or None if none is much better than no turn."""
         if self.count < MIN_FRAMES:
             return None
@@ -190,7 +190,7 @@ class SpinSearch:
             gains = [float(self.over_windows(turning, offset, h) / self.over_windows(still, offset, h)) for h in (WINDOW, half)]
         if not max(gains) < ACCEPT:
             return None
-        return Spin(turning[0].cpu().numpy(), offset.cpu().numpy(), gains[-1])
+        return SteadyTurn(turning[0].cpu().numpy(), offset.cpu().numpy(), gains[-1])
 
     def _descend(self, omega: Tensor, offset: Tensor, half: int = WINDOW, steps: int = 40) -> tuple[Tensor, Tensor]:
         """The best of ``omega`` [C, 3] after gradient steps on each together with its own offset: ([1, 3], [3])."""

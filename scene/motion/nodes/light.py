@@ -1,4 +1,4 @@
-"""Light that changes over time: a few courses that the whole scene shares and each primitive follows by its own `shades`."""
+"""Light that changes over time: a few courses that the whole scene shares and each primitive follows by its own `shades` [SHADES]."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ..cuda.over_time import OverTime
-from ..primitives import SHADES
+from ...cuda.over_time import OverTime
+from ..times import Time, together
 from .courses import TIME_BANDS, encode_times, layers, through
-from .interface import Time, together
 
+SHADES = 3  # courses of light that the colours of primitives can follow
 WIDTH = 64
 
 

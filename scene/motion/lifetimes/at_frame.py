@@ -1,4 +1,4 @@
-"""Primitives at one moment of their lives: the kernel, and its oracle in plain torch."""
+"""Primitives at one moment of their lifetimes: the kernel, and its oracle in plain torch."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import _kernels
-from ..primitives import Life
-from ..rotation import compose, rotate
+from ... import _kernels
+from ...rotation import compose, rotate
+from .lifetime import Lifetime
 
 Alive = tuple[Tensor, Tensor | None, Tensor]
 
 
-def live(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float | Tensor) -> Alive:
+def at_frame(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Lifetime, dynamic: Tensor, frame: float | Tensor) -> Alive:
     """``points`` [N, K, 3], ``quats`` [N, 4] (w x y z, any norm; None for convexes) and ``opacities`` [N] at fractional ``frame``.
 
     A primitive that is ``dynamic`` [N] bool drifts and turns steadily; the K points of a convex turn about their mean. Its opacity is
@@ -23,20 +23,22 @@ def live(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dy
     """
     if points.device.type == "cpu" and points.dtype == torch.float32:
         turned_too = () if quats is None else (quats,)
-        moved, shown, *turned = _Live.apply(float(frame), dynamic, points, opacities, *life, *turned_too)
+        moved, shown, *turned = _AtFrame.apply(float(frame), dynamic, points, opacities, *life, *turned_too)
         return moved, turned[0] if turned else None, shown
     if points.is_cuda and points.dtype == torch.float32:
-        from ...rasterizer.cuda.runtime import launcher_for
-        from ..cuda.lives import live as on_gpu
+        from ....rasterizer.cuda.runtime import launcher_for
+        from ...cuda.lives import at_frame as on_gpu
 
         return on_gpu(launcher_for(points.device), points, quats, opacities, life, dynamic, frame)
-    return live_reference(points, quats, opacities, life, dynamic, frame)
+    return at_frame_reference(points, quats, opacities, life, dynamic, frame)
 
 
-def live_reference(points: Tensor, quats: Tensor | None, opacities: Tensor, life: Life, dynamic: Tensor, frame: float | Tensor) -> Alive:
-    """`live` in plain torch: the kernel's oracle in float64, and the implementation on other devices."""
+def at_frame_reference(
+    points: Tensor, quats: Tensor | None, opacities: Tensor, life: Lifetime, dynamic: Tensor, frame: float | Tensor
+) -> Alive:
+    """`at_frame` in plain torch: the kernel's oracle in float64, and the implementation on other devices."""
     # Selected, so that whatever the life of the others holds, they get no gradient from it.
-    life = Life(*(p[dynamic] for p in life))
+    life = Lifetime(*(p[dynamic] for p in life))
     age, present = frame - life.times, presence(life, frame)
     turns = turned_by(life.spins * age[:, None])
     rest = points[dynamic]
@@ -50,7 +52,7 @@ def live_reference(points: Tensor, quats: Tensor | None, opacities: Tensor, life
     return points.index_copy(0, index, moved), turned, opacities.index_copy(0, index, opacities[dynamic] * present)
 
 
-def presence(life: Life, frame: float | Tensor) -> Tensor:
+def presence(life: Lifetime, frame: float | Tensor) -> Tensor:
     """[N] in [0, 1], the factor on opacities at ``frame``."""
     return torch.exp(-0.5 * ((frame - life.times) * torch.exp(-life.log_spans)).square())
 
@@ -62,7 +64,7 @@ def turned_by(vectors: Tensor) -> Tensor:
     return torch.cat([torch.cos(angle), half * (torch.sin(angle) / angle)], 1)
 
 
-class _Live(torch.autograd.Function):
+class _AtFrame(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, frame: float, dynamic: Tensor, *given: Tensor):  # type: ignore[override]
         points, opacities, *life = plain = [p.detach().contiguous() for p in given]

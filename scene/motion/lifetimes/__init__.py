@@ -1,0 +1,1 @@
+"""Primitives that are present for a time of their own."""

@@ -1,0 +1,1 @@
+"""Control nodes: rigid frames that carry the primitives near them."""

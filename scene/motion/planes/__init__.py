@@ -1,0 +1,1 @@
+"""The six-plane deformation field of the paper."""

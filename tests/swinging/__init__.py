@@ -1,0 +1,1 @@
+"""A motion of the tests: see `docs/extending.md`."""
