@@ -45,11 +45,6 @@ class CameraAffine(nn.Module):
         return torch.exp(gain - self.log_gain.mean(0)), offset - self.offset.mean(0)
 
 
-def row_of(affine: CameraAffine | None, views: Views, i: int) -> int | None:
-    """The row of ``affine`` in which frame ``i`` is recorded; None if there is none."""
-    return None if affine is None else affine.row(views.recorded_by(i))
-
-
 def colour_recorders(views: Views) -> np.ndarray | None:
     """Sorted numbers of the cameras (or photos) that recorded the training frames and may disagree about colour. None if there is only one,
     or if nearly every frame has a camera number of its own, as in rendered captures."""

@@ -19,6 +19,7 @@ from ..rasterizer.cuda import selftest
 from ..rasterizer.cuda.programs import backproject_convexes, backproject_gaussians, needed, project_convexes
 from ..rasterizer.cuda.runtime import Program, warm_up
 from .cuda.programs import program
+from .losses.term import Run
 from .model import Model
 from .motion.field import DeformationField
 from .motion.free import FreeMotion
@@ -35,7 +36,7 @@ WIDTH, HEIGHT = 40, 24
 CAMERAS, TIMES = 2, 3
 DISTANCE = 4.0  # world units from the cameras to the middle of the scene
 DEGREES = {"planes": 2, "nodes": 1, "free": 1}  # of spherical harmonics, by the motions to try; the last two share programs
-WEIGHTS = {"spread": 0.3, "tv": 0.3}  # of terms that are off or lost among the others by default
+WEIGHTS = {"spread_weight": 0.3, "tv_weight": 0.3}  # of terms that are off or lost among the others by default
 STEP, TOTAL = 80, 100  # every term of the loss is evaluated at this step of this many
 
 
@@ -69,7 +70,7 @@ def _step(motion: str, device: str) -> dict[str, Tensor]:
     """What a step of training computes, by names for people."""
     settings = TrainingSettings.model_validate({"sh_degree": DEGREES[motion], **WEIGHTS})
     model = _model(motion).to(device)
-    objective = Objective(_views(device), settings, RECIPES[motion], DISTANCE, motion == "planes", TOTAL, 0, _measured_flow, None)
+    objective = Objective(Run(_views(device), settings, RECIPES[motion], DISTANCE, motion == "planes", TOTAL, 0, _measured_flow))
     judged = objective(model, 1, STEP, Phase("all", TOTAL), DEGREES[motion])
     judged.loss.backward()  # type: ignore[no-untyped-call]
     optimiser = LearnedModel(model, settings, DISTANCE, 1.0).optimiser

@@ -126,21 +126,24 @@ class Views:
         left, top, right, bottom = found
         return int(left * x), int(top * y), min(math.ceil(right * x), width), min(math.ceil(bottom * y), height)
 
-    def target(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor:
-        """Image [H, W, 3] float32 in [0, 1], cropped to ``window`` if one is given."""
-        return self._tensor(i, scale, window, "colour")
+    def target(self, i: int, scale: float = 1.0) -> Tensor:
+        """Image [H, W, 3] float32 in [0, 1]."""
+        return floats(self.stored(i, scale, "colour"))
 
-    def alpha(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor:
-        """The capture's own alpha [H, W] float32 in [0, 1], cropped to ``window`` if one is given."""
-        return self._tensor(i, scale, window, "alpha")
-
-    def kept(self, i: int, scale: float = 1.0, window: Window | None = None) -> Tensor | None:
+    def kept(self, i: int, scale: float = 1.0) -> Tensor | None:
         """[H, W] bool, the pixels that count; None if all do."""
-        return None if self.load_kept is None else self._tensor(i, scale, window, "kept") >= WHOLLY
+        return None if self.load_kept is None else floats(self.stored(i, scale, "kept")) >= WHOLLY
 
-    def stored(self, i: int, scale: float, kind: Kind) -> Tensor:
-        """The picture of frame ``i`` of this kind as it is kept on `device`: uint8 [H, W, 3] or [H, W]. It may be gone from there after the
-        next call."""
+    def edges(self, i: int, scale: float = 1.0) -> Tensor:
+        """[H, W] float32 in [0, 1], the weight of an edge at each pixel."""
+        return floats(self.stored(i, scale, "edges"))
+
+    def stored(self, i: int, scale: float, kind: Kind, window: Window | None = None) -> Tensor:
+        """The picture of frame ``i`` of this kind as it is kept on `device`, uint8 [H, W, 3] or [H, W], cropped to ``window`` if one is
+        given. It may be gone from there after the next call."""
+        if window is not None:
+            left, top, right, bottom = window
+            return self.stored(i, scale, kind)[top:bottom, left:right]
         if self.device == "cpu":
             return torch.from_numpy(self._image(i, scale, kind))
         key = (int(i), scale, kind)
@@ -152,17 +155,6 @@ class Views:
             while self._there_bytes > CACHE_BYTES and len(self._there) > 1:
                 self._there_bytes -= self._there.popitem(last=False)[1].nbytes
             return self._there[key]
-
-    def _tensor(self, i: int, scale: float, window: Window | None, kind: Kind) -> Tensor:
-        there = self.stored(i, scale, kind)
-        if window is not None:
-            left, top, right, bottom = window
-            there = there[top:bottom, left:right]
-        return there.float().div_(255.0)
-
-    def edges(self, i: int, scale: float = 1.0) -> Tensor:
-        """[H, W] float32 in [0, 1], the weight of an edge at each pixel."""
-        return self._tensor(i, scale, None, "edges")
 
     def _image(self, i: int, scale: float, kind: Kind = "colour") -> np.ndarray:
         key = (int(i), scale, kind)
@@ -211,6 +203,11 @@ class Views:
         sample = points[:: max(1, len(points) // 2000)]
         distance = np.median(np.linalg.norm(sample[None] - centres[:: max(1, len(centres) // 50), None], axis=2))
         return float(max(distance, 1e-6))
+
+
+def floats(picture: Tensor) -> Tensor:
+    """A `Views.stored` picture as float32 in [0, 1]."""
+    return picture.float().div_(255.0)
 
 
 def filled_window(alpha: np.ndarray) -> Window | None:

@@ -19,7 +19,7 @@ from sliding_gaussians import SETTINGS, fresh, make_views
 
 TOTAL, SIZE = 200, 48
 PHASE = Phase("moving", TOTAL, move=True)
-QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "flow_every": 8, "interval": 1e-3, "dropout": 0.2, "affine": True})
+QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "flow_every": 8, "interval_weight": 1e-3, "dropout": 0.2, "affine": True})
 KINDS = ("nodes", "nodes, turning", "free", "free, convexes", "static")
 
 
@@ -83,18 +83,18 @@ def begun(what, device="cpu"):
             model.convexes.live(3.0, 2.0)
     recipe = replace(FREE if rig else NODES, interval=1e-3)
     trainer = Trainer(model.to(device), views, [PHASE], QUICK, 400, recipe=recipe, measured_flow=flow, measured_depth=depth)
-    trainer.objective.several = rig
+    assert trainer.objective.run.several == rig
     trainer.objective.drawn = DrawnTiles(views, 0, 100_000)
     trainer.objective.drawn.often = {0, 1}
     return trainer
 
 
-def judged(trainer, judge, step):
+def evaluated(trainer, evaluate, step):
     parameters = trainer.learned.optimiser.parameters()
     for p in parameters.values():
         p.grad = None
     i = int(trainer.views.train[step * 7 % len(trainer.views.train)])
-    found = judge(trainer.model, i, step, PHASE, 1)
+    found = evaluate(trainer.model, i, step, PHASE, 1)
     found.backward()
     values = {
         "loss": found.loss.detach(),
@@ -111,7 +111,7 @@ def judged(trainer, judge, step):
 
 def agree(trainer, steps):
     for step in steps:
-        want, got = judged(trainer, trainer.objective, step), judged(trainer, trainer.replayed, step)
+        want, got = evaluated(trainer, trainer.objective, step), evaluated(trainer, trainer.replayed, step)
         for name, value in want.items():
             assert (got[name] - value).norm() <= 1e-4 * value.norm() + 1e-7, (step, name)
 
@@ -120,7 +120,7 @@ def agree_in_other_numbers(trainer):
     """Usual and replayed steps with more and with fewer Gaussians than were captured. Returns how many graphs were made."""
     steps = [*range(61, 105), 112, 120, 128]  # at 100, links are searched again
     agree(trainer, 2 * steps)  # a kind of step that comes up once is not captured
-    captures = trainer.replayed.captures
+    captures = trainer.replayed.graphs.captures
     before = trainer.model.gaussians
     some = torch.arange(10, device=before.device)
     trainer.learned.replace(*split(before, some), 100)
@@ -130,7 +130,7 @@ def agree_in_other_numbers(trainer):
     trainer.learned.replace(trainer.model.gaussians.select(keep), keep, 101)
     trainer.model.gaussians.dynamic[:3] = trainer.model.gaussians.dynamic[:3].clone()  # another version of the same
     agree(trainer, steps)
-    assert trainer.replayed.captures == captures, "there was room"
+    assert trainer.replayed.graphs.captures == captures, "there was room"
     assert not trainer.log.events
     return captures
 
@@ -150,4 +150,4 @@ def agree_on_responsibility(trainer):
         if some:
             chosen = torch.arange(some, device=model.device)
             trainer.learned.replace(*split(model.gaussians, chosen), 100)
-    assert len(measure._frames) == 2 and not trainer.log.events
+    assert len(measure.graphs) == 2 and not trainer.log.events

@@ -1,4 +1,4 @@
-"""The house rules that a machine can hold: imports point down, heavy libraries load late, DESIGN.md files are short."""
+"""The house rules that a machine can hold: imports point down, heavy libraries load late, every folder has a DESIGN.md."""
 
 import ast
 import json
@@ -22,7 +22,7 @@ BELOW = {
 ROOMS = ("rasterizer.cuda.runtime",)  # folders with a public face: others import what their __init__.py exports, and nothing behind it
 STAGES = [stage.name for stage in reconstruction()]
 LIGHT = ("__init__", "settings", "defaults", "stage", "artifact")
-LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d")
+LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
 
 
 def imported_folders(path: Path) -> set[str]:
@@ -256,10 +256,8 @@ def test_files_are_short(folder):
 
 
 @pytest.mark.parametrize("folder", BELOW)
-def test_every_folder_has_a_short_design(folder):
-    design = ROOT / folder / "DESIGN.md"
-    assert design.is_file(), f"{folder} has no DESIGN.md"
-    assert len(design.read_text().splitlines()) <= 120
+def test_every_folder_has_a_design(folder):
+    assert (ROOT / folder / "DESIGN.md").is_file(), f"{folder} has no DESIGN.md"
 
 
 def test_heavy_libraries_load_late():

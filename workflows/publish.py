@@ -27,6 +27,7 @@ def plan_json(session: Session, rows: Sequence[Row]) -> dict[str, Any]:
         "notes": list(session.notes),
         "device": job.device,
         "preset": session.options.preset,
+        **({"time": session.options.time, "decided": list(session.options.resolved)} if session.options.time else {}),
         "settings": {name: settings.model_dump(mode="json") for name, settings in job.settings.items()},
         "stages": [row.as_json() for row in rows],
     }

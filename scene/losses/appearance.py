@@ -6,35 +6,35 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Frame
+from ..model import Model
 from ..settings import TrainingSettings
-from .photometric import Recording, photometric_loss, scale_gradient
+from ..views import floats
+from .photometric import photometric_loss, scale_gradient
+from .term import Now, Rendered, Term
 
 OTHER_BACKGROUND = 0.3  # share of the loss with the opposite background, if the capture has alpha
 
 
-def appearance_loss(
-    frame: Frame,
-    target: Tensor,
-    settings: TrainingSettings,
-    background: tuple[float, float, float],
-    alpha: Tensor | None = None,
-    kept: Tensor | None = None,
-    weight: Tensor | None = None,
-    recording: Recording | None = None,
-    share: float = 1.0,
-) -> Tensor:
-    """The photometric loss of ``frame`` and, if the capture's ``alpha`` is given, that in front of the opposite background and the L1 of
-    alpha: a scalar, times ``share``. On a CUDA device the call does not synchronise.
+class Appearance(Term):
+    """`appearance_loss`, scaled as a mean over the whole image: there is nothing outside the window."""
 
-    Args:
-        frame: a render [h, w] in front of ``background``; its colour and alpha receive gradients.
-        target: [h, w, 3] float32, with alpha in front of the same background.
-        background: RGB in [0, 1].
-        alpha: [h, w] float32.
-        kept: [h, w] bool, the pixels whose alpha counts; see `on_other_background`. None: all.
-        weight, recording: see `photometric_loss`; ``weight`` acts on alpha in the same way.
-    """
-    s, color = settings, frame.color
+    name = "appearance"
+
+    def inputs(self, model: Model, now: Now) -> tuple[Tensor | None]:
+        views = self.run.views
+        known = self.run.settings.alpha_weight and views.load_alpha is not None
+        return (views.stored(now.frame, now.scale, "alpha", now.window) if known else None,)
+
+    def value(self, rendered: Rendered, inputs: tuple[Tensor | None]) -> Tensor:
+        alpha = None if inputs[0] is None else floats(inputs[0])
+        return appearance_loss(rendered, self.run.settings, self.run.views.background, alpha)
+
+
+def appearance_loss(rendered: Rendered, s: TrainingSettings, background: tuple[float, float, float], alpha: Tensor | None) -> Tensor:
+    """The photometric loss of a frame in front of ``background`` (RGB in [0, 1]) and, if the capture's ``alpha`` [h, w] is given, that in
+    front of the opposite background and the L1 of alpha: a scalar. On a CUDA device the call does not synchronise."""
+    frame, target, kept, weight, recording = rendered.frame, rendered.target, rendered.kept, rendered.weight, rendered.recording
+    color, share = frame.color, rendered.share
     if color.device.type == "cuda" and color.dtype == torch.float32:
         from ...rasterizer.cuda.runtime import launcher_for
         from ..cuda import photometric
@@ -42,17 +42,17 @@ def appearance_loss(
         opposite = None
         if alpha is not None:
             red, green, blue = (1 - 2 * level for level in background)
-            opposite = photometric.Opposite(frame.alpha, alpha, kept, (red, green, blue), OTHER_BACKGROUND, share * s.alpha)
-        terms = share * s.l1, share * s.ssim, weight, recording, opposite
+            opposite = photometric.Opposite(frame.alpha, alpha, kept, (red, green, blue), OTHER_BACKGROUND, share * s.alpha_weight)
+        terms = share * s.l1_weight, share * s.ssim_weight, weight, recording, opposite
         return photometric.photometric_loss(launcher_for(color.device), color, target, *terms)
-    loss = photometric_loss(color, target, s.l1, s.ssim, weight, recording)
+    loss = photometric_loss(color, target, s.l1_weight, s.ssim_weight, weight, recording)
     if alpha is not None:
         wrong = ((frame.alpha if weight is None else scale_gradient(frame.alpha, weight)) - alpha).abs()
         counts = kept if weight is None else weight != 0 if kept is None else kept & (weight != 0)
-        other = photometric_loss(
-            *on_other_background(frame, target, alpha, torch.tensor(background, dtype=color.dtype), kept), s.l1, s.ssim, weight, recording
-        )
-        loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + s.alpha * (wrong if counts is None else wrong * counts).mean()
+        seen = on_other_background(frame, target, alpha, torch.tensor(background, dtype=color.dtype), kept)
+        other = photometric_loss(*seen, s.l1_weight, s.ssim_weight, weight, recording)
+        missed = s.alpha_weight * (wrong if counts is None else wrong * counts).mean()
+        loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + missed
     return loss * share
 
 

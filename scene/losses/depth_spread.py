@@ -8,16 +8,35 @@ et al. 2022, Eq. 15) has the same aim; this loss is the standard deviation along
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from ...rasterizer import Camera, Convexes, Gaussians
+from ..model import Model
 from .photometric import scale_gradient
+from .term import Now, Rendered, Term
 
-EVERY = 4  # steps between two evaluations; the weight is scaled up to compensate
+EVERY = 4  # steps between two evaluations
 BEGIN = 0.1  # fraction of all steps; there are no surfaces before
 FLOOR = 1e-4  # of unit: smaller spreads count as zero, and the gradient of the square root stays finite
+
+
+class DepthSpread(Term):
+    """`depth_spread`, from two extra channels of the render."""
+
+    name, setting, every = "depth spread", "spread", EVERY
+
+    def due(self, model: Model, now: Now) -> bool:
+        return self.weight > 0 and now.number > BEGIN * self.run.total
+
+    def shapes(self, camera: Camera, gaussians: Gaussians, convexes: Convexes) -> tuple[Gaussians, Convexes]:
+        return with_depth(camera, gaussians, convexes, self.run.unit)
+
+    def value(self, rendered: Rendered, inputs: Any) -> Tensor:
+        frame = rendered.frame
+        return self.weight * rendered.share * depth_spread(frame.extras, frame.alpha, rendered.weight)
 
 
 def with_depth(camera: Camera, gaussians: Gaussians, convexes: Convexes, unit: float) -> tuple[Gaussians, Convexes]:

@@ -38,10 +38,6 @@ class MeasuredDepth:
             self._sized[key] = interpolate(found[None, None], (height, width), mode="nearest")[0, 0]
         return self._sized[key]
 
-    def covers(self, frame: int) -> bool:
-        """Whether ``frame`` has a map."""
-        return frame in self._maps
-
     def static(self, frame: int, height: int, width: int) -> Tensor | None:
         """`of`, with 0 where `moving` says that it does not count."""
         found, moving = self.of(frame, height, width), self.moving(frame)

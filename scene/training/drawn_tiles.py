@@ -24,11 +24,15 @@ MOST_DRAWN = 0.9  # with a larger expected share of the image, all of it is draw
 
 
 class Drawn(NamedTuple):
-    """tiles [rows, columns] bool, as `rasterize` takes them. weight [rows, columns] float32: 0 for tiles that are not drawn, else the
-    factor on the gradient of its pixels with which the gradient's expected value is that of drawing everything."""
+    """weight [rows, columns] float32: 0 for tiles that are not drawn, else the factor on the gradient of its pixels with which the
+    gradient's expected value is that of drawing everything."""
 
-    tiles: Tensor
     weight: Tensor
+
+    @property
+    def tiles(self) -> Tensor:
+        """[rows, columns] bool, as `rasterize` takes them."""
+        return self.weight > 0
 
     def pixels(self, like: Tensor) -> Tensor:
         """The weight of each pixel, [H, W] as those of ``like`` [H, W, ...] and on its device."""
@@ -56,8 +60,8 @@ class DrawnTiles:
             return None
         rows, columns = moving.shape
         blocks = np.random.default_rng((self.seed, 3, step)).random((-(-rows // SIDE), -(-columns // SIDE))) < self.share
-        chosen = moving | spread(blocks, SIDE)[:rows, :columns]
-        return Drawn(torch.from_numpy(chosen), torch.from_numpy(np.where(moving, 1.0, chosen / self.share).astype(np.float32)))
+        chosen = spread(blocks, SIDE)[:rows, :columns]
+        return Drawn(torch.from_numpy(np.where(moving, 1.0, chosen / self.share).astype(np.float32)))
 
     def moving(self, frame: int, scale: float) -> np.ndarray:
         """[rows, columns] bool, the tiles of ``frame`` at ``scale`` in which something moves."""

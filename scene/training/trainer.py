@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..colour import CameraAffine, colour_recorders
 from ..losses.measured_depth import MeasuredDepth
-from ..losses.motion_terms import MeasuredFlow
+from ..losses.term import MeasuredFlow, Run
 from ..model import Model
 from ..settings import TrainingSettings
 from ..views import Views
@@ -29,12 +29,11 @@ from .log import TrainingLog
 from .objective import Objective
 from .recipe import PLANES, Recipe
 from .replayed.objective import ReplayedObjective
+from .replayed.padded_model import PaddedModel
 from .replayed.responsibility import ReplayedResponsibility
-from .replayed.rooms import Rooms
 from .schedule import Phase, alike_since
-from .steps.at_once import StepsAtOnce
-from .steps.late import LateSteps
-from .steps.step import Step, Steps
+from .steps.deferred import DeferredSteps
+from .steps.immediate import ImmediateSteps, Step
 from .turning import leave_only_rigid_parts
 
 
@@ -86,16 +85,16 @@ class Trainer:
         found = None if self._found is None else self._found[1].get("unit")
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy()) if found is None else float(found)
         steps = self.curriculum.several, self.total, earlier
-        self.objective = Objective(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth)
+        self.objective = Objective(Run(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth))
         self.learned = LearnedModel(model, settings, self.unit, lr_scale)
         self.replayed: ReplayedObjective | None = None
         measure: Measure = measure_responsibility
         if model.device.type == "cuda" and torch.backends.cuda.is_built():
-            rooms = Rooms()
-            self.replayed = ReplayedObjective(self.objective, lambda: self.learned.optimiser.parameters(), rooms, self._event)
-            measure = ReplayedResponsibility(self.objective, rooms, self._event)
-        takes = LateSteps if model.device.type == "cuda" else StepsAtOnce
-        self.steps: Steps = takes(self.learned, self.guard, self._taken)
+            memory = PaddedModel()
+            self.replayed = ReplayedObjective(self.objective, lambda: self.learned.optimiser.parameters(), memory, self._event)
+            measure = ReplayedResponsibility(views, memory, self._event)
+        applies = DeferredSteps if model.device.type == "cuda" else ImmediateSteps
+        self.steps = applies(self.learned, self.guard, self._applied)
         self.learned.before_change = self.steps.settle
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)
@@ -134,21 +133,21 @@ class Trainer:
         """Step ``step`` of ``phase``: render one view and update the parameters."""
         model = self.model
         i = self.curriculum.frame(self.iteration)
-        judge = self.replayed or self.objective
-        judged = judge(model, i, self.iteration, phase, self._sh_degree())
+        objective = self.replayed or self.objective
+        found = objective(model, i, self.iteration, phase, self._sh_degree())
         if self.iteration % 50 == 0:
-            self.log.psnr.append([self.iteration, judged.psnr()])
-        judged.backward()
+            self.log.psnr.append([self.iteration, found.psnr()])
+        found.backward()
         if self.motion.rigid_parts_alone:
-            leave_only_rigid_parts(model, self.learned.optimiser.parameters() | judged.rows.named())
-        now = Step(self.iteration, i, judged.loss.detach(), judged.image_loss)
-        not_taken = self.steps.take(now, self.iteration / max(self.total, 1), self._frozen(phase, step), judged.rows)
+            leave_only_rigid_parts(model, self.learned.optimiser.parameters() | found.rows.named())
+        now = Step(self.iteration, i, found.loss.detach(), found.image_loss)
+        rejected = self.steps.apply(now, self.iteration / max(self.total, 1), self._frozen(phase, step), found.rows)
         if len(model.convexes) and self.recipe.largest_convex < math.inf:
-            keep_small(model.convexes, self.recipe.largest_convex * self.unit, not_taken)
+            keep_small(model.convexes, self.recipe.largest_convex * self.unit, rejected)
 
-    def _taken(self, step: Step, taken: bool) -> None:
-        """What `Steps` report, on a GPU some steps later."""
-        if taken:
+    def _applied(self, step: Step, accepted: bool) -> None:
+        """What `steps` report, on a GPU some steps later."""
+        if accepted:
             self.loss.add(step.image_loss)
         else:
             self._event(f"step {step.number}: not finite, rolled back")

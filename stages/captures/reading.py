@@ -28,7 +28,7 @@ class Options:
     every: int | None = None
     every_time: int = 1
     fps: float | None = None
-    sync: str = "auto"
+    sync: str | None = None
     audio_cache: Path | None = None
     usual: Usual | None = None  # limits the size where max_size is None; None: no limit
 

@@ -24,7 +24,9 @@ class StoredCoarse:
     @classmethod
     def read(cls, artifact: Artifact) -> StoredCoarse:
         attrs = artifact.attrs
-        return cls(attrs["strategy"], attrs["iterations"], GrowthSettings(**attrs.get("growth", {})))
+        growth = dict(attrs.get("growth", {}))
+        growth["budget"] = growth.get("budget") or None  # 0 in earlier versions
+        return cls(attrs["strategy"], attrs["iterations"], GrowthSettings(**growth))
 
 
 def required(coarse: Artifact | None) -> Artifact:

@@ -31,7 +31,7 @@ def find_first_motion(ctx: Context, model: Model, views: Views, settings: Coarse
         model,
         views,
         phases,
-        settings.model_copy(update={"rigid": 0.0}),
+        settings.model_copy(update={"rigid_weight": 0.0}),
         budget=min(MOST_GAUSSIANS, settings.budget or MOST_GAUSSIANS),
         recipe=FIRST_MOTION,
         part=PART,

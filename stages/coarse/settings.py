@@ -11,8 +11,9 @@ from ...scene.settings import MotionSettings, Strategy, TrainingSettings
 
 class CoarseSettings(MotionSettings, TrainingSettings):
     renamed: ClassVar = {"seeds": "seeds.count"}
+    respelled: ClassVar = {"iterations": {"0": None}}
 
-    iterations: int = Field(0, ge=0, le=1_000_000, description="optimiser steps of this stage; 0: chosen for the capture")
+    iterations: int | None = Field(None, ge=1, le=1_000_000, description="optimiser steps of this stage; none: chosen for the capture")
     effort: float = Field(1.0, gt=0, le=100, description="factor on the number of steps that is chosen for the capture")
     strategy: Strategy = Field("two-stage", description="training strategy, one of the four of Table 3; `fine` uses the same")
     antialiased: bool = Field(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 CONVEXES = 8000
+VIEWS = 24  # training views in which edges are measured, spread evenly
 
 
 def most_convexes(budget: int | None, nodes: bool) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 from ...pipeline import Applies, Context, Resources, Stage
 from ..facts import Facts
 from ..shared.defaults import nodes_by_default
-from .defaults import most_convexes
+from .defaults import VIEWS, most_convexes
 from .settings import HullSettings
 
 
@@ -31,7 +31,7 @@ class Hulls(Stage):
 
     def estimate(self, facts: Mapping[str, Any], settings: HullSettings) -> float | None:
         known = Facts.of(facts)
-        return 2.0 + 0.3 * settings.views * known.width * known.height / 1e6
+        return 2.0 + 0.3 * VIEWS * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: HullSettings, device: str) -> Resources:
         from ..estimates import training_resources

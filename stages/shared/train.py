@@ -12,14 +12,17 @@ from ...scene.training.recipe import RECIPES
 from ...scene.training.schedule import Phase
 from ...scene.training.trainer import Trainer
 from ...scene.views import Views
+from .rehearsal import Rehearsal, Training
 
 
 def train(
     ctx: Context, name: str, model: Model, views: Views, phases: list[Phase], settings: TrainingSettings, **options: Any
 ) -> TrainingLog:
     """Trains ``model`` in place through ``phases``, with the recipe for its kind of motion unless ``options``, which are further arguments
-    of `Trainer`, contain one."""
+    of `Trainer`, contain one. In a rehearsal, the training is handed over instead."""
     options.setdefault("recipe", RECIPES["planes" if model.field is None else str(model.field.config["kind"])])
+    if isinstance(ctx, Rehearsal):
+        return ctx.hand_over(Training(name, model, views, phases, settings, options))
     with ctx.progress(sum(phase.iterations for phase in phases), name) as bar:
         trainer = Trainer(
             model,

@@ -12,7 +12,7 @@ from e4dgs.scene.settings import TrainingSettings
 from pretend_cuda import pretending_cuda
 from simt import CHECKED, RACES, Emulator, why_not
 
-SETTINGS = TrainingSettings(l1=0.7, ssim=0.3, alpha=0.5)
+SETTINGS = TrainingSettings(l1_weight=0.7, ssim_weight=0.3, alpha_weight=0.5)
 BACKGROUND = (0.1, 0.0, 0.9)
 SHARE = 0.6
 SIZES = [(1, 1), (5, 3), (9, 33), (33, 17), (2, 70)]  # a tile is 8 x 32
@@ -70,7 +70,8 @@ def composed(image, target, alpha=None, known=None, kept=None, weight=None, gain
     """`appearance_loss` of whatever device and type the image has."""
     frame = SimpleNamespace(color=image, alpha=alpha)
     recording = None if gain is None else (gain, offset)
-    return appearance_loss(frame, target, SETTINGS, BACKGROUND, known, kept, weight, recording, SHARE)
+    rendered = SimpleNamespace(frame=frame, target=target, kept=kept, weight=weight, recording=recording, share=SHARE)
+    return appearance_loss(rendered, SETTINGS, BACKGROUND, known)
 
 
 def on(launcher):

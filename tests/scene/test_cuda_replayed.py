@@ -3,9 +3,9 @@
 import pytest
 import torch
 from e4dgs.rasterizer.cuda import capacity
-from e4dgs.scene.training.replayed import objective as replayed
-from e4dgs.scene.training.replayed.of_one_view import OfOneView
-from replaying import KINDS, TOTAL, agree, agree_in_other_numbers, agree_on_responsibility, begun, judged
+from e4dgs.scene.losses.opacity import Opacity
+from e4dgs.scene.training.replayed import graphs
+from replaying import KINDS, TOTAL, agree, agree_in_other_numbers, agree_on_responsibility, begun, evaluated
 
 
 @pytest.mark.cuda
@@ -25,39 +25,38 @@ def test_responsibility_is_measured_as_usual(what: str) -> None:
 def test_a_whole_training(what: str) -> None:
     trainer = begun(what, "cuda")
     log = trainer.run()
-    assert log.iterations == TOTAL and log.nonfinite_steps == 0 and trainer.replayed.captures >= 3
+    assert log.iterations == TOTAL and log.nonfinite_steps == 0 and trainer.replayed.graphs.captures >= 3
     assert not any("not replayed" in event for event in log.events)
     assert log.loss[-1][1] < log.loss[0][1]
 
 
 @pytest.mark.cuda
 def test_a_graph_without_room_for_all_pairs_is_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replayed, "CHECK_EVERY", 16)
+    monkeypatch.setattr(graphs, "CHECK_EVERY", 16)
     trainer = begun("nodes", "cuda")
     plain = [step for step in range(61, 160) if step % 4 and step % 100]
     with monkeypatch.context() as small:
         small.setattr(capacity, "GRAPH_ROOM", 10)
         small.setattr(capacity, "GRAPH_SPARE", 0.0)
         for step in plain[:2]:
-            judged(trainer, trainer.replayed, step)
+            evaluated(trainer, trainer.replayed, step)
     for step in plain[2:22]:
-        judged(trainer, trainer.replayed, step)
-    assert trainer.replayed.captures == 2
-    want, got = judged(trainer, trainer.objective, plain[22]), judged(trainer, trainer.replayed, plain[22])
+        evaluated(trainer, trainer.replayed, step)
+    assert trainer.replayed.graphs.captures == 2
+    want, got = evaluated(trainer, trainer.objective, plain[22]), evaluated(trainer, trainer.replayed, plain[22])
     assert (got["color"] - want["color"]).abs().max() < 1e-4
 
 
 @pytest.mark.cuda
 def test_a_step_that_waits_for_the_device_is_computed_as_usual(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = begun("nodes", "cuda")
-    call = OfOneView.__call__
+    value = Opacity.value
 
     def waiting(*given):
-        found = call(*given)
-        found.loss = found.loss * (1 + 0 * float(found.loss.detach()))
-        return found
+        found = value(*given)
+        return found * (1 + 0 * float(found.detach()))
 
-    monkeypatch.setattr(OfOneView, "__call__", waiting)
+    monkeypatch.setattr(Opacity, "value", waiting)
     agree(trainer, [61, 62, 63])
-    assert trainer.replayed.captures == 0 and any("not replayed" in event for event in trainer.log.events)
+    assert trainer.replayed.graphs.captures == 0 and any("not replayed" in event for event in trainer.log.events)
     assert bool(torch.isfinite(trainer.model.gaussians.means).all())

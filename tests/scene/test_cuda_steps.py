@@ -10,11 +10,11 @@ from e4dgs.scene.primitives import ConvexSet
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.recipe import PLANES
 from e4dgs.scene.training.schedule import Phase
-from e4dgs.scene.training.steps.late import LATEST
+from e4dgs.scene.training.steps.deferred import LATEST
 from e4dgs.scene.training.trainer import Trainer
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler
-from sliding_gaussians import SETTINGS, SIZE, fresh, make_views, there
+from sliding_gaussians import SETTINGS, fresh, make_views, there
 
 pytestmark = needs_compiler
 
@@ -29,7 +29,9 @@ def views():
 def begun(views, model=None, **options):
     """A trainer of few terms on the device, and what takes its steps with these numbers."""
     model = (model or fresh(views)).to("cuda")
-    quiet = QUICK.model_copy(update={"flow_every": 1000, "densify_every": 1000, "tv": 0.0, "rigid": 0.0, "inertia": 0.0})
+    quiet = QUICK.model_copy(
+        update={"flow_every": 1000, "densify_every": 1000, "tv_weight": 0.0, "rigid_weight": 0.0, "inertia_weight": 0.0}
+    )
     trainer = Trainer(model, there(views), [Phase("moving", 100, move=True)], quiet, 90, **options)
 
     def take(*steps):
@@ -41,7 +43,9 @@ def begun(views, model=None, **options):
 
 
 def poison(trainer, monkeypatch):
-    monkeypatch.setattr(trainer.views, "target", lambda i, *size: torch.full((SIZE, SIZE, 3), torch.inf, device="cuda"))
+    appearance = trainer.objective.terms[0]
+    value = appearance.value
+    monkeypatch.setattr(appearance, "value", lambda *given: value(*given) * torch.inf)
 
 
 def learned(trainer):
@@ -96,16 +100,17 @@ def test_on_a_gpu_a_step_that_is_not_finite_is_as_if_it_had_not_been(views, monk
 def test_a_bad_step_of_a_whole_training_is_counted(views, monkeypatch, tmp_path):
     calls = []
 
-    def poisoned(i, scale=1.0, window=None):
-        calls.append(i)
-        return original(i, scale, window) * (float("inf") if len(calls) == 20 else 1.0)
+    def poisoned(*given):
+        calls.append(given)
+        return value(*given) * (torch.inf if len(calls) == 20 else 1.0)
 
     with pretending_cuda():
-        mine = there(views)
-        original = mine.target
-        monkeypatch.setattr(mine, "target", poisoned)
         phases = [Phase("still", 6, move=False), Phase("moving", 24, move=True)]
-        log = Trainer(fresh(views).to("cuda"), mine, phases, QUICK, 90, checkpoints=tmp_path).run()
+        trainer = Trainer(fresh(views).to("cuda"), there(views), phases, QUICK, 90, checkpoints=tmp_path)
+        appearance = trainer.objective.terms[0]
+        value = appearance.value
+        monkeypatch.setattr(appearance, "value", poisoned)
+        log = trainer.run()
     bad = [event for event in log.events if event.endswith("not finite, rolled back")]
     assert len(bad) == log.nonfinite_steps >= 1 and all(np.isfinite(loss) for _, loss in log.loss)
 

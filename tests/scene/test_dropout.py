@@ -70,8 +70,8 @@ def test_what_becomes_visible_because_others_are_left_out_is_in_view(tmp_path):
     with torch.no_grad():
         model.gaussians.opacity_logits.fill_(math.log(0.003 / 0.997))  # below 1/255, and above it once it is divided by 0.5
     model.field = FreeMotion(3)
-    judged = trainer.objective(model, 0, last, PHASE, 0)
-    assert len(judged.rows.index) and float(judged.color.detach().amax()) > 0.003
+    evaluated = trainer.objective(model, 0, last, PHASE, 0)
+    assert len(evaluated.rows.index) and float(evaluated.color.detach().amax()) > 0.003
 
 
 def test_rows_in_view_get_the_gradients_that_all_rows_would(tmp_path, monkeypatch):
@@ -82,17 +82,17 @@ def test_rows_in_view_get_the_gradients_that_all_rows_would(tmp_path, monkeypatc
         model, frame = trainer.model, int(trainer.views.train[0])
         if computes_with_all:
             monkeypatch.setattr(type(model), "in_view", lambda *given: None)
-        judged = trainer.objective(model, frame, 99, PHASE, 0)
-        judged.backward()
+        evaluated = trainer.objective(model, frame, 99, PHASE, 0)
+        evaluated.backward()
         gradients = {}
         for name, p in model.named_parameters().items():
             if name.startswith("gaussians.") and p.numel():
-                grad, index = judged.rows.gradient(name, p)
+                grad, index = evaluated.rows.gradient(name, p)
                 gradients[name] = torch.zeros_like(p)
                 if grad is not None:
                     gradients[name] = grad if index is None else gradients[name].index_copy(0, index, grad)
-        assert (judged.rows is ALL_ROWS) == computes_with_all
-        found.append((judged.color.detach(), float(judged.loss.detach()), gradients))
+        assert (evaluated.rows is ALL_ROWS) == computes_with_all
+        found.append((evaluated.color.detach(), float(evaluated.loss.detach()), gradients))
     (color, loss, some), (same_color, same_loss, everything) = found
     assert torch.equal(color, same_color) and loss == pytest.approx(same_loss, rel=1e-6)
     keep = keeps(model.gaussians.dynamic, SHARE, 0, 99)

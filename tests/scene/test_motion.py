@@ -5,13 +5,15 @@ import pytest
 import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.losses.flow_loss import data_flow_loss, interval_loss, project, rendered_flow
-from e4dgs.scene.losses.motion_terms import MotionTerms
+from e4dgs.scene.losses.flow_terms import Interval, MeasuredFlowTerm
+from e4dgs.scene.losses.term import Now, Run
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.rotation import quats_to_matrices
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.dynamics import dynamic_from_masks, freeze_static_gaussians
+from e4dgs.scene.training.recipe import PLANES
 from e4dgs.scene.views import Views
 
 WIDTH, HEIGHT = 48, 32
@@ -167,22 +169,23 @@ def test_flow_terms_reach_the_motion_and_nothing_else():
     assert m.gaussians.means.grad.abs().max() == 0
 
 
-def terms(interval, times, measured=None, **settings):
-    return MotionTerms(views(), TrainingSettings(**settings), 1.0, 0.0, 0.0, interval, times, measured)
+def due(model, total=100, frames=3, measured=None, **settings):
+    """Steps of ``total`` that evaluate L_interval, and those that compare measured flow."""
+    run = Run(views(frames), TrainingSettings(flow_every=8, **settings), PLANES, 1.0, False, total, 0, measured)
+    terms = Interval(run), MeasuredFlowTerm(run)
+    return [[n for n in range(0, total, term.every) if term.due(model, Now(0, n, 1.0, True))] for term in terms]
 
 
-def test_steps_draw_whole_images_for_flow_only_if_there_is_a_flow_term():
+def test_steps_evaluate_flow_terms_only_if_they_can_tell_something():
     bends, steady = model(Path()), model(Path())
     steady.field.steady = True
-    due = terms(1e-3, 3, flow_every=8).flow_due
-    assert [step for step in range(100) if due(bends, step, 100)] == list(range(32, 100, 8))  # from 30 % of the steps
-    assert due(bends, 32, 106) and not due(bends, 32, 107)
-    for other in (terms(0.0, 3), terms(1e-3, 2)):
-        assert not other.flow_due(bends, 96, 100)
-    assert not due(steady, 96, 100)
-    measured = terms(0.0, 3, lambda i: None)
-    assert measured.flow_due(bends, 96, 100) and measured.flow_due(steady, 96, 100)
-    assert not terms(0.0, 3, lambda i: None, data_flow=0.0).flow_due(bends, 96, 100)
+    late = list(range(32, 100, 8))  # from 30 % of the steps
+    assert due(bends) == [late, []]
+    assert due(bends, 106)[0][0] == 32 and due(bends, 107)[0][0] == 40
+    assert due(bends, interval=0.0) == due(bends, frames=2) == due(steady) == due(model()) == [[], []]
+    assert due(bends, interval=0.0, measured=lambda i: None) == due(steady, measured=lambda i: None) == [[], late]
+    assert due(bends, interval=0.0, measured=lambda i: None, data_flow=0.0) == [[], []]
+    assert Interval.whole_image and MeasuredFlowTerm.whole_image, "steps with either draw whole images"
 
 
 def test_interval_gradient_matches_central_differences():

@@ -100,7 +100,7 @@ def test_a_training_that_goes_on_keeps_its_unit_of_length(tmp_path):
         other.gaussians.means.mul_(7.0)
     other.field = make_nodes(other.gaussians.means.detach().numpy(), QUICK)
     again = Dying(other, views, whole.phases, QUICK, budget=90, recipe=NODES, checkpoints=tmp_path)
-    assert again.unit == again.objective.unit == whole.unit
+    assert again.unit == again.objective.run.unit == whole.unit
     begun = Dying(other, views, whole.phases, QUICK, budget=90, recipe=NODES)
     assert abs(begun.unit / whole.unit - 1) > 0.05
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.losses.appearance import on_other_background
+from e4dgs.scene.losses.surface import SMOOTH_END, Surface
 from e4dgs.scene.motion.free import FreeMotion
 from e4dgs.scene.primitives import ConvexSet
 from e4dgs.scene.training import convergence, objective
@@ -14,7 +15,6 @@ from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.curriculum import MIN_CAMERAS
 from e4dgs.scene.training.drawn_tiles import LEAST_TIMES, Drawn
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
-from e4dgs.scene.training.objective import SMOOTH_END
 from e4dgs.scene.training.recipe import FREE, NODES, PLANES
 from e4dgs.scene.training.schedule import Phase, coarse_phases, fine_phases, node_phases
 from e4dgs.scene.training.trainer import Trainer
@@ -91,7 +91,7 @@ def test_measured_flow_steers_the_motion(views):
     def still(i):
         return (torch.zeros(SIZE // 2, SIZE // 2, 2), torch.ones(SIZE // 2, SIZE // 2)) if views.next[i] >= 0 else None
 
-    settings = SETTINGS.model_copy(update={"iterations": 240, "data_flow": 0.3, "flow_every": 1, "interval": 0.0})
+    settings = SETTINGS.model_copy(update={"iterations": 240, "data_flow_weight": 0.3, "flow_every": 1, "interval_weight": 0.0})
     paths = []
     for measured in (None, still):
         model, _, _ = train(views, settings=settings, measured_flow=measured)
@@ -132,7 +132,7 @@ def test_a_training_that_no_longer_improves_stops(views):
 def test_a_removal_is_made_up_for_before_training_may_stop(views, monkeypatch, removed_at, stopped_at):
     """With a patience of 100, the losses of the last 200 steps tell; they are looked at every 100 steps, from half of the steps on."""
     monkeypatch.setattr(convergence, "CONVERGED", 0.99)  # no improvement is enough
-    settings = SETTINGS.model_copy(update={"patience": 100, "densify_until": 0.0, "min_weight": 5.0})
+    settings = SETTINGS.model_copy(update={"patience": 100, "densify_until": 0.0, "min_contribution": 5.0})
     recipe = dataclasses.replace(PLANES, prune_at=removed_at / 800)
     model = fresh(views, static=True)
     before = len(model.gaussians)
@@ -164,7 +164,7 @@ def test_the_captures_alpha_forbids_to_hide_dark_surfaces_as_holes():
     disc = (((rows - SIZE / 2) ** 2 + (columns - SIZE / 2) ** 2 < (SIZE / 4) ** 2) * 255).astype(np.uint8)
     found = {}
     for alpha in (0.0, 0.5):
-        settings = SETTINGS.model_copy(update={"iterations": 150, "alpha": alpha})
+        settings = SETTINGS.model_copy(update={"iterations": 150, "alpha_weight": alpha})
         model, _, _ = train(dark, fresh(dark, static=True), settings, phases=[Phase("still", 150, move=False)])
         shown = model.render(dark.rasterizer_camera(0), 0.0).alpha[SIZE // 2, SIZE // 2]
         found[alpha] = float(shown)
@@ -225,7 +225,7 @@ def test_a_long_training_that_draws_only_some_of_the_static_tiles_learns_the_who
 def test_a_training_that_leaves_out_what_is_not_in_view_learns_the_same(monkeypatch):
     """What no ray sees is left alone anyway, but for the penalty on opacity."""
     views = make_views(cameras=2, times=LEAST_TIMES, size=64)
-    settings = SETTINGS.model_copy(update={"iterations": 60, "opacity": 0.1})
+    settings = SETTINGS.model_copy(update={"iterations": 60, "opacity_weight": 0.1})
     ends, counts = [], []
     for most in (0.0, 1.0):  # 0: all Gaussians in every step
         monkeypatch.setattr(objective, "MOST_SHOWN", most)
@@ -236,8 +236,8 @@ def test_a_training_that_leaves_out_what_is_not_in_view_learns_the_same(monkeypa
         model.field = FreeMotion(LEAST_TIMES)
         model.gaussians.live(torch.arange(len(model.gaussians)) % LEAST_TIMES, 1.5)
         _, _, trainer = train(views, model=model, settings=settings, recipe=FREE)
-        judged = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
-        counts.append(None if judged.rows.index is None else len(judged.rows.index))
+        found = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
+        counts.append(None if found.rows.index is None else len(found.rows.index))
         ends.append(trainer.learned.tensors())
     assert counts[0] is None and 0 < counts[1] < len(model.gaussians)
     assert ends[0].keys() == ends[1].keys() and all(torch.allclose(ends[0][name], ends[1][name], rtol=1e-4, atol=3e-5) for name in ends[0])
@@ -248,7 +248,7 @@ def test_surfaces_that_several_cameras_see_are_smoothed_less_and_less(cameras, w
     views = make_views(cameras=cameras, times=2, size=8)
     for earlier in (0, 300):
         _, _, trainer = train(views, settings=SETTINGS.model_copy(update={"iterations": 100}), earlier=earlier)
-        begin, end = (trainer.objective.smooth(step) for step in (0, 100))
+        begin, end = (Surface(trainer.objective.run).smooth(step) for step in (0, 100))
         assert begin == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END ** (earlier / (earlier + 100)))
         assert end == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END)
 
@@ -257,10 +257,10 @@ def test_a_step_that_draws_nothing_changes_no_shape_and_has_a_finite_psnr(monkey
     views = make_views(cameras=1, times=LEAST_TIMES, size=64)
     views.load_moving = lambda i: np.zeros((64, 64), np.uint8)
     model, _, trainer = train(views, settings=SETTINGS.model_copy(update={"iterations": 1}))
-    nothing = Drawn(torch.zeros(4, 4, dtype=torch.bool), torch.zeros(64, 64))
+    nothing = Drawn(torch.zeros(4, 4))
     monkeypatch.setattr(trainer.objective, "drawn", SimpleNamespace(of=lambda *given: nothing))
-    judged = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
-    judged.loss.backward()
-    assert np.isfinite(judged.psnr()) and float(judged.image_loss) == pytest.approx(0, abs=1e-6)
+    found = trainer.objective(model, 0, 0, Phase("deformation", 1), 0)
+    found.loss.backward()
+    assert np.isfinite(found.psnr()) and float(found.image_loss) == pytest.approx(0, abs=1e-6)
     shapes = model.gaussians.parameters
     assert all(shapes[name].grad is None or not shapes[name].grad.any() for name in ("log_scales", "quats", "sh_dc"))

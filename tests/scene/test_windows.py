@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.losses.measured_depth import MeasuredDepth
-from e4dgs.scene.training.objective import Objective
+from e4dgs.scene.losses.surface import Surface
+from e4dgs.scene.losses.term import Now, Run
 from e4dgs.scene.training.recipe import PLANES
 from sliding_gaussians import SETTINGS, make_views
 
 SIZE, UNIT = 96, 4.0
 LEFT, TOP, RIGHT, BOTTOM = WINDOW = (20, 10, 84, 58)
-
-
-def frame_of(depth, alpha):
-    return SimpleNamespace(depth=depth.contiguous(), alpha=alpha.contiguous())
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
@@ -27,13 +24,19 @@ def test_terms_on_depth_are_the_same(smooth, depth, scale):
     moving[:, 10:14] = True
     inverse = torch.linspace(0.1, 0.4, SIZE).expand(SIZE, SIZE).contiguous()
     known = MeasuredDepth({0: inverse}, UNIT, lambda i: moving)
-    objective = Objective(views, SETTINGS.model_copy(update={"depth": depth}), PLANES, UNIT, True, 100, 0, None, known)
+    settings = SETTINGS.model_copy(update={"depth_weight": depth, "smooth_weight": smooth})
+    term = Surface(Run(views, settings, PLANES, UNIT, True, 100, 0, None, known))
     size = round(SIZE * scale)
     left, top, right, bottom = window = tuple(round(edge * scale) for edge in WINDOW)
     inside = slice(top, bottom), slice(left, right)
     draw = torch.Generator().manual_seed(0)
     distance, alpha, target = 3 + torch.rand(size, size, generator=draw), torch.zeros(size, size), torch.full((size, size, 3), 0.5)
     alpha[top + 2 : bottom - 2, left + 2 : right - 2] = 1.0
-    whole = objective._surface(frame_of(distance, alpha), target, 0, smooth, None, scale)
-    part = objective._surface(frame_of(distance[inside], alpha[inside]), target[inside].contiguous(), 0, smooth, None, scale, window)
+
+    def value(where, window):
+        frame = SimpleNamespace(depth=distance[where].contiguous(), alpha=alpha[where].contiguous())
+        rendered = SimpleNamespace(frame=frame, target=target[where].contiguous(), weight=None, size=(size, size))
+        return term.value(rendered, term.inputs(None, Now(0, 0, scale, True, window)))
+
+    whole, part = value(slice(None), None), value(inside, window)
     assert float(part) == pytest.approx(float(whole), rel=0.05 if smooth else 1e-5) and float(whole) > 1e-3

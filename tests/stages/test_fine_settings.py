@@ -58,8 +58,8 @@ def test_what_coarse_was_told_of_growth_travels_with_the_joint_strategy(strategy
 
 
 def test_the_trainer_of_fine_gets_both():
-    got = training_settings(FineSettings(iterations=7, seed=5, spread=0.5, lr_scale=0.2), TOLD)
-    assert got == TrainingSettings(iterations=7, seed=5, spread=0.5, budget=700, open_until=0.2, hidden=0.0)
+    got = training_settings(FineSettings(iterations=7, seed=5, spread_weight=0.5, lr_scale=0.2), TOLD)
+    assert got == TrainingSettings(iterations=7, seed=5, spread_weight=0.5, budget=700, open_until=0.2, hidden=0.0)
 
 
 def test_steps_of_fine():

@@ -94,7 +94,7 @@ def test_features_are_found_where_masks_are_white(tmp_path):
         picture[hidden] = noise
         Image.fromarray(picture).save(capture.root / name)
         write_mask(tmp_path / "room/masks" / name, (240, 180), hidden)
-    ran = run_poses(tmp_path / "room", tmp_path / "out", moving="off")
+    ran = run_poses(tmp_path / "room", tmp_path / "out", moving=False)
     assert ran.artifact.read("registered").all()
     with pycolmap.Database.open(tmp_path / "out/checkpoints/poses/colmap/database.db") as database:
         x = np.concatenate([database.read_keypoints(image.image_id)[:, 0] for image in database.read_all_images()])

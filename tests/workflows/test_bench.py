@@ -113,12 +113,13 @@ def test_all_threads_take_turns_with_one_and_must_not_take_longer():
 
 
 def test_the_parts_of_a_step_sum_to_the_whole_and_nothing_stays_wrapped():
+    from e4dgs.scene.losses import appearance
     from e4dgs.scene.training import objective
     from e4dgs.workflows.bench.step import split
 
-    before = torch.Tensor.backward, objective.rasterize, objective.appearance_loss
+    before = torch.Tensor.backward, objective.rasterize, appearance.appearance_loss
     found = split.measure(Bench(scale=0.02, repeats=2))
-    assert before == (torch.Tensor.backward, objective.rasterize, objective.appearance_loss)
+    assert before == (torch.Tensor.backward, objective.rasterize, appearance.appearance_loss)
     parts = found.numbers["parts_ms"]
     assert sum(parts.values()) == pytest.approx(found.numbers["whole_ms"], rel=0.05)
     assert all(parts[part] > 0 for part in split.PARTS)

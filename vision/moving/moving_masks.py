@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from ..flow.two_way import FlowPair, consistency
+from ..warp import places, warped
 from .evidence import Evidence, evidence, spread_of_flow
 from .residual import Neighbour, rigid_residual
 from .uncalibrated import uncalibrated_residual
@@ -121,7 +122,7 @@ def steadied(mine: Evidence, beside: Sequence[tuple[np.ndarray, np.ndarray, Evid
     """Evidence of a frame, averaged with that of other frames, warped along the flow to them. beside: (flow, confidence, evidence) each."""
     total, weight = mine.score * mine.weight, mine.weight.copy()
     for flow, confidence, other in beside:
-        score, other_weight = _at(other.score, flow), _at(other.weight, flow)
+        score, other_weight = warped(other.score, flow), warped(other.weight, flow)
         other_weight *= confidence.astype(np.float32) * np.float32(NEXT_TO / 255)
         total += score * other_weight
         weight += other_weight
@@ -132,19 +133,10 @@ def chain(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.nda
     """Chains (flow [H, W, 2], confidence [H, W]) from a to b and from b to c into one from a to c. Confidence is the lower of the two."""
     flow, confidence = first
     height, width = confidence.shape
-    x, y = flow[..., 0] + np.arange(width, dtype=np.float32), flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
+    x, y = places(flow)
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    further = _at(second[1].astype(np.float32), flow)
-    return flow + _at(second[0], flow), np.where(inside, np.minimum(confidence, further), 0).astype(np.uint8)
-
-
-def _at(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Samples values [H, W] or [H, W, 2] float32 where the flow leads."""
-    import cv2
-
-    height, width = flow.shape[:2]
-    x, y = flow[..., 0] + np.arange(width, dtype=np.float32), flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
-    return cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    further = warped(second[1].astype(np.float32), flow)
+    return flow + warped(second[0], flow), np.where(inside, np.minimum(confidence, further), 0).astype(np.uint8)
 
 
 def _tidy(moves: np.ndarray) -> np.ndarray:

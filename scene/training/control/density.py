@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from ....rasterizer import rasterize
-from ...colour import row_of
 from ...model import Model
 from ...motion.free import FreeMotion
 from ...primitives import ConvexSet, PrimitiveSet
-from ...views import Views, inside_image
+from ...views import WHOLLY, Views, floats, inside_image
+from ..steps.inputs import FrameInputs, frame_inputs
 
 LEAST_LIFE = 0.5  # number of probed views within a primitive's lifetime below which they say nothing about it
 
@@ -68,28 +68,27 @@ def measure_responsibility(model: Model, views: Views, frames: list[int], move: 
     """Render ``frames`` and attribute their absolute error (mean over channels) to the primitives blended at each pixel."""
     sums = Sums.none(model)
     for i in frames:
-        add_frame(sums, model, views, i, move, scale, row_of(model.affine, views, i))
+        add_frame(sums, model, frame_inputs(views, views.rasterizer_camera(i, scale), model.affine, i, scale), move)
     return responsibility(sums, len(frames), scale)
 
 
-def add_frame(sums: Sums, model: Model, views: Views, i: int, move: bool, scale: float, row: int | Tensor | None) -> None:
-    """Add frame ``i`` to ``sums``. row: of `CameraAffine`, if it has one for the frame."""
-    camera, background = views.rasterizer_camera(i, scale), views.backdrop()
+def add_frame(sums: Sums, model: Model, inputs: FrameInputs, move: bool) -> None:
+    """Add a frame to ``sums``."""
+    camera = inputs.camera
     with torch.no_grad():
-        gaussians, convexes = model.at(views.moment(i), camera, move)
+        gaussians, convexes = model.at(inputs.time, camera, move)
     with_lives = isinstance(model.field, FreeMotion)
     probes = [torch.zeros(len(one), 5 if with_lives else 2, device=model.device, requires_grad=True) for one in sums.lived]
     shapes = replace(gaussians, extras=probes[0]), replace(convexes, extras=probes[1])
-    frame = rasterize(camera, *shapes, background, antialiased=model.antialiased)
+    frame = rasterize(camera, *shapes, inputs.background, antialiased=model.antialiased)
     with torch.no_grad():
         color = frame.color
-        if model.affine is not None and row is not None:
-            gain, offset = model.affine.recorded_in(row)
-            color = color * gain + offset
-        difference = color - views.target(i, scale)
-        kept = views.kept(i, scale)
-        if kept is not None:
-            difference = difference * kept[..., None]
+        recording = inputs.recording(model.affine)
+        if recording is not None:
+            color = color * recording[0] + recording[1]
+        difference = color - floats(inputs.picture)
+        if inputs.kept is not None:
+            difference = difference * (floats(inputs.kept) >= WHOLLY)[..., None]
         error = difference.abs().mean(-1, keepdim=True)
         channels = torch.cat([torch.ones_like(error), error, *([difference] if with_lives else [])], -1)
     gradients = torch.autograd.grad((frame.extras * channels).sum(), probes, allow_unused=True)

@@ -3,75 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from ...colour import row_of
-from ...cuda.graph import Graph, Recorded, Results
+from ...cuda.graph import Graph, Results
 from ...model import Model
 from ...views import Views
 from ..control.density import Responsibility, Sums, add_frame, measure_responsibility, responsibility
-from ..objective import Objective
-from .objective import Record, replayable
-from .one_view import Kind, OneView
-from .rooms import Rooms
-
-
-@dataclass(eq=False)
-class _Frame:
-    graph: Recorded
-    view: OneView
-    sums: Sums
+from ..steps.inputs import Fixed, FrameInputs, frame_inputs
+from .graphs import Captured, Compute, Graphs, Record
+from .padded_model import PaddedModel
 
 
 class ReplayedResponsibility:
-    """`measure_responsibility` for a model on a GPU, in the ``rooms`` of `ReplayedObjective`. The first call of a kind is computed as
-    usual, the second one is captured, later ones are replays."""
+    """`measure_responsibility` for a model on a GPU, in the ``memory`` of `ReplayedObjective`; see `Graphs`."""
 
-    def __init__(self, objective: Objective, rooms: Rooms, say: Callable[[str], None], record: Record = Graph) -> None:
-        self._objective, self._rooms, self._say, self._record = objective, rooms, say, record
-        self._frames: dict[Kind, _Frame] = {}
-        self._seen: set[Kind] = set()
-        self._age, self._usable = 0, replayable(objective.views)
+    def __init__(self, views: Views, memory: PaddedModel, say: Callable[[str], None], record: Record = Graph) -> None:
+        self.graphs = Graphs(views, memory, "measurements", say, record)
 
     def __call__(self, model: Model, views: Views, frames: list[int], move: bool, scale: float = 1.0) -> Responsibility:
-        rows = [row_of(model.affine, views, i) for i in frames]
-        kind = Kind(scale, move, model.sh_degree, recorded=rows[0] is not None)
-        covered = self._usable and model.replayable and all((row is None) == (rows[0] is None) for row in rows)
-        if not covered or kind not in self._seen:
-            self._seen.add(kind)
-            return measure_responsibility(model, views, frames, move, scale)
-        self._rooms.hold(model)
-        if self._rooms.age != self._age:
-            self._age = self._rooms.age
-            self._frames.clear()
-        known = self._frames.get(kind)
-        if known is None:
-            view = OneView(self._objective, kind)
-            view.show(frames[0], 0, None, rows[0])
-            try:
-                known = self._frames[kind] = self._capture(model, view)
-            except RuntimeError as cause:
-                self._usable = False
-                self._say(f"measurements are not replayed as CUDA graphs: {str(cause).splitlines()[0]}")
+        fixed, used = Fixed(move, model.sh_degree, views.size(scale)), dict[Captured, Sums]()
+        for i in frames:
+            inputs = fixed, frame_inputs(views, views.rasterizer_camera(i, scale), model.affine, i, scale)
+            captured = self.graphs.find(model, inputs, self._prepare)
+            if captured is None:
                 return measure_responsibility(model, views, frames, move, scale)
-        for some in known.sums:
-            for one in some:
-                one.zero_()
-        for i, row in zip(frames, rows):
-            known.view.show(i, 0, None, row)
-            known.graph.replay()
-        if any(frame.overflowed() for frame in known.graph.frames):
-            del self._frames[kind]  # pairs were left out; the next graph has more room
+            if captured not in used:
+                found = captured.graph.results
+                used[captured] = Sums(*zip(found[::2], found[1::2]))  # type: ignore[arg-type]
+                for one in found:
+                    assert one is not None
+                    one.zero_()
+            captured.graph.replay()
+        overflowed = [captured for captured in used if captured.overflowed()]
+        for captured in overflowed:
+            self.graphs.forget(captured)
+        if overflowed:
             return measure_responsibility(model, views, frames, move, scale)
-        n, m = len(model.gaussians), len(model.convexes)
-        return responsibility(Sums(*((a[:n], b[:m]) for a, b in known.sums)), len(frames), scale)
+        total = Sums.none(model)
+        for sums in used.values():
+            for to, of in zip(total, sums):
+                for a, b in zip(to, of):
+                    a.add_(b[: len(a)])
+        return responsibility(total, len(frames), scale)
 
-    def _capture(self, model: Model, view: OneView) -> _Frame:
-        twin, kind = self._rooms.whole(model), view.kind
-        sums = Sums.none(twin)
+    def _prepare(self, padded: Model) -> Compute:
+        sums = Sums.none(padded)
 
-        def compute() -> Results:
-            add_frame(sums, twin, view, 0, kind.move, kind.scale, view.row())  # type: ignore[arg-type]
-            return []
+        def compute(inputs: tuple[Fixed, FrameInputs]) -> Results:
+            add_frame(sums, padded, inputs[1], inputs[0].move)
+            return [one for pair in sums for one in pair]
 
-        return _Frame(self._record(compute, model.device, self._rooms.pool), view, sums)
+        return compute

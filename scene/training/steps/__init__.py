@@ -1,1 +1,1 @@
-"""How a step is taken that must not be taken if it is not finite: judged at once on the CPU, judged late on a GPU."""
+"""A step: what it reads and finds, and how it is applied only if it is finite: checked at once on the CPU, deferred on a GPU."""

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.autograd.graph import Node
 
-from ....scene.losses.motion_terms import MotionTerms
+from ....scene.losses import appearance
 from ....scene.model import Model
 from ....scene.motion.free import FreeMotion
 from ....scene.training import objective
@@ -76,7 +76,7 @@ def measure(bench: Bench) -> Measured:
 @contextmanager
 def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
     """Within this context, ``clock`` measures the parts of every step of ``trainer``."""
-    model, views, seen, backward = trainer.model, trainer.views, _Seen(clock), Tensor.backward
+    model, seen, backward = trainer.model, _Seen(clock), Tensor.backward
 
     def watched_backward(loss: Tensor, *args: Any, **options: Any) -> None:
         with clock.part(WATCHING):
@@ -88,13 +88,12 @@ def watching(trainer: Trainer, clock: Clock) -> Iterator[None]:
 
     calls: list[tuple[Any, str, str, Callable[[Any], None] | None]] = [
         (objective, "rasterize", "rasterize forward", seen.rendered),
-        (objective, "appearance_loss", "loss forward", seen.judged),
-        (views, "target", "data", None),
-        (views, "rasterizer_camera", "data", None),
+        (appearance, "appearance_loss", "loss forward", seen.judged),
+        (trainer.objective, "inputs", "data", None),
         (Model, "in_view", "in view", None),
         (Model, "at", "model forward", seen.placed),
         (model.field, "alive" if isinstance(model.field, FreeMotion) else "carry", "motion forward", seen.moved),
-        (MotionTerms, "__call__", "regularisers forward", None),
+        *((term, "value", "regularisers forward", None) for term in trainer.objective.terms[1:]),
         (trainer.learned.optimiser, "step", "optimiser", None),
         (trainer.guard, "accepts", "guard", None),
     ]

@@ -12,7 +12,7 @@ from torch import Tensor
 from ..control.learned_model import LearnedModel
 from ..guard import NonFiniteGuard
 from ..optimiser import Attempt, Rows
-from .step import Step
+from .immediate import ImmediateSteps, Step
 
 LATEST = 8  # steps after which an answer is waited for
 
@@ -28,17 +28,17 @@ class _Sent:
     there: torch.cuda.Event
 
 
-class LateSteps:
-    """`Steps` that the device judges and takes by itself. What it found is read some steps later, so that the host does not wait for it.
+class DeferredSteps(ImmediateSteps):
+    """Steps that the device checks and applies by itself. What it found is read some steps later, so that the host does not wait for it.
 
-    Until then, a step that was not taken counts for the bias correction of Adam in the steps after it.
+    Until then, a step that was rejected counts for the bias correction of Adam in the steps after it.
     """
 
     def __init__(self, learned: LearnedModel, guard: NonFiniteGuard, report: Callable[[Step, bool], None]) -> None:
-        self._learned, self._guard, self._report = learned, guard, report
+        super().__init__(learned, guard, report)
         self._sent: deque[_Sent] = deque()
 
-    def take(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
+    def apply(self, step: Step, progress: float, frozen: frozenset[str], rows: Rows) -> Tensor:
         assert rows.index is None, "a CUDA device computes with all rows"
         attempt = self._learned.optimiser.step_if_finite({"the loss": step.loss}, progress, frozen)
         # One copy; to read a number on the device would be to wait for all that was queued since.

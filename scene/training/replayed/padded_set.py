@@ -1,4 +1,4 @@
-"""Memory in which a CUDA graph computes with primitives whose number changes."""
+"""Primitives in memory with spare rows, in which a CUDA graph computes while their number changes."""
 
 from __future__ import annotations
 
@@ -11,35 +11,34 @@ from ...primitives import PrimitiveSet
 
 Kind = TypeVar("Kind", bound=PrimitiveSet)
 SPARE, LEAST_SPARE = 1.25, 256  # factor on the number of rows, and rows in addition
-SHRINKS = 2.0  # room for more than so many times the rows is given up
-TRANSPARENT = -100.0  # logit of the opacity of rows that hold nothing: exactly 0
+SHRINKS = 2.0  # memory for more than so many times the rows is given up
+TRANSPARENT = -100.0  # logit of the opacity of spare rows: exactly 0
 
 
-class Room(Generic[Kind]):
-    """Room for more primitives than ``primitives`` has; its other rows hold transparent ones. An empty set has no room for others.
+class PaddedSet(Generic[Kind]):
+    """Memory for more primitives than ``primitives`` has; its spare rows are transparent ones. An empty set has none.
 
-    ``primitives``: `take` moves its parameters here, so that optimiser and graph work in the same memory. ``index`` [m] int64: those that
-    move. ``link``: see `Motion.links`. ``held``: the set of all rows, with leaves of its own, which a graph may read.
+    ``primitives``: `load` moves its parameters here, so that optimiser and graph work in the same memory. ``index`` [m] int64: those that
+    move. ``link``: see `Motion.links`. ``padded``: the set of all rows, with leaves of its own, which a graph may read.
     """
 
     def __init__(self, primitives: Kind, index: Tensor, link: Tensor | None) -> None:
         n = len(primitives)
         rows = round(SPARE * n) + LEAST_SPARE if n else 0
         parameters = {name: p.detach().new_zeros(rows, *p.shape[1:]) for name, p in primitives.parameters.items()}
-        self.held = type(primitives)(parameters, torch.zeros(rows, dtype=torch.bool, device=primitives.device))
+        self.padded = type(primitives)(parameters, torch.zeros(rows, dtype=torch.bool, device=primitives.device))
         self.whole = len(index) == n
         moving = rows if self.whole else min(round(SPARE * len(index)) + LEAST_SPARE, rows) if len(index) else 0
         self.index = torch.arange(moving, device=primitives.device)
         self.corners = len(primitives.rest_points()) // max(n, 1)
         self.link = None if link is None else link.new_zeros(self.corners * rows, *link.shape[1:])
-        self.count = 0
 
     def fits(self, primitives: PrimitiveSet, index: Tensor, link: Tensor | None) -> bool:
-        """Whether `take` may be called with these: a graph that reads the room stays right."""
-        n, rows = len(primitives), len(self.held)
+        """Whether `load` may be called with these: a graph that reads this memory stays right."""
+        n, rows = len(primitives), len(self.padded)
         if (n == 0) != (rows == 0) or (link is None) != (self.link is None):
             return False
-        if any(p.shape[1:] != primitives.parameters[name].shape[1:] for name, p in self.held.parameters.items()):
+        if any(p.shape[1:] != primitives.parameters[name].shape[1:] for name, p in self.padded.parameters.items()):
             return False
         # Rows that stay transparent stand for those that move where there are fewer than before, so there must be one.
         enough = n < rows <= SHRINKS * (n + LEAST_SPARE) or rows == 0
@@ -47,23 +46,22 @@ class Room(Generic[Kind]):
         return enough and (moving or len(index) == len(self.index) == 0)
 
     @torch.no_grad()
-    def take(self, primitives: Kind, index: Tensor, link: Tensor | None) -> Tensor | None:
-        """Copy ``primitives`` in, and let their parameters be rows of the room. Returns the room's part of ``link``."""
+    def load(self, primitives: Kind, index: Tensor, link: Tensor | None) -> Tensor | None:
+        """Copy ``primitives`` in, and let their parameters be rows of this memory. Returns its part of ``link``."""
         n = len(primitives)
         for name, p in primitives.parameters.items():
-            there = self.held.parameters[name].detach()
+            there = self.padded.parameters[name].detach()
             there[:n] = p.detach()
             there[n:] = TRANSPARENT if name == "opacity_logits" else 0.0
             p.data = there[:n]
-        if "quats" in self.held.parameters:
-            self.held.parameters["quats"].detach()[n:, 0] = 1.0
-        self.held.dynamic[:n] = primitives.dynamic
-        self.held.dynamic[n:] = self.whole
+        if "quats" in self.padded.parameters:
+            self.padded.parameters["quats"].detach()[n:, 0] = 1.0
+        self.padded.dynamic[:n] = primitives.dynamic
+        self.padded.dynamic[n:] = self.whole
         if not self.whole:
             self.index[: len(index)] = index
             # Not one row for all: gradients of the same row are added up one after another.
-            self.index[len(index) :] = n + torch.arange(len(self.index) - len(index), device=index.device) % (len(self.held) - n)
-        self.count = n
+            self.index[len(index) :] = n + torch.arange(len(self.index) - len(index), device=index.device) % (len(self.padded) - n)
         if self.link is None or link is None:
             return None
         own = self.link[: self.corners * n]
