@@ -10,12 +10,12 @@ from .shared.defaults import one_way
 SECONDS_PER_FIRST_STEP = 0.01  # of a first training on very small images, on two cores
 
 # Seeds, on two cores.
-SECONDS_PER_MEGAPIXEL_MAP = 12.0  # of a picture in the plane sweep, which is at most `SWEPT_SIZE` px wide
+SECONDS_PER_MEGAPIXEL_MAP = 15.0  # of a picture in the plane sweep, which is at most `SWEPT_SIZE` px wide
 SWEPT_SIZE = 320
 SWEPT_ALONE, SWEPT_MOST = 32, 100  # pictures of one camera on its path, and most of several
 SECONDS_PER_MOVING_TIME = 1.0  # of a rig, at each of `MOVING_TIMES`
 MOVING_TIMES = 24
-SECONDS_PER_MOVING_FRAME = 0.15  # of one camera
+SECONDS_PER_MOVING_FRAME = 0.05  # of one camera
 TRIANGULATED = 90  # most frames whose features are matched to triangulate points
 SECONDS_PER_TRIANGULATED_FRAME = 0.3
 
