@@ -11,9 +11,9 @@ from e4dgs.scene.formats.gaussian_birth import Clock, View, container_bytes, rea
 from e4dgs.scene.motion.lifetimes.lifetime import lifetime
 from e4dgs.scene.primitives import SH_C0
 from e4dgs.stages.exports.bake import Baked
-from e4dgs.stages.exports.pieces import pieces_of, still_pieces, turned_pieces
 from e4dgs.stages.exports.plain import PlainLook
-from e4dgs.stages.exports.soft_pieces import soft_pieces
+from e4dgs.stages.exports.straight.pieces import pieces_of, still_pieces, turned_pieces
+from e4dgs.stages.exports.straight.soft import soft_pieces
 from made_models import FRAMES, MOTIONS, camera, made
 
 PIXEL = 3.0 / 150

@@ -15,7 +15,7 @@ from .meaning import without
 from .trained import Antialiased, Moment, Up, check_moment, is_file, open_trained, up_axis, writing
 
 if TYPE_CHECKING:
-    from ...stages.exports.straight import Straight
+    from ...stages.exports.straight.export import Straight
 
 ENDINGS: dict[Straight, str] = {"4dgs": ".4dgs", "freetime": ".ply"}
 
@@ -45,7 +45,7 @@ def write_straight(kind: Straight, options: Options, out: Path | None, time: flo
     name = trained.session.scene.name
     path = folder if single else folder / (f"{name}.ftgs.ply" if kind == "freetime" else name + ending)
 
-    from ...stages.exports.straight import export_straight
+    from ...stages.exports.straight.export import export_straight
 
     console = Console()
     with Progress(4, "export", console) as bar, writing(path):

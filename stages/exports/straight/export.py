@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ...pipeline import StageError
-from ...pipeline.files import write_atomically
-from ...scene.formats.axes import Turn
-from .bake import Loss, bake, loss_of
-from .capture_cameras import camera_of, distinct_views
+from ....pipeline import StageError
+from ....pipeline.files import write_atomically
+from ....scene.formats.axes import Turn
+from ..bake import Loss, bake, loss_of
+from ..capture_cameras import camera_of, distinct_views
+from ..plain import compensated
+from ..splats import turn_of
+from ..web import pixel_width
 from .pieces import pieces_of, still_pieces, turned_pieces
-from .plain import compensated
-from .soft_pieces import soft_pieces
-from .splats import turn_of
-from .web import pixel_width
+from .soft import soft_pieces
 
 if TYPE_CHECKING:
-    from ...rasterizer import Gaussians
-    from ...scene.formats.gaussian_birth import Clock, View
-    from ...scene.formats.pieces import Pieces
-    from ...scene.model import Model
-    from ..shared.frameset import FrameSet
-    from .bake import Baked
+    from ....rasterizer import Gaussians
+    from ....scene.formats.gaussian_birth import Clock, View
+    from ....scene.formats.pieces import Pieces
+    from ....scene.model import Model
+    from ...shared.frameset import FrameSet
+    from ..bake import Baked
 
 Straight = Literal["4dgs", "freetime"]
 UP: dict[Straight, str] = {"4dgs": "Y", "freetime": "-Y"}
@@ -73,7 +73,7 @@ def export_straight(
             import fourdgs  # noqa: F401 - checked before the work begins
         except ImportError as error:
             raise StageError("export 4dgs needs the package fourdgs; install it with: pip install 'e4dgs[fourdgs]'") from error
-    from .camera_path import looked_at
+    from ..camera_path import looked_at
 
     moves = times > 1 and moment is None
     turn, target = turn_of(frames, up, UP[kind]), np.asarray(looked_at(frames, model))
@@ -110,10 +110,10 @@ class Look:
 def written(pieces: Pieces, frames: FrameSet, clock: Clock, look: Look) -> bytes:
     """The file with ``pieces``, which are in its axes."""
     if look.kind == "4dgs":
-        from ...scene.formats.gaussian_birth import container_bytes
+        from ....scene.formats.gaussian_birth import container_bytes
 
         return container_bytes(pieces, clock, look.turn, view_of(frames, look.target, look.turn), look.title)
-    from ...scene.formats.freetime import freetime_bytes
+    from ....scene.formats.freetime import freetime_bytes
 
     comments = (f"SplatRenderMode: {'mip' if look.antialiased else 'default'}", f"up: {look.turn.after}")
     return freetime_bytes(pieces, look.times, comments)
@@ -121,8 +121,8 @@ def written(pieces: Pieces, frames: FrameSet, clock: Clock, look: Look) -> bytes
 
 def decoder(kind: Straight, data: bytes, clock: Clock, turn: Turn) -> Callable[[float], Gaussians]:
     """What a reader makes of the file at a time in [0, 1], in the axes of the capture."""
-    from ...scene.formats.freetime import read_freetime
-    from ...scene.formats.gaussian_birth import read_container
+    from ....scene.formats.freetime import read_freetime
+    from ....scene.formats.gaussian_birth import read_container
 
     back = Turn(turn.after, turn.before)
     if kind == "freetime":
@@ -134,7 +134,7 @@ def decoder(kind: Straight, data: bytes, clock: Clock, turn: Turn) -> Callable[[
 
 def clock_of(frames: FrameSet, times: int) -> Clock:
     """Every time of the capture lasts equally long, the last one, too."""
-    from ...scene.formats.gaussian_birth import Clock
+    from ....scene.formats.gaussian_birth import Clock
 
     span = float(np.ptp(frames.seconds)) or max(times - 1, 1) / USUAL_RATE
     return Clock(span, span * times / (times - 1)) if times > 1 else Clock(1.0, 1.0)
@@ -142,7 +142,7 @@ def clock_of(frames: FrameSet, times: int) -> Clock:
 
 def view_of(frames: FrameSet, target: np.ndarray, turn: Turn) -> View:
     """The first camera of the capture, in the axes of a file."""
-    from ...scene.formats.gaussian_birth import View
+    from ....scene.formats.gaussian_birth import View
 
     assert frames.K is not None and frames.cam_from_world is not None
     first = int(frames.train[0]) if len(frames.train) else 0
@@ -156,7 +156,7 @@ def compared(baked: Baked, frames: FrameSet, decoded: Callable[[float], Gaussian
     """PSNR, dB, of renders of ``decoded`` against renders of ``baked`` in the mode that these are for, each moment from another camera."""
     import torch
 
-    from ...rasterizer import rasterize
+    from ....rasterizer import rasterize
 
     chosen = distinct_views(frames, np.concatenate([frames.test, frames.val, frames.train]), len(moments))
     background, error = torch.tensor(baked.model.background), []

@@ -11,8 +11,8 @@ from .pieces import Samples, intervals
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ...scene.formats.pieces import Pieces
-    from .bake import Baked
+    from ....scene.formats.pieces import Pieces
+    from ..bake import Baked
 
 SOFT = 0.6  # spread of a piece's opacity, in distances between pieces: less would flicker, more would blur
 BEFORE = 2  # pieces before the first and after the last moment, which fade into the clip
@@ -23,8 +23,8 @@ def soft_pieces(baked: Baked, times: int, pixel: float) -> Pieces:
     as long as the shortest that `pieces_of` makes of it, that overlap and together have its opacity nearly always."""
     import torch
 
-    from ...rasterizer import Gaussians
-    from ...scene.formats.pieces import LEAST_ALPHA, Pieces
+    from ....rasterizer import Gaussians
+    from ....scene.formats.pieces import LEAST_ALPHA, Pieces
 
     samples = Samples.of(baked, times)
     last, (index, start, end) = samples.last, intervals(samples, pixel)

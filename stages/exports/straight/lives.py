@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from .bake import Baked
+    from ..bake import Baked
 
 
 def moves(baked: Baked) -> bool:
@@ -19,7 +19,7 @@ def fades(baked: Baked) -> tuple[Tensor, Tensor, Tensor] | None:
     they have at most, [n] each; those that do not move are present throughout. None if the model has no lives."""
     import torch
 
-    from ...scene.motion.lifetimes.lifetime import lifetime
+    from ....scene.motion.lifetimes.lifetime import lifetime
 
     model = baked.model
     if model.motion.played_as != "lives":

@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from .motion_lives import fades, moves
+from .lives import fades, moves
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ...scene.formats.axes import Turn
-    from ...scene.formats.pieces import Pieces
-    from .bake import Baked
+    from ....scene.formats.axes import Turn
+    from ....scene.formats.pieces import Pieces
+    from ..bake import Baked
 
 PATH, SHAPE = 0.25, 0.5  # px of the capture by which a piece may be off its Gaussian: its mean, its extent
 OPACITY, COLOR = 0.015, 0.04  # likewise; the second in SH coefficients
@@ -66,8 +66,8 @@ def pieces_of(baked: Baked, times: int, pixel: float) -> Pieces:
     units. What is too faint to be drawn is left out."""
     import torch
 
-    from ...rasterizer import Gaussians
-    from ...scene.formats.pieces import Pieces
+    from ....rasterizer import Gaussians
+    from ....scene.formats.pieces import Pieces
 
     samples = Samples.of(baked, times)
     index, start, end = intervals(samples, pixel)
@@ -89,8 +89,8 @@ def still_pieces(baked: Baked, t: float) -> Pieces:
     """``baked`` at ``t`` alone, present throughout."""
     import torch
 
-    from ...scene.formats.pieces import Pieces
-    from ...scene.formats.ply import seen
+    from ....scene.formats.pieces import Pieces
+    from ....scene.formats.ply import seen
 
     shown = seen(baked.at(t))
     always = torch.full((len(shown.means),), torch.inf).double()
@@ -102,7 +102,7 @@ def intervals(samples: Samples, pixel: float) -> tuple[Tensor, Tensor, Tensor]:
     """Gaussian, first and last sample [m] of each piece. The clip is halved for a Gaussian until each part of it is straight enough."""
     import torch
 
-    from ...scene.formats.pieces import LEAST_ALPHA
+    from ....scene.formats.pieces import LEAST_ALPHA
 
     found = []
     waiting = [(0, samples.last, torch.arange(samples.means.shape[1]))]
@@ -155,7 +155,7 @@ def straight(samples: Samples, start: int, end: int, index: Tensor, pixel: float
 
 def spread_of(samples: Samples, k: int, index: Tensor) -> Tensor:
     """[m, 3, 3] covariances at sample ``k``."""
-    from ...scene.rotation import quats_to_matrices
+    from ....scene.rotation import quats_to_matrices
 
     wide = quats_to_matrices(samples.quats[k, index]) * samples.scales[k, index][:, None]
     return wide @ wide.transpose(1, 2)
