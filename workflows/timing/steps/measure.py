@@ -52,7 +52,7 @@ def measure_steps(training: Training, setup: float = 0.0) -> StepCosts:
         recipe.rounds,
         recipe.steady,
         trainer.grow,
-        settings.densify_every,
+        settings.densify_every or 0,
         recipe.hidden_at if trainer.grow and settings.hidden else (),
     )
     seen, grows = min(FINAL_VIEWS, len(training.views.train)), trainer.grow
