@@ -12,7 +12,7 @@ from ...primitives import GaussianSet
 from ...rotation import compose
 from ...settings import TrainingSettings
 from ...views import Views
-from ..carrier import Carrier, Rest
+from ..carrier import Carrier, Places
 from ..interface import Moved
 from ..rates import Rate, exponential
 from ..start import Start
@@ -131,7 +131,7 @@ class DeformationField(Carrier):
         part share both, however it turns, and the gradient of a rest position is rotated with the part."""
         return displace(self._heads(rest, t), rest, 0.5 * (self.low + self.high), self.reach)
 
-    def carry(self, rest: Rest, t: Time) -> Moved:
+    def carry(self, rest: Places, t: Time) -> Moved:
         dx, dr, ds = self(rest.points, float(t))
         m = len(rest.quats)
         return Moved(rest.points + dx, compose(dr[:m], rest.quats), ds[:m])
