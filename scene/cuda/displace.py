@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
-from ..motion.planes.displace import Displacement
+from ..motion.planes.displacement import Displacement
 from .programs import program
 
 THREADS = 128

@@ -14,7 +14,7 @@ from ...rasterizer.cuda.runtime import Launcher
 from .programs import program
 
 if TYPE_CHECKING:
-    from ..motion.nodes.skinning import Nodes
+    from ..motion.nodes.nodes import Nodes
 
 THREADS = 128
 SUM_THREADS = 384  # as in sum_links.cu

@@ -27,9 +27,10 @@ from ..start import Start
 from ..times import Time, together
 from .courses import SharedCourses, encode_places
 from .light import SHADES, Light
+from .nodes import Nodes
 from .rigid_parts import RigidParts
 from .schedule import BY_NODE_PHASES, NODES, first_motion, node_phases
-from .skinning import Nodes, distances, nearest_nodes, skin
+from .skinning import distances, nearest_nodes, skin
 from .spread import farthest_points, spacing
 from .strain import strain
 from .turning import leave_only, make_turning_parts_rigid

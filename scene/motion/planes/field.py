@@ -17,7 +17,8 @@ from ..interface import Moved
 from ..rates import Rate, exponential
 from ..start import Start
 from ..times import Time
-from .displace import Displacement, displace
+from .displace import displace
+from .displacement import Displacement
 from .field_kernel import field_outputs
 from .hexplane import HexPlanes
 
