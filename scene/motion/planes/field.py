@@ -48,6 +48,7 @@ class DeformationField(Carrier):
     kind = "planes"
     worth_culling = True
     priors_at_places = True
+    played_as = "paths"
     replayable = False  # the look-up needs the time on the CPU
 
     def __init__(
