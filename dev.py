@@ -4,7 +4,7 @@
     python3 dev.py sample     set up, then reconstruct the capture in samples/ with --preset fast and say where its report is;
                               further arguments go to `e4dgs run all`
     python3 dev.py test       set up, then run the tests on all cores; further arguments go to pytest
-    python3 dev.py lint       set up, then ruff and mypy
+    python3 dev.py lint       set up, then ruff, mypy, and the form of new commit messages
     python3 dev.py docs       set up, then write the documentation as web pages to build/docs
     python3 dev.py wheel      set up, then build a wheel for this Python into dist/; it needs no compiler where it is installed; with
                               --check also install it into a fresh environment without a compiler, and run the sample there
@@ -19,6 +19,7 @@ an editable install: edits of Python files count at once; a changed pin or C++ f
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -47,6 +48,8 @@ SANITIZED_TESTS = (
     "tests/vision/test_raft.py",
 )
 BUILD_SUFFIXES = {".cpp", ".h", ".inl", ".cmake", ".txt"}
+CHECKED_SINCE = "f883f0273723b168e2a61cb1e7bc68b2f184920b"  # commits after this one are held to the form of messages
+NOT_IMPERATIVE = re.compile("(Add|Chang|Fix|Mak|Mov|Remov|Renam|Updat|Us)(ed|es|s|ing) ")  # a short list, as endings alone mislead
 
 
 def main():
@@ -75,8 +78,9 @@ def test(arguments):
 
 
 def lint(_):
-    """ruff (rules and format) on everything, mypy on the package."""
+    """ruff (rules and format) on everything, mypy on the package, the messages of new commits."""
     results = [
+        commits(),
         run([python(), "-m", "ruff", "check", "."]),
         run([python(), "-m", "ruff", "format", "--check", "."]),
     ]
@@ -88,6 +92,32 @@ def lint(_):
         config = ["--config-file", str(ROOT / "pyproject.toml")]
         results.append(run([python(), "-m", "mypy", *config, *cache, *packages], dict(os.environ, MYPYPATH=folder), folder))
     return max(results)
+
+
+def commits():
+    """Whether new commits have messages in the form that CONTRIBUTING.md asks for: 0 if so, else 1."""
+    span = ["git", "log", "-z", "--no-merges", "--format=%h%n%B", CHECKED_SINCE + "..HEAD"]
+    try:
+        messages = subprocess.check_output(span, cwd=str(ROOT), stderr=subprocess.DEVNULL).decode("utf-8", "replace")
+    except (OSError, subprocess.CalledProcessError):
+        print("commit messages: not checked, as this copy lacks their history")
+        return 0
+    wrong = [line for message in messages.split("\0") if message for line in wrong_with(*message.split("\n", 1))]
+    print("\n".join(wrong) or "commit messages: all in form")
+    return int(bool(wrong))
+
+
+def wrong_with(name, message):
+    """A line for each thing that is wrong with one commit's message."""
+    subject, second = [*message.rstrip().split("\n"), ""][:2]
+    found = {
+        f"the subject has {len(subject)} characters, not at most 72": len(subject) > 72,
+        "the subject begins with no capital letter": not subject[:1].isupper(),
+        "the subject ends with a full stop": subject.endswith("."),
+        "the subject is not imperative": bool(NOT_IMPERATIVE.match(subject + " ")),
+        "the second line is not blank": bool(second.strip()),
+    }
+    return [f"commit {name}: {problem}: {subject}" for problem, is_so in found.items() if is_so]
 
 
 def docs(_):

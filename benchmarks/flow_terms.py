@@ -21,8 +21,8 @@ from e4dgs.workflows.bench.machine import kernels, machine
 from e4dgs.workflows.bench.output import row_json, write
 from e4dgs.workflows.bench.rows import Check, Measured, Row
 
-NO_DATA, NO_INTERVAL = (tuple(f"{stage}.{term}=0" for stage in ("coarse", "fine")) for term in ("data_flow", "interval"))
-PAPER = ("coarse.motion=planes",)  # the paper's model; what lives for a while is steady by itself
+NO_DATA, NO_INTERVAL = ((f"train.{term}_weight=0",) for term in ("data_flow", "interval"))
+PAPER = ("train.motion=planes",)  # the paper's model; what lives for a while is steady by itself
 TABLE_3 = {  # (b), convexes only, has no flow term and belongs to the table of strategies
     "a, base": (*NO_DATA, *NO_INTERVAL, "hulls.budget=0"),
     "c, edges at time steps": (*NO_INTERVAL, "hulls.budget=0"),
@@ -143,7 +143,7 @@ def steps(capture: str, workspace: str, name: str, interval: str, data: str, eve
     store, records = Store(Path(workspace) / "store"), Records(Path(workspace) / "scenes" / name / "records")
     artifacts = {stage: store.open(stage, (records.read(stage) or {})["key"]) for stage in ("frames", "flow", "coarse")}
     views = load_views(FrameSet(artifacts["frames"], Path(capture)), artifacts["flow"])
-    options = {"interval": float(interval), "data_flow": float(data), "flow_every": int(every)}
+    options = {"interval_weight": float(interval), "data_flow_weight": float(data), "flow_every": int(every)}
     phase = Phase("deformation", 1000)
     trainer = Trainer(
         read_model(artifacts["coarse"]), views, [phase], TrainingSettings.model_validate(options), 100_000, grow=False,

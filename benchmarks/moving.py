@@ -29,7 +29,7 @@ from e4dgs.stages.frames.stage import Frames
 from e4dgs.stages.shared.frameset import FrameSet
 from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow
 from e4dgs.vision.moving.fixed_camera import fixed_camera_masks
-from e4dgs.vision.moving.objects import moving_masks
+from e4dgs.vision.moving.moving_masks import moving_masks
 from e4dgs.vision.moving.static_scene import static_scene
 from e4dgs.workflows.bench.machine import machine
 

@@ -116,7 +116,7 @@ def simulate(cluster: Cluster, scenes: int, seed: int = 0) -> dict[str, Any]:
 
 
 def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
-    """The rows as docs/scale.md has them."""
+    """The rows as results/scale.md has them."""
     lines = [
         "| | wall hours | worker hours | busy | computing | waits for the store | over the least time |",
         "|---|---|---|---|---|---|---|",
@@ -129,7 +129,7 @@ def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def said(result: Mapping[str, Any]) -> list[str]:
-    """What else docs/scale.md says in figures, as it has to say it."""
+    """What else results/scale.md says in figures, as it has to say it."""
     scenes = [sum(seconds.values()) for seconds in result["measured_seconds"].values()]
     total, rows = sum(scenes), result["rows"]
     mean = total / len(scenes)

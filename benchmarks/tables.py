@@ -1,7 +1,7 @@
-"""Writes the tables and plots of docs/benchmarks.md from results: `python benchmarks/tables.py [--check]`.
+"""Writes the tables and plots of benchmarks/results/benchmarks.md: `python benchmarks/tables.py [--check]`.
 
 Between the lines `<!-- NAME -->` and `<!-- end -->` of the page everything is replaced by the tables of benchmarks/results/bench_NAME.json,
-as `benchmarks/bench.py NAME --out` and `benchmarks/knobs.py --out` write it, and plots go to docs/plots/. Nothing else is touched; a
+as `benchmarks/bench.py NAME --out` and `benchmarks/knobs.py --out` write it, and plots go to plots/ beside it. Nothing else is touched; a
 result that is absent leaves one line that says how to make it. --check changes nothing and exits 1 where the page is not what it would
 write.
 """
@@ -16,7 +16,8 @@ from pathlib import Path
 from e4dgs.workflows.bench.output import number
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, RESULTS, PLOTS = ROOT / "docs" / "benchmarks.md", ROOT / "benchmarks" / "results", ROOT / "docs" / "plots"
+RESULTS = ROOT / "benchmarks" / "results"
+PAGE, PLOTS = RESULTS / "benchmarks.md", RESULTS / "plots"
 COMMANDS = {
     "raster": "python benchmarks/bench.py raster --garden FILE --out benchmarks/results/bench_raster.json",
     "field": "python benchmarks/bench.py field --out benchmarks/results/bench_field.json",

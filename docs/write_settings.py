@@ -20,7 +20,7 @@ INTRODUCTION = """# Settings
 
 <!-- Written by docs/write_settings.py from the settings classes. Do not edit. -->
 
-Give a setting with `--set stage.key=value`, as often as needed. `--set train.key=value` sets it for all stages that train. A wrong name or
+Give a setting with `--set stage.KEY=VALUE`, as often as needed. `--set train.KEY=VALUE` sets it for all stages that train. A wrong name or
 value is answered with the valid ones. Order: defaults, `--preset`, `--static`, `--format`, `--seed`, `--set`; the last one wins.
 
 "none" as a default means that the program chooses, as the text says. After a change, the stages that read the setting run again, and those
@@ -30,7 +30,7 @@ HEAD = "| setting | default | values | meaning |\n|---|---|---|---|"
 MAIN = (
     *("frames.format", "frames.static", "frames.holdout", "frames.background", "frames.max_size", "frames.max_frames", "frames.every"),
     *("poses.matcher", "poses.camera_model", "poses.mapper", "flow.method", "flow.weights", "coarse.iterations", "coarse.effort"),
-    *("coarse.motion", "coarse.budget", "coarse.strategy", "hulls.budget", "fine.iterations", "train.seed", "train.sh_degree"),
+    *("train.motion", "train.budget", "coarse.strategy", "hulls.budget", "fine.iterations", "train.seed", "train.sh_degree"),
     *("evaluate.splits", "evaluate.lpips_weights"),
 )
 ADVANCED = "These are right for nearly all captures."
@@ -85,6 +85,8 @@ def values(field: FieldInfo) -> str:
     name = {bool: "`True`, `False`", int: "integer", float: "number", Path: "file"}[kinds[0]]
     words = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
     limits = [f"{word} {getattr(limit, name):,.10g}" for limit in field.metadata for name, word in words.items() if hasattr(limit, name)]
+    if [limit.rpartition(" ")[0] for limit in limits] == ["at least", "at most"]:
+        limits = [" to ".join(limit.rpartition(" ")[2] for limit in limits)]
     return " ".join([name, ", ".join(limits)]).strip()
 
 

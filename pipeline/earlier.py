@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .errors import ArtifactError
 from .files import canonical_json, digest_bytes
 from .job import Job
 from .keys import deciding
+from .reusable import Earlier
 from .stage import Given, Stage
 from .storage.artifact import Artifact
 
@@ -17,21 +17,6 @@ if TYPE_CHECKING:
     from .storage.store import Store
 
 RECENT = 8  # most recently used results per store that are considered; more would make planning slow in a store of thousands
-
-
-@dataclass(frozen=True)
-class Earlier:
-    """A result with the same code and settings, held for the lifetime of this object. ``rows`` maps the index of an item in the result
-    to be made to its index in this one. ``total``: number of items in the result to be made."""
-
-    artifact: Artifact
-    rows: Mapping[int, int]
-    total: int
-
-    @property
-    def new(self) -> int:
-        """Number of items that have to be computed."""
-        return self.total - len(self.rows)
 
 
 def item_digests(job: Job, stage: Stage, inputs: Mapping[str, Artifact | None]) -> list[str]:

@@ -59,7 +59,7 @@ def build_settings(
         key, (stages, field) = name.partition(".")[2], names[name]
         if name != given:
             say(f"{given} is now {name}" + (f", which {' and '.join(stages)} share" if len(stages) > 1 else ""))
-        older = classes[stages[0]].respelled.get(key, {})
+        older = _older_values(classes[stages[0]], key)
         if isinstance(value, str) and value in older:
             say(f"{name}={value} is now {name}={'none' if older[value] is None else older[value]}")
             value = older[value]
@@ -87,6 +87,11 @@ def _full_name(stage: str, cls: type[Settings], key: str) -> str:
     """The group is that of the class that defines the field: a stage's own class may define it anew."""
     definer = next(base for base in cls.__mro__ if key in inspect.get_annotations(base))
     return f"{definer.__dict__.get('group') or stage}.{key}"
+
+
+def _older_values(cls: type[Settings], key: str) -> Mapping[str, Any]:
+    """What the values of a setting were called, by its own class or by one that it inherits from."""
+    return next((found for base in cls.__mro__ if (found := base.__dict__.get("respelled", {}).get(key))), {})
 
 
 def _present_name(given: str, classes: Mapping[str, type[Settings]], names: Mapping[str, tuple[list[str], FieldInfo]]) -> str:

@@ -11,7 +11,7 @@ from .machine.resources import Resources
 from .settings import Settings
 
 if TYPE_CHECKING:
-    from .earlier import Earlier
+    from .reusable import Earlier
     from .running.progress import Progress
     from .storage.artifact import Artifact
     from .storage.writer import ArtifactWriter

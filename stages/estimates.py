@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 from ..pipeline import Resources
-from ..scene.motion.kinds import KINDS
+from ..scene.motion.kinds import KINDS, choose
 from .facts import Facts
+from .shared.defaults import one_way
 
 SECONDS_PER_FIRST_STEP = 0.01  # of a first training on very small images, on two cores
+
+# Seeds, on two cores.
+SECONDS_PER_MEGAPIXEL_MAP = 15.0  # of a picture in the plane sweep, which is at most `SWEPT_SIZE` px wide
+SWEPT_SIZE = 320
+SWEPT_ALONE, SWEPT_MOST = 32, 100  # pictures of one camera on its path, and most of several
+SECONDS_PER_MOVING_TIME = 1.4  # of a rig, at each of `MOVING_TIMES`
+MOVING_TIMES = 24
+SECONDS_PER_MOVING_FRAME = 0.05  # of one camera
+TRIANGULATED = 90  # most frames whose features are matched to triangulate points
+TRIANGULATED_TIMES = 3  # of several cameras
+SECONDS_PER_TRIANGULATED_FRAME = 0.3
 
 # In GB of 1e9 bytes, fitted to the peak memory of the captures in benchmarks/results. None exceeds the estimate by more than a fifth.
 GB_OF_TORCH = 0.7
@@ -37,3 +49,21 @@ def training_seconds(facts: Facts, iterations: int, kind: str, area: float = 1.0
 def first_training_seconds(iterations: int) -> float:
     """Seconds that ``iterations`` steps of a first training take on two cores."""
     return iterations * SECONDS_PER_FIRST_STEP
+
+
+def seeds_seconds(facts: Facts, motion: str | None) -> float:
+    """Seconds that placing seeds takes on two cores. motion: the setting of that name."""
+    known_points = facts.points or not facts.poses  # of the capture, or of structure from motion
+    seconds = 1.0
+    if not known_points and not facts.alpha:
+        matched = facts.frames if facts.cameras == 1 else facts.cameras * min(facts.times, TRIANGULATED_TIMES)
+        seconds += SECONDS_PER_TRIANGULATED_FRAME * min(matched, TRIANGULATED)
+    if facts.rig or one_way(facts) or (not known_points and not facts.alpha):
+        several = facts.cameras if facts.cameras > 1 else facts.frames // facts.times
+        maps = min(several, SWEPT_MOST) if facts.rig or facts.fixed_cameras else min(facts.frames, SWEPT_ALONE)
+        shrink = min(1.0, SWEPT_SIZE / max(facts.width, facts.height, 1))
+        seconds += SECONDS_PER_MEGAPIXEL_MAP * maps * facts.width * facts.height * shrink**2 / 1e6
+    if facts.pairs and not facts.static and choose(motion, facts) != "nodes":
+        alone = SECONDS_PER_MOVING_FRAME * facts.frames
+        seconds += SECONDS_PER_MOVING_TIME * min(facts.times, MOVING_TIMES) if facts.cameras > 1 else alone
+    return seconds

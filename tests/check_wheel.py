@@ -20,7 +20,7 @@ COMPILERS = ("cc", "c++", "gcc", "g++", "clang", "clang++", "cmake", "ninja", "m
 NATIVE = ("e4dgs/rasterizer/_cpu.", "e4dgs/scene/_kernels.", "e4dgs/vision/_kernels.")
 LIST = "e4dgs/native_sources.json"  # written by the build
 RECORDS = {"METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"}  # of *.dist-info
-WANTED = ("frames", "coarse", "hulls", "fine", "evaluate")  # stages that the sample has in the store
+WANTED = ("frames", "seeds", "coarse", "hulls", "fine", "evaluate")  # stages that the sample has in the store
 
 
 def expected() -> set[str]:

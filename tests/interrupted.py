@@ -31,11 +31,11 @@ QUICK = SETTINGS.model_copy(
         "densify_every": 10,
         "densify_until": 0.96,
         "min_opacity": 0.08,
-        "min_weight": 0.05,
+        "min_contribution": 0.05,
         "checkpoint_seconds": EVERY - 0.5,
     }
 )
-KINDS = ("planes", "nodes", "free", "fine")
+KINDS = ("planes", "nodes", "lifetimes", "fine")
 
 
 class Killed(Exception):

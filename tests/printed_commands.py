@@ -5,22 +5,22 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ["README.md", *(str(page.relative_to(ROOT)) for page in sorted((ROOT / "docs").glob("*.md")))]
+PAGES = ["README.md", "benchmarks/README.md", *(str(page.relative_to(ROOT)) for page in sorted((ROOT / "docs").glob("*.md")))]
 
 # Budgets under which a run takes seconds. All presets are one with them, so that commands find one another's results.
 SETTINGS = {
     "coarse.iterations": 80,
     "coarse.effort": 1,
-    "coarse.motion": "nodes",
-    "coarse.seeds": 300,
-    "coarse.budget": 400,
+    "train.motion": "nodes",
+    "seeds.count": 300,
+    "train.budget": 400,
     "hulls.budget": 4,
     "fine.iterations": 3,
     "evaluate.movie_frames": 0,
     "evaluate.player": "false",
 }
 TINY = " ".join(f"--set {key}={value}" for key, value in SETTINGS.items()) + " --device cpu"
-SAMPLE = f"{TINY} --set coarse.motion=planes"  # control nodes look for parts that turn, which takes half a minute there
+SAMPLE = f"{TINY} --set train.motion=planes"  # control nodes look for parts that turn, which takes half a minute there
 SHORT = "--rows garden --repeats 1 --seconds 0"  # of `bench`
 NOTHING = ""
 PLANNED = SAMPLE.replace(" --set fine.iterations=3", "")
@@ -55,6 +55,8 @@ RUN = {
     "e4dgs view samples/cube_and_ball": f"{SAMPLE} --no-browser",
     "e4dgs plan samples/cube_and_ball --preset fast": SAMPLE,
     "e4dgs plan samples/cube_and_ball --preset fast --set fine.iterations=600": PLANNED,
+    # docs/hardware.md
+    "e4dgs run all CAPTURE --time 10m": TINY,
     # docs/reruns.md
     "e4dgs run all CAPTURE --set fine.iterations=3000": f"{TINY} --set fine.iterations=4",
     "e4dgs run flow CAPTURE": TINY,
@@ -72,6 +74,8 @@ RUN = {
     "e4dgs render CAPTURE --path capture --seconds 10 --alpha --out cutout/": f"{TINY} --fps 1",
     "e4dgs export ply CAPTURE --times 30 --out DIR": f"{TINY} --times 2",
     "e4dgs export ply CAPTURE --time 0.5 --out one.ply": TINY,
+    "e4dgs export 4dgs CAPTURE --out scene.4dgs": TINY,
+    "e4dgs export ply CAPTURE --freetime --out scene.ftgs.ply": TINY,
     "e4dgs export gltf CAPTURE": f"{TINY} --times 2",
     "e4dgs export spz CAPTURE": f"{TINY} --times 2",
     "e4dgs export web CAPTURE --out scene.html": TINY,
@@ -105,6 +109,10 @@ PARSED_ONLY = {
     "python benchmarks/overhead.py": "runs for minutes; tests/pipeline/test_overhead.py measures the same at a small size",
     "python benchmarks/captures.py SCENES": REAL,
     "python benchmarks/throughput.py": "trains twelve scenes three times",
+    "python benchmarks/quality.py SCENES": REAL,
+    "python benchmarks/scale.py": "writes a result that is committed; tests/test_scale.py runs it at a small size",
+    "python benchmarks/tables.py": "writes a page that is committed; tests/test_documents.py runs it with --check",
+    "python benchmarks/cuda_resources.py": "compiles every kernel, and writes a result that is committed",
 }
 
 

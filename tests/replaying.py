@@ -21,8 +21,8 @@ from sliding_gaussians import SETTINGS, fresh, make_views
 
 TOTAL, SIZE = 200, 48
 PHASE = Phase("moving", TOTAL, move=True)
-QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "flow_every": 8, "interval": 1e-3, "dropout": 0.2, "affine": True})
-KINDS = ("nodes", "nodes, turning", "free", "free, convexes", "static")
+QUICK = SETTINGS.model_copy(update={"iterations": TOTAL, "flow_every": 8, "interval_weight": 1e-3, "dropout": 0.2, "affine": True})
+KINDS = ("nodes", "nodes, turning", "lifetimes", "lifetimes, convexes", "static")
 
 
 class Again:
@@ -45,7 +45,7 @@ def half_moves(i):
 
 
 def begun(what, device="cpu"):
-    """A training of "nodes" on one camera with alpha, or of lives ("free") on a rig with everything that a rig has; "turning" adds a rigid
+    """A training of "nodes" on one camera with alpha, or of "lifetimes" on a rig with everything that a rig has; "turning" adds a rigid
     part to the nodes, "convexes" some of these. "static": a rig in which nothing moves."""
     rig = "nodes" not in what
     views = replace(make_views(cameras=4 if rig else 1, times=8, size=SIZE), device=device)

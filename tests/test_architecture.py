@@ -1,4 +1,4 @@
-"""The house rules that a machine can hold: imports point down, heavy libraries load late, DESIGN.md files are short."""
+"""The house rules that a machine can hold: imports point down, heavy libraries load late, every folder has a DESIGN.md."""
 
 import ast
 import json
@@ -22,7 +22,7 @@ BELOW = {
 ROOMS = ("rasterizer.cuda.runtime",)  # folders with a public face: others import what their __init__.py exports, and nothing behind it
 STAGES = [stage.name for stage in reconstruction()]
 LIGHT = ("__init__", "settings", "defaults", "stage", "artifact")
-LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d")
+LATE = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
 
 
 def imported_folders(path: Path) -> set[str]:
@@ -95,14 +95,11 @@ def test_helpers_of_tests_are_followed(tmp_path):
 
 
 def imported_files(path: Path, known: dict[str, Path]) -> set[str]:
-    """Files of the house that a file imports when it runs, as dotted names: imports for type checkers alone do not count."""
+    """Files of the house that a file imports, as dotted names: inside functions and for type checkers alone, too."""
     package = path.relative_to(ROOT).parts[:-1]
-    tree = ast.parse(path.read_text())
-    typing = [node for node in ast.walk(tree) if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"]
-    skipped = {id(inner) for node in typing for inner in ast.walk(node)}
     found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.level and id(node) not in skipped:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
             base = ".".join([*package[: len(package) - node.level + 1], *(node.module or "").split(".")]).rstrip(".")
             for alias in node.names:
                 name = f"{base}.{alias.name}"
@@ -135,6 +132,20 @@ def product() -> dict[str, Path]:
 
 def test_no_file_imports_itself_through_others(product):
     assert not circles({name: imported_files(path, product) for name, path in product.items()})
+
+
+def test_of_another_stage_only_the_artifact_is_imported(product):
+    """And only of one that runs before: so a stage's key holds no other stage's work, and each can be replaced alone."""
+    for name, path in product.items():
+        of = name.split(".")[1:2]
+        if not name.startswith("stages.") or of[0] not in (*STAGES, "shared"):
+            continue
+        for other in imported_files(path, product):
+            parts = other.split(".")
+            if parts[0] == "stages" and len(parts) > 1 and parts[1] in STAGES and parts[1] != of[0]:
+                assert parts[2:] and parts[2].startswith("artifact"), f"{path.relative_to(ROOT)} imports {other}"
+                before = of[0] == "shared" or STAGES.index(parts[1]) < STAGES.index(of[0])
+                assert before, f"{path.relative_to(ROOT)} imports {other}, of a stage that runs after {of[0]}"
 
 
 @pytest.mark.parametrize("room", ROOMS)
@@ -195,7 +206,7 @@ def named_by_hand(tree: ast.AST) -> list[int]:
             case ast.Call(func=ast.Attribute(attr="write" | "create"), args=[name, _, *_]):  # text that goes to a file stands alone
                 found = is_text(name)
             case ast.Compare(left=name, ops=[ast.In() | ast.NotIn()], comparators=[ast.Name(id=of)]):
-                found = is_text(name) and of in ("artifact", "frames", "poses", "flow", "coarse", "hulls", "fine", "evaluate")
+                found = is_text(name) and of in ("artifact", "frames", "poses", "flow", "seeds", "coarse", "hulls", "fine", "evaluate")
             case _:
                 found = False
         if found:
@@ -245,10 +256,8 @@ def test_files_are_short(folder):
 
 
 @pytest.mark.parametrize("folder", BELOW)
-def test_every_folder_has_a_short_design(folder):
-    design = ROOT / folder / "DESIGN.md"
-    assert design.is_file(), f"{folder} has no DESIGN.md"
-    assert len(design.read_text().splitlines()) <= 120
+def test_every_folder_has_a_design(folder):
+    assert (ROOT / folder / "DESIGN.md").is_file(), f"{folder} has no DESIGN.md"
 
 
 def test_heavy_libraries_load_late():

@@ -181,3 +181,65 @@ def test_the_whole_suite_runs_on_all_cores_and_a_part_of_it_on_one(dev, monkeypa
     assert ["auto" in command for command, _ in commands] == [True, True, False, False]
     assert commands[1][0][-2:] == ["-k", "hull"]
     assert all(environment["GOMP_SPINCOUNT"] for _, environment in commands)
+
+
+def git(folder: Path, *words: str) -> str:
+    told = ["-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false"]
+    return subprocess.run(["git", *told, *words], cwd=folder, check=True, capture_output=True, text=True).stdout.strip()
+
+
+@pytest.fixture
+def history(dev, monkeypatch, tmp_path):
+    """A repository in which a commit without any form came before the check began; the function adds another."""
+    folder = tmp_path / "history"
+    folder.mkdir()
+    git(folder, "init", "-q")
+    git(
+        folder,
+        "commit",
+        "-q",
+        "--allow-empty",
+        "-m",
+        "fixed stuff, and a lot more, in a line that is far too long for anybody to read it whole.",
+    )
+    monkeypatch.setattr(dev, "CHECKED_SINCE", git(folder, "rev-parse", "HEAD"))
+    monkeypatch.setattr(dev, "ROOT", folder)
+
+    def commit(message: str) -> int:
+        git(folder, "commit", "-q", "--allow-empty", "--cleanup=verbatim", "-m", message)
+        return dev.commits()
+
+    return commit
+
+
+def test_commits_in_form_and_those_from_before_the_check_pass(dev, history, capsys):
+    assert dev.commits() == 0
+    assert history("Use one mechanism for files that are not read\n\nThe why, in a body of any length.\n") == 0
+    assert history("Address the last needs of seeds: " + "x" * 39) == 0, "72 characters, and words that end as verbs do"
+    assert capsys.readouterr().out.splitlines()[-1] == "commit messages: all in form"
+
+
+@pytest.mark.parametrize(
+    ("message", "problem"),
+    [
+        ("Use " + "x" * 69, "has 73 characters"),
+        ("use lower case", "capital letter"),
+        ("Use a full stop.", "full stop"),
+        ("Added a thing", "not imperative"),
+        ("Use one line\nor another", "second line is not blank"),
+    ],
+)
+def test_a_commit_out_of_form_is_named(history, capsys, message, problem):
+    assert history(message) == 1
+    (line,) = capsys.readouterr().out.splitlines()
+    assert problem in line and message.splitlines()[0] in line
+
+
+def test_without_the_history_commits_are_not_checked_and_it_says_so(dev, history, monkeypatch, tmp_path, capsys):
+    history("wrong but out of reach")
+    git(tmp_path, "clone", "-q", "--depth", "1", (tmp_path / "history").as_uri(), "shallow")
+    for folder in ("shallow", "venv"):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        monkeypatch.setattr(dev, "ROOT", tmp_path / folder)
+        capsys.readouterr()
+        assert dev.commits() == 0 and "not checked" in capsys.readouterr().out

@@ -52,9 +52,9 @@ def test_the_result_is_of_what_is_measured_now(scale, result):
 
 
 def test_the_page_shows_the_results(scale, result):
-    page = (ROOT / "docs" / "scale.md").read_text()
+    page = (ROOT / "benchmarks" / "results" / "scale.md").read_text()
     assert scale.table(result["rows"]) in page
     lines = " ".join(page.split())
-    assert [figure for figure in scale.said(result) if " ".join(figure.split()) not in lines] == [], "docs/scale.md is of other results"
+    assert [figure for figure in scale.said(result) if " ".join(figure.split()) not in lines] == [], "scale.md is of other results"
     result["measured_seconds"]["lego"]["coarse"] += 500
     assert [figure for figure in scale.said(result) if " ".join(figure.split()) not in lines] != [], "the figures follow what was measured"

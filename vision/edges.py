@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .warp import warped
+
 BOUNDARY = (0.5, 1.5)  # px, change of flow between adjacent pixels: no motion boundary up to the first, full weight from the second on
 
 
@@ -19,23 +21,21 @@ class Seen(NamedTuple):
     boundary: np.ndarray
 
 
-def seen_by(neighbour: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> Seen:
+def seen_by(neighbour: np.ndarray, flow: np.ndarray, confidence: np.ndarray, device: str = "cpu") -> Seen:
     """Warps a neighbour's edge weights (uint8 [H, W]) to this frame. ``flow`` [H, W, 2] px leads from this frame to the neighbour."""
-    import cv2
-
-    height, width = neighbour.shape
-    to_x = flow[..., 0] + np.arange(width, dtype=np.float32)
-    to_y = flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
-    weight = cv2.remap(neighbour, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return Seen(weight, confidence, motion_boundaries(flow, confidence))
+    return Seen(warped(neighbour, flow, device), confidence, motion_boundaries(flow, confidence, device))
 
 
-def motion_boundaries(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+def motion_boundaries(flow: np.ndarray, confidence: np.ndarray, device: str = "cpu") -> np.ndarray:
     """Where ``flow`` [H, W, 2] px is discontinuous: uint8 [H, W], 255 where it changes by 1.5 px or more from one pixel to the next.
 
     Only discontinuities that touch a pixel of full ``confidence`` (uint8 [H, W]) count. At a real outline, one side is measured well even
     if the other is hidden; flow that is entirely wrong can be discontinuous anywhere.
     """
+    if device != "cpu":
+        from .flow import on_gpu
+
+        return on_gpu.motion_boundaries(flow, confidence, BOUNDARY, device)
     import cv2
 
     smooth = cv2.GaussianBlur(flow, (0, 0), 1.0, borderType=cv2.BORDER_REPLICATE)

@@ -30,6 +30,7 @@ from .runs import execute
 from .session import DEFAULT_WORKSPACE, Options, open_session
 from .storage.command import COMMANDS
 from .storage.command import app as store
+from .timing.begin import begin, expect
 from .view.beside import viewer_beside
 from .view.command import view
 
@@ -90,14 +91,14 @@ def run(
     watch: Annotated[bool, typer.Option("--view", help="Open the viewer as soon as there is something to see.")] = False,
 ) -> None:
     """Run stages; what is in the store is reused."""
-    session = open_session(options)
+    session, timed = begin(options, _say, anew=force and target == "all")
     targets = check_targets(session.job.graph.stages, target)
     forced = tuple(targets or session.job.graph.stages) if force else ()
-    rows = make_plan(session.job, targets, forced)
+    rows = expect(session, make_plan(session.job, targets, forced))
     show.show_capture(console, session)
-    show.show_plan(console, rows)
+    show.show_plan(console, rows, session.options.time)
     with viewer_beside(options) if watch else nullcontext(), writing_to(options.workspace.resolve()):
-        if (found := execute(session, rows, console, _say, targets, forced)) is not None:
+        if (found := execute(session, rows, console, _say, targets, forced, timed)) is not None:
             show.show_metrics(console, *found)
         if watch:
             _say("the viewer keeps running; Ctrl-C stops it")
@@ -116,13 +117,13 @@ def plan(
     """Show what a run would do, stage by stage, and why. Nothing runs, and no result is written."""
     from .publish import plan_json
 
-    session = open_session(options)
-    rows = make_plan(session.job)
+    session, _ = begin(options, _say if not as_json else lambda line: None)
+    rows = expect(session, make_plan(session.job))
     if as_json:
         print(json.dumps(plan_json(session, rows), indent=2, ensure_ascii=False))
         return
     show.show_capture(console, session)
-    show.show_plan(console, rows)
+    show.show_plan(console, rows, session.options.time)
 
 
 @app.command()
@@ -138,10 +139,20 @@ def why(
 
 
 @app.command()
-def doctor(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
+def doctor(
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    licenses: Annotated[bool, typer.Option("--licenses", help="Instead, the licences of e4dgs, its packages and weights.")] = False,
+    debug: Debug = False,
+) -> None:
     """Check this installation; exit code 1 when something that is needed does not work."""
     from .machine.doctor import checks
+    from .machine.licences import licences
 
+    for one in licences() if licenses else ():
+        note = f"  ({one.note})" if one.note else ""
+        console.print(f"{f'{one.name} {one.version}':42} {one.terms}{note}", markup=False, highlight=False, soft_wrap=True)
+    if licenses:
+        return
     broken = 0
     for what, well, detail in checks(workspace):
         broken += well is False

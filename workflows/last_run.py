@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..pipeline import ArtifactError, CaptureError
-from ..pipeline.files import read_json, write_json
+from ..pipeline.files import canonical_json, digest_bytes, read_json, write_json
 from .reconstruction import reconstruction
 from .scenes import CLAIM
 from .session import Options, Session
@@ -37,13 +37,16 @@ class Run:
     device: str = "auto"
     began: float = 0.0
     done: bool = False
+    time: str | None = None
+    resolved: tuple[str, ...] = ()  # settings that were decided for that time
+    facts: str = ""  # digest of the capture's facts that they were decided for
 
     @property
     def words(self) -> str:
         """The options as on a command line, without those that have their default; "no options" for none."""
         words = [*(["--preset", self.preset] if self.preset != "default" else []), *(["--static"] if self.static else [])]
         words += ["--format", self.format] if self.format else []
-        for text in self.set:
+        for text in (*self.resolved, *self.set):
             words += ["--set", text]
         return shlex.join(words) or "no options"
 
@@ -60,21 +63,34 @@ class Given:
     name: str | None = None
     static: bool = False
     format: str | None = None
+    time: str | None = None
 
     @property
     def choose(self) -> bool:
         """Whether any of them chooses among runs."""
-        return bool(self.preset is not None or self.set or self.static or self.format is not None)
+        return bool(self.preset is not None or self.set or self.static or self.format is not None or self.time is not None)
 
 
 def remember(session: Session, target: str, began: float, done: bool = False) -> None:
     """Adds a run to the scene's list, in place of earlier ones with the same target and options."""
     options, file = session.options, session.scene.folder / FILE
-    run = Run(target, options.preset, tuple(options.assignments), options.static, options.format, options.device, round(began, 3), done)
+    run = Run(
+        target,
+        options.preset,
+        tuple(options.assignments),
+        options.static,
+        options.format,
+        options.device,
+        round(began, 3),
+        done,
+        options.time,
+        tuple(options.resolved),
+        facts_of(session) if options.time else "",
+    )
     earlier = runs_of(session.scene.folder)
     if any(one.done and _same(one) == _same(run) for one in earlier):
         run = replace(run, done=True)  # its results are there, also while it runs again
-    others = [one for one in earlier if _same(one) != _same(run)]
+    others = [one for one in earlier if _same(one) != _same(run) and one.began != run.began]  # a run decides settings as it goes
     with suppress(OSError):  # a workspace that can only be read
         write_json(file, {"runs": [asdict(one) for one in (*others, run)][-KEPT:]})
 
@@ -88,6 +104,22 @@ def runs_of(scene: Path) -> list[Run]:
 
 def _same(run: Run) -> Run:
     return replace(run, began=0.0, done=False)
+
+
+def facts_of(session: Session) -> str:
+    """A digest of what is known of a capture before anything runs. With other facts, what was decided for a time does not hold."""
+    return digest_bytes(canonical_json(dict(session.job.capture.facts)))[:16]
+
+
+def decided_for(options: Options) -> Run | None:
+    """The run whose settings were decided for the same capture, time and options; None if there is none."""
+    named = [] if options.name is None else [options.workspace / "scenes" / options.name]
+    scenes = named or scenes_of(options.capture, options.workspace)
+    own = ("", options.preset, tuple(options.assignments), options.static, options.format, options.device)
+    wanted = Run(*own, time=options.time)
+    known = [run for scene in scenes for run in runs_of(scene) if run.resolved]
+    runs = [run for run in known if replace(_same(run), target="", resolved=(), facts="") == wanted]
+    return max(runs, key=lambda run: run.began, default=None)
 
 
 def last_run(scene: Path, stage: str | None = None, done: bool = True) -> Run | None:
@@ -131,13 +163,15 @@ def options_of_last_run(given: Given, stage: str, done: bool = True) -> Options:
             name,
             given.static,
             given.format,
+            time=given.time,
             last=not given.choose,
         )
     assert scene is not None
     if run.words != "no options":
         print(f"{scene.name}: the last run had {run.words}", file=sys.stderr)
     device = run.device if given.device == "auto" else given.device
-    return Options(capture, workspace, run.preset, run.set, device, scene.name, run.static, run.format, last=True)
+    own = (capture, workspace, run.preset, run.set, device, scene.name, run.static, run.format)
+    return Options(*own, resolved=run.resolved, last=True)
 
 
 def scene_or_capture(path: Path, workspace: Path, name: str | None = None) -> tuple[Path, str | None, Path]:
@@ -206,7 +240,7 @@ def _run(row: Any) -> Run | None:
     if not isinstance(row, Mapping):
         return None
     values: dict[str, Any] = {one.name: row[one.name] for one in fields(Run) if one.name in row}
-    values["set"] = tuple(map(str, values.get("set") or ()))
+    values |= {name: tuple(map(str, values.get(name) or ())) for name in ("set", "resolved")}
     if not isinstance(values.get("began"), int | float) or not isinstance(values.get("target"), str):
         return None
     return Run(**values)

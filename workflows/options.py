@@ -12,8 +12,9 @@ from typing import Annotated, Any
 
 import typer
 
-from .last_run import Given, options_of_last_run, scene_or_capture
+from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
 from .session import DEFAULT_WORKSPACE, SEEDS, Options
+from .timing.words import seconds_of, words_for
 
 Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, a folder with poses, or a scene.")]
 Scene = Annotated[
@@ -29,6 +30,10 @@ Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
 Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
 Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
 Format = Annotated[str | None, typer.Option("--format", help="Format of the capture, if its files fit several.")]
+Time = Annotated[
+    str | None,
+    typer.Option("--time", metavar="TIME", help="The best result in this time on this machine: 90s, 10m, 1h30m. Decides steps and sizes."),
+]
 StoreAlso = Annotated[
     list[Path] | None,
     typer.Option("--store-also", metavar="DIR", help="Another workspace, which is only read: its results are reused; may be repeated."),
@@ -46,10 +51,11 @@ _OF_RUN: Mapping[str, tuple[Any, Any]] = {  # name -> annotation, default
     "name": (Name, None),
     "static": (Static, False),
     "format": (Format, None),
+    "time": (Time, None),
     "store_also": (StoreAlso, None),
     "debug": (Debug, False),  # read by `cli.main`
 }
-_OF_SEVERAL = {name: row for name, row in _OF_RUN.items() if name != "name"}
+_OF_SEVERAL = {name: row for name, row in _OF_RUN.items() if name not in ("name", "time")}  # several runs share a machine
 _OF_LAST_RUN = {name: row for name, row in _OF_RUN.items() if name not in ("seed", "store_also")} | {"preset": (PresetOfRun, None)}
 
 
@@ -57,7 +63,7 @@ def of_capture(command: Callable[..., None]) -> Callable[..., None]:
     """Gives a command the options of a run of a capture, as ``options: Options``."""
 
     def gathered(capture: Path, workspace: Path, debug: bool, **given: Any) -> Options:
-        return _options(*scene_or_capture(capture, workspace, given.pop("name")), **given)
+        return with_decided(_options(*scene_or_capture(capture, workspace, given.pop("name")), **given))
 
     return _with_options(command, {"capture": (Capture, _REQUIRED)}, _OF_RUN, gathered)
 
@@ -83,11 +89,12 @@ def _options(
     device: str = "auto",
     static: bool = False,
     format: str | None = None,
+    time: str | None = None,
     store_also: list[Path] | None = None,
 ) -> Options:
     seeds = () if seed is None else tuple(f"{setting}={seed}" for setting in SEEDS)
     assignments, also = (*seeds, *(set or ())), store_also or ()
-    return Options(capture, workspace, preset, assignments, device, name, static, format, store_also=also)
+    return Options(capture, workspace, preset, assignments, device, name, static, format, also, time)
 
 
 def of_last_run(stage: str, done: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -95,9 +102,22 @@ def of_last_run(stage: str, done: bool = True) -> Callable[[Callable[..., None]]
     capture that included ``stage``. done: prefer a run that came to its end."""
 
     def gathered(capture: Path | None, debug: bool, **given: Any) -> Options:
-        return options_of_last_run(Given(capture, **given), stage, done)
+        return with_decided(options_of_last_run(Given(capture, **given), stage, done))
 
-    return lambda command: _with_options(command, {"capture": (Scene, None)}, _OF_LAST_RUN, gathered)
+    def given_them(command: Callable[..., None]) -> Callable[..., None]:
+        own = inspect.signature(command).parameters  # --time has another meaning where something is rendered or exported
+        return _with_options(command, {"capture": (Scene, None)}, {k: row for k, row in _OF_LAST_RUN.items() if k not in own}, gathered)
+
+    return given_them
+
+
+def with_decided(options: Options) -> Options:
+    """``options`` with their time in its shortest words, and with the settings that an earlier run decided for it. Raises SettingsError."""
+    if options.time is not None:
+        options.time = words_for(seconds_of(options.time))
+        run = decided_for(options)
+        options.resolved = () if run is None else run.resolved
+    return options
 
 
 def _with_options(

@@ -8,8 +8,8 @@ from typing import Any
 
 from ..pipeline import Artifact, Outcome, Row
 from ..pipeline.files import read_json, write_atomically, write_json
-from ..stages.coarse.artifact import read_seeds_png
 from ..stages.evaluate.artifact import read_metrics, read_player
+from ..stages.seeds.artifact import read_seeds_png
 from ..stages.shared.report_attributes import report_attributes
 from ..stages.shared.training_log import read_training_log
 from .reconstruction import EVALUATION, TRAINING
@@ -27,6 +27,7 @@ def plan_json(session: Session, rows: Sequence[Row]) -> dict[str, Any]:
         "notes": list(session.notes),
         "device": job.device,
         "preset": session.options.preset,
+        **({"time": session.options.time, "decided": list(session.options.resolved)} if session.options.time else {}),
         "settings": {name: settings.model_dump(mode="json") for name, settings in job.settings.items()},
         "stages": [row.as_json() for row in rows],
     }
@@ -92,8 +93,8 @@ def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcom
 
     infos = {name: report_attributes(outcome.artifact) for name, outcome in outcomes.items() if outcome.artifact is not None}
     plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
-    coarse = outcomes["coarse"].artifact if "coarse" in outcomes else None
-    seeds = None if coarse is None else read_seeds_png(coarse)
+    placed = outcomes["seeds"].artifact if "seeds" in outcomes else None
+    seeds = None if placed is None else read_seeds_png(placed)
     stored, scene = read_player(evaluate), session.scene.name
     player = None if stored is None else page(scene, *stored, header_of(stored[0])[0]["background"], play=False)
     return render_report(scene, evaluate, infos, plan_rows, metrics, seeds, run_command(session.options, "all"), player)

@@ -2,7 +2,7 @@
 
 Each stage names its own inputs; this is the order in which stages run. `e4dgs plan CAPTURE` shows which of them a capture needs.
 
-    frames ── poses ── flow ── coarse ── hulls ── fine ── evaluate
+    frames ── poses ── flow ── seeds ── coarse ── hulls ── fine ── evaluate
 """
 
 from ..pipeline import Graph
@@ -10,8 +10,8 @@ from ..pipeline import Graph
 
 def reconstruction() -> Graph:
     """frames: times, cameras, splits, decoded video. poses: structure from motion, if the files have no poses. flow: motion between frames
-    of one camera, and edge masks. coarse: Gaussians and their motion. hulls: initial convexes. fine: both kinds together. evaluate:
-    metrics on held-out views, and pictures for the report.
+    of one camera, and edge masks. seeds: where Gaussians begin. coarse: Gaussians and their motion. hulls: initial convexes. fine: both
+    kinds together. evaluate: metrics on held-out views, and pictures for the report.
     """
     from ..stages.coarse.stage import Coarse
     from ..stages.evaluate.stage import Evaluate
@@ -20,10 +20,11 @@ def reconstruction() -> Graph:
     from ..stages.frames.stage import Frames
     from ..stages.hulls.stage import Hulls
     from ..stages.poses.stage import Poses
+    from ..stages.seeds.stage import Seeds
 
-    return Graph([Frames(), Poses(), Flow(), Coarse(), Hulls(), Fine(), Evaluate()])
+    return Graph([Frames(), Poses(), Flow(), Seeds(), Coarse(), Hulls(), Fine(), Evaluate()])
 
 
-TRAINING = ("coarse", "hulls", "fine")  # stages whose time is the training time of metrics.json
+TRAINING = ("seeds", "coarse", "hulls", "fine")  # stages whose time is the training time of metrics.json
 EVALUATION = "evaluate"
 LIBRARIES = ("numpy", "scipy", "torch", "zarr", "pycolmap", "opencv-contrib-python-headless", "av", "pillow", "pydantic")

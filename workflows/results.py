@@ -86,7 +86,8 @@ def words_of(options: Options) -> list[str]:
     words += ["--static"] if options.static else []
     for path in options.store_also:
         words += ["--store-also", str(path)]
-    for assignment in options.assignments:
+    words += ["--time", options.time] if options.time and not options.resolved else []
+    for assignment in (*options.resolved, *options.assignments):
         words += ["--set", assignment]
     return words
 

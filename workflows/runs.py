@@ -13,6 +13,7 @@ from ..pipeline import Row, Runner, duration
 from .last_run import remember
 from .reconstruction import EVALUATION, LIBRARIES
 from .session import Session
+from .timing.timed import Timed
 
 
 def execute(
@@ -22,9 +23,10 @@ def execute(
     say: Callable[[str], None],
     targets: Sequence[str] | None = None,
     forced: Sequence[str] = (),
+    timed: Timed | None = None,
 ) -> tuple[Mapping[str, Any], Path] | None:
     """Runs ``targets`` (None: all stages) and what they need. Returns the metrics and the path of the report, or None if none was made.
-    Raises what `Runner.run` and `Scene.claim` raise."""
+    timed: decides settings on the way, for a run that keeps to a time. Raises what `Runner.run` and `Scene.claim` raise."""
     from .. import __version__
     from .publish import publish, write_plan
 
@@ -33,12 +35,13 @@ def execute(
     def finished(outcome) -> None:
         nonlocal told
         session.scene.restore()
-        if not told:  # as soon as there is something to look at
+        if outcome.state == "ran":
+            say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")
+        decided = timed is not None and timed.finished(outcome)
+        if decided or not told:  # as soon as there is something to look at
             remember(session, target, began)
             told = True
         write_plan(session, rows)
-        if outcome.state == "ran":
-            say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")
 
     name = session.scene.name
     session.claim()  # before anything is written, so that no other capture of that name starts in the same folder
@@ -52,4 +55,8 @@ def execute(
     remember(session, target, began, done=True)
     if outcomes[-1].stage != EVALUATION or outcomes[-1].artifact is None:
         return None
-    return publish(session, rows, outcomes)
+    begin = time.monotonic()
+    published = publish(session, rows, outcomes)
+    if timed is not None:
+        timed.published(time.monotonic() - begin)
+    return published

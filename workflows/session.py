@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, split_assignment
+from ..pipeline import CaptureError, Job, SettingsError, Store, build_settings, settings_by_name, split_assignment
 from .machine.devices import resolve_device
 from .machine.writable import writing_to
 from .presets import PRESETS
@@ -34,6 +34,8 @@ class Options:
     static: bool = False
     format: str | None = None
     store_also: Sequence[Path] = ()  # other workspaces, or their stores
+    time: str | None = None  # how long the run may take, in the words of `timing.words`
+    resolved: Sequence[str] = ()  # settings that were decided for that time, as for --set
     last: bool = False  # these are the options of the last run: what that made is meant, also if the code has changed since
 
 
@@ -50,6 +52,15 @@ class Session:
         """Takes the scene's folder for the capture (`Scene.claim`). If another capture has just taken it, the scene changes its name."""
         self.scene = self.scene.claim()
         self.job.records = self.scene.records
+
+    def resolve(self, values: Mapping[str, Any]) -> None:
+        """Changes settings that were left to be decided, by their names. What has already run keeps its own."""
+        others = [text for text in self.options.resolved if text.partition("=")[0] not in values]
+        self.options.resolved = [*others, *(f"{name}={value}" for name, value in values.items())]
+        classes = self.job.graph.settings
+        built, names = build_settings(classes, assignments_of(self.options)), settings_by_name(classes)
+        changed = {stage for name in values for stage in names[name][0]}
+        self.job.settings = {**self.job.settings, **{stage: built[stage] for stage in changed}}
 
 
 def open_session(options: Options) -> Session:
@@ -96,10 +107,12 @@ def other_stores(paths: Sequence[Path]) -> list[Path]:
 
 
 def assignments_of(options: Options) -> list[tuple[str, Any]]:
-    """Settings from the preset, then --static and --format, then --set; later ones win. Raises SettingsError."""
+    """Settings from the preset, then what --time decided, then --static and --format, then --set; later ones win. Raises
+    SettingsError."""
     if options.preset not in PRESETS:
         raise SettingsError(f"--preset {options.preset}: there is no such preset; presets: {', '.join(PRESETS)}")
     chosen: list[tuple[str, Any]] = list(PRESETS[options.preset].items())
+    chosen += [(f"{stage}.{key}", value) for stage, key, value in map(split_assignment, options.resolved)]
     if options.static:
         chosen.append(("frames.static", True))
     if options.format is not None:

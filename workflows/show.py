@@ -34,8 +34,8 @@ def show_capture(console: Console, session: Session) -> None:
         console.print(f"  another capture already has this name in the workspace, so the scene is called {session.scene.name} (see --name)")
 
 
-def show_plan(console: Console, rows: Sequence[Row]) -> None:
-    """Prints one line per stage: state, estimate, what it does and why."""
+def show_plan(console: Console, rows: Sequence[Row], time: str | None = None) -> None:
+    """Prints one line per stage: state, estimate, what it does and why. time: that the run may take; then also what it is expected to."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title in ("stage", "state", "estimate", "reason"):
         table.add_column(title, no_wrap=title != "reason", overflow="fold")
@@ -44,6 +44,8 @@ def show_plan(console: Console, rows: Sequence[Row]) -> None:
         words = f"{row.task} ({row.reason})" if row.state == "run" and row.task else row.reason
         table.add_row(row.stage, f"[{_COLOURS[row.state]}]{row.state}[/]", estimate, escape(words))
     console.print(table)
+    if time is not None and (left := [row.estimate for row in rows if row.state == "run" and row.estimate is not None]):
+        console.print(f"expected: about {duration(sum(left))} of {time}; each stage is decided when it begins, by what is left")
 
 
 def show_metrics(console: Console, metrics: Mapping[str, Any], report: Path) -> None:

@@ -1,1 +1,1 @@
-"""Rows that exist for the tables of docs/benchmarks.md, beside those of `e4dgs bench`; `benchmarks/bench.py` measures both."""
+"""Rows that exist for benchmarks/results/benchmarks.md, beside those of `e4dgs bench`; `benchmarks/bench.py` measures both."""

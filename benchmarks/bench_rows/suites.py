@@ -1,4 +1,4 @@
-"""All rows: those of `e4dgs bench`, and those that exist for the tables of docs/benchmarks.md."""
+"""All rows: those of `e4dgs bench`, and those that exist for benchmarks/results/benchmarks.md."""
 
 from __future__ import annotations
 

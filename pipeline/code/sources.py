@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..files import canonical_json, digest_bytes
-from .known import KnownSources
 from .native_source import CPU, CUDA, NativeSource
 from .package import Package
+from .parse_cache import ParseCache
 from .python_source import PythonSource
 
 
@@ -28,14 +28,14 @@ class Sources:
 
     def __init__(self, packages: Mapping[str, Package], without: str) -> None:
         self.packages, self._without = packages, without
-        self._known = KnownSources()
+        self._parsed = ParseCache()
         self._python: dict[File, PythonSource] = {}
         self._native: dict[File, NativeSource] = {}
         self._leads: dict[File, tuple[list[File], list[File]]] = {}
         self.state = cache(self._state)
 
     def save(self) -> None:
-        self._known.save()
+        self._parsed.save()
 
     def digest(self, file: File) -> str:
         """Digest of a file's code, "" if it has none."""
@@ -77,7 +77,7 @@ class Sources:
         if file not in self._python:
             path = self.packages[file.package].path(file.name) if file.package else Path(file.name)
             assert path is not None
-            self._python[file] = self._known.python(path.read_bytes())
+            self._python[file] = self._parsed.python(path.read_bytes())
         return self._python[file]
 
     def _of_native(self, file: File) -> NativeSource:
@@ -87,7 +87,7 @@ class Sources:
             if listed is None:
                 assert path is not None
                 data = path.read_bytes()
-                listed = self._known.native(file.name, data) if file.name.endswith((*CPU, *CUDA)) else NativeSource(digest_bytes(data))
+                listed = self._parsed.native(file.name, data) if file.name.endswith((*CPU, *CUDA)) else NativeSource(digest_bytes(data))
             self._native[file] = listed
         return self._native[file]
 

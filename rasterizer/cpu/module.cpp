@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "blend.h"
-#include "driver.h"
+#include "../cuda/driver.h"
 #include "state.h"
 
 namespace nb = nanobind;

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from ctypes import c_int32, c_int64
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -13,13 +13,23 @@ from torch.autograd.function import once_differentiable
 from ...rasterizer.cuda.runtime import Launcher
 from .programs import program
 
-if TYPE_CHECKING:
-    from ..motion.nodes.nodes import Nodes
-
 THREADS = 128
 SUM_THREADS = 384  # as in sum_links.cu
 MOST_LINKS, MOST_HYPER = 8, 4
 ROW = 12  # numbers of a node's gradient: shift 3, falloff 1, turn 4, hyper coordinates up to 4
+
+
+class Nodes(Protocol):
+    """What is read of `scene.motion.skinning.Nodes`, which lies above this file."""
+
+    @property
+    def home(self) -> Tensor: ...
+    @property
+    def home_hyper(self) -> Tensor: ...
+    @property
+    def falloff(self) -> Tensor: ...
+    def _asdict(self) -> dict[str, Tensor]: ...
+    def __iter__(self) -> Iterator[Tensor]: ...
 
 
 def nearest_nodes(launcher: Launcher, points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Tensor:

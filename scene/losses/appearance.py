@@ -22,7 +22,7 @@ class Appearance(Term):
 
     def inputs(self, model: Model, now: Now) -> tuple[Tensor | None]:
         views = self.run.views
-        known = self.run.settings.alpha and views.load_alpha is not None
+        known = self.run.settings.alpha_weight and views.load_alpha is not None
         return (views.stored(now.frame, now.scale, "alpha", now.window) if known else None,)
 
     def value(self, rendered: Rendered, inputs: tuple[Tensor | None]) -> Tensor:
@@ -42,17 +42,17 @@ def appearance_loss(rendered: Rendered, s: TrainingSettings, background: tuple[f
         opposite = None
         if alpha is not None:
             red, green, blue = (1 - 2 * level for level in background)
-            opposite = photometric.Opposite(frame.alpha, alpha, kept, (red, green, blue), OTHER_BACKGROUND, share * s.alpha)
-        terms = share * s.l1, share * s.ssim, weight, recording, opposite
+            opposite = photometric.Opposite(frame.alpha, alpha, kept, (red, green, blue), OTHER_BACKGROUND, share * s.alpha_weight)
+        terms = share * s.l1_weight, share * s.ssim_weight, weight, recording, opposite
         return photometric.photometric_loss(launcher_for(color.device), color, target, *terms)
-    loss = photometric_loss(color, target, s.l1, s.ssim, weight, recording)
+    loss = photometric_loss(color, target, s.l1_weight, s.ssim_weight, weight, recording)
     if alpha is not None:
         wrong = ((frame.alpha if weight is None else scale_gradient(frame.alpha, weight)) - alpha).abs()
         counts = kept if weight is None else weight != 0 if kept is None else kept & (weight != 0)
-        other = photometric_loss(
-            *on_other_background(frame, target, alpha, torch.tensor(background, dtype=color.dtype), kept), s.l1, s.ssim, weight, recording
-        )
-        loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + s.alpha * (wrong if counts is None else wrong * counts).mean()
+        seen = on_other_background(frame, target, alpha, torch.tensor(background, dtype=color.dtype), kept)
+        other = photometric_loss(*seen, s.l1_weight, s.ssim_weight, weight, recording)
+        missed = s.alpha_weight * (wrong if counts is None else wrong * counts).mean()
+        loss = (1 - OTHER_BACKGROUND) * loss + OTHER_BACKGROUND * other + missed
     return loss * share
 
 

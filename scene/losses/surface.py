@@ -33,16 +33,16 @@ class Surface(Term):
         height, width = frame.depth.shape
         # `depth_smoothness` multiplies its mean by the width of what it gets.
         smooth = 0.0 if smooth is None else smooth * (height / whole_height)
-        depth = self.run.settings.depth * (height * width / (whole_height * whole_width))
+        depth = self.run.settings.depth_weight * (height * width / (whole_height * whole_width))
         return surface_loss(frame.depth, frame.alpha, rendered.target, self.run.unit, smooth, depth, measured, moving, rendered.weight)
 
     def smooth(self, step: int) -> float:
         """Weight of the smoothness of surfaces at ``step``; 0 unless one time alone shows the scene from several sides."""
-        return self.run.settings.smooth * SMOOTH_END ** self.run.progress(step) if self.run.several else 0.0
+        return self.run.settings.smooth_weight * SMOOTH_END ** self.run.progress(step) if self.run.several else 0.0
 
     def _measured(self, now: Now) -> tuple[Tensor | None, Tensor | None]:
         known, views = self.run.measured_depth, self.run.views
-        if known is None or not self.run.settings.depth:
+        if known is None or not self.run.settings.depth_weight:
             return None, None
         width, height = views.size(now.scale)
         if now.window is None and views.device == "cpu":

@@ -28,7 +28,7 @@ class Run:
 
     views: Views
     settings: TrainingSettings
-    recipe: Any  # has the weights that the settings leave open, as attributes of the same names
+    recipe: Any  # has the weights that the settings leave open, as attributes
     unit: float  # viewing distance, world units
     several: bool  # whether one time alone shows the scene from several sides
     total: int  # number of steps
@@ -44,7 +44,7 @@ class Run:
 
     def weight(self, name: str) -> float:
         """Weight ``name`` of the settings or, if they leave it open, of the recipe."""
-        found = getattr(self.settings, name)
+        found = getattr(self.settings, f"{name}_weight")
         return float(getattr(self.recipe, name) if found is None else found)
 
     def progress(self, step: int) -> float:

@@ -168,7 +168,7 @@ class Motion(nn.Module):
     def rate(self, name: str, settings: TrainingSettings, unit: float, scale: float) -> Rate:
         """The learning rate of its parameter ``name``. unit: the viewing distance, world units. scale: factor on the first rate of what an
         earlier stage has already trained."""
-        return exponential(settings.lr_mlp * scale, settings.lr_mlp / 10)
+        return exponential(settings.lr_network * scale, settings.lr_network / 10)
 
     def attribute_rates(self, settings: TrainingSettings, unit: float, scale: float) -> dict[str, Rate]:
         """The learning rates of `attributes`; ``unit`` and ``scale`` as for `rate`."""

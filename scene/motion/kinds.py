@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .interface import Motion
 
 NODE_TIMES = 9  # least number of times for nodes; fewer say too little about motion
+FORMER = {"free": "lifetimes"}  # names in models of earlier versions
 SEVERAL = 2  # cameras that see one time: the least for the depth of what moves
 
 
@@ -74,7 +75,7 @@ KINDS: dict[str, Kind] = {
         megapixel_seconds=0.1,  # of the full image, although most steps render only a window around the object
         convexes=False,
     ),
-    "free": Kind("Gaussians; those on moving pixels live around a time of their own", _lifetimes),
+    "lifetimes": Kind("Gaussians; those on moving pixels live around a time of their own", _lifetimes),
 }
 
 
@@ -96,8 +97,8 @@ class Capture(Protocol):
     def fixed_cameras(self) -> bool: ...
 
 
-def choose(asked: str, capture: Capture, moving_seeds: bool | None = None) -> str:
-    """The name of the kind of motion for ``capture``. asked: the setting, "auto" or a name. moving_seeds: whether seeds were found on
+def choose(asked: str | None, capture: Capture, moving_seeds: bool | None = None) -> str:
+    """The name of the kind of motion for ``capture``. asked: the setting, None or a name. moving_seeds: whether seeds were found on
     moving objects; None before that is known, when they are expected wherever masks can tell their depth.
 
     Nodes if each frame has its own camera: one view per time says too little for planes. Lifetimes if seeds lie on what moves. Planes for
@@ -105,15 +106,15 @@ def choose(asked: str, capture: Capture, moving_seeds: bool | None = None) -> st
     """
     if capture.static:
         return "static"
-    if asked != "auto":
+    if asked is not None:
         return asked
     if capture.cameras == capture.frames and capture.pairs == 0 and capture.times >= NODE_TIMES:
         return "nodes"
     if moving_seeds is None:
         moving_seeds = capture.pairs > 0 and not (capture.fixed_cameras and capture.cameras < SEVERAL)
-    return "free" if moving_seeds else "planes"
+    return "lifetimes" if moving_seeds else "planes"
 
 
 def motion_class(kind: str) -> type[Motion]:
-    """The class of the motions of ``kind``. Raises KeyError if there is no such kind."""
-    return KINDS[kind].load()
+    """The class of the motions of ``kind``, by its present or an older name. Raises KeyError if there is no such kind."""
+    return KINDS[FORMER.get(kind, kind)].load()

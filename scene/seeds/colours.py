@@ -28,3 +28,11 @@ def median_colours(
     known = np.clip(count, 1, None)
     middle = (looks[(known - 1) // 2, rows] + looks[known // 2, rows]).astype(np.float64) / 2
     return np.where(count[:, None] > 0, middle, blank), count
+
+
+def mean_colour(views: Views) -> tuple[float, float, float]:
+    """Mean RGB in [0, 1] of the training views. As the background it keeps holes in an opaque scene from looking bright or black."""
+    few = views.train[:: max(1, len(views.train) // 60)]
+    means = [views.target(int(i), 0.25).double().mean((0, 1)).tolist() for i in few]
+    red, green, blue = (sum(channel) / len(few) for channel in zip(*means))
+    return red, green, blue

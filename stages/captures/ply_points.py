@@ -1,5 +1,9 @@
-"""Reads points and colours from a PLY file, ASCII or binary, as written by COLMAP, nerfstudio and scanners. Faces and other elements are
-ignored."""
+"""Reads points and colours from a PLY file, ASCII or binary, as written by COLMAP, nerfstudio and scanners (faces and other elements are
+ignored), or from a scan in another format.
+
+PLY files are read here, not by Open3D, whose import takes seconds at every plan and fails where the system lacks libusb, and which returns
+memory that was never written for a file that is cut short. For whole files both read the same (a test compares them).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ from typing import IO
 import numpy as np
 
 from ...pipeline import CaptureError
+from ...vision.clouds import SCANS, read_scan, thinned
 from . import checks
 from .arrays import MOST_POINTS
 
@@ -38,30 +43,47 @@ _GREY = 128  # colour of points without one
 
 def read_points(root: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Points [P,3] float64 in the file's own world, and colours [P,3] uint8, of `root/name`; P may be 0. Float colours in the file are
-    taken to be in [0,1].
+    taken to be in [0,1]. Scans (`SCANS`) are thinned.
 
     Raises CaptureError for broken or truncated files, for vertices without x, y, z, and for values that are not finite.
     """
     path = checks.resolve_inside(root, name, name)
     try:
-        with path.open("rb") as file:
-            order, count, fields, begin = _header(file.read(_HEADER_LIMIT), name)
-            if count > MOST_POINTS:
-                raise CaptureError(f"{name}: {count} vertices are promised, which are too many points; thin them out")
-            file.seek(begin)
-            rest = path.stat().st_size - begin
-            table = _ascii(file, rest, count, fields) if order == "ascii" else _binary(file, rest, count, fields, _ORDER[order])
+        if path.suffix.lower() not in SCANS:
+            points, colours = _read_ply(path, name)
+            _check_finite(points, name)
+            return points, colours
+        points, fractions = read_scan(path, MOST_POINTS)
+        _check_finite(points, name)
+        fractions = np.full(points.shape, _GREY / 255) if fractions is None else fractions
+        points, fractions = thinned(points, np.nan_to_num(fractions).clip(0, 1), name)
+        return points, np.rint(255 * fractions).astype(np.uint8)
     except OSError as error:
         raise CaptureError(f"{name}: cannot be read ({error.strerror}); check the file and its permissions") from error
-    except (ValueError, TypeError) as error:
-        raise CaptureError(
-            f"{name}: {count} vertices are promised, but not all are there; perhaps it is cut short ({error}); copy it again"
-        ) from error
-    points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    except ValueError as error:
+        raise CaptureError(f"{name}: {error}") from error
+
+
+def _check_finite(points: np.ndarray, name: str) -> None:
     bad = np.flatnonzero(~(np.abs(points) < 1e12).all(1))
     if len(bad):
         raise CaptureError(f"{name}: vertex {bad[0]}: x, y, z = {points[bad[0]].tolist()} is not a valid position; remove the vertex")
-    return points, _colours(table, dict(fields), count, name)
+
+
+def _read_ply(path: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
+    with path.open("rb") as file:
+        order, count, fields, begin = _header(file.read(_HEADER_LIMIT), name)
+        if count > MOST_POINTS:
+            raise CaptureError(f"{name}: {count} vertices are promised, which are too many points; thin them out")
+        file.seek(begin)
+        rest = path.stat().st_size - begin
+        try:
+            table = _ascii(file, rest, count, fields) if order == "ascii" else _binary(file, rest, count, fields, _ORDER[order])
+        except (ValueError, TypeError) as error:
+            raise ValueError(
+                f"{count} vertices are promised, but not all are there; perhaps it is cut short ({error}); copy it again"
+            ) from error
+    return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1), _colours(table, dict(fields), count, name)
 
 
 def _colours(table: dict[str, np.ndarray], types: dict[str, str], count: int, name: str) -> np.ndarray:

@@ -17,7 +17,7 @@ DEFAULT_FPS = 30.0  # for numbered images, and for cameras whose files give no f
 
 @dataclass(frozen=True)
 class Options:
-    """How a capture is to be read: the settings of the `frames` stage, and `heard`, a folder that caches sounds (`sound/cache.py`)."""
+    """How a capture is to be read: the settings of the `frames` stage, and `audio_cache`, a folder for sounds (`sound/cache.py`)."""
 
     format: str | None = None
     static: bool = False
@@ -28,8 +28,8 @@ class Options:
     every: int | None = None
     every_time: int = 1
     fps: float | None = None
-    sync: str = "auto"
-    heard: Path | None = None
+    sync: str | None = None
+    audio_cache: Path | None = None
     usual: Usual | None = None  # limits the size where max_size is None; None: no limit
 
     @property

@@ -58,8 +58,8 @@ def recognise(
     every: int | None = None,
     every_time: int = 1,
     fps: float | None = None,
-    sync: str = "auto",
-    heard: Path | None = None,
+    sync: str | None = None,
+    audio_cache: Path | None = None,
     usual: Usual | None = None,
 ) -> Capture:
     """Reads a capture's names, JSON and image headers. Decodes no pixels, except for the first frame of a video.
@@ -68,17 +68,17 @@ def recognise(
     (0: none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px limits the longer
     side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; with
     `every_time` above 1, only every so many-th time trains and the others are test, in place of `holdout`; `fps` gives
-    numbered images their times in seconds; `sync` ("auto" | "sound" | "frames") chooses how the clocks of several videos are aligned,
-    and `heard` is a folder that caches the sound envelopes of long ones; `usual` limits the size where `max_size`
+    numbered images their times in seconds; `sync` (None | "sound" | "frames") chooses how the clocks of several videos are aligned,
+    and `audio_cache` is a folder that caches the sound envelopes of long ones; `usual` limits the size where `max_size`
     does not (`Capture.chosen` then says to what). Raises `CaptureError` if the capture is unreadable or
     inconsistent, or fits two formats.
     """
-    options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, heard, usual)
+    options = Options(format, static, holdout, background, max_size, max_frames, every, every_time, fps, sync, audio_cache, usual)
     root = _existing(Path(path))
     kind = _choose(root, format)
     if (max_frames or every) and kind not in _STEPPED:
         raise CaptureError(f"{root}: frames.every and frames.max_frames thin {', '.join(_STEPPED)}, not {kind}; leave them unset")
-    if sync != "auto" and kind != "videos":
+    if sync is not None and kind != "videos":
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
     reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
     base = root if root.is_dir() else root.parent

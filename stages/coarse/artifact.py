@@ -1,11 +1,8 @@
-"""The `coarse` artifact apart from its model: how it was trained, depth maps, and a picture of the seeds."""
+"""The `coarse` artifact apart from its model: how it was trained."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-
-import numpy as np
 
 from ...pipeline import Artifact, ArtifactWriter, StageError
 from ...scene.settings import GrowthSettings, Strategy
@@ -13,35 +10,23 @@ from ...scene.settings import GrowthSettings, Strategy
 
 @dataclass(frozen=True)
 class StoredCoarse:
-    """What later stages need from `coarse`, apart from the model (`model.py`)."""
+    """What later stages need from `coarse`, apart from the model (`shared/model.py`)."""
 
     strategy: Strategy  # `fine` follows it
     iterations: int  # optimiser steps of the stage
-    depth: Mapping[int, np.ndarray]  # inverse depth by frame, [h, w] float32, 1/world unit, 0: unknown; a fixed camera's frames share one
     growth: GrowthSettings  # the stage's own; stored only for the joint strategy, otherwise defaults are read back
 
-    def write(self, out: ArtifactWriter, seeds_png: bytes) -> None:
-        """seeds_png: a picture of the seeds."""
-        out.write("seeds_png", np.frombuffer(seeds_png, np.uint8), doc="where training began, for the report")
+    def write(self, out: ArtifactWriter) -> None:
         out.attrs.update(strategy=self.strategy, iterations=self.iterations)
         if self.strategy == "joint":
             out.attrs["growth"] = self.growth.model_dump()
-        if self.depth:
-            maps = {id(one): one for one in self.depth.values()}  # store each map once
-            number = {key: k for k, key in enumerate(maps)}
-            doc = "inverse depth of what is static, 0 where unknown"
-            out.write("depth_maps", np.stack(list(maps.values())), unit="1/world unit", doc=doc)
-            of_frame = np.array([(frame, number[id(one)]) for frame, one in sorted(self.depth.items())], np.int32)
-            out.write("depth_of_frame", of_frame, doc="frame, and its row of depth_maps")
 
     @classmethod
     def read(cls, artifact: Artifact) -> StoredCoarse:
-        depth: dict[int, np.ndarray] = {}
-        if "depth_maps" in artifact:
-            maps = list(artifact.read("depth_maps"))
-            depth = {int(frame): maps[int(k)] for frame, k in artifact.read("depth_of_frame")}
         attrs = artifact.attrs
-        return cls(attrs["strategy"], attrs["iterations"], depth, GrowthSettings(**attrs.get("growth", {})))
+        growth = dict(attrs.get("growth", {}))
+        growth["budget"] = growth.get("budget") or None  # 0 in earlier versions
+        return cls(attrs["strategy"], attrs["iterations"], GrowthSettings(**growth))
 
 
 def required(coarse: Artifact | None) -> Artifact:
@@ -49,11 +34,6 @@ def required(coarse: Artifact | None) -> Artifact:
     if coarse is None:
         raise StageError("there is no coarse model to build on; run the stage `coarse` first")
     return coarse
-
-
-def read_seeds_png(artifact: Artifact) -> bytes | None:
-    """The picture of the seeds as a PNG file; None if there is none."""
-    return artifact.read("seeds_png").tobytes() if "seeds_png" in artifact else None
 
 
 def steps_of(coarse: Artifact | None) -> int:

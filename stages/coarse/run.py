@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 
 from ...pipeline import Context
@@ -10,24 +9,19 @@ from ...scene.model import Model
 from ...scene.motion.kinds import KINDS, choose, motion_class
 from ...scene.motion.start import Start
 from ...scene.primitives import ConvexSet
-from ...scene.seeds.near_plane import near_plane
 from ...scene.settings import GrowthSettings
 from ...scene.views import Views
-from ...vision.images.png import encode_png
 from ..facts import Facts
-from ..seeds.defaults import auto_seeds
-from ..seeds.fill import measured_depth, moving_pixels
-from ..seeds.picture import seeds_picture
-from ..seeds.place import initial_dynamic, load_seeds, moving_seeds
+from ..seeds.artifact import StoredSeeds, required
 from ..shared.dataset import load_frameset, load_views, measured_flow
-from ..shared.defaults import auto_budget, found_facts, one_way
+from ..shared.defaults import auto_budget, found_facts
+from ..shared.masks import measured_depth, moving_pixels
 from ..shared.model import write_model
 from ..shared.train import train
 from ..shared.training_log import write_training_log
 from .artifact import StoredCoarse
 from .defaults import auto_iterations, auto_sh_degree
 from .first_motion import find_first_motion
-from .path_width import path_width
 from .settings import CoarseSettings
 
 SMALL_IMAGE = 40_000  # px; smaller images show too little at half size
@@ -35,32 +29,20 @@ MOST_SCALE = 0.05  # of the viewing distance, largest initial standard deviation
 
 
 def train_coarse(ctx: Context) -> None:
-    """Places seeds, trains a static warm-up and then the deformation, and writes a model without convexes."""
+    """Trains a static warm-up and then the deformation, from the places where `seeds` begins, and writes a model without convexes."""
     settings = ctx.settings
     torch.manual_seed(settings.seed)
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device)
+    seeds = StoredSeeds.read(required(ctx.inputs["seeds"]))
+    views.near, views.background = seeds.near, seeds.background
     facts = found_facts(ctx, views)
-    expected = motion_class(choose(settings.motion, facts))
-    budget = settings.budget or auto_budget(facts, views, expected.kind)
-    count = settings.seeds or auto_seeds(facts, budget)
-    points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, count, fill=one_way(facts))
-    moving = moving_seeds(ctx, frames, views, points, budget // 2) if expected.moving_seeds else None
-    views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
-    if frames.background is None:
-        views.background = mean_colour(views)
-    if expected.most_seeds is not None:
-        chosen = np.random.default_rng(settings.seed).permutation(len(points))[: expected.most_seeds]
-        points, colors = points[chosen], colors[chosen]
-    unit = views.viewing_distance(points)
-    begin = encode_png(seeds_picture(views, points, colors, moving))
-    dynamic = np.zeros(len(points), bool) if facts.static else initial_dynamic(ctx, points, views, moving is not None)
-    kind = choose(settings.motion, facts, moving is not None)
-    if kind != expected.kind:
-        found = "no seeds were" if moving is None else "seeds were"
-        ctx.log(f"{found} found on moving objects: {KINDS[kind].moves}")
-    sh_degree = chosen_sh_degree(ctx, facts, views, trusted) if settings.sh_degree is None else settings.sh_degree
-    start = Start(points, colors, dynamic, moving, sh_degree, MOST_SCALE * unit)
+    expected, kind = choose(settings.motion, facts), choose(settings.motion, facts, seeds.moving is not None)
+    if kind != expected:
+        ctx.log(f"{'no seeds' if seeds.moving is None else 'seeds'} were found on moving objects: {KINDS[kind].moves}")
+    unit = views.viewing_distance(seeds.points)
+    sh_degree = chosen_sh_degree(ctx, facts, seeds.path_width) if settings.sh_degree is None else settings.sh_degree
+    start = Start(seeds.points, seeds.colors, seeds.dynamic, seeds.moving, sh_degree, MOST_SCALE * unit)
     model = first_model(kind, start, views, settings).to(ctx.device)
 
     steps = settings.iterations or auto_iterations(facts, settings, ctx.device)
@@ -72,24 +54,23 @@ def train_coarse(ctx: Context) -> None:
         views,
         model.motion.phases(settings.strategy, steps, settings.full_from, is_small(views)),
         settings,
-        budget=budget,
+        budget=settings.budget or auto_budget(facts, views, expected),
         measured_flow=measured_flow(ctx.inputs["flow"], views),
-        measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
+        measured_depth=measured_depth(seeds.depth, unit, ctx, frames),
         moving=moving_pixels(ctx, frames, views) if model.motion.splits_in_time else None,
     )
     if not len(model.gaussians):
         ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")
     growth = GrowthSettings(**settings.model_dump(include=set(GrowthSettings.model_fields)))
-    StoredCoarse(settings.strategy, steps, inverse_depth, growth).write(ctx.out, begin)
+    StoredCoarse(settings.strategy, steps, growth).write(ctx.out)
     write_model(ctx.out, model)
     write_training_log(ctx.out, log)
 
 
-def chosen_sh_degree(ctx: Context, facts: Facts, views: Views, points: np.ndarray) -> int:
-    """`auto_sh_degree`, with the width of the path as the trusted ``points`` [P, 3] see it, where it matters."""
-    width = path_width(views, points) if one_way(facts) else 0.0
-    degree = auto_sh_degree(facts, width)
-    if one_way(facts):
+def chosen_sh_degree(ctx: Context, facts: Facts, width: float | None) -> int:
+    """`auto_sh_degree`, with the ``width`` of the path, where it matters."""
+    degree = auto_sh_degree(facts, width or 0.0)
+    if width is not None:
         ctx.log(f"SH degree {degree}: the training frames show a point from directions that differ by {width:.0f} degrees at most")
     return degree
 
@@ -104,11 +85,3 @@ def first_model(kind: str, start: Start, views: Views, settings: CoarseSettings)
 def is_small(views: Views) -> bool:
     """Whether images of half the size show too little."""
     return views.width * views.height < SMALL_IMAGE
-
-
-def mean_colour(views: Views) -> tuple[float, float, float]:
-    """Mean RGB in [0, 1] of the training views. As the background it keeps holes in an opaque scene from looking bright or black."""
-    few = views.train[:: max(1, len(views.train) // 60)]
-    means = [views.target(int(i), 0.25).double().mean((0, 1)).tolist() for i in few]
-    red, green, blue = (sum(channel) / len(few) for channel in zip(*means))
-    return red, green, blue

@@ -13,10 +13,10 @@ from .settings import CoarseSettings
 
 
 class Coarse(Stage):
-    """Places seeds, trains a static warm-up and then the deformation, and writes a model without convexes."""
+    """Trains a static warm-up and then the deformation, from the seeds, and writes a model without convexes."""
 
     name = "coarse"
-    inputs = ("frames", "poses", "flow")
+    inputs = ("frames", "poses", "flow", "seeds")
     settings = CoarseSettings
     reads_capture = True
     device_class = True

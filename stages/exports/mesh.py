@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ...pipeline import StageError
+from ...vision.clouds import load_open3d
 from .capture_cameras import camera_of, distinct_views
 
 if TYPE_CHECKING:
@@ -94,14 +95,9 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
 
     Raises StageError if Open3D is not available, if nothing is solid, and if voxels of that size do not fit in memory.
     """
-    try:
-        import open3d
-    except ModuleNotFoundError as error:
-        raise StageError("export mesh needs the package open3d; install it with: pip install 'e4dgs[mesh]'") from error
-    except ImportError as error:  # its wheel needs a system library that containers lack
-        raise StageError(f"export mesh: Open3D cannot be loaded: {error}; on Debian and Ubuntu: apt-get install libusb-1.0-0") from error
     from ...scene.mesh import Mesh
 
+    open3d = load_open3d("export mesh")
     core, geometry = open3d.core, open3d.t.geometry
     channels = [core.SizeVector([n]) for n in (1, 1, 3)]
     grid = geometry.VoxelBlockGrid(("tsdf", "weight", "color"), (core.float32,) * 3, channels, size.voxel, BLOCK, 10_000)

@@ -8,11 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from ...pipeline import StageError
 from ...pipeline.files import write_atomically
 from ...scene.formats.axes import Turn, nearest_axis
 from .bake import Loss, bake, loss_of
-from .numbered import new_sequence, numbered
+from .numbered import new_sequence, numbered, write_index
 
 if TYPE_CHECKING:
     from ...rasterizer import Gaussians
@@ -75,6 +77,8 @@ def export_splats(
         with new_sequence(out, KINDS[kind]) as folder:
             for k, t in enumerate(moments):
                 write(numbered(folder, k, KINDS[kind]), t)
+            about = {"format": kind, "up": turn.after, "antialiased": antialiased}
+            write_index(folder, KINDS[kind], moments, float(np.ptp(frames.seconds)), about)
     return Exported(min(rows), max(rows), turn, loss_of(baked, frames, moments[0]))
 
 

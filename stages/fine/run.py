@@ -12,9 +12,10 @@ from ...scene.schedule import fine_phases, left_to_fine
 from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettings
 from ..coarse.artifact import StoredCoarse, required
 from ..hulls.artifact import StoredHulls
-from ..seeds.fill import measured_depth, moving_pixels
+from ..seeds.artifact import read_depth
 from ..shared.dataset import load_frameset, load_views, measured_flow
 from ..shared.defaults import auto_budget, found_facts
+from ..shared.masks import measured_depth, moving_pixels
 from ..shared.model import read_model, write_model
 from ..shared.train import train
 from ..shared.training_log import write_training_log
@@ -55,7 +56,7 @@ def train_fine(ctx: Context) -> None:
         lr_scale=1.0 if joint else settings.lr_scale,
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
-        measured_depth=measured_depth(coarse.depth, unit, ctx, frames),
+        measured_depth=measured_depth(read_depth(ctx.inputs["seeds"]), unit, ctx, frames),
         moving=moving_pixels(ctx, frames, views) if joint else None,
     )
     write_model(ctx.out, model)

@@ -15,7 +15,7 @@ class Fine(Stage):
     """Refines the model of `coarse` together with the convexes of `hulls`."""
 
     name = "fine"
-    inputs = ("frames", "poses", "flow", "hulls", "coarse")
+    inputs = ("frames", "poses", "flow", "seeds", "hulls", "coarse")
     settings = FineSettings
     reads_capture = True
     device_class = True

@@ -6,13 +6,13 @@ slightly different cameras and lens parameters, the measured flow stays valid.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from ...vision.warp import sampled
 from ..shared.frameset import FrameSet
 
 
-def straightened(frames: FrameSet, i: int, j: int, flow: np.ndarray) -> np.ndarray:
+def straightened(frames: FrameSet, i: int, j: int, flow: np.ndarray, device: str = "cpu") -> np.ndarray:
     """Flow [H, W, 2] float32 px from frame i to frame j between pinhole pictures. ``flow``: the same between distorted pictures.
 
     A pixel of the pinhole picture i is mapped to the distorted picture i, moved along the flow, and mapped back to the pinhole picture j.
@@ -25,11 +25,11 @@ def straightened(frames: FrameSet, i: int, j: int, flow: np.ndarray) -> np.ndarr
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     there = flow
     if maps is not None:
-        there = cv2.remap(flow, *maps, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        there = sampled(flow, *maps, device)
     from_x, from_y = maps if maps is not None else (x, y)
     to_x, to_y = from_x + there[..., 0], from_y + there[..., 1]
     if places is not None:
         back = places - np.stack([x, y], axis=-1)
-        back = cv2.remap(back, to_x, to_y, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        back = sampled(back, to_x, to_y, device)
         to_x, to_y = to_x + back[..., 0], to_y + back[..., 1]
     return np.stack([to_x - x, to_y - y], axis=-1)

@@ -11,7 +11,7 @@ import numpy as np
 from ...vision.flow.method import size_within
 from ...vision.flow.two_way import FlowPair
 from ...vision.moving.fixed_camera import fixed_camera_masks
-from ...vision.moving.objects import moving_masks
+from ...vision.moving.moving_masks import moving_masks
 from ..shared.frameset import FrameSet
 
 # px, longest side at which moving pixels are detected. On `room_mono` (480x270, true poses) masks made at 240 and 160 px have an

@@ -41,7 +41,7 @@ class PairFlows:
     """
 
     def __init__(self, ctx: Context, frames: FrameSet, wanted: Sequence[int], out: FlowWriter) -> None:
-        self._frames = frames
+        self._frames, self._device = frames, ctx.device
         self._pairs = [(first, int(frames.next[first])) for first in wanted]
         self._lens: list[zarr.Array] = []
         self.method: FlowMethod | None = None
@@ -81,9 +81,9 @@ class PairFlows:
         if self._lens:
             self._lens[0][p], self._lens[1][p] = forward, backward
             i, j = self._pairs[p]
-            forward = stored(straightened(self._frames, i, j, forward))
-            backward = stored(straightened(self._frames, j, i, backward))
-        return trusted(forward, backward), "taken" if taken else "measured"
+            forward = stored(straightened(self._frames, i, j, forward, self._device))
+            backward = stored(straightened(self._frames, j, i, backward, self._device))
+        return trusted(forward, backward, self._device), "taken" if taken else "measured"
 
     def _measured(self, first: Shown, second: Shown) -> tuple[np.ndarray, np.ndarray]:
         assert self.method is not None

@@ -12,10 +12,11 @@ from ...pipeline import Settings
 
 class FlowSettings(Settings):
     renamed: ClassVar = {"movers": "flow.moving"}
+    respelled: ClassVar = {"method": {"auto": None}}
 
-    method: Literal["auto", "raft", "raft-small", "dis"] = Field(
-        "auto",
-        description="auto: RAFT if weights are given, else OpenCV's dense inverse search (DIS); raft without weights uses torchvision's",
+    method: Literal["raft", "raft-small", "dis"] | None = Field(
+        None,
+        description="none: RAFT if weights are given, else OpenCV's dense inverse search (DIS); raft without weights uses torchvision's",
     )
     weights: Path | None = Field(None, description="published weights of RAFT, basic or small, as safetensors or .pth")
     iterations: int = Field(20, ge=1, le=100, description="most updates of RAFT")

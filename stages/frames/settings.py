@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -14,6 +14,8 @@ from ..captures.usual import USUAL
 
 class FramesSettings(Settings):
     """How the capture is read. All names but ``watermark`` match the arguments of `captures.recognise`."""
+
+    respelled: ClassVar = {"sync": {"auto": None}}
 
     format: Format | None = Field(None, description="format of the capture; recognised from the files if it is not given")
     static: bool = Field(False, description="nothing moves: all frames count as one time, without flow and deformation")
@@ -36,14 +38,15 @@ class FramesSettings(Settings):
         1, ge=1, le=1_000_000, description="train on every N-th time and test on the others, in place of holdout; 1 trains on all"
     )
     fps: float | None = Field(None, gt=0, le=1e6, description="frames per second of numbered images; 30 if the files do not say")
-    sync: Literal["auto", "sound", "frames"] = Field(
-        "auto",
-        description="how the clocks of several videos are aligned; auto: by sound if that is clear for all of them, else by first frames",
+    sync: Literal["sound", "frames"] | None = Field(
+        None,
+        description="how the clocks of several videos are aligned; none: by sound if that is clear for all of them, else by first frames",
     )
     watermark: bool = Field(True, description="ignore what stands still in the pictures of a camera that moves, such as a logo")
 
 
-def recognise_for(path: str | Path, settings: FramesSettings, heard: Path | None = None, device: str | None = None) -> Capture:
-    """`captures.recognise` with these settings. heard: folder that caches the sound envelopes of long videos. device: decides what is not
+def recognise_for(path: str | Path, settings: FramesSettings, audio_cache: Path | None = None, device: str | None = None) -> Capture:
+    """`captures.recognise` with these settings. audio_cache: folder for the sound envelopes of long videos. device: decides what is not
     set (`Capture.chosen`); None leaves all as it is. Raises `CaptureError`."""
-    return recognise(path, **settings.model_dump(exclude={"watermark"}), heard=heard, usual=None if device is None else USUAL[device])
+    usual = None if device is None else USUAL[device]
+    return recognise(path, **settings.model_dump(exclude={"watermark"}), audio_cache=audio_cache, usual=usual)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ...scene.motion.kinds import KINDS
 
 CONVEXES = 8000
+VIEWS = 24  # training views in which edges are measured, spread evenly
 
 
 def most_convexes(budget: int | None, kind: str) -> int:

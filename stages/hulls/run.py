@@ -6,13 +6,13 @@ import numpy as np
 import torch
 
 from ...pipeline import Context
-from ...scene.edge_seeds import EdgeSeeds, edge_seeds
 from ...scene.primitives import SH_C0, ConvexSet
 from ..coarse.artifact import required
 from ..shared.dataset import load_frameset, load_views
 from ..shared.model import read_model
 from .artifact import StoredHulls
-from .defaults import most_convexes
+from .defaults import VIEWS, most_convexes
+from .edge_seeds import EdgeSeeds, edge_seeds
 from .settings import HullSettings
 
 LEAST_WEIGHT = 1.0  # px over all views: what is hardly seen says nothing
@@ -30,7 +30,7 @@ def place_convexes(ctx: Context) -> None:
     )
     if most:
         views = load_views(load_frameset(ctx.inputs, ctx.capture.root), ctx.inputs["flow"], ctx.device, model)
-        frames = views.train[np.linspace(0, len(views.train) - 1, min(settings.views, len(views.train))).round().astype(int)]
+        frames = views.train[np.linspace(0, len(views.train) - 1, min(VIEWS, len(views.train))).round().astype(int)]
         found = edge_seeds(model, views, [int(i) for i in frames])
     chosen = choose(found, settings, most)
     if most:

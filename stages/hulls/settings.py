@@ -14,4 +14,3 @@ class HullSettings(Settings):
     )
     share: float = Field(0.2, ge=0, le=1, description="largest share of the Gaussians that become convexes")
     min_edge_density: float = Field(0.25, ge=0, le=1, description="least mean edge weight under a Gaussian that becomes a convex")
-    views: int = Field(24, ge=1, description="number of training views in which edges are measured")

@@ -8,7 +8,7 @@ from typing import Any
 from ...pipeline import Applies, Context, Resources, Stage
 from ...scene.motion.kinds import choose
 from ..facts import Facts
-from .defaults import most_convexes
+from .defaults import VIEWS, most_convexes
 from .settings import HullSettings
 
 
@@ -24,14 +24,14 @@ class Hulls(Stage):
     def applies(self, facts: Mapping[str, Any], settings: HullSettings) -> Applies:
         if settings.budget == 0:
             return Applies.no("hulls.budget is 0")
-        most = most_convexes(settings.budget, choose("auto", Facts.of(facts)))
+        most = most_convexes(settings.budget, choose(None, Facts.of(facts)))
         if most == 0:
             return Applies.yes("with control nodes convexes gain nothing, so there are none; hulls.budget sets a number")
         return Applies.yes(f"up to {most} convexes where edges are dense and badly shown")
 
     def estimate(self, facts: Mapping[str, Any], settings: HullSettings) -> float | None:
         known = Facts.of(facts)
-        return 2.0 + 0.3 * settings.views * known.width * known.height / 1e6
+        return 2.0 + 0.3 * VIEWS * known.width * known.height / 1e6
 
     def resources(self, facts: Mapping[str, Any], settings: HullSettings, device: str) -> Resources:
         from ..estimates import training_resources

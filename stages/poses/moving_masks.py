@@ -12,7 +12,7 @@ from ...vision.flow.method import Dis, size_within
 from ...vision.flow.two_way import FlowPair, consistency
 from ...vision.images.lenses import undistort_maps
 from ...vision.images.pictures import composite, resize, undistort
-from ...vision.moving.objects import moving_masks
+from ...vision.moving.moving_masks import moving_masks
 from ...vision.sequences import camera_sequences
 from ...vision.sfm.coverage import runs
 from ..shared.frameset import FrameSet

@@ -59,7 +59,7 @@ def pose_capture(ctx: Context) -> None:
         arrays, facts = finished(request, folder) or run_worker(request, folder, bars)
         if several and several.looks.fixed:
             told = "cameras that stand still are matched only at equal times, when moving objects are as useful as static ones"
-        elif settings.moving == "auto":
+        elif settings.moving:
             passes = second_pass(frames, request, folder, (arrays, facts), static, bars)
             arrays, facts, share, told = passes.arrays, passes.facts, passes.moving_share, passes.told
             if passes.trouble:
@@ -88,7 +88,7 @@ def pose_capture(ctx: Context) -> None:
     ctx.log(f"{coverage.summary()}, mean reprojection error {mean_error:.2f} px, median {median_error:.2f} px")
     for sentence in facts["notes"]:
         ctx.log(sentence)
-    if settings.moving == "auto":
+    if settings.moving:
         ctx.log(f"moving objects: {told}")
     for sentence in coverage.advice:
         ctx.log(sentence)

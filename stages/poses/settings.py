@@ -12,9 +12,10 @@ from ...vision.sfm.pairs import OVERLAP
 
 class PosesSettings(Settings):
     renamed: ClassVar = {"movers": "poses.moving"}
+    respelled: ClassVar = {"matcher": {"auto": None}, "moving": {"auto": True, "off": False}}
 
-    matcher: Literal["auto", "sequential", "exhaustive"] = Field(
-        "auto", description="which images are matched; auto: all, up to 40 images or with --static; else neighbours and keyframes"
+    matcher: Literal["sequential", "exhaustive"] | None = Field(
+        None, description="which images are matched; none: all, up to 40 images or with --static; else neighbours and keyframes"
     )
     overlap: int = Field(OVERLAP, ge=2, le=100, description="sequential: number of following frames that each frame is matched with")
     camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = Field(
@@ -22,7 +23,7 @@ class PosesSettings(Settings):
     )
     max_features: int = Field(8192, ge=256, le=65_536, description="most SIFT features per image")
     mapper: Literal["incremental", "global"] = Field("incremental", description="COLMAP's incremental mapper or the global one (GLOMAP)")
-    moving: Literal["auto", "off"] = Field(
-        "auto", description="auto: a second pass without features on moving objects, if there are enough of these; the better pass is kept"
+    moving: bool = Field(
+        True, description="a second pass without features on moving objects, if there are enough of these; the better pass is kept"
     )
     seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of the random sampling")

@@ -44,7 +44,7 @@ class Several:
 
 
 def several_cameras(
-    frames: FrameSet, folder: Path, matcher: str, overlap: int, write: Callable[[int], str], advance: Callable[[], None]
+    frames: FrameSet, folder: Path, matcher: str | None, overlap: int, write: Callable[[int], str], advance: Callable[[], None]
 ) -> Several:
     """Finds the cameras that stand still, chooses the pictures to use, and writes them.
 

@@ -27,7 +27,7 @@ class Poses(Stage):
             return Applies.yes(
                 f"structure from motion on {known.cameras} cameras at shared times; those that stand still get one pose each"
             )
-        again = "" if settings.moving == "off" or known.static else "; a second pass if moving objects could disturb the cameras"
+        again = "" if not settings.moving or known.static else "; a second pass if moving objects could disturb the cameras"
         return Applies.yes(f"structure from motion on {known.frames} frames{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
@@ -46,7 +46,7 @@ class Poses(Stage):
             features, pairs = cameras * times * features, times * cameras * (cameras - 1) / 2
             return 10 + features + 0.2 * pairs + 2.0 * cameras
         pairs = len(image_pairs(choose(settings.matcher, frames, known.static), frames, settings.overlap))
-        looked = 0.15 if settings.moving == "auto" and not known.static else 0.0
+        looked = 0.15 if settings.moving and not known.static else 0.0
         return 8 + frames * (1.1 + looked + features) + 0.1 * pairs
 
     def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:

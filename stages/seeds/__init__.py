@@ -1,1 +1,1 @@
-"""Initial Gaussians: the work of `coarse` before training."""
+"""Stage `seeds`: places where Gaussians begin, with depth maps of what is static."""

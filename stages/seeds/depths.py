@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ...scene.views import Views
-from .objects import Objects
+from ...vision.moving.followed_parts import Objects
 
 NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest, since single points may be wrong
 FEWEST = 5  # least number of hidden points, or points of the floor, that give a depth

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from ...scene.seeds.colours import median_colours
-from ...scene.seeds.hull import visual_hull
-from ...scene.seeds.surfaces import surface_points
+from ...scene.seeds.moving.hull import visual_hull
+from ...scene.seeds.moving.moving_seeds import MovingSeeds
+from ...scene.seeds.moving.surfaces import surface_points
 from ...scene.views import Views
+from ...vision.flow.chain import Chain
+from ...vision.moving.followed_parts import follow_objects
 from ...vision.sequences import camera_sequences
 from ..flow.artifact import StoredFlow
-from .chain import Chain
 from .depths import depth_at, object_depths, steady
-from .objects import follow_objects
 from .scene_flow import next_positions
 
 KEYS = 24  # least number of times at which seeds are placed
@@ -38,15 +38,6 @@ HULL = 20_000  # points of a visual hull
 AT_ONCE = 4  # times of a rig whose seeds are placed at once, which bounds the memory
 MEASURED_SHARE = 0.6  # of the seeds at a time, where cameras agree on their depth
 AROUND = 3  # frames on either side over which the velocity is measured for one camera
-
-
-class MovingSeeds(NamedTuple):
-    """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units per frame, time [N] in [0, 1] of each position."""
-
-    points: np.ndarray
-    colors: np.ndarray
-    velocities: np.ndarray
-    time: np.ndarray
 
 
 def key_times(times: np.ndarray, apart: float, most: int | None = None) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The seeds of the Gaussians of `coarse`, and which of them are dynamic."""
+"""Where Gaussians begin, and which of them are dynamic."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ import numpy as np
 
 from ...pipeline import Context
 from ...scene.seeds.carve import carve
+from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.outliers import trusted
 from ...scene.seeds.volume import common_volume
 from ...scene.training.control.dynamics import dynamic_from_masks
 from ...scene.training.curriculum import MIN_CAMERAS
 from ...scene.views import Views
+from ...vision.triangulate import triangulate
 from ..facts import Facts
 from ..flow.artifact import flow_of
 from ..shared.frameset import FrameSet
-from .fill import fill_seeds, middle_frames, moving_mask, sweep
-from .moving import FEWEST_CAMERAS, MovingSeeds, camera_seeds, rig_seeds, rig_times
-from .triangulate import triangulate
+from ..shared.masks import moving_mask
+from .fill import fill_seeds, middle_frames, sweep
+from .moving import FEWEST_CAMERAS, camera_seeds, rig_seeds, rig_times
 
 # A seed is dynamic if at least this share of the masks that see it mark it as moving.
 FIXED_SHARE = 0.3  # masks of fixed cameras, each marking all pixels that ever change

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...scene.views import Views
-from .chain import Chain
+from ...vision.flow.chain import Chain
 
 FEWEST_CAMERAS = 2  # least number of cameras that must see a point and agree where it moves
 AGREE = 3.0  # px in a picture 640 px wide, between a ray's own pixel and the intersection of all rays, within which the ray agrees

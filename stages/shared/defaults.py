@@ -45,6 +45,6 @@ def auto_budget(facts: Facts, views: Views, kind: str) -> int:
 def share_of_steps(facts: Facts, device: str) -> float:
     """By what the steps for one moving camera are multiplied: on a CPU a step costs as much as it has pixels, so larger pictures than
     `CLIP_PIXELS` get fewer, and a phone's clip takes no hours. More steps fit a clip's own path better, not what is seen beside it
-    (docs/trials.md)."""
+    (benchmarks/results/trials.md)."""
     clip = facts.cameras == 1 and facts.pairs > 0 and not facts.static
     return min(1.0, CLIP_PIXELS / (facts.width * facts.height)) if clip and device == "cpu" else 1.0

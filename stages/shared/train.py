@@ -11,12 +11,16 @@ from ...scene.settings import TrainingSettings
 from ...scene.training.log import TrainingLog
 from ...scene.training.trainer import Trainer
 from ...scene.views import Views
+from .rehearsal import Rehearsal, Training
 
 
 def train(
     ctx: Context, name: str, model: Model, views: Views, phases: list[Phase], settings: TrainingSettings, **options: Any
 ) -> TrainingLog:
-    """Trains ``model`` in place through ``phases``. ``options`` are further arguments of `Trainer`."""
+    """Trains ``model`` in place through ``phases``. ``options`` are further arguments of `Trainer`. In a rehearsal, the training is handed
+    over instead."""
+    if isinstance(ctx, Rehearsal):
+        return ctx.hand_over(Training(name, model, views, phases, settings, options))
     with ctx.progress(sum(phase.iterations for phase in phases), name) as bar:
         trainer = Trainer(
             model,

@@ -4,8 +4,8 @@ from json import JSONDecoder
 
 import pytest
 from e4dgs.pipeline import Graph, Runner, Stage, StageError, explain, make_plan
-from e4dgs.pipeline.code.known import cache_file
 from e4dgs.pipeline.code.native_source import LIST, read_native, write_list
+from e4dgs.pipeline.code.parse_cache import cache_file
 from e4dgs.pipeline.code.python_source import read_python
 from e4dgs.pipeline.code.reach import code_now, code_of
 from e4dgs.pipeline.records import changed_files, differences
@@ -228,9 +228,9 @@ def test_the_cache_saves_parsing_and_knows_when_it_is_read_otherwise(toys, monke
     def parse(data: bytes) -> None:
         raise AssertionError("is parsed again")
 
-    monkeypatch.setattr("e4dgs.pipeline.code.known.read_python", parse)
+    monkeypatch.setattr("e4dgs.pipeline.code.parse_cache.read_python", parse)
     assert toys.code() == before
-    monkeypatch.setattr("e4dgs.pipeline.code.known._readers", lambda: "another")
+    monkeypatch.setattr("e4dgs.pipeline.code.parse_cache._readers", lambda: "another")
     with pytest.raises(AssertionError, match="parsed again"):
         toys.code()
 

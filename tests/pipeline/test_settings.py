@@ -139,3 +139,11 @@ def test_a_wrong_key_of_a_group_lists_the_group():
         build_settings(GROUPED, [("learn.sped", "4")])
     with pytest.raises(SettingsError, match=r"there is no stage 'lean' \(did you mean 'learn'\?\); stages: first, second, learn"):
         build_settings(GROUPED, [("lean.speed", "4")])
+
+
+def test_a_class_with_older_values_of_its_own_keeps_those_that_it_inherits():
+    class Narrow(Fit):
+        respelled: ClassVar = {"rate": {"auto": 0.5}}
+
+    built = build_settings({"fit": Narrow}, [("fit.mode", "quick"), ("fit.rate", "auto")])["fit"]
+    assert (built.mode, built.rate) == ("fast", 0.5)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import rasterize
-from e4dgs.scene.edge_seeds import edge_seeds
 from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
@@ -13,6 +12,7 @@ from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.checkpoint import model_of
 from e4dgs.scene.training.control.density import measure_responsibility
 from e4dgs.scene.training.trainer import Trainer
+from e4dgs.stages.hulls.edge_seeds import edge_seeds
 from sliding_gaussians import SETTINGS, make_views
 
 

@@ -69,7 +69,7 @@ def test_all_of_it_is_saved_and_read():
 
 def test_gains_are_learned_and_a_later_stage_goes_on_with_them():
     seen, blob = views(), model(near=2.0)
-    settings = TrainingSettings(iterations=150, sh_degree=0, ssim=0.0, opacity=0.0, min_weight=0.0)
+    settings = TrainingSettings(iterations=150, sh_degree=0, ssim_weight=0.0, opacity_weight=0.0, min_contribution=0.0)
     phases = [Phase("rest", 150, move=False)]
     Trainer(blob, seen, phases, settings, budget=2, grow=False).run()
 
@@ -92,7 +92,7 @@ def test_photos_of_one_camera_have_an_exposure_each():
     seen.camera = np.zeros(6, int)
     assert colour_recorders(seen) is None
     seen.recorder = np.arange(6)
-    settings = TrainingSettings(iterations=150, sh_degree=0, ssim=0.0, opacity=0.0)
+    settings = TrainingSettings(iterations=150, sh_degree=0, ssim_weight=0.0, opacity_weight=0.0)
     Trainer(blob, seen, [Phase("rest", 150, move=False)], settings, budget=2, grow=False).run()
     gain = torch.exp(blob.affine.log_gain.detach().mean(1)).numpy()
     assert blob.affine.cameras == list(range(6)) and gain[bright].min() > 1.05 * gain[~bright].max()
@@ -122,7 +122,7 @@ def test_growth_reaches_the_budget_on_images_of_full_size():
     seen.load = lambda i: picture
     points = rng.uniform([-1, -1, 3], [1, 1, 5], (60, 3))
     blob = Model(GaussianSet.from_points(points, np.full((60, 3), 0.5), 0, opacity=0.6), ConvexSet.empty(6, 0), Static(), 0)
-    settings = TrainingSettings(iterations=400, sh_degree=0, densify_every=25, densify_until=0.9, min_weight=0.0, min_opacity=0.0)
+    settings = TrainingSettings(iterations=400, sh_degree=0, densify_every=25, densify_until=0.9, min_contribution=0.0, min_opacity=0.0)
     trainer = Trainer(blob, seen, [Phase("half", 300, False, 0.5), Phase("full", 100, False)], settings, budget=200)
     log = trainer.run()
     assert max(n for step, n, _ in log.primitives if step <= 300) <= 120 < max(n for _, n, _ in log.primitives) <= 200

@@ -12,7 +12,7 @@ from e4dgs.scene.settings import TrainingSettings
 from pretend_cuda import pretending_cuda
 from simt import CHECKED, RACES, Emulator, why_not
 
-SETTINGS = TrainingSettings(l1=0.7, ssim=0.3, alpha=0.5)
+SETTINGS = TrainingSettings(l1_weight=0.7, ssim_weight=0.3, alpha_weight=0.5)
 BACKGROUND = (0.1, 0.0, 0.9)
 SHARE = 0.6
 SIZES = [(1, 1), (5, 3), (9, 33), (33, 17), (2, 70)]  # a tile is 8 x 32

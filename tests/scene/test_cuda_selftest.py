@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from e4dgs.rasterizer.cuda.selftest import disagreement
-from e4dgs.scene.cuda import selftest
+from e4dgs.scene import selftest
 from pretend_cuda import pretending_cuda
 from simt import Emulator, needs_compiler
 
@@ -104,8 +104,8 @@ def test_the_step_on_nodes_notices_a_wrong_program_of_the_antialiased_mode():
 @pytest.mark.parametrize(
     ("motion", "kernel", "named"),
     [
-        ("free", "live", "the loss|the render"),
-        ("free", "live_backward", "the gradient of (gaussians|convexes)"),
+        ("lifetimes", "live", "the loss|the render"),
+        ("lifetimes", "live_backward", "the gradient of (gaussians|convexes)"),
         ("nodes", "skin", "the loss|the render"),
         ("nodes", "skin_backward", "the gradient of (gaussians|convexes|field)"),
     ],

@@ -29,7 +29,9 @@ def views():
 def begun(views, model=None, **options):
     """A trainer of few terms on the device, and what takes its steps with these numbers."""
     model = (model or fresh(views)).to("cuda")
-    quiet = QUICK.model_copy(update={"flow_every": 1000, "densify_every": 1000, "tv": 0.0, "rigid": 0.0, "inertia": 0.0})
+    quiet = QUICK.model_copy(
+        update={"flow_every": 1000, "densify_every": 1000, "tv_weight": 0.0, "rigid_weight": 0.0, "inertia_weight": 0.0}
+    )
     trainer = Trainer(model, there(views), [Phase("moving", 100, move=True)], quiet, 90, **options)
 
     def take(*steps):

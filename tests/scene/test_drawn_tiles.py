@@ -74,7 +74,7 @@ def test_alpha_is_weighted_like_colours(masked):
     weight[:3] = 0
     kept = torch.rand(6, 5, generator=draw) < 0.5 if masked else None
     counts = weight != 0 if kept is None else (weight != 0) & kept
-    settings = TrainingSettings(l1=0.0, ssim=0.0, alpha=2.0)
+    settings = TrainingSettings(l1_weight=0.0, ssim_weight=0.0, alpha_weight=2.0)
     frame = SimpleNamespace(color=color, alpha=alpha)
     rendered = SimpleNamespace(frame=frame, target=target, kept=kept, weight=weight, recording=None, share=1.0)
     loss = appearance_loss(rendered, settings, (0.0, 0.0, 0.0), known)

@@ -118,7 +118,7 @@ def test_training_finds_a_light_that_rises():
     pictures = [picture(float(t), views.rasterizer_camera(i)) for i, t in enumerate(views.time)]
     views.load = lambda i: (pictures[i].clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     model = at_rest()
-    settings = SETTINGS.model_copy(update={"iterations": 400, "densify_until": 0.0, "min_weight": 0.0})
+    settings = SETTINGS.model_copy(update={"iterations": 400, "densify_until": 0.0, "min_contribution": 0.0})
     Trainer(model, views, [Phase("deformation", 400)], settings, 40, grow=False, recipe=NODES).run()
     errors = [float((model.render(camera, t).color - picture(t, camera)).square().mean()) for t in (0.0, 0.5, 1.0)]
     steady = [float((picture(0.5, camera) - picture(t, camera)).square().mean()) for t in (0.0, 1.0)]

@@ -26,7 +26,7 @@ def model(motion=Static):
 def models():
     """One with each motion that has attributes of its own, and one without."""
     nodes = ControlNodes(torch.zeros(1, 3), torch.zeros(3), 1.0, 1.0)
-    return {"static": model(), "free": model(lambda: Lifetimes(9)), "nodes": model(lambda: nodes)}
+    return {"static": model(), "lifetimes": model(lambda: Lifetimes(9)), "nodes": model(lambda: nodes)}
 
 
 def test_every_array_of_a_model_is_on_the_page():
@@ -41,7 +41,7 @@ def test_a_model_has_only_the_arrays_that_its_motion_needs():
     extra = {motion: {name.partition("_")[2] for name in one.to_arrays()} for motion, one in models().items()}
     names = {"hyper", "shades", "times", "log_spans", "velocities", "spins"}
     assert extra["static"] & names == set() and extra["nodes"] & names == {"hyper", "shades"}
-    assert extra["free"] & names == {"times", "log_spans", "velocities", "spins"}
+    assert extra["lifetimes"] & names == {"times", "log_spans", "velocities", "spins"}
 
 
 def test_units_follow_the_names():

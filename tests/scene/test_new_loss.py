@@ -45,7 +45,7 @@ def losses(trainer, step):
     return [float(evaluated(trainer, judge, step)["loss"]) for judge in (trainer.objective, trainer.replayed)]
 
 
-@pytest.mark.parametrize("what", ["nodes", "free"])
+@pytest.mark.parametrize("what", ["nodes", "lifetimes"])
 def test_a_new_loss_is_minimised_in_usual_and_in_replayed_steps(what, with_darkness, monkeypatch):
     monkeypatch.setattr(Model, "in_view", lambda *given, **named: None)  # as on a GPU
     trainer = begun(what)

@@ -85,7 +85,7 @@ def test_what_cannot_be_captured_is_drawn_as_usual_and_said_once(monkeypatch):
         raise RuntimeError("operation not permitted when stream is capturing")
 
     monkeypatch.setattr(renders, "Graph", refuses)
-    model, _, render = replaying("free")
+    model, _, render = replaying("lifetimes")
     agrees(model, render, 0, 0.5)
     with pytest.warns(UserWarning, match="not replayed as CUDA graphs: operation not permitted"):
         agrees(model, render, 0, 0.5)
@@ -95,7 +95,7 @@ def test_what_cannot_be_captured_is_drawn_as_usual_and_said_once(monkeypatch):
 
 
 def test_only_some_sizes_are_kept(again):
-    model, _, render = replaying("free")
+    model, _, render = replaying("lifetimes")
     for size in (1.0, 0.9, 0.8, 0.7, 0.6):
         for _ in range(2):
             agrees(model, render, 0, 0.5, None, size)
@@ -103,7 +103,7 @@ def test_only_some_sizes_are_kept(again):
 
 
 def test_a_model_on_the_cpu_is_drawn_as_it_was(again):
-    model, views, _ = replaying("free")
+    model, views, _ = replaying("lifetimes")
     for _ in range(3):
         model.render(views.rasterizer_camera(0), 0.5)
     assert not model._renders._known and isinstance(model._renders, Renders)

@@ -37,7 +37,7 @@ def test_responsibility_is_measured_as_usual(what):
 
 
 def test_steps_move_what_the_graphs_read():
-    trainer = begin("free")
+    trainer = begin("lifetimes")
     agree(trainer, range(61, 100))
     for step in range(100, 110):
         found = trainer.replayed(trainer.model, int(trainer.views.train[step % 5]), step, PHASE, 1)

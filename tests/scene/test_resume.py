@@ -51,17 +51,17 @@ def test_these_trainings_hold_what_could_be_lost():
     """Motion of every kind that was renewed, colours of cameras, convexes, in the end and away from where they began."""
     nodes, fine = whole("nodes"), whole("fine")
     assert sum("the motion was spread" in event for event in nodes.log.events) == len(NODES.spread_at)
-    for kind in ("planes", "free", "fine"):
+    for kind in ("planes", "lifetimes", "fine"):
         assert float(whole(kind).model.affine.offset.detach().abs().max()) > 1e-4
     assert len(fine.model.convexes) and {bool(d) for d in fine.model.convexes.dynamic} == {True}
-    assert float(whole("free").model.gaussians.velocities.detach().abs().max()) > 1e-4
+    assert float(whole("lifetimes").model.gaussians.velocities.detach().abs().max()) > 1e-4
 
 
 def test_a_process_that_is_killed_while_it_saves_is_continued_by_another(tmp_path):
     """A real SIGKILL, when the new checkpoint is written and not yet in its place; several rounds of density control are lost with it."""
 
     def process(*dies: object) -> subprocess.CompletedProcess:
-        words = [interrupted.__file__, "free", tmp_path, torch.get_num_threads(), *dies]
+        words = [interrupted.__file__, "lifetimes", tmp_path, torch.get_num_threads(), *dies]
         return subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True)
 
     killed = process("saving", 6 * EVERY)
@@ -71,7 +71,7 @@ def test_a_process_that_is_killed_while_it_saves_is_continued_by_another(tmp_pat
     assert ended.returncode == 0, ended.stderr
     *found, last = ended.stdout.splitlines()
     assert last.startswith(f"continued continued from the checkpoint at step {5 * EVERY} of")
-    assert dict(line.split() for line in found) == digests(whole("free"))
+    assert dict(line.split() for line in found) == digests(whole("lifetimes"))
 
 
 def test_writing_checkpoints_changes_nothing(tmp_path):

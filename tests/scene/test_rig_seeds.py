@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.scene.seeds.colours import median_colours
-from e4dgs.scene.seeds.hull import visual_hull
+from e4dgs.scene.seeds.moving.hull import visual_hull
 from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.scene.seeds.outliers import trusted
 from e4dgs.scene.seeds.rays import ray_seeds

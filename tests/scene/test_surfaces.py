@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from e4dgs.scene.seeds.hull import visual_hull
-from e4dgs.scene.seeds.surfaces import TOLERANCE, surface_points
+from e4dgs.scene.seeds.moving.hull import visual_hull
+from e4dgs.scene.seeds.moving.surfaces import TOLERANCE, surface_points
 from rendered_room import rendered_room
 
 

@@ -93,7 +93,7 @@ def test_measured_flow_steers_the_motion(views):
     def still(i):
         return (torch.zeros(SIZE // 2, SIZE // 2, 2), torch.ones(SIZE // 2, SIZE // 2)) if views.next[i] >= 0 else None
 
-    settings = SETTINGS.model_copy(update={"iterations": 240, "data_flow": 0.3, "flow_every": 1, "interval": 0.0})
+    settings = SETTINGS.model_copy(update={"iterations": 240, "data_flow_weight": 0.3, "flow_every": 1, "interval_weight": 0.0})
     paths = []
     for measured in (None, still):
         model, _, _ = train(views, settings=settings, measured_flow=measured)
@@ -134,7 +134,7 @@ def test_a_training_that_no_longer_improves_stops(views):
 def test_a_removal_is_made_up_for_before_training_may_stop(views, monkeypatch, removed_at, stopped_at):
     """With a patience of 100, the losses of the last 200 steps tell; they are looked at every 100 steps, from half of the steps on."""
     monkeypatch.setattr(convergence, "CONVERGED", 0.99)  # no improvement is enough
-    settings = SETTINGS.model_copy(update={"patience": 100, "densify_until": 0.0, "min_weight": 5.0})
+    settings = SETTINGS.model_copy(update={"patience": 100, "densify_until": 0.0, "min_contribution": 5.0})
     recipe = dataclasses.replace(DeformationField.recipe, prune_at=removed_at / 800)
     model = fresh(views, static=True)
     before = len(model.gaussians)
@@ -166,7 +166,7 @@ def test_the_captures_alpha_forbids_to_hide_dark_surfaces_as_holes():
     disc = (((rows - SIZE / 2) ** 2 + (columns - SIZE / 2) ** 2 < (SIZE / 4) ** 2) * 255).astype(np.uint8)
     found = {}
     for alpha in (0.0, 0.5):
-        settings = SETTINGS.model_copy(update={"iterations": 150, "alpha": alpha})
+        settings = SETTINGS.model_copy(update={"iterations": 150, "alpha_weight": alpha})
         model, _, _ = train(dark, fresh(dark, static=True), settings, phases=[Phase("still", 150, move=False)])
         shown = model.render(dark.rasterizer_camera(0), 0.0).alpha[SIZE // 2, SIZE // 2]
         found[alpha] = float(shown)
@@ -227,7 +227,7 @@ def test_a_long_training_that_draws_only_some_of_the_static_tiles_learns_the_who
 def test_a_training_that_leaves_out_what_is_not_in_view_learns_the_same(monkeypatch):
     """What no ray sees is left alone anyway, but for the penalty on opacity."""
     views = make_views(cameras=2, times=LEAST_TIMES, size=64)
-    settings = SETTINGS.model_copy(update={"iterations": 60, "opacity": 0.1})
+    settings = SETTINGS.model_copy(update={"iterations": 60, "opacity_weight": 0.1})
     ends, counts = [], []
     for most in (0.0, 1.0):  # 0: all Gaussians in every step
         monkeypatch.setattr(objective, "MOST_SHOWN", most)

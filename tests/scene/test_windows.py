@@ -24,7 +24,7 @@ def test_terms_on_depth_are_the_same(smooth, depth, scale):
     moving[:, 10:14] = True
     inverse = torch.linspace(0.1, 0.4, SIZE).expand(SIZE, SIZE).contiguous()
     known = MeasuredDepth({0: inverse}, UNIT, lambda i: moving)
-    settings = SETTINGS.model_copy(update={"depth": depth, "smooth": smooth})
+    settings = SETTINGS.model_copy(update={"depth_weight": depth, "smooth_weight": smooth})
     term = Surface(Run(views, settings, DeformationField.recipe, UNIT, True, 100, 0, None, known))
     size = round(SIZE * scale)
     left, top, right, bottom = window = tuple(round(edge * scale) for edge in WINDOW)

@@ -17,6 +17,7 @@ SECTIONS = {  # file of stages: heading on the page
     "frames/artifact": "## `frames`",
     "poses/artifact": "## `poses`",
     "flow/artifact_writer": "## `flow`",
+    "seeds/artifact": "## `seeds`",
     "coarse/artifact": "## `coarse`, `fine`",
     "shared/model": "## `coarse`, `fine`",
     "shared/training_log": "## `coarse`, `fine`",

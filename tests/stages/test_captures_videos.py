@@ -85,7 +85,7 @@ def test_sound_tells_how_much_later_a_camera_began(tmp_path):
     heard = event(4.0)
     for n, (name, begin) in enumerate((("a.mp4", 0.6), ("b.mp4", 0.0), ("c.mp4", 0.84))):
         grey_video(tmp_path / name, 50, 25, recorded(heard, begin, 2.0, 0.4 + 0.3 * n, n), begin)
-    shifts, how = clocks(tmp_path, ["a.mp4", "b.mp4", "c.mp4"], "auto")
+    shifts, how = clocks(tmp_path, ["a.mp4", "b.mp4", "c.mp4"], None)
     assert how == "aligned by their sound"
     np.testing.assert_allclose(shifts, [0.0, -0.6, 0.24], atol=0.008)
     capture = recognise(tmp_path)
@@ -104,7 +104,7 @@ def test_frames_are_told_to_count_whatever_is_heard(tmp_path):
 def test_unlike_sounds_align_nothing(tmp_path):
     grey_video(tmp_path / "a.mp4", 50, 25, event(2.0, seed=1))
     grey_video(tmp_path / "b.mp4", 50, 25, event(2.0, seed=2))
-    assert clocks(tmp_path, ["a.mp4", "b.mp4"], "auto") == (
+    assert clocks(tmp_path, ["a.mp4", "b.mp4"], None) == (
         [0.0, 0.0],
         "aligned by their first frames (the sound of b.mp4 does not determine its clock)",
     )

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from e4dgs.scene.seeds.clean_plates import FRAMES, LOOKS, MOST, clean_plates
 from e4dgs.scene.training.curriculum import MIN_CAMERAS
 from e4dgs.scene.views import Views
-from e4dgs.stages.seeds.clean_plates import FRAMES, LOOKS, MOST, clean_plates
 
 TIMES = 2 * FRAMES
 

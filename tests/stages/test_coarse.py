@@ -1,4 +1,4 @@
-"""The whole stage `coarse` on a ball that crosses a room before a moving camera: it begins with seeds on the ball, or without."""
+"""The stages `seeds` and `coarse` on a ball that crosses a room before a moving camera: it begins with seeds on the ball, or without."""
 
 import re
 from dataclasses import replace
@@ -9,9 +9,11 @@ import pytest
 import torch
 from e4dgs.scene.training import schedule
 from e4dgs.stages.coarse import run as work
-from e4dgs.stages.coarse.artifact import StoredCoarse
 from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.coarse.stage import Coarse
+from e4dgs.stages.seeds.artifact import StoredSeeds
+from e4dgs.stages.seeds.settings import SeedsSettings
+from e4dgs.stages.seeds.stage import Seeds
 from e4dgs.stages.shared.dataset import load_frameset, load_views
 from e4dgs.stages.shared.model import read_model
 from factory import Cells, Motion, Object, Options, Sphere, make, optical_flow, render, write_colmap
@@ -20,7 +22,7 @@ from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 9
 ITERATIONS = 24
-KIND = {"with_masks": "free", "without_masks": "planes"}
+KIND = {"with_masks": "lifetimes", "without_masks": "planes"}
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +59,7 @@ def ball(tmp_path_factory) -> SimpleNamespace:
 
 
 def train(ball, inputs, folder):
-    """What ran, and the phases of its training."""
+    """What ran, with the lines of both stages, and the phases of the training."""
     phases: list[schedule.Phase] = []
     planned = schedule.coarse_phases
 
@@ -65,10 +67,11 @@ def train(ball, inputs, folder):
         phases.extend(planned(*given))
         return phases
 
+    seeds = run_stage(Seeds(), ball.capture, folder, SeedsSettings(), inputs)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(work, "coarse_phases", plan)
-        ran = run_stage(Coarse(), ball.capture, folder, CoarseSettings(iterations=ITERATIONS), inputs)
-    return ran, phases
+        ran = run_stage(Coarse(), ball.capture, folder, CoarseSettings(iterations=ITERATIONS), inputs | {"seeds": seeds.artifact})
+    return replace(ran, lines=seeds.lines + ran.lines), phases
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +124,10 @@ def test_before_one_camera_the_room_has_dense_seeds_and_measured_depth_though_th
     ran, _ = with_masks
     assert any(line.startswith("seeds: 2") and "points of the capture" in line for line in ran.lines)
     assert (~ran.artifact.read("gaussians_dynamic")).sum() > 2000
-    depth, views = StoredCoarse.read(ran.artifact).depth, load_views(load_frameset(ran.context.inputs, ball.capture.root), None)
+    depth, views = (
+        StoredSeeds.read(ran.context.inputs["seeds"]).depth,
+        load_views(load_frameset(ran.context.inputs, ball.capture.root), None),
+    )
     assert set(depth) <= set(views.train.tolist()) and len(depth) > 0.6 * len(views.train)
     for i, inverse in depth.items():
         truth = render(ball.scene, ball.views[i].camera, ball.views[i].time, samples=1)

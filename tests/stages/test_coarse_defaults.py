@@ -51,21 +51,21 @@ RIG = {"frames": 360, "cameras": 8, "times": 45, "pairs": 352}
 @pytest.mark.parametrize(
     ("facts", "asked", "moving_seeds", "kind"),
     [
-        (ORBIT, "auto", None, "nodes"),  # each frame is from another side
+        (ORBIT, None, None, "nodes"),  # each frame is from another side
         (ORBIT, "planes", None, "planes"),
-        (ORBIT | {"times": 8}, "auto", None, "planes"),  # too few to tell a path
-        (ORBIT | {"static": True}, "auto", None, "static"),
+        (ORBIT | {"times": 8}, None, None, "planes"),  # too few to tell a path
+        (ORBIT | {"static": True}, None, None, "static"),
         (ORBIT | {"static": True}, "nodes", None, "static"),
-        (CLIP, "auto", None, "free"),
-        (CLIP, "auto", True, "free"),
-        (CLIP, "auto", False, "planes"),  # no seed was found on what moves
+        (CLIP, None, None, "lifetimes"),
+        (CLIP, None, True, "lifetimes"),
+        (CLIP, None, False, "planes"),  # no seed was found on what moves
         (CLIP, "nodes", None, "nodes"),
         (CLIP, "planes", True, "planes"),
-        (CLIP, "free", False, "free"),
-        (RIG, "auto", None, "free"),
-        (RIG | {"fixed_cameras": True}, "auto", None, "free"),
-        (CLIP | {"fixed_cameras": True}, "auto", None, "planes"),  # one camera that stands still: nothing tells a depth
-        (CLIP | {"fixed_cameras": True}, "auto", False, "planes"),
+        (CLIP, "lifetimes", False, "lifetimes"),
+        (RIG, None, None, "lifetimes"),
+        (RIG | {"fixed_cameras": True}, None, None, "lifetimes"),
+        (CLIP | {"fixed_cameras": True}, None, None, "planes"),  # one camera that stands still: nothing tells a depth
+        (CLIP | {"fixed_cameras": True}, None, False, "planes"),
     ],
 )
 def test_what_moves_a_capture_follows_from_how_it_was_filmed(facts, asked, moving_seeds, kind):
@@ -90,7 +90,7 @@ def test_a_static_scene_has_as_many_times_as_training_sees(found, times):
     assert (facts.times, facts.rig) == ((times, times == 1) if found else (20, False))
 
 
-@pytest.mark.parametrize("kind", ["nodes", "planes", "free", "static"])
+@pytest.mark.parametrize("kind", ["nodes", "planes", "lifetimes", "static"])
 def test_models_are_antialiased_unless_they_are_asked_not_to_be(kind):
     points = np.random.default_rng(0).uniform(-1, 1, (60, 3))
     start = Start(points, np.full((60, 3), 0.5), np.ones(60, bool), None, 1, 0.1)

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Context
 from e4dgs.scene.motion.kinds import choose
+from e4dgs.scene.seeds.colours import mean_colour
 from e4dgs.scene.seeds.near_plane import near_plane
+from e4dgs.scene.seeds.path_width import path_width
 from e4dgs.scene.views import Views
 from e4dgs.stages.coarse.defaults import WIDE_PATH, auto_sh_degree
-from e4dgs.stages.coarse.path_width import path_width
-from e4dgs.stages.coarse.run import mean_colour
-from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.facts import Facts
 from e4dgs.stages.seeds.defaults import auto_seeds
 from e4dgs.stages.seeds.fill import Swept, fill_seeds, middle_frames
 from e4dgs.stages.seeds.place import SWEPT_SHARE, load_seeds
+from e4dgs.stages.seeds.settings import SeedsSettings
 from e4dgs.stages.shared.dataset import load_frameset, load_views
 from e4dgs.stages.shared.defaults import auto_budget, one_way
 from factory import Options, make, render, write_panoptic
@@ -34,7 +34,7 @@ def rig(tmp_path_factory):
     ran = run_frames(folder / "capture", folder)
     inputs = {"frames": ran.artifact, "poses": None, "flow": None}
     lines: list[str] = []
-    context: Context = replace(ran.context, inputs=inputs, settings=CoarseSettings(), log=lines.append)
+    context: Context = replace(ran.context, inputs=inputs, settings=SeedsSettings(), log=lines.append)
     frames = load_frameset(inputs, context.capture.root)
     views = load_views(frames, None)
     return context, frames, views, capture, load_seeds(context, frames, views, COUNT)

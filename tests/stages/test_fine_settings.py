@@ -14,38 +14,52 @@ from e4dgs.stages.fine.defaults import fine_iterations
 from e4dgs.stages.fine.run import training_settings
 from e4dgs.stages.fine.settings import FineSettings
 from e4dgs.stages.fine.stage import Fine
+from e4dgs.stages.seeds.settings import SeedsSettings
 from e4dgs.stages.shared.model import read_model, write_model
 from run_stage import run_frames, run_stage
 from sliding_gaussians import fresh, wandering_views
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "cube_and_ball"
-CLASSES = {"coarse": CoarseSettings, "fine": FineSettings}
+CLASSES = {"seeds": SeedsSettings, "coarse": CoarseSettings, "fine": FineSettings}
 TOLD = GrowthSettings(budget=700, open_until=0.2, hidden=0.0)
 
 
-@pytest.mark.parametrize("name", GrowthSettings.model_fields)
+@pytest.mark.parametrize("name", set(GrowthSettings.model_fields) - {"budget"})
 def test_growth_is_set_for_coarse_alone(name):
     assert getattr(build_settings(CLASSES, [(f"coarse.{name}", "0")])["coarse"], name) == 0
     with pytest.raises(SettingsError, match=f"fine has no setting '{name}'"):
         build_settings(CLASSES, [(f"fine.{name}", "0")])
 
 
+@pytest.mark.parametrize(("name", "value"), [("budget", 700), ("seed", 5), ("motion", "lifetimes")])
+def test_seeds_are_placed_for_what_coarse_trains(name, value):
+    """However it is written: as the group's, or as it was before `seeds` was a stage."""
+    for given in (f"train.{name}", f"coarse.{name}"):
+        built = build_settings(CLASSES, [(given, str(value))])
+        assert getattr(built["seeds"], name) == getattr(built["coarse"], name) == value
+
+
+def test_the_older_name_of_the_number_of_seeds_is_understood():
+    lines: list[str] = []
+    assert build_settings(CLASSES, [("coarse.seeds", "300")], lines.append)["seeds"].count == 300
+    assert build_settings(CLASSES, [("coarse.seeds", "0")], lines.append)["seeds"].count is None
+    assert lines[0] == "coarse.seeds is now seeds.count"
+
+
 @pytest.mark.parametrize(("strategy", "growth"), [("joint", TOLD), ("two-stage", GrowthSettings())])
 def test_what_coarse_was_told_of_growth_travels_with_the_joint_strategy(strategy, growth, tmp_path):
     tmp_path.joinpath("coarse").mkdir()
     out = ArtifactWriter(tmp_path / "coarse")
-    depth = {3: np.ones((2, 2), np.float32)}
-    StoredCoarse(strategy, 90, depth, TOLD).write(out, b"png")
+    StoredCoarse(strategy, 90, TOLD).write(out)
     out.finish({})
     found = StoredCoarse.read(Artifact(tmp_path / "coarse"))
     assert (found.strategy, found.iterations, found.growth) == (strategy, 90, growth)
-    np.testing.assert_array_equal(found.depth[3], depth[3])
     assert ("growth" in Artifact(tmp_path / "coarse").attrs) is (strategy == "joint")
 
 
 def test_the_trainer_of_fine_gets_both():
-    got = training_settings(FineSettings(iterations=7, seed=5, spread=0.5, lr_scale=0.2), TOLD)
-    assert got == TrainingSettings(iterations=7, seed=5, spread=0.5, budget=700, open_until=0.2, hidden=0.0)
+    got = training_settings(FineSettings(iterations=7, seed=5, spread_weight=0.5, lr_scale=0.2), TOLD)
+    assert got == TrainingSettings(iterations=7, seed=5, spread_weight=0.5, budget=700, open_until=0.2, hidden=0.0)
 
 
 def test_steps_of_fine():
@@ -62,13 +76,13 @@ def test_large_clips_get_fewer_steps_of_fine_on_a_cpu():
 
 def test_with_nodes_and_without_convexes_the_model_of_coarse_is_kept_unless_steps_are_asked_for(tmp_path):
     frames = run_frames(SAMPLE, tmp_path)
-    inputs = {"frames": frames.artifact, "poses": None, "flow": None, "hulls": None}
+    inputs = {"frames": frames.artifact, "poses": None, "flow": None, "seeds": None, "hulls": None}
     capture = frames.context.capture
     model = fresh(wandering_views(12), static=True)
     model.motion = ControlNodes.over(model.gaussians.means.detach().numpy())
     tmp_path.joinpath("coarse").mkdir()
     out = ArtifactWriter(tmp_path / "coarse")
-    StoredCoarse("two-stage", 90, {}, GrowthSettings()).write(out, b"png")
+    StoredCoarse("two-stage", 90, GrowthSettings()).write(out)
     write_model(out, model)
     out.finish({})
     before, inputs = model.to_arrays(), inputs | {"coarse": Artifact(tmp_path / "coarse")}

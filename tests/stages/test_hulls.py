@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.rasterizer import rasterize
-from e4dgs.scene.edge_seeds import EdgeSeeds, edge_seeds
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
@@ -12,6 +11,7 @@ from e4dgs.scene.views import Views
 from e4dgs.stages.fine.run import replace_by_convexes
 from e4dgs.stages.hulls.artifact import StoredHulls
 from e4dgs.stages.hulls.defaults import CONVEXES, most_convexes
+from e4dgs.stages.hulls.edge_seeds import EdgeSeeds, edge_seeds
 from e4dgs.stages.hulls.run import choose
 from e4dgs.stages.hulls.settings import HullSettings
 
@@ -40,7 +40,7 @@ def test_only_where_edges_are_dense_and_that_is_seen(density, weight, count):
 
 
 @pytest.mark.parametrize(
-    ("given", "kind", "most"), [(None, "planes", CONVEXES), (None, "nodes", 0), (0, "free", 0), (7, "static", 7), (7, "nodes", 7)]
+    ("given", "kind", "most"), [(None, "planes", CONVEXES), (None, "nodes", 0), (0, "lifetimes", 0), (7, "static", 7), (7, "nodes", 7)]
 )
 def test_with_control_nodes_there_are_none_unless_asked_for(given, kind, most):
     assert most_convexes(given, kind) == most

@@ -12,9 +12,9 @@ from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.evaluate.judge import Judge
-from e4dgs.stages.seeds.fill import moving_mask, unsteady_mask
 from e4dgs.stages.shared.dataset import load_views
 from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.stages.shared.masks import moving_mask, unsteady_mask
 from factory import Options, make, write_images
 from PIL import Image
 from run_stage import run_frames, run_poses
@@ -95,7 +95,7 @@ def test_features_are_found_where_masks_are_white(tmp_path):
         picture[hidden] = noise
         Image.fromarray(picture).save(capture.root / name)
         write_mask(tmp_path / "room/masks" / name, (240, 180), hidden)
-    ran = run_poses(tmp_path / "room", tmp_path / "out", moving="off")
+    ran = run_poses(tmp_path / "room", tmp_path / "out", moving=False)
     assert ran.artifact.read("registered").all()
     with pycolmap.Database.open(tmp_path / "out/checkpoints/poses/colmap/database.db") as database:
         x = np.concatenate([database.read_keypoints(image.image_id)[:, 0] for image in database.read_all_images()])

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.seeds import chain as moving_chain
-from e4dgs.stages.seeds.chain import Chain
+from e4dgs.vision.flow import chain as moving_chain
+from e4dgs.vision.flow.chain import Chain
 from moving_square import FRAMES, WIDTH, flow_of, left_edge
 
 

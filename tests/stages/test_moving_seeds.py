@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.seeds.hull import visual_hull
+from e4dgs.scene.seeds.moving.hull import visual_hull
 from e4dgs.stages.seeds import moving
 from e4dgs.stages.seeds.depths import ANYWHERE
 from e4dgs.stages.seeds.moving import (

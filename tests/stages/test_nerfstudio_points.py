@@ -74,6 +74,14 @@ def test_colours_may_be_fractions_or_absent(tmp_path, cloud):
     assert points.tolist() == [[0, 1, 2], [3, 4, 5]] and (colours == 128).all()
 
 
+def test_points_may_be_a_scan(capture, cloud):
+    root = capture(None, "scan.xyz")
+    (root / "scan.xyz").write_text("".join(f"{x} {y} {z}\n" for x, y, z in cloud[0].tolist()))
+    found = recognise(root)
+    np.testing.assert_array_equal(found.points, cloud[0])
+    assert (found.point_colors == 128).all() and "scan.xyz" in found.files and not any("scan.xyz" in note for note in found.notes)
+
+
 def test_applied_transform_is_in_the_points_already(capture, cloud):
     """As nerfstudio writes both since 2023: points and poses share a world, and the field only tells how that came about."""
     found = recognise(capture(ply(*cloud, types=("double", "uchar")), applied_transform=COLMAP_TO_NERFSTUDIO))

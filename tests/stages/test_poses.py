@@ -152,9 +152,9 @@ def test_poses_in_the_files_need_no_sfm():
 @pytest.mark.parametrize(
     ("matcher", "images", "static", "expected"),
     [
-        ("auto", 40, False, "exhaustive"),
-        ("auto", 41, False, "sequential"),
-        ("auto", 41, True, "exhaustive"),
+        (None, 40, False, "exhaustive"),
+        (None, 41, False, "sequential"),
+        (None, 41, True, "exhaustive"),
         ("sequential", 5, True, "sequential"),
     ],
 )
@@ -241,7 +241,7 @@ def test_photos_that_lie_in_their_files_are_matched_upright(room, truth, tmp_pat
     exif.get_ifd(0x8769)[0xA405] = 31  # mm on 35 mm film: 60 degrees
     for name in room.files:
         Image.open(room.root / name).transpose(Image.Transpose.ROTATE_90).save(folder / name, exif=exif)
-    ran = run_poses(folder, tmp_path / "out", moving="off")
+    ran = run_poses(folder, tmp_path / "out", moving=False)
     assert pose_error(ran.artifact.read("cam_from_world"), truth)["percent"] < 0.5
     K, true = ran.artifact.read("K"), room.synthetic.views[0].camera.K
     assert K[0, 0, 0] == pytest.approx(true[0, 0], rel=0.02) and np.allclose(K[0, :2, 2], true[:2, 2])
@@ -253,7 +253,7 @@ def test_photos_of_two_sizes_have_a_lens_each(tmp_path):
     sizes = ((240, 180), (240, 180), (300, 240))
     options = Options(backdrop="room", rig="path", times=FRAMES, sizes=sizes, samples=2, fov_degrees=60.0, motion=0.0)
     capture = write_images(make(options), tmp_path / "photos")
-    ran = run_poses(capture.root, tmp_path / "out", moving="off")
+    ran = run_poses(capture.root, tmp_path / "out", moving=False)
     assert ran.artifact.read("registered").all()
     assert pose_error(ran.artifact.read("cam_from_world"), np.stack([v.camera.cam_from_world for v in capture.views]))["percent"] < 0.7
     focal = ran.artifact.read("K")[:, 0, 0]

@@ -145,7 +145,7 @@ def test_plain_pictures_tell_nothing():
 
 def test_pictures_of_two_cameras_are_matched_at_equal_times_alone():
     camera, time = np.repeat([0, 1, 2], 12), np.tile(np.linspace(0, 1, 12), 3)
-    looks = choose_looks(camera, time, {0: True, 1: True, 2: False}, "auto", 10)
+    looks = choose_looks(camera, time, {0: True, 1: True, 2: False}, None, 10)
     assert len(looks.frames) == 2 * MOST + 12 and looks.fixed == {0, 1} and not looks.all_fixed
     assert looks.image_of_frame.tolist() == [0] * 12 + [1] * 12 + list(range(2, 14))
     across = [(looks.frames[a], looks.frames[b]) for a, b in looks.pairs if camera[looks.frames[a]] != camera[looks.frames[b]]]

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from e4dgs.stages.seeds.chain import Chain
 from e4dgs.stages.seeds.scene_flow import meet, next_positions
+from e4dgs.vision.flow.chain import Chain
 from e4dgs.vision.sequences import camera_sequences
 from sliding_ball import RADIUS, place, sliding_ball
 

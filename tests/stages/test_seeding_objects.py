@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.stages.flow.artifact import StoredFlow
-from e4dgs.stages.seeds.chain import Chain
 from e4dgs.stages.seeds.depths import (
     ANYWHERE,
     BEFORE,
@@ -18,7 +17,8 @@ from e4dgs.stages.seeds.depths import (
     depth_below,
     object_depths,
 )
-from e4dgs.stages.seeds.objects import LEAST_AREA, Objects, follow_objects
+from e4dgs.vision.flow.chain import Chain
+from e4dgs.vision.moving.followed_parts import LEAST_AREA, Objects, follow_objects
 from moving_square import FRAMES, HEIGHT, WALL, WIDTH, flow_of, pose, views, wall
 
 SIZE, GROWTH = 24, 1.08  # px of the square in the first frame, factor a frame

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, Progress
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
 from e4dgs.scene.views import Views
 from e4dgs.stages.seeds import place as room
-from e4dgs.stages.seeds.moving import MovingSeeds
 from e4dgs.stages.seeds.place import initial_dynamic, moving_seeds
 from write_artifact import write_artifact
 

@@ -1,9 +1,9 @@
 """The picture of where training begins shows each seed where its camera sees it, what is near before what is far."""
 
 import numpy as np
+from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
+from e4dgs.scene.seeds.picture import DIMMED, MOVING, seeds_picture
 from e4dgs.scene.views import Views
-from e4dgs.stages.seeds.moving import MovingSeeds
-from e4dgs.stages.seeds.picture import DIMMED, MOVING, seeds_picture
 
 WIDTH, HEIGHT = 64, 48
 

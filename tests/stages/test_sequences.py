@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from e4dgs.stages.exports.numbered import new_sequence, numbered, sequence_in, staged
+from e4dgs.stages.exports.numbered import indexed, new_sequence, numbered, sequence_in, staged, strangers, write_index
 
 
 def write(folder: Path, count: int, text: str) -> None:
@@ -79,3 +79,26 @@ def test_a_folder_for_parts_goes(tmp_path):
         assert part.parent == tmp_path / "a" / "b" and part.name.startswith(".")
         (part.parent / "kept").write_text("")
     assert [one.name for one in (tmp_path / "a" / "b").iterdir()] == ["kept"]
+
+
+def test_an_index_lists_the_files_of_each_kind(tmp_path):
+    for ending, count in ((".ply", 5), (".spz", 2), (".ply", 3)):
+        with new_sequence(tmp_path, ending) as part:
+            for k in range(count):
+                numbered(part, k, ending).write_text("data")
+            write_index(part, ending, [k / (count - 1) for k in range(count)], 2.0, {"format": ending[1:], "antialiased": True})
+    found = indexed(tmp_path)
+    assert set(found) == {".ply", ".spz"} and found[".ply"]["antialiased"] and found[".ply"]["rate"] == 1.0
+    assert [(row["file"], row["seconds"]) for row in found[".ply"]["files"]] == [(f"frame000{k + 1}.ply", 1.0 * k) for k in range(3)]
+    assert strangers(tmp_path, ".ply") == strangers(tmp_path, ".spz") == []
+
+
+@pytest.mark.parametrize("name", ["0001.ply", "frame_12.PLY", "frame0001.ply", "frame0007.compressed.ply"])
+def test_numbered_files_of_others_are_strangers(tmp_path, name):
+    assert strangers(tmp_path / "new", ".ply") == []
+    for other in (name, "readme.txt", "point_cloud.ply", "frame0001.spz", "frame0001.ply.bak"):
+        (tmp_path / other).write_text("mine")
+    assert strangers(tmp_path, ".ply") == [name]
+    for hostile in ("[]", '{".ply": 3}', '{".ply": {"files": 3}}', "[" * 10_000):
+        (tmp_path / "sequence.json").write_text(hostile)
+        assert strangers(tmp_path, ".ply") == [name]

@@ -101,7 +101,7 @@ def resumed(killed):
 
 
 def test_off_leaves_the_first_pass(busy, resumed):
-    off = run_poses(busy.root, resumed, moving="off", max_features=FEATURES)
+    off = run_poses(busy.root, resumed, moving=False, max_features=FEATURES)
     assert off.artifact.attrs["moving_share"] is None and off.artifact.attrs["second_pass"] == "poses.moving=off"
     assert not any("moving objects" in line for line in off.lines)
     with np.load(resumed / "checkpoints" / "poses" / "colmap" / "result.npz") as first:

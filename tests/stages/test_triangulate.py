@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import StageError
-from e4dgs.stages.seeds.triangulate import choose_frames, choose_pairs, keep_precise, thrice, triangulate
 from e4dgs.vision.sfm.alignment import camera_centres
 from e4dgs.vision.sfm.epipolar import fundamental, guided_matches
+from e4dgs.vision.triangulate import choose_frames, choose_pairs, keep_precise, thrice, triangulate
 from factory import Options, make, render, to_uint8
 
 

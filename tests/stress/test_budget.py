@@ -27,7 +27,7 @@ def trainer(budget: int, scale: float = 1.0) -> tuple[Trainer, Phase]:
     )
     gaussians = GaussianSet.from_points(rng.uniform(-1, 1, (COUNT, 3)), np.full((COUNT, 3), 0.5), 0, max_scale=0.3)
     phase = Phase("all", 100, move=False, scale=scale)
-    settings = TrainingSettings(iterations=100, sh_degree=0, min_weight=0.0)
+    settings = TrainingSettings(iterations=100, sh_degree=0, min_contribution=0.0)
     return Trainer(Model(gaussians, ConvexSet.empty(6, 0), Static(), 0), views, [phase], settings, budget), phase
 
 

@@ -6,7 +6,7 @@ import pytest
 from e4dgs.vision.flow.two_way import FlowPair, consistency, dis_flow
 from e4dgs.vision.moving.evidence import NOISE_FACTOR, Evidence, evidence, spread_of_flow
 from e4dgs.vision.moving.fixed_camera import FixedCameraMasks, fixed_camera_masks
-from e4dgs.vision.moving.objects import chain, frame_evidence, moving_mask, moving_masks
+from e4dgs.vision.moving.moving_masks import chain, frame_evidence, moving_mask, moving_masks
 from e4dgs.vision.moving.residual import Neighbour, Residual, rigid_residual
 from e4dgs.vision.moving.two_view import epipolar_residual, sampson, two_view
 from e4dgs.vision.moving.uncalibrated import uncalibrated_residual

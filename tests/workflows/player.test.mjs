@@ -8,6 +8,7 @@ const { readContainer } = await load("container");
 const { checkScene } = await load("layout");
 const { Depths, rowAt } = await load("motion");
 const { Sorter } = await load("sort");
+const { LAYERS, layersOf, rangesOf } = await load("layers");
 const { Camera } = await load("camera");
 const { Answers } = await load("worker");
 
@@ -47,6 +48,16 @@ test("primitives are sorted nearest first, equal ones in their order, and those 
   assert.equal(new Sorter(3).sort(new Float32Array(3).fill(-1), 0.1, order), 0);
 });
 
+test("a layer has the primitives of its name, and the layers that say nothing new are left out", () => {
+  const header = { gaussians: [2, 1], convexes: [1, 2] }, depth = new Float32Array([6, 5, 4, 3, 2, 1]), order = new Uint32Array(6);
+  const drawn = (layer) => [...order.subarray(0, new Sorter(6).sort(depth, 0.1, order, rangesOf(header, layer)))];
+  assert.deepEqual(drawn("all"), [5, 4, 3, 2, 1, 0]);
+  assert.deepEqual([drawn("Gaussians"), drawn("convexes")], [[2, 1, 0], [5, 4, 3]]);
+  assert.deepEqual([drawn("dynamic"), drawn("static")], [[5, 4, 2], [3, 1, 0]]);
+  assert.deepEqual(layersOf(header), LAYERS);
+  assert.deepEqual(layersOf({ gaussians: [5, 0], convexes: [0, 0] }), ["all"]);
+});
+
 test("200,000 primitives are sorted within 8 ms", () => {
   const count = 200_000, sorter = new Sorter(count), order = new Uint32Array(count), depth = new Float32Array(count);
   let best = Infinity, seed = 1;
@@ -78,6 +89,23 @@ test("a camera takes the place of a capture's, and turns about its target", () =
     assert.ok(Math.abs(product - (a === b ? 1 : 0)) < 1e-9);
   }
   assert.ok(Math.abs(m[9]) < 0.9995, "not straight down");
+});
+
+test("an eye of a headset sees what a camera of the page sees", async () => {
+  const { eyeView, hasStereo, standAt } = await load("stereo"), near = (a, b) => a.forEach((x, k) => assert.ok(Math.abs(x - b[k]) < 1e-9, `${a} ${b}`));
+  const place = standAt({ eye: [0, 0, -3], forward: [0, 0, 1], right: [1, 0, 0], up: [0, -1, 0], distance: 3 });  // OpenCV's axes, level
+  const identity = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], projection = [1.2, 0, 0, 0, 0, 1.5, 0, 0, 0.1, -0.2, -1, -1, 0, 0, -0.1, 0];
+  const straight = eyeView(identity, projection, { width: 200, height: 100 }, place);
+  near(straight.cam_from_world, [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 3, 0, 0, 0, 1]);
+  near(straight.K, [120, 0, 90, 0, 75, 40, 0, 0, 1]);
+  const inverse = identity.slice();
+  inverse[12] = 0.032;  // the left eye is 32 mm to the left, so the scene lies 32 mm to its right; a metre is 1.5 units
+  near(eyeView(inverse, projection, { width: 200, height: 100 }, place).cam_from_world, [1, 0, 0, 0.048, 0, 1, 0, 0, 0, 0, 1, 3, 0, 0, 0, 1]);
+  const tilted = standAt({ eye: [0, 0, -3], forward: [0, 0.6, 0.8], right: [1, 0, 0], up: [0, -1, 0], distance: 3 });
+  near(tilted.axes.flat(), [1, 0, 0, 0, -1, 0, 0, 0, -1]);
+  assert.equal(await hasStereo(null), false);
+  assert.equal(await hasStereo({ isSessionSupported: async () => { throw new Error("not allowed"); } }), false);
+  assert.equal(await hasStereo({ isSessionSupported: async (mode) => mode === "immersive-vr" }), true);
 });
 
 test("rows between keys lie on a line", () => {

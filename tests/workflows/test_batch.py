@@ -16,7 +16,8 @@ import pytest
 from e4dgs.pipeline import SettingsError
 from e4dgs.workflows.batch.ledger import Ledger, Progress
 from e4dgs.workflows.batch.listing import Entry, entries_of
-from e4dgs.workflows.batch.sites.cluster import Cluster, read_cluster
+from e4dgs.workflows.batch.sites.cluster import read_cluster
+from e4dgs.workflows.batch.sites.pools import Cluster
 from e4dgs.workflows.batch.sites.slurm import emit
 from e4dgs.workflows.batch.summary import COLUMNS, spread, worst_first
 from e4dgs.workflows.cli import main
@@ -64,7 +65,7 @@ def test_a_list_has_settings_for_all_and_for_one_and_a_sweep(tmp_path):
         "preset: fast\nsettings: {coarse.iterations: 50, frames.max_size: 64}\n"
         "scenes:\n  - one\n  - {capture: two, name: second, settings: {coarse.iterations: 70, evaluate.splits: [val, test]},\n"
         "     static: true}\n"
-        "sweep:\n  coarse.seed: [0, 1]\n  coarse.alpha: [0.5]\n"
+        "sweep:\n  train.seed: [0, 1]\n  train.alpha_weight: [0.5]\n"
     )
     entries = entries_of([str(file)], Entry("", "", (("fine.iterations", "0"),)))
     assert names(entries) == ["one-seed-0-alpha-0.5", "one-seed-1-alpha-0.5", "second-seed-0-alpha-0.5", "second-seed-1-alpha-0.5"]
@@ -73,12 +74,12 @@ def test_a_list_has_settings_for_all_and_for_one_and_a_sweep(tmp_path):
         "fine.iterations": "0",
         "coarse.iterations": "50",
         "frames.max_size": "64",
-        "coarse.seed": "0",
-        "coarse.alpha": "0.5",
+        "train.seed": "0",
+        "train.alpha_weight": "0.5",
     }
     assert dict(third.settings)["coarse.iterations"] == "70" and dict(third.settings)["evaluate.splits"] == "val,test"
     assert (first.preset, first.static, third.static) == ("fast", False, True)
-    assert first.group == entries[1].group == "one coarse.alpha=0.5", "seeds alone make no other group"
+    assert first.group == entries[1].group == "one train.alpha_weight=0.5", "seeds alone make no other group"
     assert Entry.from_json(json.loads(json.dumps(third.as_json()))) == third
 
 
@@ -89,7 +90,7 @@ def test_a_list_has_settings_for_all_and_for_one_and_a_sweep(tmp_path):
         ("scenes: [3]", "scene 1: expected a path"),
         ("scenes: [a]\npresets: fast", "unknown field presets"),
         ("scenes: [{capture: a, nam: b}]", "scene 1: unknown field nam"),
-        ("scenes: [a]\nsweep: {coarse.seed: 3}", "list of values"),
+        ("scenes: [a]\nsweep: {train.seed: 3}", "list of values"),
         ("scenes: [{capture: a, settings: 3}]", "settings: expected"),
         ("scenes: [", "not a list of scenes in YAML"),
     ],

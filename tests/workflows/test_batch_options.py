@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from e4dgs.workflows.batch.ledger import Ledger
-from e4dgs.workflows.batch.sites.cluster import Cluster, Pool
+from e4dgs.workflows.batch.sites.pools import Cluster, Pool
 from e4dgs.workflows.cli import main
 
 

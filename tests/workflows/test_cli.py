@@ -241,11 +241,11 @@ def test_doctor_reports_what_fails_without_failing_itself(cli, monkeypatch):
 
 
 def test_doctor_fails_for_what_is_needed_alone(cli, monkeypatch):
-    asked = ["numpy>=1.26", 'no-such-reader>=2; platform_system == "Linux" and extra == "mesh"', 'no-such-tool; extra == "dev"']
+    asked = ["numpy>=1.26", 'no-such-reader>=2; platform_system == "Linux" and extra == "usd"', 'no-such-tool; extra == "dev"']
     monkeypatch.setattr("importlib.metadata.requires", lambda name: asked)
     result = cli("doctor")
     assert result.code == 0 and "ok   numpy: " in result.out
-    assert "     no-such-reader: optional: pip install 'e4dgs[mesh]'" in result.out and "no-such-tool" not in result.out
+    assert "     no-such-reader: optional: pip install 'e4dgs[usd]'" in result.out and "no-such-tool" not in result.out
     asked.append("no-such-library>=1")
     result = cli("doctor")
     assert result.code == 1 and "FAIL no-such-library: not installed" in result.out

@@ -64,7 +64,7 @@ def test_kernels_are_trusted_once_they_agree_with_the_cpu_s(machine, monkeypatch
     with pytest.raises(SettingsError, match=r"a small training step on the GPU went wrong: the gradient of gaussians\.means is off"):
         resolve_device("cuda")
     assert resolve_device("auto") == "cuda" and resolve_device("auto") == "cuda" and len(asked) == 2
-    assert asked[0][1:] == ["-m", "e4dgs.scene.cuda.selftest"]
+    assert asked[0][1:] == ["-m", "e4dgs.scene.selftest"]
     machine.driver = 13010
     assert resolve_device("auto") == "cuda" and len(asked) == 3
 

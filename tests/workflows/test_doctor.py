@@ -8,8 +8,8 @@ from e4dgs.workflows.machine import doctor
 ASKED = [
     "numpy>=1.26",
     "nosuchpackage-e4dgs>=1",
-    f"open3d-cpu>=0.18; (platform_system == '{platform.system()}' and platform_machine == '{platform.machine()}') and extra == 'mesh'",
-    f"open3d>=0.18; (platform_system != '{platform.system()}' or platform_machine != '{platform.machine()}') and extra == 'mesh'",
+    f"open3d-cpu>=0.18; (platform_system == '{platform.system()}' and platform_machine == '{platform.machine()}') and extra == 'usd'",
+    f"open3d>=0.18; (platform_system != '{platform.system()}' or platform_machine != '{platform.machine()}') and extra == 'usd'",
     "parsl>=2025.1; extra == 'cluster'",
     "pytest>=8; extra == 'dev'",
     f"numpy>=1; sys_platform != '{sys.platform}'",
@@ -25,6 +25,6 @@ def test_a_library_for_other_machines_is_not_asked_for(monkeypatch):
     assert rows == {
         "numpy": (True, "1.0"),
         "nosuchpackage-e4dgs": (False, "not installed; install e4dgs again with its dependencies"),
-        "open3d-cpu": (None, "optional: pip install 'e4dgs[mesh]'"),
+        "open3d-cpu": (None, "optional: pip install 'e4dgs[usd]'"),
         "parsl": (True, "1.0"),
     }

@@ -67,9 +67,9 @@ def rerun(copy: Copy, name: str, line: str, cuda: bool = False) -> set[str]:
     ("name", "stages"),
     [
         ("stages/captures/checks.py", {"frames"}),
-        ("vision/flow/two_way.py", {"poses", "flow", "coarse"}),
-        ("vision/cpu/correlate.cpp", {"poses", "flow", "coarse"}),
-        ("vision/sfm/worker/survey.py", {"poses", "coarse"}),
+        ("vision/flow/two_way.py", {"poses", "flow", "seeds"}),
+        ("vision/cpu/correlate.cpp", {"poses", "flow", "seeds"}),
+        ("vision/sfm/worker/survey.py", {"poses", "seeds"}),
         ("scene/training/rates.py", {"coarse", "fine"}),
         ("rasterizer/math/hull.h", {"coarse", "hulls", "fine", "evaluate"}),
         ("stages/evaluate/judge.py", {"evaluate"}),

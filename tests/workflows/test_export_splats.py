@@ -36,7 +36,9 @@ def finished(dnerf_capture, tmp_path_factory):
 def test_a_file_for_each_time(finished, tmp_path, capsys):
     assert main(["export", *finished, "--times", "3", "--out", str(tmp_path / "ply")]) == 0
     files = sorted((tmp_path / "ply").iterdir())
-    assert [f.name for f in files] == ["frame0001.ply", "frame0002.ply", "frame0003.ply"]
+    assert [f.name for f in files] == ["frame0001.ply", "frame0002.ply", "frame0003.ply", "sequence.json"]
+    index = json.loads(files.pop().read_text())[".ply"]
+    assert [row["time"] for row in index["files"]] == [0.0, 0.5, 1.0] and (index["up"], index["antialiased"]) == ("-Y", False)
     assert files[0].read_bytes() != files[2].read_bytes(), "something moves"
     said = " ".join(capsys.readouterr().out.split())
     assert "axes: up is -Y, which is Z in the capture (a turn by 90° about X)" in said, "D-NeRF stands upright on z"
@@ -45,19 +47,26 @@ def test_a_file_for_each_time(finished, tmp_path, capsys):
 
 
 def test_an_export_of_fewer_times_leaves_none_of_the_earlier_one(finished, tmp_path):
-    others = ["frame0009.compressed.ply", "frame0009.ply.bak", "frame9.ply", "frame00009.ply", "myframe0009.ply", "frame0009.PLY"]
+    others = ["frame0009.ply.bak", "frame0009.spz", "mine.ply"]
     for name in others:
         (tmp_path / name).write_text("mine")
     for times in (5, 2):
         assert main(["export", *finished, "--times", str(times), "--out", str(tmp_path)]) == 0
-        made = {f.name for f in tmp_path.iterdir()} - set(others)
+        made = {f.name for f in tmp_path.iterdir()} - {*others, "sequence.json"}
         assert made == {f"frame000{k + 1}.ply" for k in range(times)}
     assert all((tmp_path / name).read_text() == "mine" for name in others), "only files of exactly such a name go"
 
 
 def test_without_times_there_is_a_file_for_each_of_the_capture(finished, tmp_path):
     assert main(["export", *finished, "--out", str(tmp_path)]) == 0
-    assert 1 < len(list(tmp_path.iterdir())) <= 60
+    assert 1 < len(list(tmp_path.glob("*.ply"))) <= 60
+
+
+@pytest.mark.parametrize("name", ["frame0009.compressed.ply", "frame9.ply", "frame0001.ply", "frame0009.PLY"])
+def test_nothing_is_mixed_with_numbered_files_of_others(finished, tmp_path, capsys, name):
+    (tmp_path / name).write_text("mine")
+    assert main(["export", *finished, "--out", str(tmp_path)]) == 2
+    assert f"it has {name}" in " ".join(capsys.readouterr().err.split()) and [one.name for one in tmp_path.iterdir()] == [name]
 
 
 # The formats for the web round positions: SPZ and SOG to 2e-4 of the scene's size, compressed PLY to 3e-3. This reader writes SOG, too;
@@ -71,7 +80,7 @@ def test_compact_formats_hold_the_same_gaussians(finished, tmp_path, words, suff
     once = ["--times", "1", "--up", "Z"]
     assert main(["export", *finished, *once, "--out", str(tmp_path / "ply")]) == 0
     assert main(["export", words[0], *finished[1:], *words[1:], *once, "--out", str(tmp_path / "out")]) == 0
-    (file,) = (tmp_path / "out").iterdir()
+    (file,) = (tmp_path / "out").glob("frame*")
     assert file.name == f"frame0001{suffix}"
     plain = (tmp_path / "ply" / "frame0001.ply").read_bytes()
     back = forge.convert(file.read_bytes(), suffix[1:], "ply")["data"]
@@ -90,7 +99,7 @@ def centres(file: bytes) -> np.ndarray:
 
 def test_gltf_is_a_file_for_each_time(finished, tmp_path):
     assert main(["export", "gltf", *finished[1:], "--times", "2", "--out", str(tmp_path / "glb")]) == 0
-    files = sorted((tmp_path / "glb").iterdir())
+    files = sorted((tmp_path / "glb").glob("*.glb"))
     assert [file.name for file in files] == ["frame0001.glb", "frame0002.glb"]
     assert all(file.read_bytes()[:4] == b"glTF" for file in files)
 

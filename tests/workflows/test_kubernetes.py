@@ -12,7 +12,8 @@ import e4dgs.workflows
 import pytest
 from e4dgs.pipeline import SettingsError, StageError
 from e4dgs.workflows.batch.ledger import Ledger
-from e4dgs.workflows.batch.sites.cluster import Pool, _provider, read_cluster
+from e4dgs.workflows.batch.sites.cluster import _provider, read_cluster
+from e4dgs.workflows.batch.sites.pools import Pool
 from PIL import Image
 from pod_server import PodServer
 from slurm_cluster import wait

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-HEAVY = ("torch", "cv2", "scipy", "pycolmap", "open3d")
+HEAVY = ("torch", "cv2", "scipy", "pycolmap", "open3d", "kornia")
 
 
 def imported_by(*arguments: str) -> list[str]:

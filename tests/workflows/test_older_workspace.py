@@ -12,7 +12,7 @@ from e4dgs.workflows.batch.ledger import Ledger, Progress
 from e4dgs.workflows.batch.listing import Entry
 
 OLDER = Path(__file__).resolve().parents[1] / "older" / "rig-1babdcf.tar.xz"
-SETTINGS = ("coarse.iterations=1", "coarse.motion=free", "coarse.seeds=40", "hulls.budget=0", "fine.iterations=0")
+SETTINGS = ("coarse.iterations=1", "train.motion=free", "seeds.count=40", "hulls.budget=0", "fine.iterations=0")
 SETTINGS += ("evaluate.movie_frames=0", "evaluate.max_views=1")
 OLD = ("frames", "flow", "coarse", "evaluate")
 

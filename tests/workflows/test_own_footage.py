@@ -16,8 +16,8 @@ from factory import Options, make, write_colmap, write_images, write_nerfies, wr
 
 BUDGETS = {
     "coarse.iterations": 60,
-    "coarse.seeds": 1500,
-    "coarse.budget": 2500,
+    "seeds.count": 1500,
+    "train.budget": 2500,
     "hulls.budget": 20,
     "fine.iterations": 4,
     "poses.max_features": 1500,

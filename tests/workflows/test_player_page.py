@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from e4dgs.rasterizer import rasterize
+from e4dgs.rasterizer import Camera, rasterize
 from e4dgs.stages.exports.web_scene import web_scene
 from e4dgs.workflows.player.page import page
 from made_models import FRAMES, MOTIONS, camera, made
@@ -37,15 +37,20 @@ def about(count=2):
 class Page:
     """A page of the player with its own `window.e4dgs`; ``outside`` are the addresses that it asked for."""
 
-    def __init__(self, browser, folder, data: bytes, play=False, poster=None, size=(500, 400)):
+    def __init__(self, browser, folder, data: bytes, play=False, poster=None, size=(500, 400), cut=len, before=""):
         self.file = folder / "scene.html"
-        self.file.write_text(page("made", data, poster, (1.0, 0.9, 0.8), play))
+        text = page("made", data, poster, (1.0, 0.9, 0.8), play)
+        written = text[: cut(text)]
+        self.file.write_text(written)
         self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        if before:
+            self.page.add_init_script(before)
         self.outside, self.errors = [], []
         self.page.on("request", lambda asked: self.outside.append(asked.url))
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(self.file.as_uri())
-        self.page.wait_for_selector("body.ready, body.failed", timeout=60_000)
+        if len(written) >= text.index('<script type="text/plain" id="scene">'):  # a script that was cut does not run
+            self.page.wait_for_selector("body.ready, body.failed", timeout=60_000)
 
     def show(self, view, time):
         wanted = {
@@ -156,6 +161,74 @@ def test_the_page_plays_and_its_controls_work(opened, file):
     assert not shown.errors
 
 
+def test_layers_have_the_names_of_the_live_viewer_and_show_their_primitives(opened, file):
+    from e4dgs.workflows.view.looks import PRIMITIVES
+
+    shown = opened(file)
+    assert shown.page.locator("#layer option").all_inner_texts() == list(PRIMITIVES)
+    pictures = []
+    for layer in PRIMITIVES:
+        shown.page.select_option("#layer", layer)
+        shown.page.wait_for_timeout(700)
+        pictures.append(shown.picture())
+    assert min(psnr(one, other) for k, one in enumerate(pictures) for other in pictures[:k]) < 40
+    assert all(psnr(pictures[0], other) < 45 for other in pictures[1:])
+
+
+# A headset of two eyes, 64 mm apart, whose pictures lie side by side on the canvas.
+HEADSET = """
+window.frames_ = [];
+WebGL2RenderingContext.prototype.makeXRCompatible = async () => {};
+const size = () => ({ width: 120, height: 160 });
+const eye = (x) => ({ projectionMatrix: [1.5,0,0,0, 0,1.1,0,0, 0,0,-1,-1, 0,0,-0.1,0], side: x,
+  transform: { inverse: { matrix: [1,0,0,0, 0,1,0,0, 0,0,1,0, -x,0,0,1] } } });
+class Session extends EventTarget {
+  updateRenderState() {}
+  async requestReferenceSpace() { return {}; }
+  requestAnimationFrame(act) { frames_.push(act); }
+  async end() { this.dispatchEvent(new Event("end")); }
+}
+Object.defineProperty(navigator, "xr", { value: { isSessionSupported: async () => true, requestSession: async () => new Session() } });
+window.XRWebGLLayer = class { framebuffer = null; getViewport(view) { return { x: view.side < 0 ? 0 : 120, y: 20, ...size() }; } };
+window.step = (now) => frames_.splice(0).forEach((act) => act(now, { getViewerPose: () => ({ views: [eye(-0.032), eye(0.032)] }) }));
+"""
+
+
+def test_a_headset_gets_a_picture_for_each_eye(opened, file):
+    plain = opened(file)
+    plain.page.wait_for_timeout(200)
+    assert not visible(plain, "#stereo"), "no headset, no button"
+    shown = opened(file, before=HEADSET, size=(500, 400))
+    shown.page.locator("#stereo").wait_for(timeout=10_000)
+    shown.page.click("#stereo")
+    for now in (0, 16, 32):
+        shown.page.wait_for_timeout(400)
+        shown.page.evaluate(f"step({now})")
+    both = shown.picture()
+    foot = len(both) - 20  # rows of a viewport count from its foot
+    eyes = both[foot - 160 : foot, :120], both[foot - 160 : foot, 120:240]
+    shown.page.evaluate("document.getElementById('stereo').click()")
+    shown.page.wait_for_timeout(600)
+    assert visible(shown, "#bar") and shown.picture().shape == (400, 500, 3) and not shown.errors, "the page goes on"
+    for x, eye in zip((-0.032, 0.032), eyes):
+        assert psnr(eye, shown.show(eye_of(camera(0.0), x), 0.0)) > 45
+    assert psnr(*eyes) < 35
+
+
+def eye_of(view: Camera, x: float) -> Camera:
+    """The camera of an eye ``x`` metres to the right of ``view``, which is levelled; the origin, at which it looks, is 2 m away."""
+    pose, up = view.cam_from_world.double().numpy(), np.array(ABOUT["up"])
+    place = -pose[:3, :3].T @ pose[:3, 3]
+    ahead = pose[2, :3] - (pose[2, :3] @ up) * up
+    ahead /= np.linalg.norm(ahead)
+    rows = np.stack([np.cross(ahead, up), -up, ahead])
+    shift = -rows @ place - np.array([x * np.linalg.norm(place) / 2, 0, 0])
+    whole = np.eye(4)
+    whole[:3] = np.concatenate([rows, shift[:, None]], 1)
+    lens = torch.tensor([[1.5 * 60, 0, 60], [0, 1.1 * 80, 80], [0, 0, 1.0]])
+    return Camera(lens, torch.tensor(whole), 120, 160)
+
+
 def test_a_picture_that_was_asked_for_has_nothing_over_it(opened, file):
     shown = opened(file)
     view = camera(0.2, 90, 70)
@@ -163,10 +236,35 @@ def test_a_picture_that_was_asked_for_has_nothing_over_it(opened, file):
     assert picture.shape == (70, 90, 3) and not visible(shown, "#bar")
     cut = np.asarray(Image.open(io.BytesIO(shown.page.locator("#canvas").screenshot())).convert("RGB")) / 255
     assert np.abs(cut - picture).max() <= 1 / 255
-    for wrong in ("{}", "{time: NaN}", "{time: 0, cam_from_world: [], K: [], width: 1, height: 1}"):
-        assert "TypeError" in shown.page.evaluate(f"e4dgs.show({wrong}).catch((error) => String(error))")
     shown.page.evaluate("e4dgs.pause()")
     assert visible(shown, "#bar")
+
+
+GOOD = "{time: 0, cam_from_world: [1,0,0,0, 0,1,0,0, 0,0,1,3, 0,0,0,1], K: [90,0,45, 0,90,35, 0,0,1], width: 90, height: 70}"
+REFUSED = {
+    "{}": "TypeError: show: time must be",
+    f"{{...{GOOD}, time: NaN}}": "TypeError: show: time must be",
+    f"{{...{GOOD}, cam_from_world: []}}": "TypeError: show: cam_from_world must be 16 finite numbers",
+    f"{{...{GOOD}, cam_from_world: Array(16).fill(0)}}": "TypeError: show: cam_from_world must be a rotation",
+    f"{{...{GOOD}, cam_from_world: [2,0,0,0, 0,2,0,0, 0,0,2,3, 0,0,0,1]}}": "TypeError: show: cam_from_world must be a rotation",
+    f"{{...{GOOD}, cam_from_world: [-1,0,0,0, 0,1,0,0, 0,0,1,3, 0,0,0,1]}}": "TypeError: show: cam_from_world must be a rotation",
+    f"{{...{GOOD}, cam_from_world: [1,0,0,Infinity, 0,1,0,0, 0,0,1,3, 0,0,0,1]}}": "TypeError: show: cam_from_world must be 16 finite",
+    f"{{...{GOOD}, K: [0,0,45, 0,90,35, 0,0,1]}}": "TypeError: show: the focal lengths in K must be positive",
+    f"{{...{GOOD}, K: [90,3,45, 0,90,35, 0,0,1]}}": "TypeError: show: K must be fx 0 cx",
+    f"{{...{GOOD}, width: 90.5}}": "TypeError: show: width and height must be whole",
+    f"{{...{GOOD}, height: 0}}": "TypeError: show: width and height must be whole",
+    f"{{...{GOOD}, width: 1e6}}": "RangeError: show: 1000000x70 px is more than this device draws",
+}
+
+
+def test_a_view_that_is_none_is_refused_and_changes_nothing(opened, file):
+    shown = opened(file)
+    assert shown.page.evaluate(f"e4dgs.show({GOOD}).then(() => 'drawn')") == "drawn"
+    before = shown.picture()
+    for view, words in REFUSED.items():
+        said = shown.page.evaluate(f"e4dgs.show({view}).then(() => 'drawn', (error) => String(error))")
+        assert said.startswith(words), (view, said)
+    assert np.array_equal(shown.picture(), before) and not shown.errors
 
 
 def test_a_lost_graphics_device_comes_back_with_the_same_picture(opened, file):
@@ -178,6 +276,8 @@ def test_a_lost_graphics_device_comes_back_with_the_same_picture(opened, file):
     shown.page.wait_for_timeout(1500)
     assert np.array_equal(shown.picture(), before)
     assert np.array_equal(shown.show(camera(0.2), 0.4), before) and not shown.errors
+    shown.page.evaluate("lost.loseContext(), setTimeout(() => lost.restoreContext(), 600)")
+    assert np.array_equal(shown.show(camera(0.2), 0.4), before), "it waits for the device"
 
 
 @pytest.mark.parametrize("damage", [lambda d: d[: len(d) // 2], lambda d: b"x" + d[1:], lambda d: d.replace(b"lives", b"dance", 1)])
@@ -185,6 +285,23 @@ def test_a_damaged_scene_gives_a_message(opened, file, damage):
     shown = opened(damage(file))
     assert visible(shown, "#message") and "scene" in shown.page.inner_text("#message").lower() and not visible(shown, "#bar")
     assert "Error" in shown.page.evaluate("e4dgs.ready.catch((error) => String(error))")
+
+
+DATA = '<script type="text/plain" id="scene">'
+CUTS = {
+    "in the poster": lambda text: text.index("base64,") + 2000,
+    "in the script": lambda text: text.index("<script>") + 5000,
+    "before the data": lambda text: text.index(DATA),
+    "in their tag": lambda text: text.index(DATA) + 20,
+    "in the data": lambda text: text.index(DATA) + 3000,
+    "in the last of them": lambda text: text.rindex("</script>") - 5,
+}
+
+
+@pytest.mark.parametrize("where", CUTS)
+def test_a_page_that_was_cut_short_says_so(opened, file, where):
+    shown = opened(file, cut=CUTS[where], poster=bytes(3000))
+    assert visible(shown, "#message") and "cut short" in shown.page.inner_text("#message") and not shown.errors
 
 
 def test_no_code_comes_from_text_and_nothing_leaves_the_page(opened, file):
@@ -202,7 +319,7 @@ def test_no_code_comes_from_text_and_nothing_leaves_the_page(opened, file):
 def test_controls_fit_narrow_and_wide_windows(opened, file, width):
     shown = opened(file, size=(width, 700))
     assert shown.page.evaluate("document.documentElement.scrollWidth") <= width
-    for name in ("#play", "#time", "#speed", "#loop", "#photo", "#mode", "#full", "#help"):
+    for name in ("#play", "#time", "#speed", "#loop", "#photo", "#layer", "#mode", "#full", "#help"):
         box = shown.page.locator(name).bounding_box()
         assert box["x"] >= 0 and box["x"] + box["width"] <= width and box["y"] + box["height"] <= 700, name
         assert width > 700 or min(box["width"], box["height"]) >= 16

@@ -10,20 +10,20 @@ from factory import Options as Scene
 from factory import make, write_dnerf, write_n3v
 
 RIG = Scene(backdrop="room", rig="arc", cameras=3, times=4, width=64, height=48, samples=1, fov_degrees=60.0)
-QUICK = ["coarse.iterations=60", "coarse.seeds=200", "hulls.min_edge_density=0.05", "hulls.budget=40", "fine.iterations=30"]
+QUICK = ["coarse.iterations=60", "seeds.count=200", "hulls.min_edge_density=0.05", "hulls.budget=40", "fine.iterations=30"]
 
 
 def made(root: Path, workspace: Path, motion: str) -> dict[str, Artifact]:
     """What each stage wrote into a new ``workspace``."""
-    options = Options(root, workspace, assignments=[*QUICK, f"coarse.motion={motion}"], device="cpu")
+    options = Options(root, workspace, assignments=[*QUICK, f"train.motion={motion}"], device="cpu")
     outcomes = Runner(open_session(options).job).run()
     assert {outcome.state for outcome in outcomes} <= {"ran", "skipped"}
     return {outcome.stage: outcome.artifact for outcome in outcomes if outcome.artifact is not None}
 
 
 @pytest.mark.parametrize(("motion", "stages"), [
-    ("planes", {"frames", "flow", "coarse", "hulls", "fine", "evaluate"}),
-    ("nodes", {"frames", "coarse", "hulls", "fine", "evaluate"}),
+    ("planes", {"frames", "flow", "seeds", "coarse", "hulls", "fine", "evaluate"}),
+    ("nodes", {"frames", "seeds", "coarse", "hulls", "fine", "evaluate"}),
 ])  # fmt: skip
 def test_every_stage_writes_the_same_bytes_again(motion, stages, tmp_path):
     capture = write_n3v(make(RIG), tmp_path) if motion == "planes" else write_dnerf(make(Scene(width=48, height=48, samples=1)), tmp_path)

@@ -14,7 +14,7 @@ from ...pipeline import StageError
 if TYPE_CHECKING:
     from .raft import Raft
 
-Name = Literal["auto", "raft", "raft-small", "dis"]
+Name = Literal["raft", "raft-small", "dis"]
 Preset = Literal["ultrafast", "fast", "medium"]
 MINIMUM_SIDE = 64  # px; DIS reads outside its buffers on thin pictures (found at sides below 32), so smaller ones are padded
 
@@ -132,18 +132,18 @@ def size_within(width: int, height: int, max_size: int | None) -> tuple[int, int
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def choice(method: Name, weights: Path | None) -> tuple[str, str]:
+def choice(method: Name | None, weights: Path | None) -> tuple[str, str]:
     """The method that will run, "dis" or "raft", and why, in words for the plan. Loads nothing."""
     if method == "dis":
         return "dis", "OpenCV's DIS (flow.method)"
-    if method == "auto" and weights is None:
+    if method is None and weights is None:
         return "dis", "OpenCV's DIS: RAFT, which is more accurate, needs weights (--set flow.weights=FILE)"
     where = f"weights of {weights.name}" if weights is not None else "torchvision's weights"
-    return "raft", f"{'RAFT' if method == 'auto' else method}, {where}"
+    return "raft", f"{method or 'RAFT'}, {where}"
 
 
 def open_method(
-    method: Name, weights: Path | None, preset: Preset, iterations: int, tolerance: float, device: str, max_size: int | None
+    method: Name | None, weights: Path | None, preset: Preset, iterations: int, tolerance: float, device: str, max_size: int | None
 ) -> FlowMethod:
     """The method that the settings of `flow` choose, ready to measure. Raises StageError if its weights are missing or not RAFT's."""
     if choice(method, weights)[0] == "dis":
@@ -151,7 +151,7 @@ def open_method(
     return RaftFlow(open_raft(method, weights, device), iterations, tolerance, max_size)
 
 
-def open_raft(method: Name, weights: Path | None, device: str) -> Raft:
+def open_raft(method: Name | None, weights: Path | None, device: str) -> Raft:
     """The network that ``method`` and ``weights`` name; without a file, with torchvision's published weights. Raises StageError."""
     from .raft import Raft
     from .raft.weights import recognise
@@ -161,13 +161,13 @@ def open_raft(method: Name, weights: Path | None, device: str) -> Raft:
         network = Raft.load(weights, device, half) if weights is not None else Raft(*recognise(_torchvisions(method)), device, half)
     except ValueError as error:
         raise StageError(f"flow.weights: {error}") from error
-    if method not in ("auto", network.architecture.name):
+    if method not in (None, network.architecture.name):
         held = network.architecture.name
-        raise StageError(f"flow.weights: {weights} holds {held}, but flow.method is {method}; leave flow.method at auto")
+        raise StageError(f"flow.weights: {weights} holds {held}, but flow.method is {method}; leave flow.method out")
     return network
 
 
-def _torchvisions(method: Name) -> dict[str, Any]:
+def _torchvisions(method: Name | None) -> dict[str, Any]:
     """The published weights. torchvision downloads them once, checks their hash, and keeps them in torch's cache."""
     advice = "give a file with --set flow.weights=FILE, or measure with --set flow.method=dis"
     try:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..warp import sampled
+
 AWAY = ((3, 0), (-3, 0), (0, 3), (0, -3), (6, 6), (-6, 6), (6, -6), (-6, -6))  # px; flow is smeared over about this far, in any direction
 BETTER = 3  # grey levels by which another flow must match better; rounding to 8 bits and interpolation change a match by less
 LARGEST = 40  # grey levels; a pixel that matches worse is hidden or another surface, and how much worse carries no information
@@ -31,7 +33,7 @@ def sharpened(flow: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.nda
     def seen(dx: int, dy: int) -> np.ndarray:
         """The second picture, sampled where the flow of the pixel (dx, dy) away leads."""
         rows, columns = slice(reach + dy, reach + dy + height), slice(reach + dx, reach + dx + width)
-        return cv2.remap(second, u[rows, columns] + x, v[rows, columns] + y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return sampled(second, u[rows, columns] + x, v[rows, columns] + y)
 
     own = seen(0, 0)
     change = np.median(own[::STEP, ::STEP].astype(np.int16) - first[::STEP, ::STEP], axis=(0, 1))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..warp import places, warped
 from .method import Dis, FlowMethod, Prepared, Preset
 from .outlines import sharpened
 
@@ -34,9 +35,9 @@ def both_ways(method: FlowMethod, first: Prepared, second: Prepared) -> tuple[np
     return forward, sharpened(method.flow(second, first), second.picture, first.picture)
 
 
-def trusted(forward: np.ndarray, backward: np.ndarray) -> FlowPair:
+def trusted(forward: np.ndarray, backward: np.ndarray, device: str = "cpu") -> FlowPair:
     """Both flows, [H, W, 2] float32 px, with the confidence in the forward flow."""
-    confidence = consistency(forward, backward)
+    confidence = consistency(forward, backward, device)
     confidence[occluded(forward, backward)] = 0
     return FlowPair(forward, backward, confidence)
 
@@ -47,21 +48,24 @@ def dis_flow(first: np.ndarray, second: np.ndarray, preset: Preset = "medium", m
     return method.flow(method.prepare(first), method.prepare(second))
 
 
-def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+def consistency(forward: np.ndarray, backward: np.ndarray, device: str = "cpu") -> np.ndarray:
     """How closely ``backward`` returns to the start of ``forward``, both [H, W, 2] float32: uint8 [H, W], 255 consistent, 0 not.
 
     The squared error is e = |f + b(x + f)|^2, and the tolerance is 0.01 (|f|^2 + |b|^2) + 0.5 px^2 (Sundaram et al. 2010). The weight is 1
     up to a quarter of the tolerance and falls linearly to 0 at the tolerance. Pixels that leave the picture get 0.
     """
+    if device != "cpu":
+        from . import on_gpu
+
+        return on_gpu.consistency(forward, backward, device)
     import cv2
 
-    to_x, to_y = _places(forward)
-    back = cv2.remap(backward, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    back = warped(backward, forward)
     error, (fu, fv), (bu, bv) = forward + back, cv2.split(forward), cv2.split(back)
     tolerance = 0.01 * (fu * fu + fv * fv + bu * bu + bv * bv) + 0.5
     error = error[..., 0] ** 2 + error[..., 1] ** 2
     weight = np.clip((1.0 - error / tolerance) * (255.0 / 0.75), 0.0, 255.0)
-    weight[_outside(to_x, to_y)] = 0.0
+    weight[_outside(*places(forward))] = 0.0
     return np.rint(weight).astype(np.uint8)
 
 
@@ -78,7 +82,7 @@ def occluded(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     import cv2
 
     arrivals = cv2.GaussianBlur(_arrivals(backward), (0, 0), SMOOTH, borderType=cv2.BORDER_REPLICATE)
-    return _outside(*_places(forward)) | (arrivals < COVERED * np.minimum(_stretch(forward), 1.0))
+    return _outside(*places(forward)) | (arrivals < COVERED * np.minimum(_stretch(forward), 1.0))
 
 
 def _stretch(flow: np.ndarray) -> np.ndarray:
@@ -99,11 +103,6 @@ def _arrivals(backward: np.ndarray) -> np.ndarray:
     out = np.empty(backward.shape[:2], np.float32)
     _kernels.arrivals(np.ascontiguousarray(backward, np.float32), out)
     return out
-
-
-def _places(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    height, width = flow.shape[:2]
-    return flow[..., 0] + np.arange(width, dtype=np.float32), flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
 
 
 def _outside(x: np.ndarray, y: np.ndarray) -> np.ndarray:

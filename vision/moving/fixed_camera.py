@@ -9,7 +9,7 @@ import numpy as np
 from .colours import colour_odds, odds_at
 from .evidence import DECADE, Evidence
 from .motion_mask import SHIFT_STEP, MotionMask, sample, smoothed
-from .objects import moving_mask
+from .moving_masks import moving_mask
 
 SIZE = 640  # px, about, of the longest side at which evidence is gathered; larger pictures are averaged down, which also reduces noise
 NOISIER = 1.5  # times the picture's noise, the most assumed at any brightness: shot noise grows with the root of brightness, but a moving

@@ -13,7 +13,7 @@ from ..flow.method import MINIMUM_SIDE
 from ..flow.two_way import consistency, dis_flow
 from ..sequences import camera_sequences
 from .motion_mask import MotionMask, sample
-from .objects import frame_evidence, moving_mask
+from .moving_masks import frame_evidence, moving_mask
 from .residual import Neighbour
 from .static_matches import Features, PairEvidence, compare, features
 from .two_view import TwoView

@@ -43,7 +43,7 @@ def look_times(cameras: int, times: int) -> int:
     return min(times, max(FEWEST, min(MOST, PAIRS // pairs)))
 
 
-def choose_looks(camera: np.ndarray, time: np.ndarray, fixed: Mapping[int, bool], matcher: str, overlap: int) -> Looks:
+def choose_looks(camera: np.ndarray, time: np.ndarray, fixed: Mapping[int, bool], matcher: str | None, overlap: int) -> Looks:
     """camera, time [F] as in the `frames` artifact; fixed: whether each camera stands still; matcher, overlap: settings of `poses`, which
     apply to the frames of a camera that moves."""
     sequences = camera_sequences(camera, time)

@@ -9,9 +9,9 @@ SMALL = 1200  # px; frames whose longer side is shorter are enlarged for feature
 KEYFRAMES = 24  # images spread over a sequence that are all matched with one another, which closes loops without a vocabulary tree
 
 
-def choose(matcher: str, images: int, static: bool) -> str:
-    """`auto` -> `exhaustive` for few or unordered images, else `sequential`."""
-    if matcher != "auto":
+def choose(matcher: str | None, images: int, static: bool) -> str:
+    """``matcher`` if it is given, else `exhaustive` for few or unordered images, `sequential` for others."""
+    if matcher is not None:
         return matcher
     return "exhaustive" if images <= EXHAUSTIVE_LIMIT or static else "sequential"
 

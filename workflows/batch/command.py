@@ -80,7 +80,7 @@ def batch(
             ledger.write(entry.name, Progress())
     console = Console()
     if emit is not None:
-        from .sites.cluster import Cluster
+        from .sites.pools import Cluster
         from .sites.slurm import USUAL, USUAL_GPU
         from .sites.slurm import emit as write_scripts
 

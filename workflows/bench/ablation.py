@@ -20,7 +20,8 @@ from . import output
 from .machine import machine
 from .pipeline import content, measured, summaries, table
 
-NO_DATA, NO_INTERVAL, INTERVAL = ("train.data_flow=0",), ("train.interval=0",), ("train.interval=0.001",)  # by default, only planes have it
+NO_DATA, NO_INTERVAL = ("train.data_flow_weight=0",), ("train.interval_weight=0",)
+INTERVAL = ("train.interval_weight=0.001",)  # by default, only planes have it
 NO_CONVEXES, CONVEX = ("hulls.budget=0",), (f"hulls.budget={CONVEXES}",)  # by default, captures with control nodes get none
 ROWS: Mapping[str, tuple[str, ...]] = {
     "a, base": (*NO_DATA, *NO_INTERVAL, *NO_CONVEXES),

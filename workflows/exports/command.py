@@ -14,8 +14,22 @@ from ..machine.writable import writing_to
 from ..options import of_last_run
 from ..results import results
 from ..session import Options, open_session
+from .meaning import without
 from .mesh import mesh
-from .trained import Antialiased, Moment, Up, check_folder, check_moment, check_single, is_file, open_trained, up_axis, writing
+from .straight import container, write_straight
+from .trained import (
+    Antialiased,
+    Moment,
+    Up,
+    check_folder,
+    check_moment,
+    check_single,
+    check_strangers,
+    is_file,
+    open_trained,
+    up_axis,
+    writing,
+)
 from .usd import usd
 from .web import web
 
@@ -40,6 +54,12 @@ Target = Annotated[
 
 @app.command()
 @of_last_run("flow")
+@without(
+    times="every pair of frames is written; leave it out",
+    time="every pair of frames is written; leave it out",
+    up="flow lies in pictures, which have no axis of the scene; leave it out",
+    antialiased="flow is measured in the frames, not drawn by the model; leave it out",
+)
 def flow(
     options: Options,
     out: Out = None,
@@ -89,8 +109,15 @@ def ply(
     up: Up = None,
     antialiased: Antialiased = False,
     compressed: Annotated[bool, typer.Option("--compressed", help="The compressed layout of PlayCanvas.")] = False,
+    freetime: Annotated[bool, typer.Option("--freetime", help="One file for all times, in the layout of FreeTimeGS.")] = False,
 ) -> None:
     """Numbered .ply files, one for each time, as SuperSplat, Brush and other 3DGS tools read them; convexes become Gaussians."""
+    if freetime:
+        if compressed or times is not None:
+            other = "--compressed" if compressed else "--times"
+            raise SettingsError(f"--freetime and {other}: one file of that layout holds all times as they are; leave out {other}")
+        write_straight("freetime", options, out, time, up, antialiased)
+        return
     _splats("compressed-ply" if compressed else "ply", options, out, times, time, up, antialiased)
 
 
@@ -115,6 +142,7 @@ app.command("spz", help="Numbered .spz files (Niantic), a fifth of the size of .
 app.command("sog", help="Numbered .sog files (PlayCanvas), for the web.")(_command("sog"))
 app.command("gltf", help="Numbered .glb files with KHR_gaussian_splatting, for engines and web viewers.")(_command("gltf"))
 app.command()(web)
+app.command("4dgs")(container)
 app.command()(usd)
 app.command()(mesh)
 
@@ -132,6 +160,8 @@ def _splats(
     moments = trained.chosen(times, time)
     if single and out is not None:
         check_single(out, len(moments), ending)
+    else:
+        check_strangers(out, KINDS[kind])
     target = trained.folder(out, kind)
     console = Console()
     with Progress(len(moments), "export", console) as bar, writing(target):

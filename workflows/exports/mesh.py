@@ -14,7 +14,8 @@ from ...pipeline import Progress, SettingsError, StageError
 from ...pipeline.files import write_atomically
 from ..options import of_last_run
 from ..session import Options
-from .trained import Moment, Trained, Up, check_moment, check_single, is_file, open_trained, up_axis, writing
+from .meaning import without
+from .trained import Moment, Trained, Up, check_moment, check_single, check_strangers, is_file, open_trained, up_axis, writing
 
 if TYPE_CHECKING:
     from ...scene.formats.axes import Turn
@@ -38,6 +39,7 @@ Voxel = Annotated[
 
 
 @of_last_run("coarse")
+@without(antialiased="triangles have no opacity to compensate; leave it out")
 def mesh(
     options: Options,
     out: Out = None,
@@ -59,6 +61,8 @@ def mesh(
         check_single(out, times or 1, ".ply")
     trained = open_trained(options)
     target = trained.folder(out, "mesh")
+    if not single:
+        check_strangers(out, ".ply")
     every = convexes and time is None and not (single and ending == ".ply")
     count = trained.moments(times) if every or times is not None else 1
     moments = [0.5 if time is None else time] if count == 1 else [float(t) for t in np.linspace(0, 1, count)]
@@ -91,7 +95,7 @@ def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[flo
     .ply files in place of those of an earlier export. turn: from the capture's axes to those of the files. Returns the number of triangles
     of each."""
     from ...scene.mesh import mesh_glb_bytes, mesh_ply_bytes
-    from ...stages.exports.numbered import new_sequence, numbered
+    from ...stages.exports.numbered import new_sequence, numbered, write_index
 
     if single and target.suffix.lower() == ".glb":
         seconds = float(np.ptp(trained.frames.seconds)) or (trained.times - 1) / USUAL_RATE
@@ -107,4 +111,5 @@ def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[flo
         for k, one in enumerate(meshes):
             write_atomically(numbered(folder, k, ".ply"), mesh_ply_bytes(one, turn))
             triangles.append(len(one.triangles))
+        write_index(folder, ".ply", moments, float(np.ptp(trained.frames.seconds)), {"format": "mesh", "up": turn.after})
     return triangles

@@ -112,6 +112,19 @@ def check_single(out: Path, moments: int, ending: str) -> None:
         raise SettingsError(f"--out {out}: a {ending} file holds one time, and here are {moments}; add --time 0.5, or name a folder")
 
 
+def check_strangers(out: Path | None, ending: str) -> None:
+    """Raises SettingsError if ``out`` is a folder with numbered files of somebody else, among which ours could not be told apart."""
+    from ...stages.exports.numbered import strangers
+
+    others = [] if out is None else strangers(out, ending)
+    if others:
+        more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+        raise SettingsError(
+            f"--out {out}: it has {others[0]}{more}, which no earlier export has listed there; a reader would play them as one sequence; "
+            "name another folder, or move these away"
+        )
+
+
 def is_file(out: Path | None, endings: tuple[str, ...]) -> bool:
     """Whether ``out`` names a file with one of ``endings``. A folder exists or has no ending. Raises SettingsError for other endings."""
     if out is None or out.is_dir() or not out.suffix:

@@ -12,6 +12,7 @@ from ...pipeline import CaptureError, Progress, SettingsError
 from ...pipeline.files import write_atomically
 from ..options import of_last_run
 from ..session import Options
+from .meaning import without
 from .trained import is_file, open_trained, writing
 
 ENDINGS = (".html", ".htm")
@@ -29,6 +30,12 @@ Out = Annotated[
 
 
 @of_last_run("coarse")
+@without(
+    times="the page plays all times of the capture; leave it out",
+    time="the page plays all times of the capture, and has a slider; leave it out",
+    up="the page turns the scene itself; leave it out",
+    antialiased="the page draws the model as it was trained; leave it out",
+)
 def web(options: Options, out: Out = None) -> None:
     """A page that plays the scene in any browser: any view, any time, from one file without a server."""
     single = is_file(out, ENDINGS) or out is None

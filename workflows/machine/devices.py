@@ -66,7 +66,7 @@ def why_not_trusted() -> str | None:
     proof = _proof()
     if proof.is_file():
         return None
-    command = [sys.executable, "-m", "e4dgs.scene.cuda.selftest"]
+    command = [sys.executable, "-m", "e4dgs.scene.selftest"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SELFTEST_SECONDS)
     except (OSError, subprocess.TimeoutExpired) as cause:

@@ -27,6 +27,8 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
     found.append(("CPU kernels", *_try(_render)))
     found.append(("threads", *_try(_threads)))
     found.append(("pycolmap loads", *_try(_pycolmap)))
+    loads, detail = _try(_open3d)
+    found.append(("Open3D loads", loads or None, detail if loads else f"only meshes and scanned point clouds need it: {detail}"))
     found.append(("zarr writes and reads", *_try(_zarr)))
     problem = why_not_cuda() or why_not_trusted()
     found.append(("CUDA", True if problem is None else None, f"--device auto takes the CPU: {problem}" if problem else "usable"))
@@ -51,7 +53,7 @@ def _libraries() -> list[tuple[str, bool | None, str]]:
         return [("libraries", None, "e4dgs runs from its source folder, so its requirements were not checked; pip install . installs them")]
     needed: list[tuple[str, bool | None, str]] = []
     optional: dict[str, tuple[str, bool | None, str]] = {}
-    for name, extra in filter(None, map(_name_and_extra, asked)):
+    for name, extra in filter(None, map(name_and_extra, asked)):
         version = _version(name)
         if extra is None:
             needed.append((name, version is not None, version or "not installed; install e4dgs again with its dependencies"))
@@ -60,8 +62,8 @@ def _libraries() -> list[tuple[str, bool | None, str]]:
     return needed + list(optional.values())
 
 
-def _name_and_extra(requirement: str) -> tuple[str, str | None] | None:
-    """``open3d-cpu>=0.18; platform_system == "Linux" and extra == "mesh"`` -> ("open3d-cpu", "mesh"); None on machines that need not
+def name_and_extra(requirement: str) -> tuple[str, str | None] | None:
+    """``open3d-cpu>=0.18; platform_system == "Linux" and extra == "usd"`` -> ("open3d-cpu", "usd"); None on machines that need not
     have it, here all but Linux."""
     from packaging.requirements import Requirement
 
@@ -127,6 +129,12 @@ def _pycolmap() -> str:
     import pycolmap
 
     return f"version {pycolmap.__version__}"
+
+
+def _open3d() -> str:
+    from ...vision.clouds import load_open3d
+
+    return f"version {load_open3d('export mesh').__version__}"
 
 
 def _zarr() -> str:

@@ -22,7 +22,7 @@ def viewer_beside(options: Options) -> Iterator[None]:
 
     The viewer ends with this process, even if this process is killed.
     """
-    command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(replace(options, store_also=())), "--wait"]
+    command = [sys.executable, "-m", "e4dgs.workflows.cli", "view", *words_of(replace(options, store_also=(), resolved=())), "--wait"]
     command += ["--preset", options.preset] if options.preset == "default" else []  # without options it would show the last run
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=dict(os.environ) | {STARTER: str(os.getpid())})
     try:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import time
 import webbrowser
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError
+from ...stages.facts import Facts
 from ..options import of_last_run
 from ..session import Options, open_session
 from .address import addresses, listening, over_ssh
+
+if TYPE_CHECKING:
+    from .page_server import PageServer
+    from .server import Viewer
 
 LOOK_AGAIN = 2.0  # s between two checks for a newer model
 
@@ -23,6 +28,9 @@ def view(
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port of the page, or the next free one.")] = 8080,
     host: Annotated[str, typer.Option("--host", help="Address to listen on; 0.0.0.0 lets other machines connect.")] = "127.0.0.1",
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+    player: Annotated[
+        bool, typer.Option("--player", help="Serve the page of `export web`: frames are drawn in the browser, not on this machine.")
+    ] = False,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for a model that a run is about to make.")] = False,
 ) -> None:
     """Look at a scene in a browser: any view, any time. Also while it trains. Ends with Ctrl-C."""
@@ -30,7 +38,6 @@ def view(
     session = open_session(options)
 
     from ...stages.shared.frameset import FrameSet
-    from .server import Viewer
     from .source import Source
 
     source = Source(session)
@@ -46,7 +53,16 @@ def view(
         frames = FrameSet(artifacts[0], session.job.capture.root, artifacts[1])
         if not len(frames.train):
             raise CaptureError(f"{options.capture}: no training frame has a pose, so there is no place to look from")
-        viewer = Viewer(frames, found, *place)
+        viewer: Viewer | PageServer
+        if player:
+            from .page_server import PageServer
+
+            times = Facts.of(session.job.capture.facts).times
+            viewer = PageServer(frames, found, session.scene.name, times, *place)
+        else:
+            from .server import Viewer
+
+            viewer = Viewer(frames, found, *place)
         pages = addresses(host, viewer.port)
         also = "".join(f", from other machines {page}" for page in pages[1:])
         lines = [f"{found.title}: {pages[0]}{also} (Ctrl-C ends)", over_ssh(host, viewer.port)]

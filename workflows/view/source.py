@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from ...pipeline import Artifact, ArtifactError, Row, make_plan
 from ...scene.model import Model
 from ...scene.training.checkpoint import FILE, model_of
 from ...stages.shared.model import read_model
+from ..last_run import decided_for
 from ..results import made, missing
-from ..session import Session
+from ..session import Session, open_session
 
 TRAINED = ("fine", "coarse")  # best first
 
@@ -33,6 +35,7 @@ class Source:
 
     def newest(self) -> Found | None:
         """The best model if it differs from the one found last, else None."""
+        self._follow()
         rows = {row.stage: row for row in make_plan(self.session.job)}
         wanted = [stage for stage in TRAINED if rows[stage].state != "skip"]
         for stage in wanted:
@@ -61,6 +64,13 @@ class Source:
         """The error for when there is nothing to show."""
         wanted = next(row for row in make_plan(self.session.job) if row.stage == "coarse")
         return missing(self.session, wanted, "all")
+
+    def _follow(self) -> None:
+        """Takes over what a run that keeps to a time has decided meanwhile."""
+        options = self.session.options
+        run = decided_for(options) if options.time is not None else None
+        if run is not None and tuple(run.resolved) != tuple(options.resolved):
+            self.session = open_session(replace(options, resolved=run.resolved))
 
     def _of_last_run(self, wanted: Sequence[str]) -> Found | None:
         """The model that the last run made, where the code or the capture has changed since."""

@@ -10,6 +10,7 @@ MOTIONS = ("static", "lives", "nodes", "paths")
 LINKS = 4  # nodes that carry a point
 MOST = 1 << 24  # primitives, nodes, keys or frames
 NEAR = 1e-12, 1e12  # world units
+RIGID = 1e-3  # how far rows of a camera's rotation may be from unit length and right angles
 
 
 def shapes_of(header: Mapping[str, Any]) -> dict[str, tuple[int, int, int]]:
@@ -64,6 +65,21 @@ def check_header(header: Mapping[str, Any]) -> None:
             for key, n in (("cam_from_world", 16), ("K", 9))
         )
         expect(rows and isinstance(camera.get("name"), str), "cameras", header)
+        expect(
+            min(camera["width"], camera["height"], camera["K"][0], camera["K"][4]) > 0 and rigid(camera["cam_from_world"]),
+            "cameras",
+            header,
+        )
+
+
+def rigid(pose: list[float]) -> bool:
+    """Whether 16 numbers, row by row, are a rotation and a shift."""
+    x, y, z = pose[0:3], pose[4:7], pose[8:11]
+    turned = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]]
+    pairs = ((x, x, 1), (y, y, 1), (z, z, 1), (x, y, 0), (turned, z, 1))
+    off = [sum(a * b for a, b in zip(one, other)) - wanted for one, other, wanted in pairs]
+    off += [*pose[12:15], pose[15] - 1]
+    return all(abs(one) <= RIGID for one in off)
 
 
 def whole(value: object) -> bool:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ...motion.lifetimes.at_frame import turned_by
 from ...rotation import compose, rotate
 
-if TYPE_CHECKING:
-    from .scene import WebScene
-
 BEYOND = 3.0  # spans; a life's drift and spin are given for so far from its middle, or for the whole clip if that is shorter
+
+
+class Rows(Protocol):
+    """What is read of a `WebScene`."""
+
+    header: dict[str, Any]
+    arrays: dict[str, np.ndarray]
+
+    def _rows(self, name: str) -> Tensor: ...
 
 
 def reach_of(log_spans: Tensor, frames: int) -> Tensor:
@@ -23,7 +30,7 @@ def reach_of(log_spans: Tensor, frames: int) -> Tensor:
 
 
 def lived(
-    scene: WebScene, kind: str, frame: float, points: Tensor, turns: Tensor | None, opacities: Tensor
+    scene: Rows, kind: str, frame: float, points: Tensor, turns: Tensor | None, opacities: Tensor
 ) -> tuple[Tensor, Tensor | None, Tensor]:
     """The moving ones of ``kind`` "g" or "c" at fractional ``frame``: ``points`` [n, K, 3], or means [n, 3] for Gaussians, which have
     ``turns`` [n, 4]; opacities [n]."""
@@ -40,7 +47,7 @@ def lived(
     return moved if turns is None else moved[:, 0], None if turns is None else compose(turned, turns), opacities * present
 
 
-def on_paths(scene: WebScene, name: str, t: float) -> Tensor:
+def on_paths(scene: Rows, name: str, t: float) -> Tensor:
     """[m, c] of an array of keys [keys, m, c] at ``t``, linear between them."""
     keys = torch.tensor(scene.arrays[name], dtype=torch.float32)
     place = t * (len(keys) - 1)
@@ -48,7 +55,7 @@ def on_paths(scene: WebScene, name: str, t: float) -> Tensor:
     return keys[low] + (place - low) * (keys[min(low + 1, len(keys) - 1)] - keys[low])
 
 
-def poses_of(scene: WebScene, t: float) -> Tensor:
+def poses_of(scene: Rows, t: float) -> Tensor:
     """[B, 7] turn (unit, w x y z) and shift of each node at ``t``."""
     modes = torch.tensor(scene.arrays["node_modes"], dtype=torch.float32)
     pose = torch.einsum("r,rbo->bo", on_paths(scene, "node_courses", t)[0], modes)
@@ -56,7 +63,7 @@ def poses_of(scene: WebScene, t: float) -> Tensor:
     return torch.cat([turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-6), pose[:, 4:]], 1)
 
 
-def on_nodes(scene: WebScene, kind: str, t: float, points: Tensor, turns: Tensor | None) -> tuple[Tensor, Tensor | None]:
+def on_nodes(scene: Rows, kind: str, t: float, points: Tensor, turns: Tensor | None) -> tuple[Tensor, Tensor | None]:
     """``points`` [n, 3], and ``turns`` [n, 4] of Gaussians, as the nodes carry them at ``t``."""
     pose, homes = poses_of(scene, t), scene._rows("node_homes")
     links = torch.tensor(scene.arrays[f"{kind}_links"]).reshape(-1, 4).long()

@@ -39,7 +39,7 @@ class Lifetimes(Motion):
         times: number of distinct times in the capture; lifetimes are measured in these frames.
     """
 
-    kind = "free"  # in settings and files: primitives are free of one another
+    kind = "lifetimes"
     attributes = ATTRIBUTES
     recipe = Recipe(opacity=0.01, rest=0.0, freeze_at=2.0, opens=False)
     steady = True

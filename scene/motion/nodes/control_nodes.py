@@ -182,7 +182,7 @@ class ControlNodes(Carrier):
             first, last = (1e-2 if scale == 1 else 1e-4), 1e-4
             return exponential(first, last) if name == "rigid_parts.quats" else exponential(first * unit / 4, last * unit / 4)
         # Nodes end at a fiftieth: each of their parameters moves thousands of primitives, and jitter at the end would blur all of them.
-        return exponential(settings.lr_nodes if scale == 1 else settings.lr_nodes / 50, settings.lr_nodes / 50)
+        return exponential(settings.lr_network if scale == 1 else settings.lr_network / 50, settings.lr_network / 50)
 
     def attribute_rates(self, settings: TrainingSettings, unit: float, scale: float) -> dict[str, Rate]:
         return {

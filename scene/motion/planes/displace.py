@@ -23,7 +23,7 @@ def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displ
         from ....rasterizer.cuda.runtime import launcher_for
         from ...cuda.displace import displace as on_gpu
 
-        return on_gpu(launcher_for(rest.device), heads, rest, centre, reach)
+        return Displacement(*on_gpu(launcher_for(rest.device), heads, rest, centre, reach))
     turn = torch.cat([1 + heads[:, 3:4], heads[:, 4:7]], 1)
     turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-6)
     arm = rest - centre

@@ -160,5 +160,5 @@ class DeformationField(Carrier):
         return self.planes.total_variation()
 
     def rate(self, name: str, settings: TrainingSettings, unit: float, scale: float) -> Rate:
-        first = settings.lr_field if name.startswith("planes.") else settings.lr_mlp
+        first = settings.lr_field if name.startswith("planes.") else settings.lr_network
         return exponential(first * scale, first / 10)

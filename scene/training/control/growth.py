@@ -130,7 +130,7 @@ class DensityControl:
         """Remove primitives that are nearly transparent and, if ``weights`` in px a view are given, those that are hardly blended."""
         model = self.learned.model
         for primitives, weight in zip((model.gaussians, model.convexes), weights):
-            keep = survivors(primitives, self.settings.min_opacity, weight, self.settings.min_weight)
+            keep = survivors(primitives, self.settings.min_opacity, weight, self.settings.min_contribution)
             if len(keep) < len(primitives):
                 self.learned.replace(primitives.select(keep), keep, step)
 

@@ -36,7 +36,7 @@ def read(root: Path, options: Options) -> Reading:
     for name in names:
         checks.resolve_inside(root, name, name)
         headers[name] = video.probe(root, name)
-    shifts, how = clocks(root, names, options.sync, options.heard)
+    shifts, how = clocks(root, names, options.sync, options.audio_cache)
     if how == _BY_SOUND:  # sound is timed from the start of the track, of which the first pictures may be lost
         shifts = [shift + headers[name].late - headers[names[0]].late for name, shift in zip(names, shifts, strict=True)]
     local = [np.asarray(headers[name].seconds) for name in names]
@@ -64,10 +64,10 @@ def read(root: Path, options: Options) -> Reading:
     )
 
 
-def clocks(root: Path, names: Sequence[str], sync: str, heard_before: Path | None = None) -> tuple[list[float], str]:
+def clocks(root: Path, names: Sequence[str], sync: str | None, heard_before: Path | None = None) -> tuple[list[float], str]:
     """Seconds to add to each video's own times to bring them to one clock, and how they were found.
 
-    sync: if the sound does not determine the clocks, "sound" raises CaptureError and "auto" aligns by the first frames. "frames" ignores
+    sync: if the sound does not determine the clocks, "sound" raises CaptureError and None aligns by the first frames. "frames" ignores
     the sound. heard_before: folder that caches the envelopes of long sounds (`sound/cache.py`).
     """
     zero = [0.0] * len(names)

@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 
 from ..alignment import camera_centres
-from ..sound import FEWEST, MAX_ERROR
+from ..impossible_points import FEWEST, MAX_ERROR
 from ..worker.database import Report
 from ..worker.result import result_arrays
 from ..worker.survey import Survey

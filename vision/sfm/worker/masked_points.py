@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from ..impossible_points import observe
 from ..masks import on_moving
-from ..sound import observe
 
 ENOUGH = 50  # points that must be left; with fewer, all stay
 

@@ -14,8 +14,8 @@ import numpy as np
 import pycolmap
 
 from ..alignment import robust_similarity
+from ..impossible_points import purge
 from ..plausible import plausible
-from ..sound import purge
 
 INLIERS = 15  # of an image that is tried again (the mapper: 30); chance gives less than one at 12 px
 INLIER_RATIO = 0.1  # the mapper: 0.25; blurred frames and frames full of moving objects have less

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from ..impossible_points import observe, purge
 from ..pose_agreement import explained
-from ..sound import observe, purge
 from ..trouble import FIXED
 from ..turning.result import turning_arrays
 from ..turning.solve import ANYHOW

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pycolmap
 
-from ..sound import Purged, observe, purge
+from ..impossible_points import Purged, observe, purge
 from .lens import lens_trouble
 
 ROUNDS = 2  # in the first, the noise is measured with cameras that outliers have biased; a third round changes nothing

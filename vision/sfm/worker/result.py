@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..sound import angles, groups, observe
+from ..impossible_points import angles, groups, observe
 from .refine import distortion
 
 if TYPE_CHECKING:

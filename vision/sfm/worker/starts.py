@@ -15,7 +15,7 @@ import numpy as np
 import pycolmap
 
 from ..explains import Places, misfit
-from ..sound import purge
+from ..impossible_points import purge
 from . import database as db
 from .mapping import map_once
 from .masked_points import without_moving_points

@@ -12,8 +12,8 @@ import numpy as np
 import pycolmap
 
 from ..coverage import frames_named
+from ..impossible_points import Purged
 from ..pose_agreement import FreePair
-from ..sound import Purged
 
 VERIFIED = 15  # inlier matches that a pair needs to count; the mapper's own limit
 WORTH = 0.01  # of the observations; a smaller loss is not worth a sentence

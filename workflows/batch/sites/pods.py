@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ....pipeline import SettingsError, StageError
-
-if TYPE_CHECKING:
-    from .cluster import Pool
+from .pools import Pool
 
 USUAL_MEMORY_GB = 4.0  # per worker; without a limit, a pod could use up its node's memory and be killed for it
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..ledger import Ledger
 from ..work import PARTS
-from .cluster import Cluster, Pool
+from .pools import Cluster, Pool
 
 MOST_TASKS = 1000  # of an array; Slurm's default limit is 1001
 USUAL = Pool.model_validate({"provider": "slurm", "cores": 8, "memory_gb": 16, "walltime": "08:00:00"})

@@ -16,7 +16,7 @@ STEP_MS, FRAMES = 3.0, 1000.0
 def measure(bench: Bench) -> Measured:
     need_gpu()
     views, masks, name = views_of(bench)
-    motion = "free" if is_rig(views) else "nodes"
+    motion = "lifetimes" if is_rig(views) else "nodes"
     model = model_in_motion(bench, views, masks, motion, 1.0).to("cuda")
     views.device = "cuda"
     _, period = make_trainer(model, views)

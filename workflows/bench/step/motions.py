@@ -22,7 +22,7 @@ NODES_BAR, RIG_BAR = 30.0, 80.0  # ms per step on two cores, at 400x400 and 640x
 MOVING = 0.2  # share of the rig's Gaussians, and of its pictures, that move in the row where most is static
 HALF = 0.5  # bar: share of the time of a step in which everything moves
 NODES = {"control nodes": ("nodes", 1.0)}
-RIG = {"a rig, all of it moves": ("free", 1.0), "a rig, a fifth moves": ("free", MOVING)}
+RIG = {"a rig, all of it moves": ("lifetimes", 1.0), "a rig, a fifth moves": ("lifetimes", MOVING)}
 
 
 def measure(bench: Bench) -> Measured:
@@ -71,11 +71,11 @@ def is_rig(views: Views) -> bool:
 
 
 def model_in_motion(bench: Bench, views: Views, masks: list[np.ndarray] | None, motion: str, moving: float) -> Model:
-    """A model whose ``motion`` is "nodes" or "free", of which the share ``moving`` is dynamic."""
+    """A model whose ``motion`` is "nodes" or "lifetimes", of which the share ``moving`` is dynamic."""
     model = make_model(bench, views, masks, NODES_COUNT if motion == "nodes" else RIG_COUNT)
     if motion == "nodes":
         model.motion = ControlNodes.over(model.gaussians.means.detach().numpy())
-    elif motion == "free":
+    elif motion == "lifetimes":
         times = len(np.unique(views.time))
         model.motion = Lifetimes(times)
         set_lifetime(model.gaussians, 0.5 * (times - 1), times)

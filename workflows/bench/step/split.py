@@ -29,13 +29,13 @@ from .training import PERIOD, make_trainer, views_of
 FORWARD = ("data", "in view", "model forward", "motion forward", "rasterize forward", "loss forward", "regularisers forward")
 BACKWARD = ("rasterize backward", "loss backward", "model backward", "motion backward", "regularisers backward", "gradients into leaves")
 PARTS = (*FORWARD, *BACKWARD, "guard", "optimiser", "rest")
-WHAT = {"nodes": "control nodes", "free": "lives of their own"}
+WHAT = {"nodes": "control nodes", "lifetimes": "lives of their own"}
 WATCHING = "watching"  # setting and removing hooks, which is not part of a step
 
 
 def measure(bench: Bench) -> Measured:
     views, masks, name = views_of(bench)
-    motion = "free" if is_rig(views) else "nodes"
+    motion = "lifetimes" if is_rig(views) else "nodes"
     trainer, run = make_trainer(model_in_motion(bench, views, masks, motion, 1.0), views)
     periods = max(2, bench.repeats)
     bench.expect(2 * periods + 1)

@@ -1,5 +1,6 @@
 // Which arrays a scene has, and of which shapes: the same rules as scene/formats/web/layout.py.
 import { expect } from "./container.js";
+import { isRigid } from "./views.js";
 
 export const MOTIONS = ["static", "lives", "nodes", "paths"];
 const LINKS = 4;        // nodes that carry a point
@@ -26,7 +27,9 @@ export function checkScene({ header, arrays }) {
   good(Array.isArray(header.cameras) && header.cameras.length <= 10000, "cameras");
   for (const camera of header.cameras) {
     const numbers = [camera?.time, camera?.width, camera?.height].every(Number.isFinite);
-    good(numbers && areNumbers(camera.cam_from_world, 16) && areNumbers(camera.K, 9) && typeof camera.name === "string", "cameras");
+    good(numbers && camera.width > 0 && camera.height > 0 && typeof camera.name === "string", "cameras");
+    good(areNumbers(camera.cam_from_world, 16) && isRigid(camera.cam_from_world), "cameras");
+    good(areNumbers(camera.K, 9) && camera.K[0] > 0 && camera.K[4] > 0, "cameras");
   }
   const wanted = shapesOf(header);
   for (const name of new Set([...Object.keys(wanted), ...Object.keys(arrays)])) {

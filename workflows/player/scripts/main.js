@@ -2,10 +2,13 @@
 import { Player, fail } from "./player.js";
 import { say } from "./panel.js";
 
+const CUT = "The scene's data are damaged or cut short.";
+
 async function data() {
-  const inside = document.getElementById("scene");
+  if (document.readyState === "loading") await new Promise((done) => document.addEventListener("DOMContentLoaded", done, { once: true }));
+  const inside = document.getElementById("scene"), address = document.body.dataset.scene;
   if (inside) return fromBase64(inside.textContent);
-  const address = document.body.dataset.scene;
+  if (!address) throw new Error(CUT);
   try {
     const answer = await fetch(address);
     if (!answer.ok) throw new Error(String(answer.status));
@@ -17,22 +20,21 @@ async function data() {
 }
 
 function fromBase64(text) {
-  if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
-  const letters = atob(text), bytes = new Uint8Array(letters.length);
-  for (let k = 0; k < letters.length; ++k) bytes[k] = letters.charCodeAt(k);
-  return bytes;
+  try {
+    if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
+    const letters = atob(text), bytes = new Uint8Array(letters.length);
+    for (let k = 0; k < letters.length; ++k) bytes[k] = letters.charCodeAt(k);
+    return bytes;
+  } catch {
+    throw new Error(CUT);
+  }
 }
 
 export function start() {
   const canvas = document.getElementById("canvas"), player = new Player(canvas);
   const ready = (async () => {
     say("Opening the scene…");
-    let bytes;
-    try {
-      bytes = await data();
-    } catch (error) {
-      throw error.name === "InvalidCharacterError" || error instanceof SyntaxError ? new Error("The scene's data are damaged or cut short.") : error;
-    }
+    const bytes = await data();
     player.bytes = bytes.length;
     await player.open(bytes);
     say("");
@@ -44,7 +46,7 @@ export function start() {
     canvas,
     ready,
     get info() {
-      return player.info;
+      return player.renderer?.scene ? player.info : null;  // until the scene is there
     },
     show: async (view) => (await ready, player.show(view)),
     play: async () => (await ready, player.play()),

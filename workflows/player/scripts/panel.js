@@ -1,4 +1,5 @@
 // The controls below the picture, and what is said above it.
+import { layersOf } from "./layers.js";
 
 const find = (id) => document.getElementById(id);
 
@@ -18,13 +19,23 @@ export class Panel {
     header.cameras.forEach((camera, k) => photos.append(new Option(camera.name, k)));
     photos.hidden = find("before").hidden = find("after").hidden = !header.cameras.length;
     photos.onchange = (event) => player.jump(Number(event.target.value));
+    const layers = layersOf(header);
+    for (const layer of layers) find("layer").append(new Option(layer));
+    find("layer").hidden = layers.length < 2;
+    find("layer").onchange = (event) => player.setLayer(event.target.value);
     find("before").onclick = () => player.jump(player.photo - 1);
     find("after").onclick = () => player.jump(player.photo + 1);
     find("bar").hidden = false;
   }
 
+  // The button for a headset, only where there may be one.
+  offerStereo(there, act) {
+    find("stereo").hidden = !there;
+    find("stereo").onclick = act;
+  }
+
   show() {
-    const { player } = this, { playing, time, loop, mode, photo, seconds } = player;
+    const { player } = this, { playing, time, loop, mode, photo, layer, seconds } = player;
     find("play").textContent = playing ? "❚❚" : "▶";
     find("play").setAttribute("aria-label", playing ? "Pause" : "Play");
     find("time").value = time;
@@ -33,6 +44,7 @@ export class Panel {
     find("mode").textContent = mode === "orbit" ? "Orbit" : "Fly";
     find("mode").setAttribute("aria-label", mode === "orbit" ? "Dragging turns the scene" : "Dragging looks around");
     find("photo").value = photo;
+    find("layer").value = layer;
   }
 }
 

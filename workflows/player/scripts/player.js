@@ -4,16 +4,20 @@ import { Controls } from "./controls.js";
 import { Panel, bare, say, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
+import { Stereo, hasStereo } from "./stereo.js";
+import { checkView } from "./views.js";
 
 const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
 const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again
 const COARSEST = 0.4;              // of the screen's pixels, along each side
 const REST = 250;                  // ms after which a picture that stands still gets all pixels
+const PATIENCE = 5000;             // ms for which a picture that was asked for waits for a lost graphics device
+const LOST = "The graphics device was lost; waiting for it.";
 
 export class Player {
   constructor(canvas) {
     this.canvas = canvas;
-    this.playing = false, this.loop = true, this.speed = 1, this.mode = "orbit", this.photo = 0, this.time = 0;
+    this.playing = false, this.loop = true, this.speed = 1, this.mode = "orbit", this.layer = "all", this.photo = 0, this.time = 0;
     this.times = { sort: 0, upload: 0, draw: 0, frame: 0 };
     this.scale = 1, this.asked = null, this.touched = 0, this.now = 0, this.drew = false;
   }
@@ -26,10 +30,15 @@ export class Player {
     this.renderer.load(scene);
     this.camera = new Camera(scene.header);
     this.time = scene.header.cameras[0]?.time ?? 0;
-    this.canvas.addEventListener("webglcontextlost", (event) => (event.preventDefault(), say("The graphics device was lost; waiting for it.")));
+    this.canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      say(LOST);
+    });
     this.canvas.addEventListener("webglcontextrestored", () => this.#restored());
     this.controls = new Controls(this.canvas, this);
     this.panel = new Panel(this, scene);
+    this.stereo = new Stereo(this);
+    hasStereo().then((there) => this.panel.offerStereo(there, () => this.stereo.toggle().catch((error) => say(error.message))));
     await this.#drawn(this.#window());
     this.#loop();
     this.panel.show();
@@ -92,6 +101,11 @@ export class Player {
     this.panel.show();
   }
 
+  setLayer(layer) {
+    this.layer = layer;
+    this.changed(), this.panel.show();
+  }
+
   jump(photo) {
     const { cameras } = this.scene.header;
     if (!cameras.length) return;
@@ -112,13 +126,19 @@ export class Player {
 
   // Draws exactly this picture, without controls over it. time in [0, 1]; cam_from_world 16 and K 9 numbers, row by row, OpenCV axes, px.
   async show(view) {
-    checkView(view);
+    checkView(view, this.renderer.most);
+    await this.there();
     this.playing = false;
     bare(true);
     const ratio = devicePixelRatio || 1;
     Object.assign(this.canvas.style, { width: `${view.width / ratio}px`, height: `${view.height / ratio}px` });
     this.asked = { ...view, cam_from_world: Array.from(view.cam_from_world), K: Array.from(view.K) };
-    await this.#drawn(this.asked);
+    try {
+      await this.#drawn(this.asked);
+    } catch (error) {
+      this.changed();
+      throw error;
+    }
   }
 
   // Mean milliseconds a frame of turning once around the target while time runs: of sorting, of uploads, of drawing.
@@ -140,13 +160,13 @@ export class Player {
   #window(scale = 1) {
     const side = (length) => Math.max(1, Math.round(length * (devicePixelRatio || 1) * scale));
     Object.assign(this.canvas.style, { width: "100%", height: "100%" });
-    return { time: this.time, ...this.camera.view(side(this.canvas.clientWidth), side(this.canvas.clientHeight)) };
+    return { time: this.time, layer: this.layer, ...this.camera.view(side(this.canvas.clientWidth), side(this.canvas.clientHeight)) };
   }
 
   // Sorts for the view, then draws it, and if asked waits until it is there.
   async #drawn(view, wait = true) {
     const { gl } = this.renderer, start = performance.now();
-    const { order, count, milliseconds } = await this.sorter.sort(view.time, view.cam_from_world.slice(8, 12));
+    const { order, count, milliseconds } = await this.sorter.sort(view.time, view.cam_from_world.slice(8, 12), view.layer);
     const sorted = performance.now();
     this.renderer.setOrder(order, count);
     this.sorter.give(order);
@@ -171,7 +191,7 @@ export class Player {
   }
 
   async #frame(seconds) {
-    if (this.asked || this.measuring || document.hidden || this.renderer.gl.isContextLost()) return;
+    if (this.asked || this.measuring || this.stereo.session || document.hidden || this.renderer.gl.isContextLost()) return;
     this.controls.advance(seconds);
     if (this.playing) this.#advance(seconds);
     const moving = this.playing || performance.now() - this.touched < REST || this.controls.busy;
@@ -186,6 +206,22 @@ export class Player {
     else if (moving && this.times.frame < QUICK) this.scale = Math.min(1, 1.1 * this.scale);
   }
 
+  // Lets time pass where frames are not the page's own.
+  pass(seconds) {
+    if (this.playing) this.#advance(seconds);
+  }
+
+  // Starts to sort for a view, if no sorting is under way; the order is there for a later frame.
+  sortFor(view) {
+    if (this.sorting) return;
+    this.sorting = true;
+    this.sorter.sort(view.time, view.cam_from_world.slice(8, 12), this.layer).then(({ order, count }) => {
+      this.renderer.setOrder(order, count);
+      this.sorter.give(order);
+      this.sorting = false;
+    }, fail);
+  }
+
   #advance(seconds) {
     this.time += (seconds * this.speed) / Math.max(this.seconds, 1e-3);
     if (this.time >= 1) {
@@ -195,7 +231,21 @@ export class Player {
     this.panel.show();
   }
 
-  async #restored() {
+  // Waits until the graphics device is there.
+  async there() {
+    const start = performance.now();
+    while (this.renderer.gl.isContextLost()) {
+      if (performance.now() - start > PATIENCE) throw new Error(LOST);
+      await new Promise((done) => setTimeout(done, 50));
+    }
+    await this.restoring;
+  }
+
+  #restored() {
+    this.restoring = this.#renew();
+  }
+
+  async #renew() {
     try {
       this.renderer.load(this.scene);
       this.last = "";
@@ -205,15 +255,6 @@ export class Player {
       fail(error);
     }
   }
-}
-
-function checkView({ time, cam_from_world, K, width, height } = {}) {
-  const numbers = (list, count) => list?.length === count && Array.from(list).every(Number.isFinite);
-  if (!(time >= 0 && time <= 1)) throw new TypeError("show: time must be a number in [0, 1]");
-  if (!numbers(cam_from_world, 16)) throw new TypeError("show: cam_from_world must be 16 numbers, row by row");
-  if (!numbers(K, 9) || !(K[0] > 0 && K[4] > 0)) throw new TypeError("show: K must be 9 numbers, row by row, with positive focal lengths");
-  for (const size of [width, height])
-    if (!Number.isInteger(size) || size < 1 || size > 16384) throw new TypeError("show: width and height must be whole numbers of px");
 }
 
 export function fail(error) {

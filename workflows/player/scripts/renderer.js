@@ -18,6 +18,8 @@ export class Renderer {
     this.gl = canvas.getContext("webgl2", wanted);
     if (!this.gl) throw new Error("This browser has no WebGL 2, which the scene needs. Try another browser, or allow graphics acceleration.");
     this.uploads = { order: 0, poses: 0, keys: 0 };
+    const { gl } = this, limits = [gl.MAX_TEXTURE_SIZE, gl.MAX_RENDERBUFFER_SIZE].map((name) => gl.getParameter(name));
+    this.most = Math.min(...limits, ...gl.getParameter(gl.MAX_VIEWPORT_DIMS));  // px along a side of a picture
   }
 
   // Everything on the graphics device is made from `scene`, again after its context was lost.
@@ -61,10 +63,12 @@ export class Renderer {
     this.uploads.order += 1;
   }
 
-  // Draws the primitives in the order that was set. view: { time, cam_from_world, K, width, height }, as `e4dgs.show` takes it.
-  draw(view) {
-    const { gl } = this, { width, height } = view;
+  // Draws the primitives in the order that was set. view: { time, cam_from_world, K, width, height }, as `e4dgs.show` takes it. place: where
+  // the picture goes; without it, it is the canvas.
+  draw(view, place = null) {
+    const { gl } = this, { width, height } = view, { frame, x, y } = place ?? { frame: null, x: 0, y: 0 };
     if (gl.isContextLost()) return;
+    if (!place) this.#frame(width, height);
     this.#fit(width, height);
     this.#project(view);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.blended);
@@ -72,8 +76,9 @@ export class Renderer {
     gl.blendFuncSeparate(gl.DST_ALPHA, gl.ONE, gl.ZERO, gl.ONE_MINUS_SRC_ALPHA);
     const edges = this.convexes ? { uEdges: this.edges } : {}, own = { uSize: [width, height], uGaussians: { int: this.gaussians } };
     this.#blend({ uPlace: this.place, uLook: this.look, uOrder: this.order, ...edges, ...own }, width, height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    this.finish.use({ uBlended: this.picture, uBackground: this.scene.header.background });
+    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+    gl.viewport(x, y, width, height);
+    this.finish.use({ uBlended: this.picture, uBackground: this.scene.header.background, uCorner: [x, y] });
     this.#fill();
   }
 
@@ -103,11 +108,18 @@ export class Renderer {
     this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
   }
 
-  // Makes the canvas and what is drawn before it `width` x `height` px.
-  #fit(width, height) {
-    const { gl, canvas } = this, size = `${width}x${height}`;
+  // Makes the canvas `width` x `height` px.
+  #frame(width, height) {
+    const { gl, canvas } = this;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
+    if (gl.drawingBufferWidth !== width || gl.drawingBufferHeight !== height)
+      throw new RangeError(`This device draws no pictures of ${width}x${height} px.`);
+  }
+
+  // Makes what is drawn before a picture `width` x `height` px.
+  #fit(width, height) {
+    const { gl } = this, size = `${width}x${height}`;
     if (size === this.size) return;
     if (this.picture) {
       for (const texture of [this.picture, this.closed]) gl.deleteTexture(texture);
@@ -119,6 +131,7 @@ export class Renderer {
     this.closed = newTexture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R8, Math.ceil(width / TILE), Math.ceil(height / TILE));
     this.closing = target(gl, this.closed);
+    if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError(`This device has no memory for pictures of ${size} px.`);
     this.size = size;
   }
 

@@ -13,17 +13,19 @@ export class Sorter {
     this.high = new Uint32Array(DIGITS);
   }
 
-  // Fills `order` with the numbers of the primitives at `depth` `near` or beyond, and returns how many there are.
-  sort(depth, near, order) {
+  // Fills `order` with the numbers of the primitives at `depth` `near` or beyond, and returns how many there are. Only those in `ranges`
+  // ([from, to) each) are looked at.
+  sort(depth, near, order, ranges = [[0, depth.length]]) {
     const { first, keys, second, digits, low, high } = this, bits = new Uint32Array(depth.buffer, depth.byteOffset, depth.length);
     let count = 0, least = 0xffffffff, most = 0;
-    for (let i = 0; i < depth.length; ++i) {
-      if (!(depth[i] >= near)) continue;
-      const key = bits[i];
-      first[count++] = i;
-      if (key < least) least = key;
-      if (key > most) most = key;
-    }
+    for (const [from, to] of ranges)
+      for (let i = from; i < to; ++i) {
+        if (!(depth[i] >= near)) continue;
+        const key = bits[i];
+        first[count++] = i;
+        if (key < least) least = key;
+        if (key > most) most = key;
+      }
     const shift = Math.max(0, 32 - Math.clz32(most - least) - 2 * DIGIT);
     low.fill(0), high.fill(0);
     for (let i = 0; i < count; ++i) {

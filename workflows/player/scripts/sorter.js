@@ -17,11 +17,11 @@ export async function startSorter(bytes) {
   if (opened.kind === "failed") throw new Error(opened.message);
   settle = ({ message }) => waiting.forEach(({ failed }) => failed(new Error(message)));
   let id = 0;
-  const sort = (time, row) =>
+  const sort = (time, row, layer = "all") =>
     new Promise((done, failed) => {
       waiting.set(++id, { done, failed });
       const order = spare.pop();
-      send({ kind: "sort", id, time, row, near: opened.scene.header.near, order }, order ? [order.buffer] : []);
+      send({ kind: "sort", id, time, row, layer, order }, order ? [order.buffer] : []);
     });
   return { scene: opened.scene, sorter: { sort, give: (order) => spare.push(order) } };
 }

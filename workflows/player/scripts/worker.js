@@ -1,5 +1,6 @@
 // What happens beside the page's own thread: the scene is decoded once, then primitives are sorted for each camera and time that is asked.
 import { readContainer } from "./container.js";
+import { rangesOf } from "./layers.js";
 import { checkScene } from "./layout.js";
 import { Depths } from "./motion.js";
 import { Sorter } from "./sort.js";
@@ -32,10 +33,10 @@ export class Answers {
     this.post({ kind: "opened", scene }, moved);
   }
 
-  #sort({ id, time, row, near, order }) {
-    const start = performance.now(), { depths } = this;
+  #sort({ id, time, row, layer, order }) {
+    const start = performance.now(), { depths } = this, { header } = depths.scene;
     const result = order ?? new Uint32Array(depths.count);
-    const count = this.sorter.sort(depths.at(time, row), near, result);
+    const count = this.sorter.sort(depths.at(time, row), header.near, result, rangesOf(header, layer));
     this.post({ kind: "sorted", id, order: result, count, milliseconds: performance.now() - start }, [result.buffer]);
   }
 }

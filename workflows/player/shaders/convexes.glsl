@@ -1,6 +1,7 @@
 // A smooth convex seen by the camera (Edge4DGS, Eq. 3-7, as in rasterizer/math/convex.h): the hull of its projected points, with a plane for
-// each edge. Both passes compute the hull; one writes where the convex is and how it looks, the other the lines
-// L(pixel) = log2(w exp(tau H)) = a dx + b dy + c of its edges, where (dx, dy) is counted from the corner of its box.
+// each edge. One pass finds the hull, and writes where the convex is and how it looks; the other finds one edge a texel, and writes its line
+// L(pixel) = log2(w exp(tau H)) = a dx + b dy + c, where (dx, dy) is counted from the corner of the convex's box. The part of c that is the
+// same for all edges, log2(CORNERS / perimeter), is added to their sum only.
 uniform highp sampler2D uPoints;   // a texel for each point: xyz
 uniform highp sampler2D uShapes;   // tau, kappa, opacity
 uniform highp sampler2D uSh;
@@ -32,9 +33,7 @@ const float NO_EDGE = -1e30;
 vec3 meanPoint;        // world, before clipping
 vec3 centre;          // camera, after clipping
 vec2 q[CORNERS];      // points in the plane (x/z, y/z), relative to the centre
-int next[CORNERS];    // the corner after a corner; -1 for points that are none
 vec3 shape;           // tau, kappa, opacity
-float area, perimeter;
 
 // Twice the area of a triangle, to the bit the same (but for the sign) for every order of its corners, so that all tests agree.
 float turn(int a, int b, int c) {
@@ -114,48 +113,47 @@ bool placed(int i) {  // fills in the points; false if nothing is in front of th
     return true;
 }
 
-bool hulled() {  // finds the edges; false if the hull is a point, a line or a sliver
+float extent, tiny;    // of the points; turns below this may be rounding
+bool first[CORNERS];  // of points that coincide
+
+void compared() {  // fills in the three above
     vec2 low = q[0], high = q[0];
     for (int k = 1; k < CORNERS; ++k) low = min(low, q[k]), high = max(high, q[k]);
-    float extent = max(high.x - low.x, high.y - low.y), flat_ = FLAT * extent * extent;
-    bool first[CORNERS];  // of points that coincide
+    extent = max(high.x - low.x, high.y - low.y), tiny = FLAT * extent * extent;
     for (int k = 0; k < CORNERS; ++k) {
         first[k] = true;
         for (int m = 0; m < k; ++m) {
             vec2 apart = q[m] - q[k];
-            first[k] = first[k] && dot(apart, apart) > FLAT * flat_;
+            first[k] = first[k] && dot(apart, apart) > FLAT * tiny;
         }
     }
-    area = perimeter = 0.0;
-    for (int k = 0; k < CORNERS; ++k) {
-        next[k] = -1;
-        for (int j = 0; j < CORNERS; ++j) {
-            if (j == k || !first[j] || !first[k]) continue;
-            bool edge = true;
-            for (int m = 0; m < CORNERS; ++m) {
-                if (m == k || m == j || !first[m]) continue;
-                float side = turn(k, j, m);
-                edge = edge && (side > flat_ || (side >= -flat_ && dot(q[m] - q[k], q[m] - q[j]) <= 0.0));
-            }
-            if (edge) next[k] = j;
-        }
-        if (next[k] < 0) continue;
-        vec2 to = q[next[k]];
-        area += 0.5 * (q[k].x * to.y - q[k].y * to.x);
-        perimeter += length(to - q[k]);
-    }
-    return area > DEGENERATE * extent * extent;
 }
 
-// a, b, c of the edge that starts at point k; dx and dy are counted from the projected centre.
-vec3 lineOf(int k) {
-    vec2 from = q[k], along = q[next[k]] - from, absolute = from + centre.xy / centre.z;
+int after(int k) {  // the corner after corner k; -1 if k is none
+    int found = -1;
+    if (!first[k]) return found;
+    for (int j = 0; j < CORNERS; ++j) {
+        if (j == k || !first[j]) continue;
+        bool edge = true;
+        for (int m = 0; m < CORNERS; ++m) {
+            if (m == k || m == j || !first[m]) continue;
+            float side = turn(k, j, m);
+            edge = edge && (side > tiny || (side >= -tiny && dot(q[m] - q[k], q[m] - q[j]) <= 0.0));
+        }
+        if (edge) found = j;
+    }
+    return found;
+}
+
+// a, b, c of the edge from corner k to `to`, less the part of c that all edges share; dx and dy are counted from the
+// projected centre.
+vec3 lineOf(int k, int to) {
+    vec2 from = q[k], along = q[to] - from, absolute = from + centre.xy / centre.z;
     float size = length(along);
     vec2 e = along / size;
     float lift = absolute.y * e.x - absolute.x * e.y;
     float strength = shape.x * centre.z * LOG2_E * inversesqrt(1.0 + lift * lift);
-    return vec3(strength * e.y / uLens.x, -strength * e.x / uLens.y,
-                strength * (from.y * e.x - from.x * e.y) + log2(float(CORNERS) * size / perimeter));
+    return vec3(strength * e.y / uLens.x, -strength * e.x / uLens.y, strength * (from.y * e.x - from.x * e.y) + log2(size));
 }
 
 #ifdef EDGES
@@ -168,14 +166,33 @@ void main() {
     int at = texel.y * WIDTH + texel.x, i = at / CORNERS, k = at - i * CORNERS;
     if (i >= uCount) return;
     vec4 box = uintBitsToFloat(texelFetch(uPlace, place(uFirst + i), 0));
-    if (!(box.z > box.x) || !placed(i) || !hulled() || next[k] < 0) return;
-    vec3 line = lineOf(k);
+    if (!(box.z > box.x) || !placed(i)) return;
+    compared();
+    int to = after(k);
+    if (to < 0) return;
+    vec3 line = lineOf(k, to);
     vec2 start = box.xy - (uLens.xy * centre.xy / centre.z + uLens.zw);
     oLine = floatBitsToUint(vec4(line.xy, line.z + dot(line.xy, start), 0.0));
 }
 #else
 layout(location = 0) out highp uvec4 oPlace;  // box px: left, top, right, bottom
-layout(location = 1) out highp uvec4 oLook;   // kappa / tau, opacity, colour
+layout(location = 1) out highp uvec4 oLook;   // kappa / tau, opacity, colour, what all lines share
+
+int next[CORNERS];     // the corner after a corner; -1 for points that are none
+float area, perimeter;
+
+bool hulled() {  // finds the edges; false if the hull is a point, a line or a sliver
+    compared();
+    area = perimeter = 0.0;
+    for (int k = 0; k < CORNERS; ++k) {
+        next[k] = after(k);
+        if (next[k] < 0) continue;
+        vec2 to = q[next[k]];
+        area += 0.5 * (q[k].x * to.y - q[k].y * to.x);
+        perimeter += length(to - q[k]);
+    }
+    return area > DEGENERATE * extent * extent;
+}
 
 void main() {
     oPlace = oLook = uvec4(0u);
@@ -193,11 +210,12 @@ void main() {
     if (!(opacity > LEAST_ALPHA)) return;
     // alpha is above the least where log2 sum 2^L <= limit, and so inside of all lines L = limit.
     float rho = kappa / shape.x, limit = log2(opacity / LEAST_ALPHA - 1.0) / rho;
-    limit += 1e-3 + 1e-4 * abs(limit);
+    float shared_ = log2(float(CORNERS) / perimeter);
+    limit += 3e-3 + 1e-3 * abs(shared_) + 1e-4 * abs(limit) - shared_;
     vec2 middle = uLens.xy * centre.xy / centre.z + uLens.zw;
     vec4 box = vec4(-middle, uSize - middle);
     vec3 line[CORNERS];
-    for (int k = 0; k < CORNERS; ++k) line[k] = next[k] < 0 ? vec3(0.0) : lineOf(k);
+    for (int k = 0; k < CORNERS; ++k) line[k] = next[k] < 0 ? vec3(0.0) : lineOf(k, next[k]);
     for (int i = 0; i < CORNERS; ++i)
         for (int j = 0; j < CORNERS; ++j) {
             vec3 u = line[i], v = line[j];
@@ -217,6 +235,6 @@ void main() {
 #endif
     vec3 colour = colourOf(uSh, i, normalize(meanPoint - uEye + 1e-12), gain);
     oPlace = floatBitsToUint(box);
-    oLook = uvec4(floatBitsToUint(rho), floatBitsToUint(opacity), packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, 0.0)));
+    oLook = uvec4(floatBitsToUint(rho), floatBitsToUint(opacity), packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, shared_)));
 }
 #endif

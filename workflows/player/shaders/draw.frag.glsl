@@ -3,6 +3,7 @@ in highp vec2 vAt;
 flat in highp vec4 vLook;
 #ifdef CONVEXES
 flat in highp float vRho;
+flat in highp float vShared;
 flat in highp int vEdges;
 uniform highp usampler2D uEdges;
 #endif
@@ -22,7 +23,7 @@ void main() {
             top = max(top, lines[k]);
         }
         for (int k = 0; k < CORNERS; ++k) sum += exp2(max(lines[k] - top, -60.0));
-        alpha = vLook.a / (1.0 + exp2(clamp(vRho * (top + log2(sum)), -60.0, 60.0)));
+        alpha = vLook.a / (1.0 + exp2(clamp(vRho * (top + log2(sum) + vShared), -60.0, 60.0)));
     }
 #endif
     alpha = alpha < 1.0 / 255.0 ? 0.0 : min(alpha, 0.99);  // not discarded, so that the depth test may come first

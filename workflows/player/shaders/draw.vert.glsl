@@ -11,9 +11,10 @@ out highp vec2 vAt;         // Gaussian: u, v; convex: px from the corner of its
 flat out highp vec4 vLook;  // colour; log2 opacity, or opacity
 #ifdef CONVEXES
 flat out highp float vRho;  // convex: kappa / tau
+flat out highp float vShared;  // convex: what all its lines share
 flat out highp int vEdges;  // convex: its first edge; -1 for a Gaussian
 #else
-float vRho;
+float vRho, vShared;
 int vEdges;
 #endif
 
@@ -38,7 +39,9 @@ void main() {
     vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1);
     vec4 at = uintBitsToFloat(place);
     float first = uintBitsToFloat(look.x), second = uintBitsToFloat(look.y);
-    vLook = vec4(unpackHalf2x16(look.z), unpackHalf2x16(look.w).x, second);
+    vec2 last = unpackHalf2x16(look.w);
+    vLook = vec4(unpackHalf2x16(look.z), last.x, second);
+    vShared = last.y;
     vRho = first;
     vec2 px;
     bool gone = false;

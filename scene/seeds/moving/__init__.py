@@ -1,0 +1,1 @@
+"""Seeds on what moves, from several cameras that see one time."""

@@ -1,0 +1,14 @@
+"""Seeds on moving objects, which have velocities."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class MovingSeeds(NamedTuple):
+    """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units per frame, time [N] in [0, 1] of each position."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    velocities: np.ndarray
+    time: np.ndarray

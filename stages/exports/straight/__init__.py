@@ -1,0 +1,1 @@
+"""Models as Gaussians on straight paths, in pieces: what open 4D formats hold."""

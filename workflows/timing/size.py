@@ -1,0 +1,83 @@
+"""Chooses the size of pictures before any is read: the usual one, or a smaller one if that would leave no time to train."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from ...pipeline import duration, make_plan
+from ...stages.facts import Facts
+from ..session import Session, open_session
+from .clock import Deadline
+from .decisions import Decisions
+from .defaults import COARSE, expected, guessed_times, stages_before, steps_at_one
+from .evaluating import Evaluating
+from .known import Known
+from .ladder import SIZE, STEPS
+from .resolve import shortest
+
+SHARES = (1.0, 0.8, 0.65, 0.5, 0.4)  # of the longer side
+LEAST_SIDE = 320  # px; smaller pictures show too little
+
+
+class Fitting(NamedTuple):
+    """side: px, the longer one. seconds: of the shortest sensible run with it. fits: whether there is time for that."""
+
+    side: int
+    seconds: float
+    fits: bool
+
+
+def sizes(longest: int) -> list[int]:
+    """Longest sides to choose from, in decreasing order; the first one is that of the capture."""
+    return [longest, *(side for share in SHARES[1:] if (side := round(share * longest / 16) * 16) >= LEAST_SIDE)]
+
+
+def largest_that_fits(seconds: float, candidates: Sequence[int], seconds_of: Callable[[int], float]) -> Fitting:
+    """The largest of ``candidates`` whose shortest sensible run takes at most ``seconds``; the smallest one if none does."""
+    needed = [(side, seconds_of(side)) for side in candidates]
+    return next((Fitting(side, needs, True) for side, needs in needed if needs <= seconds), Fitting(*needed[-1], False))
+
+
+def sized(session: Session, deadline: Deadline, say: Callable[[str], None]) -> Session:
+    """``session``, opened again with smaller pictures if those of the usual size leave no time to train. Says so if no size does."""
+    decisions, facts = Decisions(session), Facts.of(session.job.capture.facts)
+    if decisions.made_earlier(STEPS, SIZE) or decisions.given(SIZE):
+        return session
+    longest = max(facts.width, facts.height)
+    needs = _Needs(session)
+    if needs.seconds(1.0) <= deadline.left or needs.seconds(1.0, needs.cached()) <= deadline.left:
+        return session
+    found = largest_that_fits(deadline.left, sizes(longest), lambda side: needs.seconds(side / longest))
+    if not found.fits:
+        say(
+            f"--time {deadline.words} is too short for this capture: the shortest sensible run takes about {duration(found.seconds)}, "
+            "and is done all the same"
+        )
+    if found.side == longest:
+        return session
+    say(f"--time {deadline.words}: pictures are scaled to {found.side} px, since there is no time to train on {longest} px")
+    decisions.make({SIZE: found.side})
+    return open_session(session.options)
+
+
+class _Needs:
+    """What the shortest sensible run of a session needs, by estimates."""
+
+    def __init__(self, session: Session) -> None:
+        self.job = session.job
+        self.known = Known(self.job.store.root.parent, self.job.device)
+        self.evaluation = Evaluating(self.job, self.known).shortest()
+        self.before = stages_before(self.job, COARSE)
+
+    def cached(self) -> frozenset[str]:
+        """The stages before training whose results are there."""
+        return frozenset(row.stage for row in make_plan(self.job, self.before) if row.state == "cached")
+
+    def seconds(self, share: float, cached: frozenset[str] = frozenset()) -> float:
+        """With pictures that are smaller by ``share``. cached: stages that need not run."""
+        facts = self.job.capture.facts
+        scaled = {**facts, "width": max(1, round(share * facts["width"])), "height": max(1, round(share * facts["height"]))}
+        before = sum(expected(self.job, self.known, name, scaled) for name in self.before if name not in cached)
+        times = guessed_times(self.job, self.known, None if share == 1.0 else scaled)
+        return before + shortest(times, steps_at_one(self.job, scaled)) + share**2 * self.evaluation
