@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 from ... import _kernels
 from ...rotation import rotate
-
-
-class Displacement(NamedTuple):
-    """The change of N rest positions at one time.
-
-    dx: [N, 3] world units, added to the position. dr: [N, 4] unit quaternion (w x y z) that turns the primitive further.
-    ds: [N, 3] added to the logarithm of the scales.
-    """
-
-    dx: Tensor
-    dr: Tensor
-    ds: Tensor
+from .displacement import Displacement
 
 
 def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displacement:
