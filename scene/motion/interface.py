@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from ...rasterizer import Camera, Convexes, Gaussians
 from ..primitives import Attribute, ConvexSet, GaussianSet, PrimitiveSet
-from ..schedule import Phase, coarse_phases
 from ..settings import Strategy, TrainingSettings
 from ..views import Views
+from .phases import Phase, coarse_phases
 from .rates import Rate, exponential
 from .recipe import FirstTraining, Recipe
 from .start import Start

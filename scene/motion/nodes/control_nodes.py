@@ -16,11 +16,11 @@ from torch import Tensor, nn
 from ...cuda.graph import in_capture
 from ...cuda.over_time import OverTime
 from ...primitives import Attribute, GaussianSet, PrimitiveSet
-from ...schedule import HALF_RESOLUTION, Phase
 from ...settings import Strategy, TrainingSettings
 from ...views import Views
 from ..carrier import Carrier, Places
 from ..interface import Moved, Refined, Scene
+from ..phases import HALF_RESOLUTION, Phase
 from ..rates import APPEARANCE_END, Rate, exponential
 from ..recipe import FirstTraining
 from ..start import Start

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ...schedule import HALF_RESOLUTION, QUARTER_RESOLUTION, Phase
 from ...settings import Strategy
+from ..phases import HALF_RESOLUTION, QUARTER_RESOLUTION, Phase
 from ..recipe import FirstTraining, Recipe
 
 BY_NODE_PHASES = ("two-stage", "alternating")  # strategies in which control nodes have a schedule of their own

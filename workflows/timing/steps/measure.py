@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import torch
 
-from ....scene.schedule import Phase
+from ....scene.motion.phases import Phase
 from ....scene.training.control.growth import FINAL_VIEWS, MOST_FOR_ONE, PROBE_VIEWS
 from ....scene.training.control.splits import split
 from ....scene.training.trainer import Trainer
