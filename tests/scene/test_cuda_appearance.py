@@ -77,9 +77,9 @@ def composed(image, target, alpha=None, known=None, kept=None, weight=None, gain
 def on(launcher):
     def run(image, target, alpha=None, known=None, kept=None, weight=None, gain=None, offset=None):
         change = tuple(1 - 2 * level for level in BACKGROUND)
-        opposite = None if alpha is None else Opposite(alpha, known, kept, change, OTHER_BACKGROUND, SHARE * SETTINGS.alpha)
+        opposite = None if alpha is None else Opposite(alpha, known, kept, change, OTHER_BACKGROUND, SHARE * SETTINGS.alpha_weight)
         recording = None if gain is None else (gain, offset)
-        return photometric_loss(launcher, image, target, SHARE * SETTINGS.l1, SHARE * SETTINGS.ssim, weight, recording, opposite)
+        return photometric_loss(launcher, image, target, SHARE * SETTINGS.l1_weight, SHARE * SETTINGS.ssim_weight, weight, recording, opposite)
 
     return run
 

@@ -104,19 +104,19 @@ def test_measured_flow_steers_the_motion(views):
 
 
 def test_a_poisoned_image_stops_training_with_a_clear_message(views, monkeypatch):
-    monkeypatch.setattr(views, "target", lambda i, scale=1.0, window=None: torch.full((SIZE, SIZE, 3), float("nan")))
+    monkeypatch.setattr(views, "stored", lambda i, scale, kind, window=None: torch.full((SIZE, SIZE, 3), float("nan")))
     with pytest.raises(TrainingDiverged, match="frame"):
         train(views)
 
 
 def test_one_bad_step_is_rolled_back_and_counted(views, monkeypatch):
-    original, calls = views.target, []
+    original, calls = views.stored, []
 
-    def target(i, scale=1.0, window=None):
+    def stored(i, scale, kind, window=None):
         calls.append(i)
-        return original(i, scale) * (float("inf") if len(calls) == 30 else 1.0)
+        return original(i, scale, kind, window) * (float("inf") if len(calls) == 30 else 1.0)
 
-    monkeypatch.setattr(views, "target", target)
+    monkeypatch.setattr(views, "stored", stored)
     model, log, _ = train(views)
     assert 1 <= log.nonfinite_steps < MOST_IN_A_ROW
     assert all(torch.isfinite(p).all() for p in model.gaussians.parameters.values())
@@ -251,8 +251,8 @@ def test_surfaces_that_several_cameras_see_are_smoothed_less_and_less(cameras, w
     for earlier in (0, 300):
         _, _, trainer = train(views, settings=SETTINGS.model_copy(update={"iterations": 100}), earlier=earlier)
         begin, end = (Surface(trainer.objective.run).smooth(step) for step in (0, 100))
-        assert begin == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END ** (earlier / (earlier + 100)))
-        assert end == pytest.approx(weight * SETTINGS.smooth * SMOOTH_END)
+        assert begin == pytest.approx(weight * SETTINGS.smooth_weight * SMOOTH_END ** (earlier / (earlier + 100)))
+        assert end == pytest.approx(weight * SETTINGS.smooth_weight * SMOOTH_END)
 
 
 def test_a_step_that_draws_nothing_changes_no_shape_and_has_a_finite_psnr(monkeypatch):

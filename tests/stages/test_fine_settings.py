@@ -24,7 +24,7 @@ CLASSES = {"seeds": SeedsSettings, "coarse": CoarseSettings, "fine": FineSetting
 TOLD = GrowthSettings(budget=700, open_until=0.2, hidden=0.0)
 
 
-@pytest.mark.parametrize("name", set(GrowthSettings.model_fields) - {"budget"})
+@pytest.mark.parametrize("name", sorted(set(GrowthSettings.model_fields) - {"budget"}))
 def test_growth_is_set_for_coarse_alone(name):
     assert getattr(build_settings(CLASSES, [(f"coarse.{name}", "0")])["coarse"], name) == 0
     with pytest.raises(SettingsError, match=f"fine has no setting '{name}'"):
