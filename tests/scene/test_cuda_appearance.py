@@ -79,7 +79,8 @@ def on(launcher):
         change = tuple(1 - 2 * level for level in BACKGROUND)
         opposite = None if alpha is None else Opposite(alpha, known, kept, change, OTHER_BACKGROUND, SHARE * SETTINGS.alpha_weight)
         recording = None if gain is None else (gain, offset)
-        return photometric_loss(launcher, image, target, SHARE * SETTINGS.l1_weight, SHARE * SETTINGS.ssim_weight, weight, recording, opposite)
+        weights = SHARE * SETTINGS.l1_weight, SHARE * SETTINGS.ssim_weight
+        return photometric_loss(launcher, image, target, *weights, weight, recording, opposite)
 
     return run
 
