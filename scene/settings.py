@@ -51,6 +51,9 @@ class RefinementSettings(Settings):
     depth: float = Field(
         0.3, ge=0, description="weight of the difference from the depth measured between cameras, or along one's path, where known"
     )
+    moving_depth: float = Field(
+        0.3, ge=0, description="before one camera: weight of how far what moves is from the depth of its seeds, or from the capture's depth"
+    )
     interval: float | None = Field(None, ge=0, description="weight of L_interval (Eq. 8), with flow in px; 0.001 for planes, else 0")
     data_flow: float = Field(1e-3, ge=0, description="weight of the difference of rendered and measured flow at edges, px; 0 turns it off")
     flow_every: int = Field(8, ge=1, description="steps between two evaluations of the flow terms")

@@ -15,6 +15,7 @@ from ...rasterizer import Frame, rasterize
 from ..colour import CameraAffine, row_of
 from ..losses.appearance import appearance_loss
 from ..losses.depth_spread import BEGIN, EVERY, depth_spread, with_depth
+from ..losses.held_depth import HeldDepth, held_depth_difference
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.motion_terms import MeasuredFlow, MotionTerms
 from ..losses.photometric import Recording
@@ -84,7 +85,7 @@ class Now(NamedTuple):
 
 class Objective:
     """unit: the viewing distance, world units. several: whether one time alone shows the scene from several sides. total: number
-    of steps; earlier: those that earlier stages took. measured_flow, measured_depth: see `Trainer`."""
+    of steps; earlier: those that earlier stages took. measured_flow, measured_depth, held_depth: see `Trainer`."""
 
     def __init__(
         self,
@@ -97,10 +98,12 @@ class Objective:
         earlier: int,
         measured_flow: MeasuredFlow | None,
         measured_depth: MeasuredDepth | None,
+        held_depth: HeldDepth | None = None,
     ) -> None:
         self.views, self.settings, self.unit = views, settings, unit
         self.several, self.total, self.earlier = several, total, earlier
         self.measured_depth = measured_depth if settings.depth else None
+        self.held_depth = held_depth if settings.moving_depth else None
         self.opacity = recipe.opacity if settings.opacity is None else settings.opacity
         self.spread = recipe.spread if settings.spread is None else settings.spread
         self.dropout = settings.dropout if several else 0.0
@@ -160,6 +163,9 @@ class Objective:
         if spread:
             loss = loss + EVERY * spread * share * depth_spread(frame.extras, frame.alpha, weight)
         loss = loss + self._surface(frame, target, i, now.smooth, weight, phase.scale, window)
+        held = self.held(i, phase.scale, step, window)
+        if held is not None:
+            loss = loss + s.moving_depth * share * held_depth_difference(frame.depth, frame.alpha, held, self.unit, weight)
         loss = loss + self.opacity / (views.width * views.height) * (opacities.sum() + convexes.opacities.sum())
         if phase.move and model.field is not None:
             loss = loss + self.motion_terms(model, gaussians, i, phase.scale, step, self.total)
@@ -186,6 +192,14 @@ class Objective:
         """Measured depth of frame ``i``, and where something moves in front of it; see `MeasuredDepth`."""
         known = self.measured_depth
         return (None, None) if known is None else (known.of(i, height, width), known.moving(i))
+
+    def held(self, i: int, scale: float, step: int, window: Window | None = None) -> Tensor | None:
+        """The depth at which step ``step`` holds what moves in frame ``i`` at ``scale``, or in a ``window`` of it; see `HeldDepth.of`."""
+        if self.held_depth is None:
+            return None
+        width, height = self.views.size(scale)
+        whole = self.held_depth.of(i, height, width, step / max(self.total, 1))
+        return whole if whole is None or window is None else whole[:, window[1] : window[3], window[0] : window[2]]
 
     def left_out(self, step: int) -> float:
         """Share of the Gaussians at rest that step ``step`` leaves out; 0 unless one time alone shows the scene from several sides."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,6 +19,7 @@ class StoredCoarse:
     iterations: int  # optimiser steps of the stage
     depth: Mapping[int, np.ndarray]  # inverse depth by frame, [h, w] float32, 1/world unit, 0: unknown; a fixed camera's frames share one
     growth: GrowthSettings  # the stage's own; stored only for the joint strategy, otherwise defaults are read back
+    held: Mapping[int, np.ndarray] = field(default_factory=dict)  # by frame, [2, h, w] float32: what `HeldDepth` says
 
     def write(self, out: ArtifactWriter, seeds_png: bytes) -> None:
         """seeds_png: a picture of the seeds."""
@@ -33,6 +34,10 @@ class StoredCoarse:
             out.write("depth_maps", np.stack(list(maps.values())), unit="1/world unit", doc=doc)
             of_frame = np.array([(frame, number[id(one)]) for frame, one in sorted(self.depth.items())], np.int32)
             out.write("depth_of_frame", of_frame, doc="frame, and its row of depth_maps")
+        if self.held:
+            doc = "inverse depth of what moves, 0 where nothing does, and confidence in it"
+            out.write("depth_moving", np.stack([self.held[frame] for frame in sorted(self.held)]), unit="1/world unit, 1", doc=doc)
+            out.write("depth_moving_frame", np.array(sorted(self.held), np.int32), doc="frame of each row of depth_moving")
 
     @classmethod
     def read(cls, artifact: Artifact) -> StoredCoarse:
@@ -40,8 +45,11 @@ class StoredCoarse:
         if "depth_maps" in artifact:
             maps = list(artifact.read("depth_maps"))
             depth = {int(frame): maps[int(k)] for frame, k in artifact.read("depth_of_frame")}
+        held: dict[int, np.ndarray] = {}
+        if "depth_moving" in artifact:
+            held = dict(zip(artifact.read("depth_moving_frame").tolist(), artifact.read("depth_moving"), strict=True))
         attrs = artifact.attrs
-        return cls(attrs["strategy"], attrs["iterations"], depth, GrowthSettings(**attrs.get("growth", {})))
+        return cls(attrs["strategy"], attrs["iterations"], depth, GrowthSettings(**attrs.get("growth", {})), held)
 
 
 def required(coarse: Artifact | None) -> Artifact:

@@ -34,12 +34,12 @@ def object_depths(objects: Objects, views: Views, frames: list[int], points: np.
     for k, (labels, number, log_size, i) in enumerate(zip(objects.labels, objects.number, objects.log_size, frames)):
         _, x, y, z = views.project(i, points)
         row, column = objects.at(k, x, y)
-        inner = _inner(labels)
+        without_rim = inner(labels)
         K = np.diag([1 / objects.step[0], 1 / objects.step[1], 1.0]) @ views.K[i]
         for part in range(1, len(number)):
             known = told.setdefault(int(number[part]), _Told([], [], 0))
             below = depth_below(labels == part, K, column, row, z)
-            hidden = z[inner[row, column] == part]
+            hidden = z[without_rim[row, column] == part]
             if below is not None and below.level:
                 known.floor.append((k, np.log(below.depth) + log_size[part]))
             elif below is not None:
@@ -107,7 +107,7 @@ def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z
     return Below(1 / at_foot, bool(plane[1] > FLOOR * np.linalg.norm(plane)))
 
 
-def _inner(labels: np.ndarray) -> np.ndarray:
+def inner(labels: np.ndarray) -> np.ndarray:
     """``labels`` [H, W] without the rim of each part."""
     inset = max(1, round(INSET * labels.shape[1]))
     return np.where(cv2.erode((labels > 0).astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
@@ -116,10 +116,15 @@ def _inner(labels: np.ndarray) -> np.ndarray:
 def depth_at(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, places: np.ndarray, usual: float) -> np.ndarray:
     """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` for parts without a depth.
     A part is assumed to be as thick as it is wide, so its surface comes nearer with the distance from its outline."""
-    where = objects.at(k, *places.T)
-    z = depths[objects.labels[k][where]]
-    inside = cv2.distanceTransform((objects.labels[k] > 0).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.where(z > 0, z, usual) * np.maximum(1 - inside[where] * objects.step[0] / K[0, 0], THICKEST)
+    return surface(objects, depths, K, k, usual)[objects.at(k, *places.T)]
+
+
+def surface(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float) -> np.ndarray:
+    """`depth_at` of all pixels of the labels of frame ``k``: [h, w]."""
+    labels = objects.labels[k]
+    z = depths[labels]
+    inside = cv2.distanceTransform((labels > 0).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.where(z > 0, z, usual) * np.maximum(1 - inside * objects.step[0] / K[0, 0], THICKEST)
 
 
 def steady(depth: np.ndarray, alive: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ neighbouring frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from ...vision.sequences import camera_sequences
 from ..artifacts.flow import StoredFlow
 from .chain import Chain
 from .depths import depth_at, object_depths, steady
+from .held import held_map
 from .objects import follow_objects
 from .scene_flow import next_positions
 
@@ -41,12 +42,14 @@ AROUND = 3  # frames on either side over which the velocity is measured for one 
 
 
 class MovingSeeds(NamedTuple):
-    """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units per frame, time [N] in [0, 1] of each position."""
+    """points [N, 3] world units, colors [N, 3] in [0, 1], velocities [N, 3] world units per frame, time [N] in [0, 1] of each position.
+    held: by frame of a camera that is alone, the depth that its seeds assume, see `held_map`."""
 
     points: np.ndarray
     colors: np.ndarray
     velocities: np.ndarray
     time: np.ndarray
+    held: Mapping[int, np.ndarray] = {}
 
 
 def key_times(times: np.ndarray, apart: float, most: int | None = None) -> np.ndarray:
@@ -136,7 +139,7 @@ def camera_seeds(
 
     static [P, 3]: points that are mostly static. advance: called with the number of frames that are done.
     """
-    found = []
+    found, held = [], dict[int, np.ndarray]()
     cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
     for frames in cameras:
         chain = Chain(flow, frames)
@@ -147,6 +150,7 @@ def camera_seeds(
         if not known:
             continue
         usual = float(np.median(known))
+        held |= {i: held_map(objects, depths[k], views.K[i], k, usual) for k, i in enumerate(frames)}
         rows = key_times(views.time[frames], APART_ALONE)
         area = sum(int(chain.mask(k).sum()) for k in rows)
         stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(most, 1)))))
@@ -168,7 +172,8 @@ def camera_seeds(
             color = picture[begin[:, 1].astype(int), begin[:, 0].astype(int)]
             time = np.full(len(begin), views.time[frames[k]])
             found.append(MovingSeeds(where[near.index(k)].astype(np.float64), color, velocity, time))
-    return join(found)
+    seeds = join(found)
+    return None if seeds is None else seeds._replace(held=held)
 
 
 def slope(x: np.ndarray, y: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -189,7 +194,7 @@ def per_frame(views: Views, times: np.ndarray, k: int) -> float:
 
 
 def join(found: list[MovingSeeds]) -> MovingSeeds | None:
-    return MovingSeeds(*(np.concatenate(parts) for parts in zip(*found))) if found else None
+    return MovingSeeds(*(np.concatenate(parts) for parts in zip(*(one[:4] for one in found)))) if found else None
 
 
 def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:

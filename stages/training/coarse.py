@@ -24,6 +24,7 @@ from ..artifacts.model import write_model
 from ..artifacts.training_log import write_training_log
 from ..facts import Facts
 from ..seeding.fill import measured_depth, moving_pixels
+from ..seeding.held import held_depth
 from ..seeding.moving import MovingSeeds
 from ..seeding.picture import seeds_picture
 from ..seeding.seeds import initial_dynamic, living, load_seeds, moving_seeds
@@ -67,6 +68,7 @@ def train_coarse(ctx: Context) -> None:
     count = settings.seeds or auto_seeds(facts, budget)
     points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, count, fill=one_way(facts))
     moving = None if static or nodes else moving_seeds(ctx, frames, views, points, budget // 2)
+    held = {} if moving is None else dict(moving.held)
     views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
     if frames.background is None:
         views.background = mean_colour(views)
@@ -95,12 +97,13 @@ def train_coarse(ctx: Context) -> None:
         budget=budget,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
+        held_depth=held_depth(held, unit, ctx),
         moving=moving_pixels(ctx, frames, views) if kind == "free" else None,
     )
     if not len(model.gaussians):
         ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")
     growth = GrowthSettings(**settings.model_dump(include=set(GrowthSettings.model_fields)))
-    StoredCoarse(settings.strategy, steps, inverse_depth, growth).write(ctx.out, begin)
+    StoredCoarse(settings.strategy, steps, inverse_depth, growth, held).write(ctx.out, begin)
     write_model(ctx.out, model)
     write_training_log(ctx.out, log)
 

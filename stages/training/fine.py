@@ -17,6 +17,7 @@ from ..artifacts.hulls import StoredHulls
 from ..artifacts.model import read_model, write_model
 from ..artifacts.training_log import write_training_log
 from ..seeding.fill import measured_depth, moving_pixels
+from ..seeding.held import held_depth
 from .choices import auto_budget, fine_iterations, found_facts
 from .train import train
 
@@ -59,6 +60,7 @@ def train_fine(ctx: Context) -> None:
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(coarse.depth, unit, ctx, frames),
+        held_depth=held_depth(coarse.held, unit, ctx),
         moving=moving_pixels(ctx, frames, views) if joint else None,
     )
     write_model(ctx.out, model)

@@ -33,12 +33,14 @@ def test_growth_is_set_for_coarse_alone(name):
 def test_what_coarse_was_told_of_growth_travels_with_the_joint_strategy(strategy, growth, tmp_path):
     tmp_path.joinpath("coarse").mkdir()
     out = ArtifactWriter(tmp_path / "coarse")
-    depth = {3: np.ones((2, 2), np.float32)}
-    StoredCoarse(strategy, 90, depth, TOLD).write(out, b"png")
+    depth, held = {3: np.ones((2, 2), np.float32)}, {5: np.ones((2, 4, 6), np.float32), 4: np.zeros((2, 4, 6), np.float32)}
+    StoredCoarse(strategy, 90, depth, TOLD, held).write(out, b"png")
     out.finish({})
     found = StoredCoarse.read(Artifact(tmp_path / "coarse"))
     assert (found.strategy, found.iterations, found.growth) == (strategy, 90, growth)
     np.testing.assert_array_equal(found.depth[3], depth[3])
+    assert sorted(found.held) == [4, 5]
+    np.testing.assert_array_equal(found.held[5], held[5])
     assert ("growth" in Artifact(tmp_path / "coarse").attrs) is (strategy == "joint")
 
 

@@ -124,6 +124,7 @@ class ReplayedObjective:
             target=flow and o.motion_terms.has_target(i),
             drawn=drawn is not None,
             measured=o.measured_depth is not None and o.measured_depth.covers(i),
+            held=o.held_depth is not None and o.held_depth.covers(i),
             recorded=row is not None,
             left_out=now.left_out is not None,
             smooth=now.smooth is not None,

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ...colour import CameraAffine
 from ...model import Model
+from ...views import Window
 from ..drawn_tiles import Drawn
 from ..objective import Now, Objective
 from .one_view import OneView
@@ -36,3 +37,6 @@ class OfOneView(Objective):
 
     def measured(self, i: int, height: int, width: int) -> tuple[Tensor | None, None]:
         return self.view.measured(), None
+
+    def held(self, i: int, scale: float, step: int, window: Window | None = None) -> Tensor | None:
+        return self.view.held()

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 class Kind(NamedTuple):
     """What steps have in common if one graph will do for them. scale, move, sh_degree: of the phase. spread, prior, flow: whether these
-    terms are due. edges: whether the flow terms use those of the picture. target, drawn, measured, recorded: whether the frame has a
-    `FlowTarget`, leaves tiles out, has measured depth, and has colours of its own. left_out, smooth: whether `Now` has these."""
+    terms are due. edges: whether the flow terms use those of the picture. target, drawn, measured, held, recorded: whether the frame has a
+    `FlowTarget`, leaves tiles out, has measured depth, has depth of what moves, and has colours of its own. left_out, smooth: whether `Now`
+    has these."""
 
     scale: float
     move: bool
@@ -31,6 +32,7 @@ class Kind(NamedTuple):
     target: bool = False
     drawn: bool = False
     measured: bool = False
+    held: bool = False
     recorded: bool = False
     left_out: bool = False
     smooth: bool = False
@@ -66,6 +68,7 @@ class OneView:
             if there
         }
         self._depth = torch.zeros(height, width, device=device) if kind.measured else None
+        self._held = torch.zeros(2, height, width, device=device) if kind.held else None
         self._edges = torch.zeros(*views.size(kind.scale * FLOW_SCALE)[::-1], device=device) if kind.edges else None
         half = views.size(FLOW_SCALE)[::-1]
         self._flow = (torch.zeros(*half, 2, device=device), torch.zeros(half, device=device)) if kind.target else None
@@ -97,6 +100,10 @@ class OneView:
             measured = objective.measured_depth.static(i, *self._depth.shape)
             assert measured is not None
             self._depth.copy_(measured)
+        if self._held is not None:
+            held = objective.held(i, kind.scale, step)
+            assert held is not None
+            self._held.copy_(held)
 
     # What a step asks of its `Objective`.
 
@@ -114,6 +121,9 @@ class OneView:
 
     def measured(self) -> Tensor | None:
         return self._depth
+
+    def held(self) -> Tensor | None:
+        return self._held
 
     def flow_target(self, i: int) -> FlowTarget | None:
         return None if self._flow is None else FlowTarget(self._cameras[-2], self._cameras[-1], self._later[0], *self._flow)
