@@ -41,6 +41,8 @@ class Capture:
     masks: tuple[str | None, ...] | None
     keeps: tuple[str | None, ...] | None
     keep_turns: tuple[int, ...] | None
+    depths: tuple[str | None, ...] | None
+    depth_confidences: tuple[str | None, ...] | None
     videos: tuple[Video, ...]
     camera: np.ndarray
     time: np.ndarray
@@ -128,13 +130,20 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     images = None if reading.videos else tuple(str(s.file) for s in shots)
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
     keeps = tuple(s.keep for s in shots) if any(s.keep for s in shots) else None
+    depths = tuple(s.depth for s in shots) if any(s.depth for s in shots) else None
+    sure = tuple(s.depth_confidence for s in shots) if any(s.depth_confidence for s in shots) else None
     for shot in shots:
         for mask in filter(None, (shot.mask, shot.keep)):
             size = checks.image_header(root, mask)[:2]
             if (size[::-1] if shot.keep_turn in checks.LYING else size) != shot.size:
                 raise CaptureError(f"{mask}: the mask is {size[0]}x{size[1]}, its image {shot.size[0]}x{shot.size[1]}; make them one size")
     checks.refuse_odd_names(s.name for s in shots)
-    files = {*reading.sources, *(images or ()), *(m for m in (*(masks or ()), *(keeps or ())) if m), *(v.file for v in reading.videos)}
+    files = {
+        *reading.sources,
+        *(images or ()),
+        *(m for m in (*(masks or ()), *(keeps or ()), *(depths or ()), *(sure or ())) if m),
+        *(v.file for v in reading.videos),
+    }
     checks.refuse_odd_names(sorted(files))
     checks.refuse_huge_files(root, sorted(files - {v.file for v in reading.videos}))
     return Capture(
@@ -148,6 +157,8 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         masks=masks,
         keeps=keeps,
         keep_turns=None if keeps is None else tuple(s.keep_turn for s in shots),
+        depths=depths,
+        depth_confidences=sure,
         videos=reading.videos,
         camera=camera,
         time=time,

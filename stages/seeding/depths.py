@@ -11,7 +11,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ...scene.seeds.given_depth import GivenDepth
 from ...scene.views import Views
+from .given_objects import given_numbers, given_surface
 from .objects import Objects
 
 NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest, since single points may be wrong
@@ -34,9 +36,12 @@ LOOKS = 8  # least number of frames that show a point that masks cover too often
 STEADY = 9  # frames in the moving median of a track's depth
 
 
-def object_depths(objects: Objects, views: Views, frames: list[int], points: np.ndarray) -> list[np.ndarray]:
+def object_depths(
+    objects: Objects, views: Views, frames: list[int], points: np.ndarray, given: GivenDepth | None = None
+) -> list[np.ndarray]:
     """For each of ``frames`` the depth of each object, [N + 1] by label in world units; 0 if the static ``points`` [P, 3] do not determine
-    it. What moves with a larger object that it touches is as far away as that (`attached.py`)."""
+    it. What moves with a larger object that it touches is as far away as that (`attached.py`). given: depth of the capture,
+    which replaces all other evidence where it covers an object."""
     points = points[off_masks(objects, views, frames, points)]
     told: dict[int, _Told] = {}
     for k, (labels, i) in enumerate(zip(objects.labels, frames)):
@@ -63,8 +68,10 @@ def object_depths(objects: Objects, views: Views, frames: list[int], points: np.
     for one, known in told.items():
         for k in range(len(depths)):
             depths[k, one] = _depth(known, k, float(objects.log_size[k, one]))
-    for one, body in objects.body.items():
+    for one, body in objects.body.items() if given is None else ():
         _follow(depths, objects, one, body)
+    if given is not None:
+        depths = given_numbers(objects, frames, given, depths)
     return list(depths)
 
 
@@ -78,8 +85,8 @@ def _follow(depths: np.ndarray, objects: Objects, one: int, body: int) -> None:
 
 
 def off_masks(objects: Objects, views: Views, frames: list[int], points: np.ndarray) -> np.ndarray:
-    """[P] bool, which ``points`` [P, 3] are seen beside the masks in more than half of the ``frames`` that show them, or shown by too few to tell:
-    the others lie on what moves."""
+    """[P] bool, which ``points`` [P, 3] more than half of the ``frames`` that show them show beside the masks, or too few show to tell. The
+    others lie on what moves."""
     shown, covered = np.zeros(len(points), int), np.zeros(len(points), int)
     for k, i in enumerate(frames):
         point, x, y, _ = views.project(i, points)
@@ -150,8 +157,8 @@ def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z
 
 
 def depth_beside(labels: np.ndarray, part: np.ndarray, row: np.ndarray, column: np.ndarray, z: np.ndarray) -> float | None:
-    """Depth of the nearest of what is at rest around ``part`` [H, W] bool, if that is a share of it: an arm that moves joins a body that does
-    not. The static points are at pixels ``row``, ``column`` with depths ``z`` [P]; None if too few are around it."""
+    """Depth of the nearest of what is at rest around ``part`` [H, W] bool, if that is a share of it: an arm that moves joins a body that
+    does not. The static points are at pixels ``row``, ``column`` with depths ``z`` [P]; None if too few are around it."""
     reach = max(1, round(RING * part.shape[1]))
     ring = cv2.dilate(part.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
     around = np.sort(z[(ring & (labels == 0))[row, column]])
@@ -165,16 +172,30 @@ def inner(labels: np.ndarray) -> np.ndarray:
     return np.where(cv2.erode((labels > 0).astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
 
 
-def depth_at(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, places: np.ndarray, usual: float) -> np.ndarray:
+def depth_at(
+    objects: Objects,
+    depths: np.ndarray,
+    K: np.ndarray,
+    k: int,
+    places: np.ndarray,
+    usual: float,
+    given: GivenDepth | None = None,
+    i: int = 0,
+) -> np.ndarray:
     """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` for parts without a depth.
-    A part is assumed to be as thick as it is wide, so its surface comes nearer with the distance from its outline."""
-    return surface(objects, depths, K, k, usual)[objects.at(k, *places.T)]
+    A part is assumed to be as thick as it is wide, so its surface comes nearer with the distance from its outline, unless there is
+    ``given`` depth of frame ``i``."""
+    return surface(objects, depths, K, k, usual, given, i)[objects.at(k, *places.T)]
 
 
-def surface(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float) -> np.ndarray:
+def surface(
+    objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float, given: GivenDepth | None = None, i: int = 0
+) -> np.ndarray:
     """`depth_at` of all pixels of the labels of frame ``k``: [h, w]."""
     labels = objects.labels[k]
     z = depths[labels]
+    if given is not None and i in given.z:
+        return given_surface(given, i, np.where(z > 0, z, usual))
     inside = cv2.distanceTransform((labels > 0).astype(np.uint8), cv2.DIST_L2, 5)
     return np.where(z > 0, z, usual) * np.maximum(1 - inside * objects.step[0] / K[0, 0], THICKEST)
 

@@ -9,6 +9,7 @@ import torch
 
 from ...pipeline import Context
 from ...scene.losses.held_depth import HeldDepth
+from ...scene.seeds.given_depth import GivenDepth
 from .depths import inner, surface
 from .objects import Objects
 
@@ -17,18 +18,21 @@ STEP = 2  # pixels of the labels for one of the map: depth is smooth, and all fr
 END = 0.3  # share of the weight at the end of the training for depth that is a guess
 
 
-def held_map(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float) -> np.ndarray:
+def held_map(
+    objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float, given: GivenDepth | None = None, i: int = 0
+) -> np.ndarray:
     """[2, h, w] float32 for frame ``k``, whose parts have ``depths`` [labels]: inverse depth, 1 / world units, 0 where nothing moves, and
     its confidence. The rim of each part is left out: masks extend onto what is behind. For the rest, see `depth_at`."""
     inside = inner(objects.labels[k])
-    z = surface(objects, depths, K, k, usual)
+    z = surface(objects, depths, K, k, usual, given, i)
     sure = np.where(depths[inside] > 0, 1.0, UNSURE)
     both = np.stack([np.where(inside > 0, 1 / z, 0.0), np.where(inside > 0, sure, 0.0)])
     return both[:, STEP // 2 :: STEP, STEP // 2 :: STEP].astype(np.float32)
 
 
-def held_depth(maps: Mapping[int, np.ndarray], unit: float, ctx: Context) -> HeldDepth | None:
-    """``maps`` by frame (see `held_map`) as the target of the loss; None without any. unit: the viewing distance, world units."""
+def held_depth(maps: Mapping[int, np.ndarray], unit: float, ctx: Context, guess: bool = True) -> HeldDepth | None:
+    """``maps`` by frame (see `held_map`) as the target of the loss; None without any. unit: the viewing distance, world units. guess:
+    whether it was not measured."""
     if not maps:
         return None
-    return HeldDepth({frame: torch.from_numpy(one).to(ctx.device) for frame, one in maps.items()}, unit, END)
+    return HeldDepth({frame: torch.from_numpy(one).to(ctx.device) for frame, one in maps.items()}, unit, END if guess else 1.0)

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ...scene.seeds.colours import median_colours
+from ...scene.seeds.given_depth import GivenDepth
 from ...scene.seeds.hull import visual_hull
 from ...scene.seeds.surfaces import surface_points
 from ...scene.views import Views
@@ -133,24 +134,29 @@ def on_surfaces(views: Views, masks: list[np.ndarray], frames: np.ndarray, most:
 
 
 def camera_seeds(
-    flow: StoredFlow, views: Views, static: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
+    flow: StoredFlow,
+    views: Views,
+    static: np.ndarray,
+    most: int,
+    advance: Callable[[int], None] = lambda n: None,
+    given: GivenDepth | None = None,
 ) -> MovingSeeds | None:
     """Up to ``most`` seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth.
 
-    static [P, 3]: points that are mostly static. advance: called with the number of frames that are done.
+    static [P, 3]: points that are mostly static. given: depth of the capture. advance: called with the number of frames that are done.
     """
     found, held = [], dict[int, np.ndarray]()
     cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
     for frames in cameras:
         chain = Chain(flow, frames)
         objects = follow_objects(chain, len(frames))
-        depths = object_depths(objects, views, frames, static)
+        depths = object_depths(objects, views, frames, static, given)
         advance(len(frames))
         known = [float(np.median(values[values > 0])) for values in depths if (values > 0).any()]
         if not known:
             continue
         usual = float(np.median(known))
-        held |= {i: held_map(objects, depths[k], views.K[i], k, usual) for k, i in enumerate(frames)}
+        held |= {i: held_map(objects, depths[k], views.K[i], k, usual, given, i) for k, i in enumerate(frames)}
         rows = key_times(views.time[frames], APART_ALONE)
         area = sum(int(chain.mask(k).sum()) for k in rows)
         stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(most, 1)))))
@@ -163,7 +169,7 @@ def camera_seeds(
             near = [j for j in range(k - AROUND, k + AROUND + 1) if 0 <= j < len(frames)]
             z = np.zeros(alive.shape, np.float32)
             for j in near:
-                z[j] = depth_at(objects, depths[j], views.K[frames[j]], j, places[j], usual)
+                z[j] = depth_at(objects, depths[j], views.K[frames[j]], j, places[j], usual, given, frames[j])
             z = steady(z, alive)
             where = np.stack([lift(views, frames[j], places[j], z[j]) for j in near])
             number = views.time[[frames[j] for j in near]] * (len(np.unique(views.time)) - 1)

@@ -66,8 +66,8 @@ def train_coarse(ctx: Context) -> None:
     static, nodes = facts.static, use_nodes(facts, settings)
     budget = settings.budget or auto_budget(facts, views, nodes)
     count = settings.seeds or auto_seeds(facts, budget)
-    points, colors, trusted, inverse_depth = load_seeds(ctx, frames, views, count, fill=one_way(facts))
-    moving = None if static or nodes else moving_seeds(ctx, frames, views, points, budget // 2)
+    points, colors, trusted, inverse_depth, given = load_seeds(ctx, frames, views, count, fill=one_way(facts))
+    moving = None if static or nodes else moving_seeds(ctx, frames, views, points, budget // 2, given)
     held = {} if moving is None else dict(moving.held)
     views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
     if frames.background is None:
@@ -97,7 +97,7 @@ def train_coarse(ctx: Context) -> None:
         budget=budget,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(inverse_depth, unit, ctx, frames),
-        held_depth=held_depth(held, unit, ctx),
+        held_depth=held_depth(held, unit, ctx, guess=given is None),
         moving=moving_pixels(ctx, frames, views) if kind == "free" else None,
     )
     if not len(model.gaussians):

@@ -60,7 +60,7 @@ def train_fine(ctx: Context) -> None:
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(coarse.depth, unit, ctx, frames),
-        held_depth=held_depth(coarse.held, unit, ctx),
+        held_depth=held_depth(coarse.held, unit, ctx, guess=frames.depth_files is None),
         moving=moving_pixels(ctx, frames, views) if joint else None,
     )
     write_model(ctx.out, model)
