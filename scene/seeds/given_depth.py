@@ -80,11 +80,11 @@ def fit_depth(
         factors = np.array([fit[i][0] for i in fit])
         if np.median(np.abs(np.log(factors / np.median(factors)))) < STEADY:
             fit = dict.fromkeys(fit, np.array([np.median(factors)]))
-    z, sure = {}, {}
+    depth, sure = {}, {}
     for i, (values, confidence) in known.items():
-        z[i] = _apply(kind, fit[i], values, float(samples[i][1].max()))
-        sure[i] = np.where(z[i] > 0, np.clip(confidence / max(float(confidence.max()), 1e-9), 0, 1), 0).astype(np.float32)
-    return GivenDepth(kind, float(np.median([_error(kind, fit[i], *samples[i]) for i in samples])), z, sure)
+        depth[i] = _apply(kind, fit[i], values, float(samples[i][1].max()))
+        sure[i] = np.where(depth[i] > 0, np.clip(confidence / max(float(confidence.max()), 1e-9), 0, 1), 0).astype(np.float32)
+    return GivenDepth(kind, float(np.median([_error(kind, fit[i], *samples[i]) for i in samples])), depth, sure)
 
 
 def _small(found: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

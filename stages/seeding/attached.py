@@ -28,8 +28,8 @@ def bodies(chain: Chain, labels: list[np.ndarray]) -> dict[int, int]:
                     continue
                 steps = [_step(chain, k, side) for side in sides]
                 if steps[0] is not None and steps[1] is not None:
-                    alike = float(np.linalg.norm(steps[0] - steps[1])) < ALIKE * chain.width
-                    touched.setdefault((a, b), []).append(alike)
+                    apart = float(np.linalg.norm(steps[0] - steps[1]))
+                    touched.setdefault((a, b), []).append(apart < ALIKE * chain.width)
     found: dict[int, int] = {}
     for (a, b), alike in sorted(touched.items(), key=lambda item: -sum(item[1])):
         small, large = (a, b) if area[a] < area[b] else (b, a)

@@ -200,7 +200,10 @@ def per_frame(views: Views, times: np.ndarray, k: int) -> float:
 
 
 def join(found: list[MovingSeeds]) -> MovingSeeds | None:
-    return MovingSeeds(*(np.concatenate(parts) for parts in zip(*(one[:4] for one in found)))) if found else None
+    if not found:
+        return None
+    points, colors, velocities, time = (np.concatenate(parts) for parts in zip(*(one[:4] for one in found)))
+    return MovingSeeds(points, colors, velocities, time)
 
 
 def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:

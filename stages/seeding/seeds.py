@@ -95,10 +95,10 @@ def given_depth(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray
     """Depth that came with the capture, in world units: fitted to the trusted ``points`` [P, 3]. None if it has none, or none that fits."""
     if frames.depth_files is None:
         return None
-    masks = {int(i): unsteady_mask(ctx, frames, int(i)) for i in views.train}
 
     def still(i: int) -> np.ndarray | None:
-        return None if masks[i] is None else ~masks[i]
+        mask = unsteady_mask(ctx, frames, i)
+        return None if mask is None else ~mask
 
     given = fit_depth(frames.depth, views, views.train, points, still)
     if given is None:
