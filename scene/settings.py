@@ -100,6 +100,9 @@ class RefinementSettings(RandomSettings):
     depth_weight: float = Field(
         0.3, ge=0, description="weight of the difference from the depth measured between cameras, or along one's path, where known"
     )
+    moving_depth_weight: float = Field(
+        0.3, ge=0, description="before one camera: weight of how far what moves is from the depth of its seeds, or from the capture's depth"
+    )
     interval_weight: float | None = Field(None, ge=0, description="weight of L_interval (Eq. 8), with flow in px; 0.001 for planes, else 0")
     data_flow_weight: float = Field(
         1e-3, ge=0, description="weight of the difference of rendered and measured flow at edges, px; 0 turns it off"

@@ -23,6 +23,7 @@ class StoredSeeds:
     near: float  # near plane of all cameras, world units, from the points that were measured
     background: tuple[float, float, float]  # RGB in [0, 1]: the capture's, or the mean colour of its pictures
     path_width: float | None  # degrees between the outermost directions from which training frames see a point; None: not along one path
+    depth_given: bool = False  # whether `moving.held` is depth that came with the capture, and no guess
 
     def write(self, out: ArtifactWriter, png: bytes) -> None:
         """png: a picture of the seeds."""
@@ -34,6 +35,8 @@ class StoredSeeds:
             out.write("moving_colors", self.moving.colors, doc="RGB in [0, 1] of moving_points")
             out.write("moving_velocities", self.moving.velocities, unit="world unit/frame", doc="velocities of moving_points")
             out.write("moving_time", self.moving.time, unit="share of the capture", doc="time in [0, 1] of moving_points")
+            if self.moving.held:
+                self._write_held(out, self.moving.held)
         out.write("seeds_png", np.frombuffer(png, np.uint8), doc="where training begins, for the report")
         out.attrs.update(near=self.near, background=list(self.background), path_width=self.path_width)
         if self.depth:
@@ -44,12 +47,18 @@ class StoredSeeds:
             of_frame = np.array([(frame, number[id(one)]) for frame, one in sorted(self.depth.items())], np.int32)
             out.write("depth_of_frame", of_frame, doc="frame, and its row of depth_maps")
 
+    def _write_held(self, out: ArtifactWriter, held: Mapping[int, np.ndarray]) -> None:
+        doc = "inverse depth of what moves, 0 where nothing does, and confidence in it"
+        out.write("depth_moving", np.stack([held[frame] for frame in sorted(held)]), unit="1/world unit, 1", doc=doc)
+        out.write("depth_moving_frame", np.array(sorted(held), np.int32), doc="frame of each row of depth_moving")
+        out.attrs["depth_given"] = self.depth_given
+
     @classmethod
     def read(cls, artifact: Artifact) -> StoredSeeds:
         read, attrs = artifact.read, artifact.attrs
-        moving = None
+        moving, (held, depth_given) = None, read_held(artifact)
         if "moving_points" in artifact:
-            moving = MovingSeeds(read("moving_points"), read("moving_colors"), read("moving_velocities"), read("moving_time"))
+            moving = MovingSeeds(read("moving_points"), read("moving_colors"), read("moving_velocities"), read("moving_time"), held)
         red, green, blue = attrs["background"]
         return cls(
             points=read("points"),
@@ -60,6 +69,7 @@ class StoredSeeds:
             near=attrs["near"],
             background=(red, green, blue),
             path_width=attrs["path_width"],
+            depth_given=depth_given,
         )
 
 
@@ -70,6 +80,14 @@ def read_depth(artifact: Artifact | None) -> dict[int, np.ndarray]:
         return {}
     maps = list(artifact.read("depth_maps"))
     return {int(frame): maps[int(k)] for frame, k in artifact.read("depth_of_frame")}
+
+
+def read_held(artifact: Artifact | None) -> tuple[dict[int, np.ndarray], bool]:
+    """`MovingSeeds.held` alone, which may be empty, and `StoredSeeds.depth_given`. Raises ArtifactError if an array is damaged."""
+    if artifact is None or "depth_moving" not in artifact:
+        return {}, False
+    frames = artifact.read("depth_moving_frame").tolist()
+    return dict(zip(frames, artifact.read("depth_moving"), strict=True)), bool(artifact.attrs["depth_given"])
 
 
 def read_seeds_png(artifact: Artifact) -> bytes | None:

@@ -11,8 +11,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ...scene.seeds.given_depth import GivenDepth
 from ...scene.views import Views
-from ...vision.moving.followed_parts import Objects
+from ...vision.moving.followed_objects import Objects
+from .given_objects import given_numbers, given_surface
 
 NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest, since single points may be wrong
 FEWEST = 5  # least number of hidden points, or points of the floor, that give a depth
@@ -20,59 +22,106 @@ BEFORE = 0.97  # factor on the depth of hidden points: an object is in front of 
 ANYWHERE = 0.75  # the same for an object in the air: the mean over all positions in the view in front of what it hides
 INSET = 0.01  # of the picture's width; masks extend beyond outlines by this much, onto nearer floor
 TIGHTEST = 20.0  # percentile of an object's depths over its frames; low, since each is an upper bound or noisy
+TIGHTEST_CUT = 5.0  # the same if its foot is mostly below the picture: then all of them are too far
+EDGE = 2  # rows of labels at the picture's lower edge
+RING = 0.03  # of the picture's width, reach around an object within which something at rest is beside it
+SHARE = 0.1  # of the points around an object that are nearer than the rest, if it joins what they show
+JOINED = 0.85  # of the depth of what it hides; what is beside an object and farther may be the same wall
 STANDS = 0.75  # of the frames that show a surface below an object must show a level one for the object to count as standing
 BESIDE = 8  # frames on either side whose own evidence is used
 FLOOR = 0.6  # least vertical share of a surface's normal for objects to stand on it: at most 53 degrees from level
 AROUND_FOOT = 0.08  # of the picture's width, reach around the lowest pixel within which points of the floor are used
 THICKEST = 0.7  # least factor on the depth for the thickness of an object, away from its outline
+LOOKS = 8  # least number of frames that show a point that masks cover too often
 STEADY = 9  # frames in the moving median of a track's depth
 
 
-def object_depths(objects: Objects, views: Views, frames: list[int], points: np.ndarray) -> list[np.ndarray]:
-    """For each of ``frames`` the depth of each part, [labels] in world units; 0 if the static ``points`` [P, 3] do not determine it."""
+def object_depths(
+    objects: Objects, views: Views, frames: list[int], points: np.ndarray, given: GivenDepth | None = None
+) -> list[np.ndarray]:
+    """For each of ``frames`` the depth of each object, [N + 1] by label in world units; 0 if the static ``points`` [P, 3] do not determine
+    it. What moves with a larger object that it touches is as far away as that (`attached_parts.py`). given: depth of the capture,
+    which replaces all other evidence where it covers an object."""
+    points = points[off_masks(objects, views, frames, points)]
     told: dict[int, _Told] = {}
-    for k, (labels, number, log_size, i) in enumerate(zip(objects.labels, objects.number, objects.log_size, frames)):
+    for k, (labels, i) in enumerate(zip(objects.labels, frames)):
         _, x, y, z = views.project(i, points)
         row, column = objects.at(k, x, y)
-        inner = _inner(labels)
+        without_rim = inner(labels)
         K = np.diag([1 / objects.step[0], 1 / objects.step[1], 1.0]) @ views.K[i]
-        for part in range(1, len(number)):
-            known = told.setdefault(int(number[part]), _Told([], [], 0))
-            below = depth_below(labels == part, K, column, row, z)
-            hidden = z[inner[row, column] == part]
-            if below is not None and below.level:
-                known.floor.append((k, np.log(below.depth) + log_size[part]))
+        for one in np.unique(labels[labels > 0]):
+            known, size = told.setdefault(int(one), _Told([], [], [], [], [])), objects.log_size[k, one]
+            part = labels == one
+            below, joined = depth_below(part, K, column, row, z), depth_beside(labels, part, row, column, z)
+            hidden = z[without_rim[row, column] == one]
+            behind = float(np.median(hidden)) if len(hidden) >= FEWEST else np.inf
+            if below is not None and below.level and below.depth < behind:
+                cut = np.nonzero(part)[0].max() >= len(part) - EDGE
+                (known.cut if cut else known.floor).append((k, np.log(below.depth) + size))
             elif below is not None:
-                told[int(number[part])] = known._replace(in_air=known.in_air + 1)
+                known.in_air.append(k)
+            if joined is not None and joined < JOINED * behind:
+                known.joined.append((k, np.log(joined) + size))
             if len(hidden) >= FEWEST:
-                known.hidden.append((k, np.log(np.percentile(hidden, NEAR)) + log_size[part]))
-    depths = []
-    for k, (number, log_size) in enumerate(zip(objects.number, objects.log_size)):
-        depths.append(np.zeros(len(number), np.float32))
-        for part in range(1, len(number)):
-            depths[k][part] = _depth(told[int(number[part])], k, float(log_size[part]))
-    return depths
+                known.hidden.append((k, np.log(np.percentile(hidden, NEAR)) + size))
+    depths = np.zeros(objects.log_size.shape, np.float32)
+    for one, known in told.items():
+        for k in range(len(depths)):
+            depths[k, one] = _depth(known, k, float(objects.log_size[k, one]))
+    for one, body in objects.body.items() if given is None else ():
+        _follow(depths, objects, one, body)
+    if given is not None:
+        depths = given_numbers(objects, frames, given, depths)
+    return list(depths)
+
+
+def _follow(depths: np.ndarray, objects: Objects, one: int, body: int) -> None:
+    """Put object ``one`` at the depth of its ``body``: in frames that show both by that, in others by its size."""
+    both = [k for k, labels in enumerate(objects.labels) if depths[k, body] > 0 and (labels == one).any() and (labels == body).any()]
+    if both:
+        scale = np.median(np.log(depths[both, body]) + objects.log_size[both, one])
+        depths[:, one] = np.exp(scale - objects.log_size[:, one])
+        depths[both, one] = depths[both, body]
+
+
+def off_masks(objects: Objects, views: Views, frames: list[int], points: np.ndarray) -> np.ndarray:
+    """[P] bool, which ``points`` [P, 3] more than half of the ``frames`` that show them show beside the masks, or too few show to tell. The
+    others lie on what moves."""
+    shown, covered = np.zeros(len(points), int), np.zeros(len(points), int)
+    for k, i in enumerate(frames):
+        point, x, y, _ = views.project(i, points)
+        shown[point] += 1
+        covered[point] += objects.labels[k][objects.at(k, x, y)] > 0
+    return (2 * covered < shown) | (shown < LOOKS)
 
 
 class _Told(NamedTuple):
-    """Evidence for one object: (frame, log(depth * size)) from the floor below it and from what it hides, and the number of frames in which
-    the surface below is not level."""
+    """Evidence for one object, as (frame, log(depth * size)). floor: from level ground at its lowest pixel. cut: the same where that pixel
+    is at the picture's edge, so that its foot is nearer. joined: from what is at rest, beside it and nearer than what it hides. hidden:
+    from what it hides. in_air: frames in which the surface below is not level."""
 
     floor: list[tuple[int, float]]
+    cut: list[tuple[int, float]]
+    joined: list[tuple[int, float]]
     hidden: list[tuple[int, float]]
-    in_air: int
+    in_air: list[int]
 
 
 def _depth(told: _Told, k: int, log_size: float) -> float:
     """Depth of an object in frame ``k``; 0 without evidence."""
-    stands = len(told.floor) > 0 and len(told.floor) >= STANDS * (len(told.floor) + told.in_air)
-    evidence = told.floor if stands else told.hidden
+    grounded = len(told.floor) + len(told.cut)
+    stands = grounded > 0 and grounded >= STANDS * (grounded + len(told.in_air))
+    joined = not stands and len(told.joined) >= STANDS * max(len(told.hidden), 1)
+    bounds = len(told.cut) > len(told.floor)
+    evidence = told.floor + told.cut if stands else told.joined if joined else told.hidden
     if not evidence:
         return 0.0
     frame, value = np.array(evidence).T
+    share = 1.0 if stands or joined else ANYWHERE if told.in_air else BEFORE
+    if joined:
+        return float(np.exp(np.median(value) - log_size))
+    tightest = np.percentile(value, TIGHTEST_CUT if stands and bounds else TIGHTEST)
     beside = value[np.abs(frame - k) <= BESIDE]  # measured sizes drift over time and as the object turns
-    tightest = np.percentile(value, TIGHTEST)
-    share = 1.0 if stands else ANYWHERE if told.in_air else BEFORE
     return share * float(np.exp(min(tightest, np.median(beside) if len(beside) else tightest) - log_size))
 
 
@@ -107,19 +156,48 @@ def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z
     return Below(1 / at_foot, bool(plane[1] > FLOOR * np.linalg.norm(plane)))
 
 
-def _inner(labels: np.ndarray) -> np.ndarray:
+def depth_beside(labels: np.ndarray, part: np.ndarray, row: np.ndarray, column: np.ndarray, z: np.ndarray) -> float | None:
+    """Depth of the nearest of what is at rest around ``part`` [H, W] bool, if that is a share of it: an arm that moves joins a body that
+    does not. The static points are at pixels ``row``, ``column`` with depths ``z`` [P]; None if too few are around it."""
+    reach = max(1, round(RING * part.shape[1]))
+    ring = cv2.dilate(part.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
+    around = np.sort(z[(ring & (labels == 0))[row, column]])
+    least = max(FEWEST, int(SHARE * len(around)))
+    return float(np.median(around[: 2 * least])) if len(around) >= 2 * least else None
+
+
+def inner(labels: np.ndarray) -> np.ndarray:
     """``labels`` [H, W] without the rim of each part."""
     inset = max(1, round(INSET * labels.shape[1]))
     return np.where(cv2.erode((labels > 0).astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
 
 
-def depth_at(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, places: np.ndarray, usual: float) -> np.ndarray:
+def depth_at(
+    objects: Objects,
+    depths: np.ndarray,
+    K: np.ndarray,
+    k: int,
+    places: np.ndarray,
+    usual: float,
+    given: GivenDepth | None = None,
+    i: int = 0,
+) -> np.ndarray:
     """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` for parts without a depth.
-    A part is assumed to be as thick as it is wide, so its surface comes nearer with the distance from its outline."""
-    where = objects.at(k, *places.T)
-    z = depths[objects.labels[k][where]]
-    inside = cv2.distanceTransform((objects.labels[k] > 0).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.where(z > 0, z, usual) * np.maximum(1 - inside[where] * objects.step[0] / K[0, 0], THICKEST)
+    A part is assumed to be as thick as it is wide, so its surface comes nearer with the distance from its outline, unless there is
+    ``given`` depth of frame ``i``."""
+    return surface(objects, depths, K, k, usual, given, i)[objects.at(k, *places.T)]
+
+
+def surface(
+    objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float, given: GivenDepth | None = None, i: int = 0
+) -> np.ndarray:
+    """`depth_at` of all pixels of the labels of frame ``k``: [h, w]."""
+    labels = objects.labels[k]
+    z = depths[labels]
+    if given is not None and i in given.z:
+        return given_surface(given, i, np.where(z > 0, z, usual))
+    inside = cv2.distanceTransform((labels > 0).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.where(z > 0, z, usual) * np.maximum(1 - inside * objects.step[0] / K[0, 0], THICKEST)
 
 
 def steady(depth: np.ndarray, alive: np.ndarray) -> np.ndarray:

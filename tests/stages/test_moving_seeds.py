@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -47,6 +48,19 @@ def test_before_one_camera_seeds_lie_on_the_mask_and_move_with_it(tmp_path):
     expected = CAMERA + scale * (SQUARE - CAMERA)
     assert np.median(seeds.velocities[:, 0]) == pytest.approx(expected, rel=0.1)
     assert np.abs(seeds.velocities[:, 1:]).max() < 0.1
+
+
+def test_before_one_camera_the_depth_of_seeds_is_told_for_all_frames(tmp_path):
+    flow = flow_of(tmp_path / "flow")
+    seeds = camera_seeds(flow, views(), wall(), 3000)
+    assert seeds is not None and sorted(seeds.held) == list(range(FRAMES))
+    for k, (inverse, confidence) in seeds.held.items():
+        mask = flow.moving(k) > 127
+        known = cv2.resize((inverse > 0).astype(np.uint8), mask.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+        assert (confidence == (inverse > 0)).all()
+        assert not (known & ~mask).any() and 0.7 < known.sum() / mask.sum() < 1, "all of the mask but its rim"
+        z = 1 / inverse[inverse > 0]
+        assert ANYWHERE * WALL * (1 - 20 / FOCAL) * 0.99 < z.min() < z.max() < ANYWHERE * WALL
 
 
 def test_before_one_camera_seeds_lie_at_about_every_third_frame(tmp_path, monkeypatch):
