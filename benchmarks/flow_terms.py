@@ -133,7 +133,7 @@ def steps(capture: str, workspace: str, name: str, interval: str, data: str, eve
     import time
 
     from e4dgs.pipeline import Records, Store
-    from e4dgs.scene.schedule import Phase
+    from e4dgs.scene.motion.phases import Phase
     from e4dgs.scene.settings import TrainingSettings
     from e4dgs.scene.training.trainer import Trainer
     from e4dgs.stages.shared.dataset import load_views, measured_flow

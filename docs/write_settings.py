@@ -33,6 +33,7 @@ MAIN = (
     *("train.motion", "train.budget", "coarse.strategy", "hulls.budget", "fine.iterations", "train.seed", "train.sh_degree"),
     *("evaluate.splits", "evaluate.lpips_weights"),
 )
+BEYOND = 50_000  # upper limits from here on keep mistakes away, and are not worth a reader's time
 ADVANCED = "These are right for nearly all captures."
 
 
@@ -56,14 +57,15 @@ def page() -> str:
 
 def older(classes: Mapping[str, type[Settings]]) -> list[str]:
     """The table of older names."""
-    renamed = {
-        f"{stage}.{old}": new
-        for stage, cls in classes.items()
-        for base in cls.__mro__
-        for old, new in vars(base).get("renamed", {}).items()
-    }
-    rows = [f"| `{old}` | `{new}` |" for old, new in sorted(renamed.items())]
-    return ["\n## Older names\n", "They are understood, and a line says the new name.\n", "| older | now |\n|---|---|", *rows]
+    former: dict[str, list[str]] = {}
+    for cls in classes.values():
+        for base in cls.__mro__:
+            for old, new in vars(base).get("renamed", {}).items():
+                if old not in (known := former.setdefault(new, [])):
+                    known.append(old)
+    rows = [f"| {', '.join(f'`{old}`' for old in olds)} | `{new}` |" for new, olds in sorted(former.items())]
+    told = "They are understood after the name of the stage that had them, and a line says the new name."
+    return ["\n## Older names\n", told + "\n", "| older | now |\n|---|---|", *rows]
 
 
 def presets() -> list[str]:
@@ -82,11 +84,10 @@ def values(field: FieldInfo) -> str:
     choices = [f"`{choice}`" for kind in kinds if get_origin(kind) is Literal for choice in get_args(kind)]
     if choices:
         return ", ".join(choices)
-    name = {bool: "`True`, `False`", int: "integer", float: "number", Path: "file"}[kinds[0]]
-    words = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
-    limits = [f"{word} {getattr(limit, name):,.10g}" for limit in field.metadata for name, word in words.items() if hasattr(limit, name)]
-    if [limit.rpartition(" ")[0] for limit in limits] == ["at least", "at most"]:
-        limits = [" to ".join(limit.rpartition(" ")[2] for limit in limits)]
+    name = {bool: "yes, no", int: "integer", float: "number", Path: "file"}[kinds[0]]
+    signs = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+    found = [(sign, getattr(limit, name)) for limit in field.metadata for name, sign in signs.items() if hasattr(limit, name)]
+    limits = [f"{sign} {value:,.10g}" for sign, value in found if not (sign == "≤" and value >= BEYOND)]
     return " ".join([name, ", ".join(limits)]).strip()
 
 

@@ -8,7 +8,7 @@ import difflib
 import inspect
 import json
 from collections.abc import Callable, Iterable, Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
@@ -32,6 +32,12 @@ class Settings(BaseModel):
     respelled: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy with other values. Raises ValueError for a name that is no setting: pydantic would keep it beside the settings."""
+        if unknown := set(update or ()) - set(type(self).model_fields):
+            raise ValueError(f"{type(self).__name__} has no setting {', '.join(sorted(unknown))}")
+        return super().model_copy(update=update, deep=deep)
 
 
 def split_assignment(text: str) -> tuple[str, str, str]:

@@ -25,9 +25,9 @@ from .motion.interface import Motion
 from .motion.lifetimes.lifetime import set_lifetime
 from .motion.lifetimes.lifetimes import Lifetimes
 from .motion.nodes.control_nodes import ControlNodes
+from .motion.phases import Phase
 from .motion.planes.field import DeformationField
 from .primitives import ConvexSet, GaussianSet
-from .schedule import Phase
 from .settings import TrainingSettings
 from .training.control.learned_model import LearnedModel
 from .training.objective import Objective

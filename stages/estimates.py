@@ -13,10 +13,11 @@ SECONDS_PER_FIRST_STEP = 0.01  # of a first training on very small images, on tw
 SECONDS_PER_MEGAPIXEL_MAP = 15.0  # of a picture in the plane sweep, which is at most `SWEPT_SIZE` px wide
 SWEPT_SIZE = 320
 SWEPT_ALONE, SWEPT_MOST = 32, 100  # pictures of one camera on its path, and most of several
-SECONDS_PER_MOVING_TIME = 1.0  # of a rig, at each of `MOVING_TIMES`
+SECONDS_PER_MOVING_TIME = 1.4  # of a rig, at each of `MOVING_TIMES`
 MOVING_TIMES = 24
 SECONDS_PER_MOVING_FRAME = 0.05  # of one camera
 TRIANGULATED = 90  # most frames whose features are matched to triangulate points
+TRIANGULATED_TIMES = 3  # of several cameras
 SECONDS_PER_TRIANGULATED_FRAME = 0.3
 
 # In GB of 1e9 bytes, fitted to the peak memory of the captures in benchmarks/results. None exceeds the estimate by more than a fifth.
@@ -50,12 +51,13 @@ def first_training_seconds(iterations: int) -> float:
     return iterations * SECONDS_PER_FIRST_STEP
 
 
-def seeds_seconds(facts: Facts, motion: str) -> float:
+def seeds_seconds(facts: Facts, motion: str | None) -> float:
     """Seconds that placing seeds takes on two cores. motion: the setting of that name."""
     known_points = facts.points or not facts.poses  # of the capture, or of structure from motion
     seconds = 1.0
     if not known_points and not facts.alpha:
-        seconds += SECONDS_PER_TRIANGULATED_FRAME * min(facts.frames, TRIANGULATED)
+        matched = facts.frames if facts.cameras == 1 else facts.cameras * min(facts.times, TRIANGULATED_TIMES)
+        seconds += SECONDS_PER_TRIANGULATED_FRAME * min(matched, TRIANGULATED)
     if facts.rig or one_way(facts) or (not known_points and not facts.alpha):
         several = facts.cameras if facts.cameras > 1 else facts.frames // facts.times
         maps = min(several, SWEPT_MOST) if facts.rig or facts.fixed_cameras else min(facts.frames, SWEPT_ALONE)

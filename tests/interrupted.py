@@ -17,8 +17,8 @@ from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.motion.nodes.schedule import node_phases
+from e4dgs.scene.motion.phases import coarse_phases, fine_phases
 from e4dgs.scene.primitives import ConvexSet
-from e4dgs.scene.schedule import coarse_phases, fine_phases
 from e4dgs.scene.training import trainer as module
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, fresh, make_views, wandering_views

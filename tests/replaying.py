@@ -11,9 +11,9 @@ from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
 from e4dgs.scene.motion.nodes.schedule import NODES
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet
-from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.control.density import measure_responsibility
 from e4dgs.scene.training.control.splits import split
 from e4dgs.scene.training.drawn_tiles import DrawnTiles

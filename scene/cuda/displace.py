@@ -10,14 +10,13 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
-from ..motion.planes.displace import Displacement
 from .programs import program
 
 THREADS = 128
 
 
-def displace(launcher: Launcher, heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displacement:
-    """The displacement of ``rest`` [N, 3] by ``heads`` [N, 10]; see `scene.motion.displace`. float32 on the launcher's device; the call
+def displace(launcher: Launcher, heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> tuple[Tensor, Tensor, Tensor]:
+    """The parts of a `Displacement` of ``rest`` [N, 3] by ``heads`` [N, 10]. float32 on the launcher's device; the call
     does not synchronise.
 
     Gradients reach heads and rest and are bit-equal from run to run. Raises ValueError for other shapes or types, and whatever
@@ -28,7 +27,7 @@ def displace(launcher: Launcher, heads: Tensor, rest: Tensor, centre: Tensor, re
         raise ValueError(f"heads must be [N, 10], rest [N, 3] and centre [3]; got {shapes}")
     if any(p.dtype != torch.float32 for p in (heads, rest, centre)):
         raise ValueError(f"heads, rest and centre must be float32; got {heads.dtype}, {rest.dtype} and {centre.dtype}")
-    return Displacement(*_Displace.apply(launcher, heads, rest, centre.detach().contiguous(), reach))
+    return _Displace.apply(launcher, heads, rest, centre.detach().contiguous(), reach)
 
 
 class _Displace(torch.autograd.Function):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from ctypes import c_int32, c_int64
 from typing import Any, Protocol
 
@@ -29,6 +29,7 @@ class Nodes(Protocol):
     @property
     def falloff(self) -> Tensor: ...
     def _asdict(self) -> dict[str, Tensor]: ...
+    def __iter__(self) -> Iterator[Tensor]: ...
 
 
 def nearest_nodes(launcher: Launcher, points: Tensor, hyper: Tensor, nodes: Nodes, count: int) -> Tensor:

@@ -13,8 +13,8 @@ from .interface import Motion, Moved, Scene, drawn
 from .times import Time
 
 
-class Rest(NamedTuple):
-    """What is carried: the centres of M Gaussians, followed by corners of convexes.
+class Places(NamedTuple):
+    """Places at rest, which are carried: the centres of M Gaussians, followed by corners of convexes.
 
     points: [N, 3] world units. quats: [M, 4] of the Gaussians, w x y z, any norm. attributes: of each point, by the names of
     `Carrier.placed_by`. link: [N, k] int32, see `Motion.links`.
@@ -31,7 +31,7 @@ class Carrier(Motion):
 
     placed_by: ClassVar[tuple[str, ...]] = ()  # those of `attributes` that `carry` looks at in addition to the position
 
-    def carry(self, rest: Rest, t: Time) -> Moved:
+    def carry(self, rest: Places, t: Time) -> Moved:
         """``rest`` at time ``t`` in [0, 1]. Positions get gradients through the transform that moves them, not through the look-up."""
         raise NotImplementedError
 
@@ -62,7 +62,7 @@ class Carrier(Motion):
     def carried(self, scene: Scene, index: Tensor, t: float) -> Moved:
         return self.carry(self.rest(scene, index, index[:0]), t)
 
-    def rest(self, scene: Scene, index: Tensor, convex_index: Tensor) -> Rest:
+    def rest(self, scene: Scene, index: Tensor, convex_index: Tensor) -> Places:
         """The Gaussians ``index`` and the corners of the convexes ``convex_index``."""
         g, c = scene.gaussians, scene.convexes
         whole = len(index) == len(g)
@@ -81,4 +81,4 @@ class Carrier(Motion):
             other = scene.links(c)
             if link is not None and other is not None:
                 link = torch.cat([link, other.reshape(len(c), corners, -1)[convex_index].flatten(0, 1)])
-        return Rest(points, quats, attributes, link)
+        return Places(points, quats, attributes, link)

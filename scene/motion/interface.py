@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from ...rasterizer import Camera, Convexes, Gaussians
 from ..primitives import Attribute, ConvexSet, GaussianSet, PrimitiveSet
-from ..schedule import Phase, coarse_phases
 from ..settings import Strategy, TrainingSettings
 from ..views import Views
+from .phases import Phase, coarse_phases
 from .rates import Rate, exponential
 from .recipe import FirstTraining, Recipe
 from .start import Start
@@ -72,7 +72,7 @@ class Motion(nn.Module):
     from_rest: ClassVar[bool] = True  # whether the rest state is learned first, without motion
     most_seeds: ClassVar[int | None] = None  # that it starts from; None: as many as there are
     moving_seeds: ClassVar[bool] = True  # whether seeds on moving objects are of use
-    played_as: ClassVar[str] = "paths"  # how the web player moves it: "lives", "nodes", "static"; "paths" are sampled
+    played_as: ClassVar[str] = "static"  # in the web player: "lives", "nodes", sampled "paths", or at rest
     splits_in_time: ClassVar[bool] = False  # whether `halves_in_time` can split a Gaussian that should look different at other times
 
     # -- as arrays ----------------------------------------------------------------------------------------------------------------
@@ -121,7 +121,7 @@ class Motion(nn.Module):
         """The same motion with its parts spread again over ``points`` [P, 3]; None if it has no such parts."""
         return None
 
-    def with_turning_parts(self, scene: Scene, views: Views, error: Tensor, seed: int, say: Any) -> Refined | None:
+    def with_turning_parts(self, scene: Scene, views: Views, error: Tensor, seed: int, say: Callable[[str], None]) -> Refined | None:
         """Search for parts with much of the ``error`` [N] of the Gaussians that turn too fast for gradients, and make them rigid. None if
         nothing turns. ``say``: called with lines for people to read."""
         return None

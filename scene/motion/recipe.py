@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..schedule import Phase
+from .phases import Phase
 
 
 @dataclass(frozen=True)

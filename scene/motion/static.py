@@ -23,7 +23,6 @@ class Static(Motion):
     static = True
     steady = True
     moving_seeds = False
-    played_as = "static"
 
     @classmethod
     def start(cls, start: Start, views: Views, settings: TrainingSettings) -> tuple[Self, GaussianSet]:

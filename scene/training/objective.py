@@ -9,7 +9,7 @@ from ...rasterizer import rasterize
 from ..losses.table import TERMS
 from ..losses.term import Now, Rendered, Run
 from ..model import Model
-from ..schedule import Phase
+from ..motion.phases import Phase
 from ..views import WHOLLY, floats
 from .drawn_tiles import DrawnTiles
 from .optimiser import ALL_ROWS, Rows

@@ -16,8 +16,8 @@ from ..losses.held_depth import HeldDepth
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.term import MeasuredFlow, Run
 from ..model import Model
+from ..motion.phases import Phase, alike_since
 from ..motion.recipe import Recipe
-from ..schedule import Phase, alike_since
 from ..settings import TrainingSettings
 from ..views import Views
 from .checkpoint import FILE, load_checkpoint, save_checkpoint

@@ -22,4 +22,4 @@ def fine_iterations(settings: FineSettings, facts: Facts | None = None, device: 
 
 def rests(facts: Facts, settings: FineSettings) -> bool:
     """Whether there is nothing to do unless `hulls` was told to place convexes."""
-    return settings.iterations is None and not KINDS[choose("auto", facts)].convexes
+    return settings.iterations is None and not KINDS[choose(None, facts)].convexes

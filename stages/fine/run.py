@@ -7,8 +7,8 @@ import torch
 from ...pipeline import Context
 from ...scene.model import Model
 from ...scene.motion.kinds import KINDS
+from ...scene.motion.phases import fine_phases, left_to_fine
 from ...scene.primitives import ConvexSet
-from ...scene.schedule import fine_phases, left_to_fine
 from ...scene.settings import GrowthSettings, RefinementSettings, TrainingSettings
 from ..coarse.artifact import StoredCoarse, required
 from ..hulls.artifact import StoredHulls

@@ -24,7 +24,7 @@ class Hulls(Stage):
     def applies(self, facts: Mapping[str, Any], settings: HullSettings) -> Applies:
         if settings.budget == 0:
             return Applies.no("hulls.budget is 0")
-        most = most_convexes(settings.budget, choose("auto", Facts.of(facts)))
+        most = most_convexes(settings.budget, choose(None, Facts.of(facts)))
         if most == 0:
             return Applies.yes("with control nodes convexes gain nothing, so there are none; hulls.budget sets a number")
         return Applies.yes(f"up to {most} convexes where edges are dense and badly shown")

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...pipeline import Context
 from ...scene.model import Model
-from ...scene.schedule import Phase
+from ...scene.motion.phases import Phase
 from ...scene.settings import TrainingSettings
 from ...scene.training.log import TrainingLog
 from ...scene.views import Views

@@ -71,6 +71,12 @@ def test_settings_are_frozen_and_refuse_unknown_names():
         Fit(speed=1)
 
 
+def test_a_copy_has_no_other_names():
+    assert Fit().model_copy(update={"rate": 0.5}) == Fit(rate=0.5)
+    with pytest.raises(ValueError, match="Fit has no setting raet"):
+        Fit().model_copy(update={"raet": 0.5})
+
+
 def test_a_file_counts_with_its_content(tmp_path):
     first, second = tmp_path / "a.bin", tmp_path / "b.bin"
     first.write_bytes(b"weights")

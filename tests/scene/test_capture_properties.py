@@ -6,9 +6,9 @@ import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.colour import CameraAffine, colour_recorders
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.density import measure_responsibility
 from e4dgs.scene.training.trainer import Trainer

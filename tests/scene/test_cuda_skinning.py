@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.cuda.skinning import nearest_nodes, skin
-from e4dgs.scene.motion.nodes.skinning import Nodes, skin_reference
+from e4dgs.scene.motion.nodes.nodes import Nodes
 from e4dgs.scene.motion.nodes.skinning import nearest_nodes as nearest_anywhere
 from e4dgs.scene.motion.nodes.skinning import skin as skin_anywhere
+from e4dgs.scene.motion.nodes.skinning import skin_reference
 from pretend_cuda import pretending_cuda
 from simt import CHECKED, RACES, Emulator, why_not
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet
-from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, TrainingDiverged
 from e4dgs.scene.training.steps.deferred import LATEST
 from e4dgs.scene.training.trainer import Trainer

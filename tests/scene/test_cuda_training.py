@@ -9,7 +9,7 @@ import torch
 from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
-from e4dgs.scene.schedule import Phase
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.training.trainer import Trainer
 from pretend_cuda import pretending_cuda
 from simt import needs_compiler

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
-from e4dgs.scene.schedule import Phase
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.training.objective import DROPOUT_GROWS
 from e4dgs.scene.training.optimiser import ALL_ROWS
 from e4dgs.scene.training.steps.dropout import MOST_OPAQUE, keeps, thinned

@@ -7,8 +7,8 @@ import pytest
 import torch
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.density import Responsibility
 from e4dgs.scene.training.control.growth import DensityControl

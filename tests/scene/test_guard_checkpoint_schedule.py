@@ -3,7 +3,7 @@
 import pytest
 import torch
 from e4dgs.scene.motion.nodes.schedule import first_motion, first_motion_steps, node_phases
-from e4dgs.scene.schedule import Phase, alike_since, coarse_phases, fine_phases, left_to_fine
+from e4dgs.scene.motion.phases import Phase, alike_since, coarse_phases, fine_phases, left_to_fine
 from e4dgs.scene.training.checkpoint import FILE, load_checkpoint, save_checkpoint
 from e4dgs.scene.training.guard import MOST_IN_A_ROW, NonFiniteGuard, TrainingDiverged
 

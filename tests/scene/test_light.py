@@ -8,9 +8,9 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.motion.nodes.light import SHADES
 from e4dgs.scene.motion.nodes.schedule import NODES
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import SH_C0, ConvexSet, GaussianSet
-from e4dgs.scene.schedule import Phase
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, wandering_views
 

@@ -33,7 +33,7 @@ class Path(Carrier):
     carry = DeformationField.carry  # by its displacement
 
     def forward(self, rest, t):
-        from e4dgs.scene.motion.planes.displace import Displacement
+        from e4dgs.scene.motion.planes.displacement import Displacement
 
         dx = (self.velocity * t + self.acceleration * t * t).expand(len(rest), 3)
         return Displacement(dx, torch.tensor([1.0, 0, 0, 0]).expand(len(rest), 4), torch.zeros(len(rest), 3))

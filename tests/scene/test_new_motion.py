@@ -40,14 +40,17 @@ def test_it_trains_and_goes_on_from_its_checkpoint(tmp_path):
     assert len(model.convexes.arm) == 2
     before = {name: p.detach().clone() for name, p in model.named_parameters().items()}
     phases = model.motion.phases("two-stage", STEPS, 0.5, small=True)
-    settings = SETTINGS.model_copy(update={"iterations": STEPS, "checkpoint_seconds": 1e-9, "min_weight": 0.0, "min_opacity": 0.0})
+    settings = SETTINGS.model_copy(update={"iterations": STEPS, "checkpoint_seconds": 1e-9})
     trainer = Trainer(model, views, phases, settings, budget=60, checkpoints=tmp_path)
     trainer.run()
     assert trainer.log.iterations == STEPS and trainer.log.nonfinite_steps == 0
     after = model.named_parameters()
     assert all(not torch.equal(after[name], before[name]) for name in ("motion.rhythm", "gaussians.arm", "convexes.arm"))
     kept, step = model_of(tmp_path)
-    assert step == STEPS and torch.equal(kept.gaussians.arm, model.gaussians.arm)
+    assert step == STEPS and kept.motion.kind == "swing" and kept.gaussians.arm.any()
+    again = Trainer(swinging(views), views, phases, settings, budget=60, checkpoints=tmp_path)
+    assert again.run().iterations == STEPS
+    assert torch.equal(again.model.gaussians.arm, model.gaussians.arm) and torch.equal(again.model.motion.rhythm, model.motion.rhythm)
 
 
 def test_it_is_saved_and_rendered():

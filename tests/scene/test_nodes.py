@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.carrier import Rest
+from e4dgs.scene.motion.carrier import Places
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.motion.nodes.courses import RANK, SharedCourses, encode, encode_places
 from e4dgs.scene.motion.nodes.rigid_parts import RigidParts
@@ -28,7 +28,7 @@ def moving(count=12, seed=0):
 def rest(n=40, seed=1):
     generator = torch.Generator().manual_seed(seed)
     points, quats = torch.rand(n, 3, generator=generator) * 2 - 1, torch.randn(n, 4, generator=generator)
-    return Rest(points, quats, {"hyper": torch.zeros(n, 2)}, None)
+    return Places(points, quats, {"hyper": torch.zeros(n, 2)}, None)
 
 
 def steer(nodes, output):
@@ -62,7 +62,7 @@ def test_a_lone_node_turns_what_it_carries_about_itself():
     nodes = steer(
         ControlNodes(torch.zeros(1, 3), torch.zeros(3), 1.0, 1.0), [-1 / 0.3 + np.sqrt(0.5) / 0.3, 0, 0, np.sqrt(0.5) / 0.3, 0, 0, 0]
     )
-    moved = nodes.carry(Rest(torch.tensor([[1.0, 0, 0]]), torch.tensor([[1.0, 0, 0, 0]]), {"hyper": torch.zeros(1, 2)}, None), 0.5)
+    moved = nodes.carry(Places(torch.tensor([[1.0, 0, 0]]), torch.tensor([[1.0, 0, 0, 0]]), {"hyper": torch.zeros(1, 2)}, None), 0.5)
     assert torch.allclose(moved.points, torch.tensor([[0.0, 1, 0]]), atol=1e-6)  # a quarter turn about z
     assert torch.allclose(moved.quats, torch.tensor([[np.sqrt(0.5), 0, 0, np.sqrt(0.5)]]).float(), atol=1e-6)
 
@@ -157,7 +157,7 @@ def test_hyper_coordinates_part_what_touches():
     with torch.no_grad():
         nodes.log_radii.fill_(np.log(0.1))
         nodes.hyper.copy_(torch.tensor([[1.0, 0], [-1.0, 0]]))
-        given = Rest(torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1), {"hyper": torch.tensor([[1.0, 0], [-1.0, 0]])}, None)
+        given = Places(torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1), {"hyper": torch.tensor([[1.0, 0], [-1.0, 0]])}, None)
         link = nodes.nearest(given.points, given.attributes["hyper"])
     assert link[:, 0].tolist() == [0, 1]
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.motion.nodes.schedule import FIRST_MOTION, NODES
-from e4dgs.scene.schedule import Phase
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.training import convergence
 from e4dgs.scene.training.checkpoint import FILE
 from interrupted import EVERY, KINDS, QUICK, ROUNDS, Dying, Killed, digests, prepared, run

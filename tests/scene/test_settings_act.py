@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.schedule import Phase
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.settings import GrowthSettings, RefinementSettings
 from e4dgs.scene.training.trainer import Trainer
 from sliding_gaussians import SETTINGS, fresh, make_views

@@ -4,7 +4,8 @@ import platform
 
 import pytest
 import torch
-from e4dgs.scene.motion.nodes.skinning import Nodes, nearest_nodes, skin, skin_reference
+from e4dgs.scene.motion.nodes.nodes import Nodes
+from e4dgs.scene.motion.nodes.skinning import nearest_nodes, skin, skin_reference
 
 NAMES = ("points", "quats", "hyper", "home_hyper", "falloff", "turns", "shifts")
 

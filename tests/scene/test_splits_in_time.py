@@ -10,9 +10,9 @@ from e4dgs.scene.model import Model
 from e4dgs.scene.motion.lifetimes.at_frame import presence
 from e4dgs.scene.motion.lifetimes.lifetime import lifetime, set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control import growth
 from e4dgs.scene.training.control.density import Responsibility, measure_responsibility

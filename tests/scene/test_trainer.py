@@ -12,9 +12,9 @@ from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.motion.nodes.schedule import NODES, node_phases
+from e4dgs.scene.motion.phases import Phase, coarse_phases, fine_phases
 from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.primitives import ConvexSet
-from e4dgs.scene.schedule import Phase, coarse_phases, fine_phases
 from e4dgs.scene.training import convergence, objective
 from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.curriculum import MIN_CAMERAS

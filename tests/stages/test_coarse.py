@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.training import schedule
-from e4dgs.stages.coarse import run as work
+from e4dgs.scene import schedule
+from e4dgs.scene.motion import interface
 from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.coarse.stage import Coarse
 from e4dgs.stages.seeds.artifact import StoredSeeds
@@ -69,7 +69,7 @@ def train(ball, inputs, folder):
 
     seeds = run_stage(Seeds(), ball.capture, folder, SeedsSettings(), inputs)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(work, "coarse_phases", plan)
+        patch.setattr(interface, "coarse_phases", plan)
         ran = run_stage(Coarse(), ball.capture, folder, CoarseSettings(iterations=ITERATIONS), inputs | {"seeds": seeds.artifact})
     return replace(ran, lines=seeds.lines + ran.lines), phases
 

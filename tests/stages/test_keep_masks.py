@@ -134,7 +134,7 @@ def test_metrics_see_only_what_counts(masked, tmp_path):
 
 def test_training_sees_only_what_counts(masked, tmp_path):
     """The same steps on pictures that differ under the masks end in the same model."""
-    from e4dgs.scene.schedule import coarse_phases
+    from e4dgs.scene.motion.phases import coarse_phases
     from e4dgs.scene.settings import TrainingSettings
     from e4dgs.scene.training.trainer import Trainer
 

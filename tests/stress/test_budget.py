@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.scene.schedule import Phase
 from e4dgs.scene.settings import TrainingSettings
 from e4dgs.scene.training.control.growth import GAUSSIANS_PER_PIXEL
 from e4dgs.scene.training.trainer import Trainer

@@ -8,7 +8,7 @@ const { readContainer } = await load("container");
 const { checkScene } = await load("layout");
 const { Depths, rowAt } = await load("motion");
 const { Sorter } = await load("sort");
-const { LAYERS, layersOf, rangesOf } = await load("layers");
+const { LAYERS, layersOf, rangesOf } = await load("layout");
 const { Camera } = await load("camera");
 const { Answers } = await load("worker");
 

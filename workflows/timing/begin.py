@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from ...pipeline import Row
 from ..last_run import decided_for, facts_of
-from ..reconstruction import EVALUATION, TRAINING
+from ..reconstruction import EVALUATION
 from ..session import Options, Session, open_session
 from .clock import Deadline
 from .decisions import Decisions
-from .defaults import guessed_times, steps_at_one
+from .defaults import COARSE, FINE, HULLS, guessed_times, steps_at_one
 from .evaluating import Evaluating
 from .known import Known
 from .ladder import STEPS
@@ -19,8 +19,6 @@ from .resolve import choose
 from .size import sized
 from .timed import Timed, left_to_publish
 from .words import seconds_of
-
-_, COARSE, HULLS, FINE = TRAINING
 
 
 def begin(options: Options, say: Callable[[str], None], anew: bool = False) -> tuple[Session, Timed | None]:
@@ -47,8 +45,7 @@ def expect(session: Session, rows: Sequence[Row]) -> list[Row]:
     job = session.job
     known = Known(job.store.root.parent, job.device)
     found = {row.stage: row.estimate * known.stage_ratio(row.stage) for row in rows if row.state == "run" and row.estimate is not None}
-    last = (*TRAINING, EVALUATION)
-    before = sum(seconds for stage, seconds in found.items() if stage not in last)
+    before = sum(seconds for stage, seconds in found.items() if stage not in (COARSE, HULLS, FINE, EVALUATION))
     times, decisions, at_one = guessed_times(job, known), Decisions(session), steps_at_one(job)
     left = (seconds_of(session.options.time) - before) - left_to_publish(known)
     fixed = int(decisions.value(STEPS)) if decisions.given(STEPS) or decisions.made_earlier(STEPS) else None

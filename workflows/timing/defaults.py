@@ -16,7 +16,7 @@ from .known import Known, kind_of
 from .resolve import TrainingTimes
 from .steps.costs import StepCosts
 
-_, COARSE, HULLS, FINE = TRAINING
+COARSE, HULLS, FINE = TRAINING[-3:]  # the seeds of a training are placed before its time is decided
 MOVIE_PIXELS = 480 * 360  # of a picture of a movie, at most
 SHOWN = 0.5  # of judging a view: one that is only rendered, scaled and encoded
 

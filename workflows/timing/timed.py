@@ -6,17 +6,16 @@ from collections.abc import Callable
 from typing import Any
 
 from ...pipeline import Artifact, Outcome, duration
-from ..reconstruction import EVALUATION, TRAINING
+from ..reconstruction import EVALUATION
 from ..session import Session
 from .clock import Deadline
 from .decisions import Decisions
-from .defaults import guessed_times, kind, refines, seconds_of_coarse, steps_at_one, views_by_default
+from .defaults import COARSE, FINE, guessed_times, kind, refines, seconds_of_coarse, steps_at_one, views_by_default
 from .evaluating import Evaluating
 from .known import Known
 from .ladder import MEASURED, MOVIES, REFINEMENT, REFINING, SHARE, STEPS
 from .resolve import PICTURES, Chosen, TrainingTimes, choose, evaluation_within, refinement_within
 
-_, COARSE, HULLS, FINE = TRAINING
 PUBLISHING = "publishing"  # the report and the metrics, after the last stage
 LEFT_TO_PUBLISH = 2.0  # s, on the machine of the estimates
 STEPS_TO_MEASURE, MEASURING = 40, 0.05  # measuring takes the time of so many steps, and at most this share if the costs are known anyway

@@ -7,7 +7,7 @@ from copy import deepcopy
 
 import torch
 from e4dgs.rasterizer.reference.compare import relative_l2
-from e4dgs.scene.motion.planes.displace import Displacement
+from e4dgs.scene.motion.planes.displacement import Displacement
 from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.workflows.bench.rows import Bench, Check, Measured
 from e4dgs.workflows.bench.timing import Timing, interleaved, ratio

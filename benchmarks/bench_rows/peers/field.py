@@ -12,7 +12,7 @@ from typing import Literal
 import torch
 import torch.nn.functional as F
 from e4dgs.scene.motion.carrier import Carrier
-from e4dgs.scene.motion.planes.displace import Displacement
+from e4dgs.scene.motion.planes.displacement import Displacement
 from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.motion.planes.hexplane import lookup_reference
 from e4dgs.scene.rotation import rotate

@@ -16,22 +16,23 @@ from torch import Tensor, nn
 from ...cuda.graph import in_capture
 from ...cuda.over_time import OverTime
 from ...primitives import Attribute, GaussianSet, PrimitiveSet
-from ...rotation import rotate
-from ...schedule import HALF_RESOLUTION, Phase
 from ...settings import Strategy, TrainingSettings
 from ...views import Views
-from ..carrier import Carrier, Rest
+from ..carrier import Carrier, Places
 from ..interface import Moved, Refined, Scene
+from ..phases import HALF_RESOLUTION, Phase
 from ..rates import APPEARANCE_END, Rate, exponential
 from ..recipe import FirstTraining
 from ..start import Start
 from ..times import Time, together
 from .courses import SharedCourses, encode_places
 from .light import SHADES, Light
+from .nodes import Nodes
 from .rigid_parts import RigidParts
 from .schedule import BY_NODE_PHASES, NODES, first_motion, node_phases
-from .skinning import Nodes, distances, nearest_nodes, skin
+from .skinning import distances, nearest_nodes, skin
 from .spread import farthest_points, spacing
+from .strain import strain
 from .turning import leave_only, make_turning_parts_rigid
 
 COUNT = 512  # nodes at the start
@@ -120,7 +121,7 @@ class ControlNodes(Carrier):
 
     # -- Motion -------------------------------------------------------------------------------------------------------------------
 
-    def carry(self, rest: Rest, t: Time) -> Moved:
+    def carry(self, rest: Places, t: Time) -> Moved:
         nodes = self._with_rigid_parts(self.at(t), t)
         hyper = rest.attributes["hyper"]
         link = self.nearest(rest.points, hyper) if rest.link is None else rest.link
@@ -146,29 +147,17 @@ class ControlNodes(Carrier):
         over ``dt``. ``rest`` and ``neighbours`` are not used."""
         if dt <= 0 or dt > 0.5:
             now = self.at(t)
-            return self._strain(now.turns, now.shifts), torch.zeros((), device=self.positions.device)
+            return strain(self.positions, self.graph(), now.turns, now.shifts), torch.zeros((), device=self.positions.device)
         middle = t.clamp(dt, 1 - dt) if isinstance(t, Tensor) else min(max(t, dt), 1 - dt)
-        strain, course = self._restlessness(together([t, middle - dt, middle, middle + dt]))
-        return strain, course + RIGID_COURSE * self.rigid_parts.course(self.extent)
+        strained, course = self._restlessness(together([t, middle - dt, middle, middle + dt]))
+        return strained, course + RIGID_COURSE * self.rigid_parts.course(self.extent)
 
     def _restlessness_at(self, times: Tensor) -> tuple[Tensor, ...]:
         """Strain at the first of ``times`` [4], and change of course over the other three: two scalars."""
         turns, shifts = self._poses_at(times)
         change = (shifts[1] - 2 * shifts[2] + shifts[3]).norm(dim=1).mean() / self.reach
         turning = (turns[1] - 2 * turns[2] + turns[3]).norm(dim=1).mean()
-        return self._strain(turns[0], shifts[0]), change + turning
-
-    def _strain(self, turns: Tensor, shifts: Tensor) -> Tensor:
-        """Strain of the graph, a scalar: how far edges are from turning with the node that they start from, relative to their lengths."""
-        if len(self.positions) < 2:
-            return torch.zeros((), device=self.positions.device)
-        edge = self.graph()
-        at_rest = self.positions[edge] - self.positions[:, None]
-        turns = turns[:, None].expand(*edge.shape, 4).reshape(-1, 4)
-        turned = rotate(turns, at_rest.reshape(-1, 3)).reshape(at_rest.shape)
-        now = self.positions + shifts
-        strain = (now[edge] - now[:, None] - turned).norm(dim=2) / at_rest.norm(dim=2).clamp(min=1e-6)
-        return strain.mean()
+        return strain(self.positions, self.graph(), turns[0], shifts[0]), change + turning
 
     @classmethod
     def start(cls, start: Start, views: Views, settings: TrainingSettings) -> tuple[Self, GaussianSet]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ...schedule import HALF_RESOLUTION, QUARTER_RESOLUTION, Phase
 from ...settings import Strategy
+from ..phases import HALF_RESOLUTION, QUARTER_RESOLUTION, Phase
 from ..recipe import FirstTraining, Recipe
 
 BY_NODE_PHASES = ("two-stage", "alternating")  # strategies in which control nodes have a schedule of their own
@@ -52,7 +52,9 @@ def first_motion(strategy: Strategy, iterations: int, small: bool) -> FirstTrain
     scale = HALF_RESOLUTION if small else QUARTER_RESOLUTION
     warm_up = round(steps * WARM_UP)
     phases = [Phase("first shape", warm_up, False, scale), Phase("first motion", steps - warm_up, True, scale)]
-    return FirstTraining("first motion", [phase for phase in phases if phase.iterations > 0], FIRST_MOTION, FIRST_GAUSSIANS, {"rigid": 0.0})
+    return FirstTraining(
+        "first motion", [phase for phase in phases if phase.iterations > 0], FIRST_MOTION, FIRST_GAUSSIANS, {"rigid_weight": 0.0}
+    )
 
 
 def node_phases(iterations: int, scale: float) -> list[Phase]:

@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 from ... import _kernels
 from ...rotation import compose, unit_matrices
-
-
-class Nodes(NamedTuple):
-    """B nodes at one time: home [B, 3] at rest, home_hyper [B, H], falloff [B] = 1 / (2 radius^2) > 0, turns [B, 4] unit quaternions
-    (w x y z) about the node's own rest position, shifts [B, 3]. Lengths in world units."""
-
-    home: Tensor
-    home_hyper: Tensor
-    falloff: Tensor
-    turns: Tensor
-    shifts: Tensor
+from .nodes import Nodes
 
 
 def distances(first: Tensor, second: Tensor) -> Tensor:

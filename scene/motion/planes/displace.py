@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 from ... import _kernels
 from ...rotation import rotate
-
-
-class Displacement(NamedTuple):
-    """The change of N rest positions at one time.
-
-    dx: [N, 3] world units, added to the position. dr: [N, 4] unit quaternion (w x y z) that turns the primitive further.
-    ds: [N, 3] added to the logarithm of the scales.
-    """
-
-    dx: Tensor
-    dr: Tensor
-    ds: Tensor
+from .displacement import Displacement
 
 
 def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displacement:
@@ -36,7 +23,7 @@ def displace(heads: Tensor, rest: Tensor, centre: Tensor, reach: float) -> Displ
         from ....rasterizer.cuda.runtime import launcher_for
         from ...cuda.displace import displace as on_gpu
 
-        return on_gpu(launcher_for(rest.device), heads, rest, centre, reach)
+        return Displacement(*on_gpu(launcher_for(rest.device), heads, rest, centre, reach))
     turn = torch.cat([1 + heads[:, 3:4], heads[:, 4:7]], 1)
     turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-6)
     arm = rest - centre

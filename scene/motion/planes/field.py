@@ -12,12 +12,13 @@ from ...primitives import GaussianSet
 from ...rotation import compose
 from ...settings import TrainingSettings
 from ...views import Views
-from ..carrier import Carrier, Rest
+from ..carrier import Carrier, Places
 from ..interface import Moved
 from ..rates import Rate, exponential
 from ..start import Start
 from ..times import Time
-from .displace import Displacement, displace
+from .displace import displace
+from .displacement import Displacement
 from .field_kernel import field_outputs
 from .hexplane import HexPlanes
 
@@ -47,6 +48,7 @@ class DeformationField(Carrier):
     kind = "planes"
     worth_culling = True
     priors_at_places = True
+    played_as = "paths"
     replayable = False  # the look-up needs the time on the CPU
 
     def __init__(
@@ -131,7 +133,7 @@ class DeformationField(Carrier):
         part share both, however it turns, and the gradient of a rest position is rotated with the part."""
         return displace(self._heads(rest, t), rest, 0.5 * (self.low + self.high), self.reach)
 
-    def carry(self, rest: Rest, t: Time) -> Moved:
+    def carry(self, rest: Places, t: Time) -> Moved:
         dx, dr, ds = self(rest.points, float(t))
         m = len(rest.quats)
         return Moved(rest.points + dx, compose(dr[:m], rest.quats), ds[:m])

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from ...motion.phases import Phase
 from ...motion.recipe import Recipe
-from ...schedule import Phase
 from ...settings import TrainingSettings
 from ...views import Views
 from ..curriculum import Curriculum

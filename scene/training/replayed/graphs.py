@@ -59,7 +59,7 @@ class Graphs:
     def find(self, model: Model, inputs: Any, prepare: Callable[[Model], Compute]) -> Captured | None:
         """The graph for ``inputs``, filled with them; None if they are to be computed as usual. prepare: returns what is captured, for the
         model with spare rows."""
-        if not self._usable or not model.replayable:
+        if not self._usable or not model.motion.replayable:
             return None
         kind = structure(inputs)
         if kind not in self._seen:

@@ -10,7 +10,7 @@ from torch import Tensor
 from ...cuda.graph import Graph, Results
 from ...cuda.leaves import own_leaves
 from ...model import Model
-from ...schedule import Phase
+from ...motion.phases import Phase
 from ..objective import Objective
 from ..steps.evaluation import Evaluation
 from ..steps.inputs import StepInputs

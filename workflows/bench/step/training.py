@@ -12,9 +12,9 @@ import torch
 
 from ....pipeline import Runner, SettingsError
 from ....scene.model import Model
+from ....scene.motion.phases import Phase
 from ....scene.motion.planes.field import DeformationField
 from ....scene.primitives import ConvexSet, GaussianSet
-from ....scene.schedule import Phase
 from ....scene.seeds.carve import carve
 from ....scene.seeds.volume import common_volume
 from ....scene.settings import TrainingSettings

@@ -1,5 +1,5 @@
 // The controls below the picture, and what is said above it.
-import { layersOf } from "./layers.js";
+import { layersOf } from "./layout.js";
 
 const find = (id) => document.getElementById(id);
 

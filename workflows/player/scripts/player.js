@@ -1,11 +1,10 @@
 // The player: what is shown (camera, time), when it is sorted and drawn, and what `window.e4dgs` offers.
-import { Camera } from "./camera.js";
+import { Camera, checkView } from "./camera.js";
 import { Controls } from "./controls.js";
 import { Panel, bare, say, showHelp } from "./panel.js";
 import { Renderer } from "./renderer.js";
 import { startSorter } from "./sorter.js";
 import { Stereo, hasStereo } from "./stereo.js";
-import { checkView } from "./views.js";
 
 const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
 const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again

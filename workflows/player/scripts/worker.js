@@ -1,7 +1,6 @@
 // What happens beside the page's own thread: the scene is decoded once, then primitives are sorted for each camera and time that is asked.
 import { readContainer } from "./container.js";
-import { rangesOf } from "./layers.js";
-import { checkScene } from "./layout.js";
+import { checkScene, rangesOf } from "./layout.js";
 import { Depths } from "./motion.js";
 import { Sorter } from "./sort.js";
 

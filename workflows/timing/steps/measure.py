@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import torch
 
-from ....scene.schedule import Phase
+from ....scene.motion.phases import Phase
 from ....scene.training.control.growth import FINAL_VIEWS, MOST_FOR_ONE, PROBE_VIEWS
 from ....scene.training.control.splits import split
 from ....scene.training.trainer import Trainer
@@ -52,7 +52,7 @@ def measure_steps(training: Training, setup: float = 0.0) -> StepCosts:
         recipe.rounds,
         recipe.steady,
         trainer.grow,
-        settings.densify_every,
+        settings.densify_every or 0,
         recipe.hidden_at if trainer.grow and settings.hidden else (),
     )
     seen, grows = min(FINAL_VIEWS, len(training.views.train)), trainer.grow

@@ -1,10 +1,10 @@
-"""The four training strategies of Table 3, as the phases of the two training stages."""
+"""The phases of a training, and the four strategies of Table 3 as such."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .settings import Strategy
+from ..settings import Strategy
 
 WARM_UP = 0.1  # of the coarse stage: the rest state is learned first, without motion
 ALTERNATION = 100  # steps for which one kind is refined while the other is frozen
