@@ -71,6 +71,14 @@ def test_what_slides_keeps_its_label_and_size(tmp_path):
     assert np.allclose(objects.log_size[:, 1], 0, atol=0.01) and not objects.body
 
 
+def test_frames_in_which_nothing_moves_have_no_labels(tmp_path):
+    chain = Chain(flow_of(tmp_path / "flow"), list(range(FRAMES)))
+    shown = chain.small_mask
+    chain.small_mask = lambda k: shown(k) & (k != 4)
+    objects = follow_objects(chain, FRAMES)
+    assert [int(labels.max()) for labels in objects.labels] == [1, 1, 1, 1, 0, 2, 2, 2, 2]
+
+
 def test_without_flow_there_are_new_objects(tmp_path):
     objects = follow_objects(Chain(flow_of(tmp_path / "flow", gap=4), list(range(FRAMES))), FRAMES)
     assert [int(labels.max()) for labels in objects.labels] == [1] * 5 + [2] * (FRAMES - 5)
