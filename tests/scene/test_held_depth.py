@@ -1,8 +1,13 @@
 """The loss that holds what moves at a depth, and when it has none."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from e4dgs.scene.losses.held_depth import LARGEST, HeldDepth, held_depth_difference
+from e4dgs.scene.losses.moving_depth import MovingDepth
+from e4dgs.scene.losses.term import Now
+from replaying import begun
 
 
 def held(inverse, confidence=1.0):
@@ -51,3 +56,17 @@ def test_a_guess_weighs_less_towards_the_end_and_maps_are_resized():
     start, end = maps.of(3, 2, 4, 0.0), maps.of(3, 2, 4, 1.0)
     assert start.shape == (2, 2, 4) and torch.equal(start[0], torch.tensor([[0.25, 0.25, 0.5, 0.5]] * 2))
     assert torch.equal(end[0], start[0]) and torch.allclose(end[1], 0.1 * start[1])
+
+
+def test_the_term_is_due_where_something_is_held_and_sees_the_window_alone():
+    model, run = (trainer := begun("lifetimes")).model, trainer.objective.run
+    (frame, *_), (width, height) = (i for i in run.views.train.tolist() if run.held_depth.covers(i)), run.views.size(1.0)
+    bare = next(i for i in run.views.train.tolist() if not run.held_depth.covers(i))
+    term, now = MovingDepth(run), Now(frame, 0, 1.0, True)
+    assert term.due(model, now) and term.inputs(model, now)[0].shape == (2, height, width)
+    assert term.inputs(model, replace(now, window=(3, 5, 11, 9)))[0].shape == (2, 4, 8)
+    assert term.inputs(model, replace(now, frame=bare)) is None
+    last = term.inputs(model, replace(now, number=run.total))[0]
+    assert torch.allclose(last[1], run.held_depth.end * term.inputs(model, now)[0][1])
+    assert not MovingDepth(replace(run, held_depth=None)).due(model, now)
+    assert not MovingDepth(replace(run, settings=run.settings.model_copy(update={"moving_depth_weight": 0.0}))).due(model, now)

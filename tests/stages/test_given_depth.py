@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from e4dgs.pipeline import CaptureError
+from e4dgs.pipeline import Artifact, ArtifactWriter, CaptureError
 from e4dgs.scene.seeds.given_depth import KINDS, PRECISE, SCALE, GivenDepth, fit_depth
+from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
 from e4dgs.stages.captures.listing.depth_maps import add_depth
 from e4dgs.stages.captures.reading import Shot
+from e4dgs.stages.seeds.artifact import StoredSeeds, read_held
 from e4dgs.stages.seeds.given_objects import given_numbers, given_surface, static_inverse
 from e4dgs.stages.seeds.moving import camera_seeds
 from e4dgs.stages.shared.dataset import load_frameset
@@ -195,3 +197,27 @@ def test_numpy_files_are_read_and_colours_are_not(tmp_path):
     for name in ("b.npy", "c.npy", "d.npy", "e.png", "missing.npy"):
         with pytest.raises(CaptureError, match=f"{name}: the depth map cannot be read"):
             read_depth(tmp_path, name)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_the_artifact_of_seeds_has_the_depth_that_they_assume(given, tmp_path):
+    held = {5: np.ones((2, 4, 6), np.float32), 4: np.zeros((2, 4, 6), np.float32)}
+    seeds = StoredSeeds(
+        points=np.zeros((2, 3)),
+        colors=np.zeros((2, 3)),
+        dynamic=np.zeros(2, bool),
+        moving=MovingSeeds(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), held),
+        depth={},
+        near=0.1,
+        background=(0.0, 0.0, 0.0),
+        path_width=None,
+        depth_given=given,
+    )
+    out = ArtifactWriter(tmp_path)
+    seeds.write(out, b"png")
+    out.finish({})
+    maps, told = read_held(Artifact(tmp_path))
+    assert told is given and sorted(maps) == [4, 5] and (maps[5] == 1).all() and (maps[4] == 0).all()
+    again = StoredSeeds.read(Artifact(tmp_path))
+    assert again.depth_given is given and again.moving is not None and sorted(again.moving.held) == [4, 5]
+    assert read_held(None) == ({}, False)
