@@ -98,7 +98,9 @@ class RefinementSettings(RandomSettings):
         0.2, ge=0, lt=1, description="rigs: share of the Gaussians at rest that a step leaves out at random; grows from 0"
     )
     depth_weight: float = Field(
-        0.3, ge=0, description="weight of the difference from the depth measured between cameras, or along one's path, where known"
+        0.3,
+        ge=0,
+        description="weight of the difference from depth that was measured between cameras or along a path, or came with the capture",
     )
     interval_weight: float | None = Field(None, ge=0, description="weight of L_interval (Eq. 8), with flow in px; 0.001 for planes, else 0")
     data_flow_weight: float = Field(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from e4dgs.scene.losses.held_depth import HeldDepth
 from e4dgs.scene.losses.measured_depth import MeasuredDepth
 from e4dgs.scene.motion.lifetimes.lifetime import set_lifetime
 from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
@@ -49,11 +50,12 @@ def begun(what, device="cpu"):
     part to the nodes, "convexes" some of these. "static": a rig in which nothing moves."""
     rig = "nodes" not in what
     views = replace(make_views(cameras=4 if rig else 1, times=8, size=SIZE), device=device)
-    depth, flow = None, None
+    depth, flow, held = None, None, None
     if rig:
         views = replace(views, load_moving=half_moves)
         covered = [int(i) for i in views.train if views.camera[i] != 1]
         there = torch.full((SIZE, SIZE), 0.25, device=device)
+        held = HeldDepth(dict.fromkeys(covered, torch.full((2, SIZE // 2, SIZE // 2), 0.3, device=device)), 4.0)
         depth = MeasuredDepth(dict.fromkeys(covered, there), 4.0, lambda i: torch.from_numpy(half_moves(i) > 0).to(device))
 
         def flow(i):
@@ -84,7 +86,8 @@ def begun(what, device="cpu"):
         if rig:
             set_lifetime(model.convexes, 3.0, 2.0)
     recipe = replace(Lifetimes.recipe if rig else NODES, interval=1e-3)
-    trainer = Trainer(model.to(device), views, [PHASE], QUICK, 400, recipe=recipe, measured_flow=flow, measured_depth=depth)
+    given = {"measured_flow": flow, "measured_depth": depth, "held_depth": held}
+    trainer = Trainer(model.to(device), views, [PHASE], QUICK, 400, recipe=recipe, **given)
     assert trainer.objective.run.several == rig
     trainer.objective.drawn = DrawnTiles(views, 0, 100_000)
     trainer.objective.drawn.often = {0, 1}

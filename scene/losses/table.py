@@ -4,6 +4,7 @@ from .appearance import Appearance
 from .depth_spread import DepthSpread
 from .flow_terms import Interval, MeasuredFlowTerm
 from .motion_priors import PlaneSmoothness, Rest, RigidAndSteady
+from .moving_depth import MovingDepth
 from .opacity import Opacity
 from .surface import Surface
 from .term import Term
@@ -12,6 +13,7 @@ TERMS: tuple[type[Term], ...] = (
     Appearance,  # the value of the first one tells whether training still improves
     DepthSpread,
     Surface,
+    MovingDepth,
     Opacity,
     Rest,
     PlaneSmoothness,

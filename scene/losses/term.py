@@ -16,6 +16,7 @@ from ..model import Model
 from ..motion.times import Time
 from ..settings import TrainingSettings
 from ..views import Views, Window
+from .held_depth import HeldDepth
 from .measured_depth import MeasuredDepth
 from .photometric import Recording
 
@@ -24,7 +25,7 @@ MeasuredFlow = Callable[[int], tuple[Tensor, Tensor] | None]
 
 @dataclass(eq=False)
 class Run:
-    """One training, as its terms know it. measured_flow, measured_depth: see `Trainer`."""
+    """One training, as its terms know it. measured_flow, measured_depth, held_depth: see `Trainer`."""
 
     views: Views
     settings: TrainingSettings
@@ -35,6 +36,7 @@ class Run:
     earlier: int = 0  # those that earlier stages took
     measured_flow: MeasuredFlow | None = None
     measured_depth: MeasuredDepth | None = None
+    held_depth: HeldDepth | None = None
     camera: Callable[..., Camera] = field(init=False)  # `Views.rasterizer_camera`, which keeps what it returns
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ..colour import CameraAffine, colour_recorders
+from ..losses.held_depth import HeldDepth
 from ..losses.measured_depth import MeasuredDepth
 from ..losses.term import MeasuredFlow, Run
 from ..model import Model
@@ -42,6 +43,7 @@ class Trainer:
     phases: run in this order. settings: see `TrainingSettings`. budget: maximum number of Gaussians. lr_scale: factor on the rates of
     parameters that an earlier stage has already trained. earlier: number of steps of that stage. measured_flow: returns for frame i the
     flow to the camera's next frame [H, W, 2] px and a weight [H, W], or None if there is none. measured_depth: of the static scene.
+    held_depth: of what moves.
     moving: see `DensityControl`.
     checkpoints: folder of this run; training continues from a state found there that has the same ``part``: the name of this training
     where a stage has several, one after another. advance: called with (steps, note). log: called with a
@@ -62,6 +64,7 @@ class Trainer:
         grow: bool = True,
         measured_flow: MeasuredFlow | None = None,
         measured_depth: MeasuredDepth | None = None,
+        held_depth: HeldDepth | None = None,
         moving: Callable[[int], Tensor | None] | None = None,
         recipe: Recipe | None = None,
         advance: Callable[[int, str], None] = lambda n, note: None,
@@ -85,7 +88,7 @@ class Trainer:
         found = None if self._found is None else self._found[1].get("unit")
         self.unit = views.viewing_distance(model.gaussians.means.detach().cpu().numpy()) if found is None else float(found)
         steps = self.curriculum.several, self.total, earlier
-        self.objective = Objective(Run(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth))
+        self.objective = Objective(Run(views, settings, recipe, self.unit, *steps, measured_flow, measured_depth, held_depth))
         self.learned = LearnedModel(model, settings, self.unit, lr_scale)
         self.replayed: ReplayedObjective | None = None
         measure: Measure = measure_responsibility

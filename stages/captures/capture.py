@@ -34,6 +34,8 @@ class Capture:
     masks: tuple[str | None, ...] | None
     keeps: tuple[str | None, ...] | None
     keep_turns: tuple[int, ...] | None
+    depths: tuple[str | None, ...] | None
+    depth_confidences: tuple[str | None, ...] | None
     videos: tuple[Video, ...]
     camera: np.ndarray
     time: np.ndarray

@@ -51,6 +51,8 @@ class Shot:
     mask: str | None = None  # file; white marks moving pixels
     keep: str | None = None  # file; black marks pixels to ignore
     keep_turn: int = 1  # EXIF orientation by which `keep` is rotated, like its photo
+    depth: str | None = None  # file, see `listing/depth_maps.py`
+    depth_confidence: str | None = None  # file, of any unit: larger is surer
     seconds: float | None = None
     linked: bool = True  # whether it may form a pair with the same camera's next frame
     K: np.ndarray | None = None
@@ -85,6 +87,7 @@ class Reading:
     point_colors: np.ndarray | None = None
     K_hint: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    depth_notes: tuple[str, ...] = ()  # said if no shot has depth
     spoken_for: tuple[str, ...] = ()  # files and folders, relative to the capture, that are not read and that the notes already name
     upright: bool = False  # pictures are rotated as their EXIF data ask
     untimed: bool = False  # the files give no times: frames are in the order of their names

@@ -16,6 +16,7 @@ from .formats.scans import polycam, record3d, rgbd, tum
 from .keep_masks import FOLDER
 from .listing import beside
 from .listing.archive_kind import archive_kind
+from .listing.depth_maps import add_depth
 from .listing.kinds import kind_of
 from .listing.names import is_video
 from .listing.unread import above, described, only_closed, unread
@@ -83,6 +84,7 @@ def recognise(
     reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
     base = root if root.is_dir() else root.parent
     reading.notes += doubts(reading.shots, reading.sources)
+    reading.notes += add_depth(base, reading.shots) or reading.depth_notes
     capture = assemble(base, _name(root), kind, reading, options)
     return replace(capture, notes=(*capture.notes, *_not_read(root, capture, reading)))
 

@@ -15,6 +15,7 @@ from ..facts import Facts
 from ..seeds.artifact import StoredSeeds, required
 from ..shared.dataset import load_frameset, load_views, measured_flow
 from ..shared.defaults import auto_budget, found_facts
+from ..shared.held_depth import held_depth
 from ..shared.masks import measured_depth, moving_pixels
 from ..shared.model import write_model
 from ..shared.train import train
@@ -34,7 +35,8 @@ def train_coarse(ctx: Context) -> None:
     torch.manual_seed(settings.seed)
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, ctx.inputs["flow"], ctx.device)
-    seeds = StoredSeeds.read(required(ctx.inputs["seeds"]))
+    stored = required(ctx.inputs["seeds"])
+    seeds = StoredSeeds.read(stored)
     views.near, views.background = seeds.near, seeds.background
     facts = found_facts(ctx, views)
     expected, kind = choose(settings.motion, facts), choose(settings.motion, facts, seeds.moving is not None)
@@ -57,6 +59,7 @@ def train_coarse(ctx: Context) -> None:
         budget=settings.budget or auto_budget(facts, views, expected),
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(seeds.depth, unit, ctx, frames),
+        held_depth=held_depth(stored, unit, ctx),
         moving=moving_pixels(ctx, frames, views) if model.motion.splits_in_time else None,
     )
     if not len(model.gaussians):

@@ -15,6 +15,7 @@ from ..hulls.artifact import StoredHulls
 from ..seeds.artifact import read_depth
 from ..shared.dataset import load_frameset, load_views, measured_flow
 from ..shared.defaults import auto_budget, found_facts
+from ..shared.held_depth import held_depth
 from ..shared.masks import measured_depth, moving_pixels
 from ..shared.model import read_model, write_model
 from ..shared.train import train
@@ -57,6 +58,7 @@ def train_fine(ctx: Context) -> None:
         grow=joint,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(read_depth(ctx.inputs["seeds"]), unit, ctx, frames),
+        held_depth=held_depth(ctx.inputs["seeds"], unit, ctx),
         moving=moving_pixels(ctx, frames, views) if joint else None,
     )
     write_model(ctx.out, model)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import zarr
 
 _IMAGES = "images"
+LISTS = ("files", "mask_files", "keep_files", "keep_turns", "depth_files", "depth_confidence_files", "origin", "K_hint")
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,8 @@ class StoredFrames:
     mask_files: Sequence[str | None] | None = None  # [F]: white marks moving pixels
     keep_files: Sequence[str | None] | None = None  # [F]: black marks pixels to ignore
     keep_turns: Sequence[int] | None = None  # [F] EXIF orientations by which keep_files are rotated; present if those are
+    depth_files: Sequence[str | None] | None = None  # [F]: depth maps of any unit
+    depth_confidence_files: Sequence[str | None] | None = None  # [F]: confidence in these, larger is surer
     origin: Sequence[float] | None = None  # 3 numbers: the point of the files' world that is the origin here; None if nothing was moved
     K_hint: Sequence[float] | None = None  # 9 numbers of an initial intrinsic matrix, px, row by row
     images: DecodedPictures | None = None  # for reading only; `create_images` makes them
@@ -90,7 +93,7 @@ class StoredFrames:
             out.write("points", self.points, unit="world", doc="points of the capture's files")
             out.write("point_colors", self.point_colors, doc="RGB of points")
         out.attrs.update(self.facts.as_json(), names=list(self.names), background=self.background)
-        lists = {name: getattr(self, name) for name in ("files", "mask_files", "keep_files", "keep_turns", "origin", "K_hint")}
+        lists = {name: getattr(self, name) for name in LISTS}
         out.attrs.update({name: list(values) for name, values in lists.items() if values is not None})
         out.info["notes"] = list(notes)
 
@@ -123,6 +126,8 @@ class StoredFrames:
             mask_files=attrs.get("mask_files"),
             keep_files=attrs.get("keep_files"),
             keep_turns=attrs.get("keep_turns"),
+            depth_files=attrs.get("depth_files"),
+            depth_confidence_files=attrs.get("depth_confidence_files"),
             origin=attrs.get("origin"),
             K_hint=attrs.get("K_hint"),
             images=DecodedPictures(artifact) if _IMAGES in artifact else None,

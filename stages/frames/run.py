@@ -53,6 +53,8 @@ def _write(capture: Capture, ctx: Context, watermark: np.ndarray | None) -> None
         mask_files=capture.masks,
         keep_files=capture.keeps,
         keep_turns=None if capture.keeps is None else capture.keep_turns or (),
+        depth_files=capture.depths,
+        depth_confidence_files=capture.depth_confidences,
         origin=None if capture.origin is None else capture.origin.tolist(),
         K_hint=capture.K_hint,
     ).write(ctx.out, capture.notes)

@@ -34,6 +34,8 @@ class StoredSeeds:
             out.write("moving_colors", self.moving.colors, doc="RGB in [0, 1] of moving_points")
             out.write("moving_velocities", self.moving.velocities, unit="world unit/frame", doc="velocities of moving_points")
             out.write("moving_time", self.moving.time, unit="share of the capture", doc="time in [0, 1] of moving_points")
+            if self.moving.held:
+                self._write_held(out, self.moving.held)
         out.write("seeds_png", np.frombuffer(png, np.uint8), doc="where training begins, for the report")
         out.attrs.update(near=self.near, background=list(self.background), path_width=self.path_width)
         if self.depth:
@@ -44,12 +46,17 @@ class StoredSeeds:
             of_frame = np.array([(frame, number[id(one)]) for frame, one in sorted(self.depth.items())], np.int32)
             out.write("depth_of_frame", of_frame, doc="frame, and its row of depth_maps")
 
+    def _write_held(self, out: ArtifactWriter, held: Mapping[int, np.ndarray]) -> None:
+        doc = "inverse depth of what moves, 0 where nothing does, and confidence in it"
+        out.write("depth_moving", np.stack([held[frame] for frame in sorted(held)]), unit="1/world unit, 1", doc=doc)
+        out.write("depth_moving_frame", np.array(sorted(held), np.int32), doc="frame of each row of depth_moving")
+
     @classmethod
     def read(cls, artifact: Artifact) -> StoredSeeds:
         read, attrs = artifact.read, artifact.attrs
-        moving = None
+        moving, held = None, read_held(artifact)
         if "moving_points" in artifact:
-            moving = MovingSeeds(read("moving_points"), read("moving_colors"), read("moving_velocities"), read("moving_time"))
+            moving = MovingSeeds(read("moving_points"), read("moving_colors"), read("moving_velocities"), read("moving_time"), held)
         red, green, blue = attrs["background"]
         return cls(
             points=read("points"),
@@ -70,6 +77,14 @@ def read_depth(artifact: Artifact | None) -> dict[int, np.ndarray]:
         return {}
     maps = list(artifact.read("depth_maps"))
     return {int(frame): maps[int(k)] for frame, k in artifact.read("depth_of_frame")}
+
+
+def read_held(artifact: Artifact | None) -> dict[int, np.ndarray]:
+    """`MovingSeeds.held` alone, which may be empty. Raises ArtifactError if an array is damaged."""
+    if artifact is None or "depth_moving" not in artifact:
+        return {}
+    frames = artifact.read("depth_moving_frame").tolist()
+    return dict(zip(frames, artifact.read("depth_moving"), strict=True))
 
 
 def read_seeds_png(artifact: Artifact) -> bytes | None:

@@ -11,8 +11,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ...scene.seeds.given_depth import GivenDepth
 from ...scene.views import Views
 from ...vision.moving.followed_parts import Objects
+from .given_objects import given_numbers, given_surface
 
 NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest, since single points may be wrong
 FEWEST = 5  # least number of hidden points, or points of the floor, that give a depth
@@ -28,18 +30,21 @@ THICKEST = 0.7  # least factor on the depth for the thickness of an object, away
 STEADY = 9  # frames in the moving median of a track's depth
 
 
-def object_depths(objects: Objects, views: Views, frames: list[int], points: np.ndarray) -> list[np.ndarray]:
-    """For each of ``frames`` the depth of each part, [labels] in world units; 0 if the static ``points`` [P, 3] do not determine it."""
+def object_depths(
+    objects: Objects, views: Views, frames: list[int], points: np.ndarray, given: GivenDepth | None = None
+) -> list[np.ndarray]:
+    """For each of ``frames`` the depth of each part, [labels] in world units; 0 if the static ``points`` [P, 3] do not determine it. given:
+    depth of the capture, which replaces all other evidence where it covers a part."""
     told: dict[int, _Told] = {}
     for k, (labels, number, log_size, i) in enumerate(zip(objects.labels, objects.number, objects.log_size, frames)):
         _, x, y, z = views.project(i, points)
         row, column = objects.at(k, x, y)
-        inner = _inner(labels)
+        without_rim = inner(labels)
         K = np.diag([1 / objects.step[0], 1 / objects.step[1], 1.0]) @ views.K[i]
         for part in range(1, len(number)):
             known = told.setdefault(int(number[part]), _Told([], [], 0))
             below = depth_below(labels == part, K, column, row, z)
-            hidden = z[inner[row, column] == part]
+            hidden = z[without_rim[row, column] == part]
             if below is not None and below.level:
                 known.floor.append((k, np.log(below.depth) + log_size[part]))
             elif below is not None:
@@ -51,7 +56,7 @@ def object_depths(objects: Objects, views: Views, frames: list[int], points: np.
         depths.append(np.zeros(len(number), np.float32))
         for part in range(1, len(number)):
             depths[k][part] = _depth(told[int(number[part])], k, float(log_size[part]))
-    return depths
+    return depths if given is None else given_numbers(objects, frames, given, depths)
 
 
 class _Told(NamedTuple):
@@ -107,19 +112,38 @@ def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z
     return Below(1 / at_foot, bool(plane[1] > FLOOR * np.linalg.norm(plane)))
 
 
-def _inner(labels: np.ndarray) -> np.ndarray:
+def inner(labels: np.ndarray) -> np.ndarray:
     """``labels`` [H, W] without the rim of each part."""
     inset = max(1, round(INSET * labels.shape[1]))
     return np.where(cv2.erode((labels > 0).astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
 
 
-def depth_at(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, places: np.ndarray, usual: float) -> np.ndarray:
+def depth_at(
+    objects: Objects,
+    depths: np.ndarray,
+    K: np.ndarray,
+    k: int,
+    places: np.ndarray,
+    usual: float,
+    given: GivenDepth | None = None,
+    i: int = 0,
+) -> np.ndarray:
     """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` for parts without a depth.
-    A part is assumed to be as thick as it is wide, so its surface comes nearer with the distance from its outline."""
-    where = objects.at(k, *places.T)
-    z = depths[objects.labels[k][where]]
-    inside = cv2.distanceTransform((objects.labels[k] > 0).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.where(z > 0, z, usual) * np.maximum(1 - inside[where] * objects.step[0] / K[0, 0], THICKEST)
+    A part is assumed to be as thick as it is wide, so its surface comes nearer with the distance from its outline, unless there is
+    ``given`` depth of frame ``i``."""
+    return surface(objects, depths, K, k, usual, given, i)[objects.at(k, *places.T)]
+
+
+def surface(
+    objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float, given: GivenDepth | None = None, i: int = 0
+) -> np.ndarray:
+    """`depth_at` of all pixels of the labels of frame ``k``: [h, w]."""
+    labels = objects.labels[k]
+    z = depths[labels]
+    if given is not None and i in given.z:
+        return given_surface(given, i, np.where(z > 0, z, usual))
+    inside = cv2.distanceTransform((labels > 0).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.where(z > 0, z, usual) * np.maximum(1 - inside * objects.step[0] / K[0, 0], THICKEST)
 
 
 def steady(depth: np.ndarray, alive: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from ...scene.seeds.colours import median_colours
+from ...scene.seeds.given_depth import GivenDepth
 from ...scene.seeds.moving.hull import visual_hull
 from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.moving.surfaces import surface_points
@@ -23,6 +24,7 @@ from ...vision.moving.followed_parts import follow_objects
 from ...vision.sequences import camera_sequences
 from ..flow.artifact import StoredFlow
 from .depths import depth_at, object_depths, steady
+from .held import held_map
 from .scene_flow import next_positions
 
 KEYS = 24  # least number of times at which seeds are placed
@@ -121,23 +123,30 @@ def on_surfaces(views: Views, masks: list[np.ndarray], frames: np.ndarray, most:
 
 
 def camera_seeds(
-    flow: StoredFlow, views: Views, static: np.ndarray, most: int, advance: Callable[[int], None] = lambda n: None
+    flow: StoredFlow,
+    views: Views,
+    static: np.ndarray,
+    most: int,
+    advance: Callable[[int], None] = lambda n: None,
+    given: GivenDepth | None = None,
 ) -> MovingSeeds | None:
     """Up to ``most`` seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth.
 
-    static [P, 3]: points that are mostly static. advance: called with the number of frames that are done.
+    static [P, 3]: points that are mostly static. given: depth of the capture. advance: called with the number of frames that are done.
     """
-    found = []
+    found, held = [], dict[int, np.ndarray]()
     cameras = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) >= FEWEST_FRAMES]
     for frames in cameras:
         chain = Chain(flow, frames)
         objects = follow_objects(chain, len(frames))
-        depths = object_depths(objects, views, frames, static)
+        depths = object_depths(objects, views, frames, static, given)
         advance(len(frames))
         known = [float(np.median(values[values > 0])) for values in depths if (values > 0).any()]
         if not known:
             continue
         usual = float(np.median(known))
+        if given is not None:
+            held |= {i: held_map(objects, depths[k], views.K[i], k, usual, given, i) for k, i in enumerate(frames) if i in given.z}
         rows = key_times(views.time[frames], APART_ALONE)
         area = sum(int(chain.mask(k).sum()) for k in rows)
         stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(most, 1)))))
@@ -150,7 +159,7 @@ def camera_seeds(
             near = [j for j in range(k - AROUND, k + AROUND + 1) if 0 <= j < len(frames)]
             z = np.zeros(alive.shape, np.float32)
             for j in near:
-                z[j] = depth_at(objects, depths[j], views.K[frames[j]], j, places[j], usual)
+                z[j] = depth_at(objects, depths[j], views.K[frames[j]], j, places[j], usual, given, frames[j])
             z = steady(z, alive)
             where = np.stack([lift(views, frames[j], places[j], z[j]) for j in near])
             number = views.time[[frames[j] for j in near]] * (len(np.unique(views.time)) - 1)
@@ -159,7 +168,8 @@ def camera_seeds(
             color = picture[begin[:, 1].astype(int), begin[:, 0].astype(int)]
             time = np.full(len(begin), views.time[frames[k]])
             found.append(MovingSeeds(where[near.index(k)].astype(np.float64), color, velocity, time))
-    return join(found)
+    seeds = join(found)
+    return None if seeds is None else seeds._replace(held=held)
 
 
 def slope(x: np.ndarray, y: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -180,7 +190,10 @@ def per_frame(views: Views, times: np.ndarray, k: int) -> float:
 
 
 def join(found: list[MovingSeeds]) -> MovingSeeds | None:
-    return MovingSeeds(*(np.concatenate(parts) for parts in zip(*found))) if found else None
+    if not found:
+        return None
+    points, colors, velocities, time = (np.concatenate(parts) for parts in zip(*(one[:4] for one in found)))
+    return MovingSeeds(points, colors, velocities, time)
 
 
 def lift(views: Views, i: int, places: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...pipeline import Context
 from ...scene.seeds.carve import carve
+from ...scene.seeds.given_depth import GivenDepth, fit_depth
 from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.outliers import trusted
 from ...scene.seeds.volume import common_volume
@@ -18,8 +19,9 @@ from ...vision.triangulate import triangulate
 from ..facts import Facts
 from ..flow.artifact import flow_of
 from ..shared.frameset import FrameSet
-from ..shared.masks import moving_mask
+from ..shared.masks import moving_mask, unsteady_mask
 from .fill import fill_seeds, middle_frames, sweep
+from .given_objects import static_inverse
 from .moving import FEWEST_CAMERAS, camera_seeds, rig_seeds, rig_times
 
 # A seed is dynamic if at least this share of the masks that see it mark it as moving.
@@ -34,12 +36,13 @@ LOOKS = 60  # masks of a moving camera that are used
 
 class Seeds(NamedTuple):
     """points [N, 3] world units, colors [N, 3] in [0, 1]. trusted [P, 3]: points that were measured, not guessed. inverse_depth: of the
-    static scene in front of each camera, see `Swept`."""
+    static scene in front of each camera, see `Swept`. given: depth that came with the capture."""
 
     points: np.ndarray
     colors: np.ndarray
     trusted: np.ndarray
     inverse_depth: dict[int, np.ndarray]
+    given: GivenDepth | None = None
 
 
 def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: bool = False) -> Seeds:
@@ -66,6 +69,7 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
     points, colors = points[keep], colors[keep]
     ctx.log(f"seeds: {len(points)} points; {int((~keep).sum())} isolated ones are left out")
     measured = points
+    given = given_depth(ctx, frames, views, points)
     swept = sweep(ctx, frames, views, points) if fill and len(points) >= LEAST_POINTS else None
     if swept is not None:
         share = min(SWEPT_SHARE, SWEPT_DENSITY * swept.known)
@@ -79,11 +83,35 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
         more = centre + np.random.default_rng(settings.seed).uniform(-radius, radius, (count, 3))
         ctx.log(f"seeds: {len(more)} more spread over the volume that the cameras share")
         points, colors = np.concatenate([points, more]), np.concatenate([colors, np.full((count, 3), 0.5)])
-    return Seeds(points, colors, measured if len(measured) else points, swept.inverse if swept else {})
+    inverse = swept.inverse if swept else {}
+    if given is not None:
+        inverse = static_inverse(given, inverse)
+    return Seeds(points, colors, measured if len(measured) else points, inverse, given)
 
 
-def moving_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int) -> MovingSeeds | None:
-    """Up to ``most`` seeds on moving objects, at several times; None without masks of moving pixels. points [P, 3]: mostly static."""
+def given_depth(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> GivenDepth | None:
+    """Depth that came with the capture, in world units: fitted to the trusted ``points`` [P, 3]. None if it has none, or none that fits."""
+    if frames.depth_files is None:
+        return None
+
+    def still(i: int) -> np.ndarray | None:
+        mask = unsteady_mask(ctx, frames, i)
+        return None if mask is None else ~mask
+
+    given = fit_depth(frames.depth, views, views.train, points, still)
+    if given is None:
+        ctx.log("depth: the capture's depth maps are not used, since no frame shows enough known points to fit them to")
+        return None
+    static = "for what moves and where nothing else gives the depth of what is at rest" if given.precise else "for what moves"
+    ctx.log(f"depth: {len(given.z)} maps of the capture ({given.kind}), {given.error:.1%} off the known points; used {static}")
+    return given
+
+
+def moving_seeds(
+    ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int, given: GivenDepth | None = None
+) -> MovingSeeds | None:
+    """Up to ``most`` seeds on moving objects, at several times; None without masks of moving pixels. points [P, 3]: mostly static. given:
+    depth that came with the capture, for one camera."""
     flow = flow_of(ctx.inputs)
     if flow is None or not flow.has_moving:
         return None
@@ -96,7 +124,7 @@ def moving_seeds(ctx: Context, frames: FrameSet, views: Views, points: np.ndarra
         return None  # one camera that stands still: nothing tells a depth
     else:
         with ctx.progress(len(views.train), "seeds on moving objects") as bar:
-            found = camera_seeds(flow, views, points, most, bar.advance)
+            found = camera_seeds(flow, views, points, most, bar.advance, given)
     if found is not None:
         ctx.log(f"seeds: {len(found.points)} on moving objects, at {len(np.unique(found.time))} times")
     return found

@@ -26,8 +26,9 @@ def place_seeds(ctx: Context) -> None:
     facts = found_facts(ctx, views)
     motion = motion_class(choose(settings.motion, facts))
     budget = settings.budget or auto_budget(facts, views, motion.kind)
-    points, colors, trusted, depth = load_seeds(ctx, frames, views, settings.count or auto_seeds(facts, budget), fill=one_way(facts))
-    moving = moving_seeds(ctx, frames, views, points, budget // 2) if motion.moving_seeds else None
+    count = settings.count or auto_seeds(facts, budget)
+    points, colors, trusted, depth, given = load_seeds(ctx, frames, views, count, fill=one_way(facts))
+    moving = moving_seeds(ctx, frames, views, points, budget // 2, given) if motion.moving_seeds else None
     views.near = near_plane(views, trusted if moving is None else np.concatenate([trusted, moving.points]))
     if frames.background is None:
         views.background = mean_colour(views)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...pipeline import Artifact
 from ...vision.images import lenses, pictures
+from ...vision.images.depth_files import read_depth
 from ..frames.artifact import StoredFrames
 from ..poses.artifact import StoredPoses
 
@@ -48,6 +49,7 @@ class FrameSet:
         self.names, self.files = stored.names, stored.files
         self.mask_files, self.keep_files = stored.mask_files, stored.keep_files
         self.keep_turns = stored.keep_turns or [1] * len(self.names)
+        self.depth_files, self._confidence_files = stored.depth_files, stored.depth_confidence_files
         self.watermark = stored.watermark
         self.masked = self.keep_files is not None or self.watermark is not None
         self.K_hint = stored.K_hint
@@ -124,6 +126,24 @@ class FrameSet:
         if self.watermark is not None:
             masks.append(self._undistorted(i, 255 - self.watermark))
         return None if not masks else np.asarray(np.logical_and.reduce([mask >= WHOLLY for mask in masks]))
+
+    def depth(self, i: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """The capture's depth of frame i in its own unit, float32 [H,W], undistorted like the image and 0 where it is unknown, and the
+        confidence in it as stored, which is 1 everywhere without a file of it; None if the frame has no depth."""
+        name = self.depth_files[i] if self.depth_files is not None else None
+        if name is None:
+            return None
+        sure = self._confidence_files[i] if self._confidence_files is not None else None
+        depth = self._nearest(i, read_depth(self.root, name))
+        return depth, np.ones_like(depth) if sure is None else self._nearest(i, read_depth(self.root, sure))
+
+    def _nearest(self, i: int, values: np.ndarray) -> np.ndarray:
+        """``values`` of frame i, of any size, scaled, cropped and undistorted like its image, but never a mixture of two of them."""
+        part = None
+        if self.crop is not None and self.files is not None:
+            across, down = pictures.size_of(self.root, self.files[i])
+            part = self.crop[i] / np.array([across, down, across, down])
+        return pictures.nearest(values, self.width, self.height, part, self.undistortion(i))
 
     def _fitted(self, i: int, mask: np.ndarray) -> np.ndarray:
         """A mask of frame i, scaled, cropped and undistorted like its image."""

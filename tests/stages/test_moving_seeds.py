@@ -49,6 +49,11 @@ def test_before_one_camera_seeds_lie_on_the_mask_and_move_with_it(tmp_path):
     assert np.abs(seeds.velocities[:, 1:]).max() < 0.1
 
 
+def test_a_guessed_depth_is_not_held(tmp_path):
+    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 3000)
+    assert seeds is not None and not seeds.held
+
+
 def test_before_one_camera_seeds_lie_at_about_every_third_frame(tmp_path, monkeypatch):
     monkeypatch.setattr(moving, "KEYS", 2)
     seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 3000)

@@ -98,6 +98,8 @@ class Chain:
         if step is None:
             return None
         places = np.ascontiguousarray(places, np.float32)
+        if not len(places):
+            return places, np.zeros(0, bool)
         confidence = self._sample(step.confidence.astype(np.float32), places)
         moved = places + self._sample(step.flow.astype(np.float32), places)
         inside = self._sample(self._small_mask(k + direction).astype(np.float32), moved, outside=0.0) > 127

@@ -77,6 +77,29 @@ def resize(picture: np.ndarray, width: int, height: int, crop: np.ndarray | None
     return _premultiplied(picture, lambda p: cv2.resize(p, (width, height), interpolation=way))
 
 
+def size_of(root: Path, name: str) -> tuple[int, int]:
+    """Width and height in px of the picture `root/name` as stored. Raises CaptureError."""
+    try:
+        with open_image(root / name) as opened:
+            return opened.width, opened.height
+    except BadImageError as error:
+        raise CaptureError(f"{name}: cannot be opened ({error}); copy it again or remove it from the capture") from error
+
+
+def nearest(
+    values: np.ndarray, width: int, height: int, part: np.ndarray | None = None, maps: tuple[np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
+    """``values`` [h, w] at another size, each the one nearest to its pixel. part: left, top, width and height of what is used, as shares of
+    the whole. maps: see `undistort`."""
+    import cv2
+
+    left, top, across, down = (0.0, 0.0, 1.0, 1.0) if part is None else part
+    column = ((left + across * (np.arange(width) + 0.5) / width) * values.shape[1]).astype(int).clip(0, values.shape[1] - 1)
+    row = ((top + down * (np.arange(height) + 0.5) / height) * values.shape[0]).astype(int).clip(0, values.shape[0] - 1)
+    sized = np.ascontiguousarray(values[row[:, None], column[None]])
+    return sized if maps is None else cv2.remap(sized, *maps, interpolation=cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+
+
 def undistort(picture: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Resamples `picture` (bicubic) to the pinhole image. Beyond the source's border its edge pixels are repeated."""
     import cv2

@@ -39,6 +39,8 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     hint = None if reading.K_hint is None else tuple(float(v) for v in (scale @ reading.K_hint).reshape(-1))
     masks = tuple(s.mask for s in shots) if any(s.mask for s in shots) else None
     keeps = tuple(s.keep for s in shots) if any(s.keep for s in shots) else None
+    depths = tuple(s.depth for s in shots) if any(s.depth for s in shots) else None
+    sure = tuple(s.depth_confidence for s in shots) if any(s.depth_confidence for s in shots) else None
     _check_masks(root, shots)
     checks.refuse_odd_names(s.name for s in shots)
     return Capture(
@@ -52,6 +54,8 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
         masks=masks,
         keeps=keeps,
         keep_turns=None if keeps is None else tuple(s.keep_turn for s in shots),
+        depths=depths,
+        depth_confidences=sure,
         videos=reading.videos,
         camera=when.camera,
         time=when.time,
@@ -102,7 +106,8 @@ def _files(root: Path, reading: Reading) -> tuple[str, ...]:
     """All files that the result depends on, sorted. Raises CaptureError for one that is too large or has an impossible name."""
     videos = {v.file for v in reading.videos}
     pictures = set() if reading.videos else {str(s.file) for s in reading.shots}
-    files = {*reading.sources, *pictures, *(m for s in reading.shots for m in (s.mask, s.keep) if m), *videos}
+    beside = (f for s in reading.shots for f in (s.mask, s.keep, s.depth, s.depth_confidence))
+    files = {*reading.sources, *pictures, *videos, *filter(None, beside)}
     checks.refuse_odd_names(sorted(files))
     checks.refuse_huge_files(root, sorted(files - videos))
     return tuple(sorted(files))

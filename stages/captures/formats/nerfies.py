@@ -20,6 +20,7 @@ from ....pipeline import CaptureError
 from .. import checks
 from ..arrays import load_array
 from ..lens import LARGEST_TERM, Lens, distortion_of
+from ..posed.depth import told_depth
 from ..posed.finding import find_pictures
 from ..posed.sizes import scale_of
 from ..reading import TRAIN, VAL, Options, Reading, Shot
@@ -29,7 +30,6 @@ _SPLITS = ((TRAIN, "train_ids"), (VAL, "val_ids"))
 _GREY = 128  # the points have no colours
 # Folders that DyCheck adds (github.com/KAIR-BAIR/dycheck, docs/DATASETS.md).
 _UNREAD = {
-    "depth": "depth maps are not used yet",
     "covisible": "metrics count all pixels, not only those that training views see (covisibility masks)",
     "keypoint": "keypoints are not evaluated",
     "flow": "optical flow is measured instead",
@@ -85,7 +85,8 @@ def read(root: Path, options: Options) -> Reading:
         points=points,
         point_colors=None if points is None else np.full(points.shape, _GREY, np.uint8),
         notes=(*found.notes, *_unread(root)),
-        spoken_for=tuple(name for name in _UNREAD if (root / name).is_dir()),
+        depth_notes=told_depth(root, [name for name in ("depth",) if (root / name).is_dir()]),
+        spoken_for=tuple(name for name in ("depth", *_UNREAD) if (root / name).is_dir()),
     )
 
 

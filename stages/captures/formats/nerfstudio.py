@@ -51,6 +51,7 @@ def read(root: Path, options: Options) -> Reading:
                 size=sizes[i],
                 file=paths[i],
                 keep=_mask(root, frames[i], where),
+                depth=_depth(root, frames[i], where),
                 K=lens.K,
                 cam_from_world=transforms.pose(frames[i], where),
                 distortion=lens.distortion,
@@ -148,6 +149,15 @@ def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...
 def _mask(root: Path, frame: dict[str, Any], where: str) -> str | None:
     path = frame.get("mask_path")
     return None if path is None else checks.find_image(root, checks.text(path, f"{where}: mask_path"), f"{where}: mask_path")
+
+
+def _depth(root: Path, frame: dict[str, Any], where: str) -> str | None:
+    """The depth map that `depth_file_path` names. Its unit (`depth_unit_scale_factor`) does not matter: depth is fitted to known points."""
+    field = f"{where}: depth_file_path"
+    if frame.get("depth_file_path") is None:
+        return None
+    name = checks.relative(root, checks.text(frame["depth_file_path"], field).replace("\\", "/"), field)
+    return name if checks.resolve_inside(root, name, field).is_file() else None
 
 
 def _cameras(shots: Sequence[Shot]) -> bool:

@@ -1,4 +1,4 @@
-"""One line about depth that a scan has and that is not read."""
+"""One line about depth that a scan has and that is not read, because it is of a kind that `depth_maps.py` does not find."""
 
 from __future__ import annotations
 

@@ -61,7 +61,6 @@ def read(root: Path, options: Options) -> Reading:
     notes = [left_out([files[s] for s in bare], len(files), "camera files have no picture and are left out")] if bare else []
     notes += [left_out([names[s] for s in unposed], len(names), "pictures have no camera file and are left out")] if unposed else []
     unread = tuple(prefix + name for name in ("depth", "confidence") if (root / base / name).is_dir())
-    notes += told_depth(root, unread)
     others = tuple(prefix + name for other in _PAIRS if other != pair for name in other if (root / base / name).is_dir())
     notes += [f"{', '.join(f'{name}/' for name in others)} not read: {images}/ and {cameras}/ replace them"] if others else []
     return Reading(
@@ -70,6 +69,7 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         sources=tuple(files[stem] for stem in both),
         notes=tuple(notes),
+        depth_notes=told_depth(root, unread),
         spoken_for=(*unread, *others, *(files[s] for s in bare), *(names[s] for s in unposed)),
     )
 

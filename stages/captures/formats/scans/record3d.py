@@ -80,7 +80,8 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         fps=fps,
         sources=(file,),
-        notes=(*gone, *told_depth(root, unread)),
+        notes=gone,
+        depth_notes=told_depth(root, unread),
         spoken_for=unread,
     )
 

@@ -72,13 +72,13 @@ def read(root: Path, options: Options) -> Reading:
     ):
         notes += [left_out(names, total, words)] if names else []
     depth = _depth(root)
-    notes += told_depth(root, depth)
     return Reading(
         why=f"{len(shots)} pictures with a pose file each in {place}, one moving camera",
         shots=shots,
         alpha=alpha,
         sources=(*((source,) if source else ()), *(str(both[stem][1]) for stem in both)),
         notes=tuple(notes),
+        depth_notes=told_depth(root, depth),
         spoken_for=(*depth, *deleted, *unposed, *(str(name) for stem in lost for name in both[stem])),
     )
 

@@ -67,13 +67,13 @@ def read(root: Path, options: Options) -> Reading:
         shots.append(shot)
     notes = [left_out(unposed, len(found.paths), f"pictures have no pose of {_POSES} near their times and are left out")] if unposed else []
     unread = tuple(name for name in ("depth.txt", "depth", "accelerometer.txt") if (root / name).exists())
-    notes += told_depth(root, unread, "depth and accelerations are not used yet")
     return Reading(
         why=f"{_PICTURES} and {_POSES}, one moving camera",
         shots=shots,
         alpha=alpha,
         sources=(*((source,) if note is None else ()), _PICTURES, _POSES),
         notes=(*found.notes, *((note,) if note else ()), *notes),
+        depth_notes=told_depth(root, unread, "depth and accelerations are not used yet"),
         spoken_for=(*unread, *unposed),
     )
 

@@ -1,0 +1,68 @@
+"""What depth that came with the capture says about moving objects, and about the static scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+from ...scene.seeds.given_depth import GivenDepth
+from ...vision.moving.followed_parts import Objects
+
+FEWEST = 12  # least number of pixels of an object whose depth is known
+SURE = 0.5  # least confidence of these
+AROUND = 4  # frames on either side over which an object's depth is averaged, with its size, if single pixels are not to be believed
+WITHIN = 0.4  # logarithm of the factor between a pixel's depth and that of its object; farther ones show something else
+WIDTH = 320  # px, longest side of maps of the static scene
+
+
+def given_numbers(objects: Objects, frames: list[int], given: GivenDepth, depths: list[np.ndarray]) -> list[np.ndarray]:
+    """``depths`` of the parts in ``frames``, [labels] each, replaced by the median of the given depth over a part's pixels. If that is not
+    precise, by the median over neighbouring frames as well, where the object's size tells how its depth changed."""
+    scale: dict[int, dict[int, float]] = {}  # object -> frame -> log(depth * size)
+    for k, i in enumerate(frames):
+        if i not in given.z:
+            continue
+        labels = objects.labels[k]
+        z, sure = (_sized(one[i], labels.shape) for one in (given.z, given.confidence))
+        for part in range(1, len(objects.number[k])):
+            there = (labels == part) & (z > 0) & (sure >= SURE)
+            if there.sum() >= FEWEST:
+                scale.setdefault(int(objects.number[k][part]), {})[k] = float(np.log(np.median(z[there])) + objects.log_size[k][part])
+    result = [of.copy() for of in depths]
+    around = 0 if given.precise else AROUND
+    for k, of in enumerate(result):
+        for part in range(1, len(of)):
+            known = scale.get(int(objects.number[k][part]), {})
+            near = [value for frame, value in known.items() if abs(frame - k) <= around]
+            if near:
+                of[part] = np.exp(np.median(near) - objects.log_size[k][part])
+    return result
+
+
+def given_surface(given: GivenDepth, i: int, number: np.ndarray) -> np.ndarray:
+    """[h, w] depth of what moves in frame ``i``, whose objects have the depth ``number`` [h, w]: the given one where single pixels are to
+    be believed and do not show something else, else the object's."""
+    if not given.precise:
+        return number
+    z = _sized(given.z[i], number.shape)
+    near = (z > 0) & (np.abs(np.log(np.maximum(z, 1e-9) / np.maximum(number, 1e-9))) < WITHIN)
+    return np.where(near, z, number)
+
+
+def static_inverse(given: GivenDepth, measured: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
+    """Inverse depth by frame, see `Swept`: as ``measured``, and where that is unknown the given one if single pixels are to be believed."""
+    result = dict(measured)
+    for i, z in given.z.items() if given.precise else ():
+        known = measured.get(i)
+        step = max(1, round(max(z.shape) / WIDTH))
+        shape = known.shape if known is not None else (z.shape[0] // step, z.shape[1] // step)
+        there = _sized(np.where(given.confidence[i] >= SURE, z, 0), shape)
+        inverse = np.where(there > 0, 1 / np.maximum(there, 1e-9), 0).astype(np.float32)
+        result[i] = inverse if known is None else np.where(known > 0, known, inverse)
+    return result
+
+
+def _sized(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    return cv2.resize(values, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)

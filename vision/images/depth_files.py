@@ -1,0 +1,53 @@
+"""Reads a depth map from an untrusted image or numpy file."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ...pipeline import CaptureError
+from .files import MOST_PIXELS, BadImageError, open_image, pixels
+
+SUFFIXES = (".png", ".tif", ".tiff", ".npy")
+GREY = ("I;16", "I;16B", "I;16L", "I", "F", "L")
+
+
+def read_depth(root: Path, name: str) -> np.ndarray:
+    """float32 [h, w]: the values of the depth map `root/name` as they are stored; 0 where there is none (also for what is negative or not
+    finite). Raises CaptureError if it cannot be read or is no map of one channel."""
+    again = "copy it again or remove it from the capture"
+    try:
+        found = _numpy(root / name) if name.lower().endswith(".npy") else _image(root / name)
+    except BadImageError as error:
+        raise CaptureError(f"{name}: the depth map cannot be read, perhaps cut short ({error}); {again}") from error
+    values = found.astype(np.float32)
+    return np.where(np.isfinite(values) & (values > 0), values, np.float32(0))
+
+
+def _image(path: Path) -> np.ndarray:
+    with open_image(path) as opened:
+        if opened.mode not in GREY:
+            raise BadImageError(f"its mode is {opened.mode}, and a depth map has one channel of grey")
+        return np.asarray(pixels(opened, upright=False))
+
+
+def _numpy(path: Path) -> np.ndarray:
+    """The array [h, w] or [h, w, 1] of numbers. The claims of the header are checked against the file first."""
+    try:
+        with path.open("rb") as file:
+            version = np.lib.format.read_magic(file)
+            header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = header(file)
+            plain = dtype.kind in "fiu" and not dtype.hasobject and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 1))
+            if not plain or not 0 < math.prod(shape) <= MOST_PIXELS:
+                raise BadImageError(f"expected numbers [height, width], found {dtype} {list(shape)}")
+            if math.prod(shape) * dtype.itemsize > path.stat().st_size:
+                raise BadImageError(f"{list(shape)} are promised, which its {path.stat().st_size} bytes cannot hold")
+            file.seek(0)
+            return np.asarray(np.lib.format.read_array(file, allow_pickle=False)).reshape(shape[:2])
+    except BadImageError:
+        raise
+    except Exception as error:  # broken headers raise many kinds of errors
+        raise BadImageError(str(error) or type(error).__name__) from error
