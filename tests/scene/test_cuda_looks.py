@@ -158,7 +158,7 @@ def test_sets_on_a_gpu_take_the_kernels_and_nothing_waits(degree):
 
     def looks(device):
         for kind, names in zip(kinds(device), (("log_scales",), ("log_tau", "log_kappa"))):
-            sizes, opacities, sh = kind.look(tuple(kind.parameters[name] for name in names), degree, light.to(device))
+            sizes, opacities, sh = kind.activated(tuple(kind.parameters[name] for name in names), degree, light.to(device))
             sum(p.square().sum() for p in (*sizes, opacities, sh)).backward()
             grads = [p.grad for p in kind.parameters.values() if p.grad is not None]
             yield [*(p.detach() for p in (*sizes, opacities, sh)), *grads]

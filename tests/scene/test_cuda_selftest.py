@@ -82,9 +82,9 @@ def test_the_proof_holds_and_covers_every_kernel():
         ("check_gradients", "the step of gaussians"),
         ("displace_backward", "the gradient of"),
         ("look_up", "the loss|the render|the gradient"),
-        ("spread_lines", "the gradient of field.planes.time"),
+        ("spread_lines", "the gradient of motion.planes.time"),
         ("photometric_gradient", "the gradient of"),
-        ("smoothness_gradient", "the gradient of field.planes"),
+        ("smoothness_gradient", "the gradient of motion.planes"),
         ("blend_backward", "the gradient of gaussians"),
     ],
 )

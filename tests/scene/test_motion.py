@@ -179,9 +179,9 @@ def test_steps_evaluate_flow_terms_only_if_they_can_tell_something():
     late = list(range(32, 100, 8))  # from 30 % of the steps
     assert due(bends) == [late, []]
     assert due(bends, 106)[0][0] == 32 and due(bends, 107)[0][0] == 40
-    assert due(bends, interval=0.0) == due(bends, frames=2) == due(steady) == due(model()) == [[], []]
-    assert due(bends, interval=0.0, measured=lambda i: None) == due(steady, measured=lambda i: None) == [[], late]
-    assert due(bends, interval=0.0, measured=lambda i: None, data_flow=0.0) == [[], []]
+    assert due(bends, interval_weight=0.0) == due(bends, frames=2) == due(steady) == due(model()) == [[], []]
+    assert due(bends, interval_weight=0.0, measured=lambda i: None) == due(steady, measured=lambda i: None) == [[], late]
+    assert due(bends, interval_weight=0.0, measured=lambda i: None, data_flow_weight=0.0) == [[], []]
     assert Interval.whole_image and MeasuredFlowTerm.whole_image, "steps with either draw whole images"
 
 

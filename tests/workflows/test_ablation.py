@@ -15,10 +15,10 @@ def test_every_row_is_made_of_settings_that_exist(name):
     given = [(f"{stage}.{key}", value) for stage, key, value in map(split_assignment, ROWS[name])]
     settings = build_settings(reconstruction().settings, given)
     assert (settings["hulls"].budget == 0) == name.startswith(("a,", "c,", "d,"))
-    assert (settings["fine"].interval == 0) == name.startswith(("a,", "b,", "c,"))
-    assert bool(settings["coarse"].interval) == (name.startswith("d,") or name == "full")
+    assert (settings["fine"].interval_weight == 0) == name.startswith(("a,", "b,", "c,"))
+    assert bool(settings["coarse"].interval_weight) == (name.startswith("d,") or name == "full")
     assert bool(settings["hulls"].budget) == (name.startswith("b,") or name == "full")
-    assert (settings["fine"].data_flow == 0) == name.startswith(("a,", "b,"))
+    assert (settings["fine"].data_flow_weight == 0) == name.startswith(("a,", "b,"))
 
 
 def test_rows_are_chosen_by_the_beginning_of_their_names():

@@ -68,7 +68,7 @@ def test_a_list_has_settings_for_all_and_for_one_and_a_sweep(tmp_path):
         "sweep:\n  train.seed: [0, 1]\n  train.alpha_weight: [0.5]\n"
     )
     entries = entries_of([str(file)], Entry("", "", (("fine.iterations", "0"),)))
-    assert names(entries) == ["one-seed-0-alpha-0.5", "one-seed-1-alpha-0.5", "second-seed-0-alpha-0.5", "second-seed-1-alpha-0.5"]
+    assert names(entries) == [f"{name}-seed-{seed}-alpha_weight-0.5" for name in ("one", "second") for seed in (0, 1)]
     first, _, third, _ = entries
     assert dict(first.settings) == {
         "fine.iterations": "0",

@@ -71,7 +71,7 @@ def rerun(copy: Copy, name: str, line: str, cuda: bool = False) -> set[str]:
         ("vision/cpu/correlate.cpp", {"poses", "flow", "seeds"}),
         ("vision/sfm/worker/survey.py", {"poses", "seeds"}),
         ("scene/training/rates.py", {"coarse", "fine"}),
-        ("rasterizer/math/hull.h", {"coarse", "hulls", "fine", "evaluate"}),
+        ("rasterizer/math/hull.h", {"seeds", "coarse", "hulls", "fine", "evaluate"}),
         ("stages/evaluate/judge.py", {"evaluate"}),
         ("stages/estimates.py", set()),
         ("stages/report/page.py", set()),

@@ -84,7 +84,7 @@ def test_a_run_writes_into_the_folder_that_it_got(cli, capture, tmp_path, monkey
         taken.claim()
         return found
 
-    monkeypatch.setattr("e4dgs.workflows.cli.open_session", late)
+    monkeypatch.setattr("e4dgs.workflows.timing.begin.open_session", late)
     result = cli("run", "all", capture)
     assert result.code == 0 and "another capture has just taken the name my-scene" in result.out
     (own,) = (folder for folder in taken.folder.parent.iterdir() if folder != taken.folder)

@@ -11,12 +11,12 @@ from ...scene.motion.nodes.schedule import first_motion_steps
 from ...stages.coarse.defaults import auto_iterations
 from ...stages.evaluate.spread import SAMPLE, flicker_cameras, most_measured
 from ...stages.facts import Facts
-from ..reconstruction import EVALUATION, TRAINING
+from ..reconstruction import EVALUATION
 from .known import Known, kind_of
 from .resolve import TrainingTimes
 from .steps.costs import StepCosts
 
-COARSE, HULLS, FINE = TRAINING[-3:]  # the seeds of a training are placed before its time is decided
+COARSE, HULLS, FINE = "coarse", "hulls", "fine"  # stages whose steps a time decides
 MOVIE_PIXELS = 480 * 360  # of a picture of a movie, at most
 SHOWN = 0.5  # of judging a view: one that is only rendered, scaled and encoded
 
