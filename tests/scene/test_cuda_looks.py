@@ -3,6 +3,7 @@
 import pytest
 import torch
 from e4dgs.scene.cuda.looks import look
+from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.primitives import SH_C0, ConvexSet, GaussianSet
 from pretend_cuda import pretending_cuda
 from simt import CHECKED, RACES, Emulator, why_not
@@ -145,6 +146,7 @@ def kinds(device):
     points = torch.randn(20, 3, generator=draw).numpy()
     gaussians = GaussianSet.from_points(points, 0.5 + 0.1 * points, 2)
     convexes = ConvexSet.from_points(torch.randn(6, 5, 3, generator=draw).numpy(), 0.5 + 0.1 * points[:6], 2)
+    gaussians, convexes = (kind.carrying(ControlNodes.attributes) for kind in (gaussians, convexes))
     with torch.no_grad():
         for p in (p for kind in (gaussians, convexes) for p in kind.parameters.values()):
             p += 0.3 * torch.randn(p.shape, generator=draw)

@@ -32,7 +32,7 @@ class Copy:
         return reached(stage, sources_of({"e4dgs": [self.folder]}), cuda)
 
     def digests(self, cuda: bool = False) -> dict[str, str]:
-        return {name: self.code(type(stage), cuda)["digest"] for name, stage in STAGES.items()}
+        return {name: self.code(type(stage), stage.device_class and cuda)["digest"] for name, stage in STAGES.items()}
 
     def add(self, name: str, line: str) -> None:
         (self.folder / name).write_text((self.folder / name).read_text() + line + "\n")
