@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene import schedule
 from e4dgs.scene.motion import interface
+from e4dgs.scene.motion import phases as schedule
 from e4dgs.stages.coarse.settings import CoarseSettings
 from e4dgs.stages.coarse.stage import Coarse
 from e4dgs.stages.seeds.artifact import StoredSeeds

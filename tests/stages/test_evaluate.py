@@ -17,6 +17,7 @@ from e4dgs.rasterizer import Camera, Frame
 from e4dgs.scene.metrics.lpips import expected_shapes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.planes.field import DeformationField
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.evaluate.artifact import StoredPictures, read_movies
 from e4dgs.stages.evaluate.flicker import measure_flicker
@@ -40,7 +41,7 @@ def small_model(moving: bool = False) -> Model:
     field = (
         DeformationField(torch.tensor([-1.0] * 3), torch.tensor([1.0] * 3), times=4, resolutions=(4,), channels=4, width=8)
         if moving
-        else None
+        else Static()
     )
     hulls = rng.uniform(-0.3, 0.3, (2, 6, 3)).astype(np.float32)
     return Model(
@@ -395,7 +396,7 @@ def test_flicker_is_measured_at_fixed_cameras_at_held_out_ones_where_there_are_a
         color = torch.full((40, 48, 3), 0.2 + 5 / 255 * (shown[-1] % 2))
         return Frame(color, *[torch.zeros(40, 48)] * 2, torch.zeros(40, 48, 0), *[torch.ones(1) > 0] * 2)
 
-    model = SimpleNamespace(render=render, near=0.01, field=object())
+    model = SimpleNamespace(render=render, near=0.01, motion=SimpleNamespace(static=False))
     found = measure_flicker(Judge(model, frames, None, True), frames)  # type: ignore[arg-type]
     assert found is not None and found["cameras"] == looked_at and found["pairs"] == 3 * looked_at
     assert found["static"] == pytest.approx(5.0, rel=1e-4) and found["edges"] is None and found["warped"] is None

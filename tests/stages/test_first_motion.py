@@ -38,7 +38,7 @@ def test_nodes_move_and_nothing_holds_them_rigid(start, monkeypatch):
     before = model.motion.at(0.1).shifts.detach().clone()
     first_motion.find_first_motion(ctx, model, views, settings, STEPS, small=True)
     assert given["steps"] == first_motion_steps("two-stage", STEPS) and given["scales"] == {0.5}
-    assert given["settings"].rigid == 0 and settings.rigid > 0
+    assert given["settings"].rigid_weight == 0 and settings.rigid_weight > 0
     assert float((model.motion.at(0.1).shifts.detach() - before).abs().max()) > 1e-4
 
 

@@ -10,6 +10,7 @@ import torch
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.losses.flow_loss import rendered_flow
 from e4dgs.scene.model import Model
+from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.stages.evaluate.artifact import StoredPictures
 from e4dgs.stages.evaluate.judge import Judge
@@ -27,7 +28,7 @@ def make_judge(held_out: tuple[int, ...] = ()) -> Judge:
     model = Model(
         GaussianSet.from_points(points, np.full((60, 3), 0.5, np.float32), 0),
         ConvexSet.from_points(np.zeros((0, 6, 3), np.float32), np.zeros((0, 3), np.float32), 0),
-        None,
+        Static(),
         0,
     )
     model.gaussians.opacity_logits.data.fill_(3.0)

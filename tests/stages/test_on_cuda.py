@@ -11,6 +11,8 @@ from e4dgs.stages.flow.settings import FlowSettings
 from e4dgs.stages.flow.stage import Flow
 from e4dgs.stages.hulls.settings import HullSettings
 from e4dgs.stages.hulls.stage import Hulls
+from e4dgs.stages.seeds.settings import SeedsSettings
+from e4dgs.stages.seeds.stage import Seeds
 from factory import Options, make, write_n3v
 from pretend_cuda import pretending_cuda
 from run_stage import run_frames, run_stage
@@ -22,9 +24,10 @@ def test_a_rig_is_trained_refined_and_evaluated(tmp_path):
     options = Options(backdrop="room", rig="arc", cameras=3, times=3, width=48, height=36, samples=1, fov_degrees=60.0)
     frames = run_frames(write_n3v(make(options), tmp_path / "capture").root, tmp_path / "work")
     capture, made = frames.context.capture, {"frames": frames.artifact}
-    few = {"iterations": 12, "sh_degree": 1, "densify_every": 5, "flow_every": 4, "seeds": 300, "full_from": 0.0}
+    few = {"iterations": 12, "sh_degree": 1, "densify_every": 5, "flow_every": 4, "full_from": 0.0}
     stages = [
         (Flow(), FlowSettings(method="dis")),
+        (Seeds(), SeedsSettings(count=300)),
         (Coarse(), CoarseSettings(**few)),
         (Hulls(), HullSettings(min_edge_density=0.0, budget=12)),
         (Fine(), FineSettings(iterations=6, sh_degree=1, flow_every=2)),

@@ -27,8 +27,10 @@ def baked(motion: str, slow: float = 1.0, spin: float = 1.0) -> Baked:
     model = made(motion, gaussians=300, convexes=30, antialiased=False)
     with torch.no_grad():
         for one in (model.gaussians, model.convexes):
-            one.shades.mul_(0.1)  # colours stay in [0, 1], which is all that the containers hold
-            one.spins.mul_(spin)
+            if "shades" in one.parameters:
+                one.shades.mul_(0.1)  # colours stay in [0, 1], which is all that the containers hold
+            if "spins" in one.parameters:
+                one.spins.mul_(spin)
         if motion == "planes":
             model.motion.head.weight.mul_(slow)
         if motion == "nodes":
