@@ -21,7 +21,7 @@ from run_stage import run_frames, run_stage
 from write_artifact import write_artifact
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 9
-ITERATIONS = 24
+ITERATIONS = 36
 KIND = {"with_masks": "lifetimes", "without_masks": "planes"}
 
 
