@@ -46,5 +46,5 @@ class NonFiniteGuard:
             where = f"gradients of {', '.join(bad)}" if bad else f"the loss ({float(loss)})"
             raise TrainingDiverged(
                 f"step {iteration}, frame {frame}: {where} not finite, {MOST_IN_A_ROW} steps in a row. "
-                "Lower this stage's learning rates (--set STAGE.lr_means=... and its other lr_ settings) or check the capture's poses."
+                "Lower the learning rates (--set train.lr_means=... and the other lr_ settings) or check the capture's poses."
             )

@@ -31,7 +31,7 @@ def evaluate(ctx: Context) -> None:
     """Measures the model of `fine`, or that of `coarse` if `fine` was skipped."""
     artifact = ctx.inputs["fine"] if ctx.inputs["fine"] is not None else ctx.inputs["coarse"]
     if artifact is None:
-        raise StageError("there is no trained model: both coarse and fine were skipped; set coarse.iterations above 0")
+        raise StageError("there is no trained model: both coarse and fine were skipped; run the stage coarse first")
     frames = FrameSet(ctx.inputs["frames"], ctx.capture.root, ctx.inputs["poses"])  # type: ignore[arg-type]
     model = read_model(artifact).to(ctx.device)
     most = most_measured(ctx.settings.measured, steps_of(ctx.inputs["coarse"]))
