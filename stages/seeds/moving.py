@@ -15,7 +15,7 @@ import torch
 
 from ...scene.seeds.colours import median_colours
 from ...scene.seeds.given_depth import GivenDepth
-from ...scene.seeds.moving.hull import visual_hull
+from ...scene.seeds.moving.hull import VisualHull
 from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.moving.surfaces import surface_points
 from ...scene.views import Views
@@ -84,6 +84,7 @@ def rig_seeds(
     times = np.unique(views.time[views.train])
     sequences = [f for f in camera_sequences(views.camera, views.time, views.train).values() if len(f) == len(times)]
     chains = [(Chain(flow, frames), frames) for frames in sequences]
+    hull = VisualHull(views)
 
     def at(k: int) -> MovingSeeds | None:
         frames = views.train[views.time[views.train] == times[k]]
@@ -92,7 +93,7 @@ def rig_seeds(
         if len(known) < FEWEST_CAMERAS:
             return None
         chosen, masks = np.array([i for i, _ in known]), [m for _, m in known]
-        points, colors = on_surfaces(views, masks, chosen, most // len(rows), seed)
+        points, colors = on_surfaces(views, hull, masks, chosen, most // len(rows), seed)
         if not len(points):
             return None
         alive = np.ones(len(points), bool)
@@ -107,10 +108,12 @@ def rig_seeds(
         return join([found for found in pool.map(at, rows) if found is not None])
 
 
-def on_surfaces(views: Views, masks: list[np.ndarray], frames: np.ndarray, most: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def on_surfaces(
+    views: Views, visual_hull: VisualHull, masks: list[np.ndarray], frames: np.ndarray, most: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Up to ``most`` points [n, 3] (world units) on what the ``masks`` of ``frames`` of one time show, and colours [n, 3] in [0, 1]: where
     cameras agree on its depth, and for the rest on the visual hull."""
-    hull = visual_hull(views, masks, frames, HULL, seed)
+    hull = visual_hull.points(masks, frames, HULL, seed)
     if not len(hull):
         return hull, np.zeros((0, 3))
     measured, measured_colors, left = surface_points(views, frames.tolist(), [views.load(int(i)) for i in frames], masks, hull)

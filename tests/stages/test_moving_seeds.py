@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from e4dgs.scene.seeds.moving.hull import visual_hull
+from e4dgs.scene.seeds.moving.hull import VisualHull, _on_surface
 from e4dgs.stages.seeds import moving
 from e4dgs.stages.seeds.depths import ANYWHERE
 from e4dgs.stages.seeds.moving import (
@@ -116,14 +116,33 @@ def test_before_a_rig_most_seeds_are_measured_and_the_rest_is_what_is_left_of_th
     frames = seen.train[seen.time[seen.train] == seen.time[seen.train][0]]
     masks = [flow.moving(int(i)) > 127 for i in frames]
     monkeypatch.setattr(moving, "surface_points", surface_points)
-    points, colors = on_surfaces(seen, masks, frames, 1000, 0)
+    points, colors = on_surfaces(seen, VisualHull(seen), masks, frames, 1000, 0)
     assert (points == 9).all(1).sum() == round(MEASURED_SHARE * 1000) and (colors[(points == 9).all(1)] == 0.25).all()
-    hull = visual_hull(seen, masks, frames, HULL, 0)[::2]
+    hull = VisualHull(seen).points(masks, frames, HULL, 0)[::2]
     assert len(left(points)) == min(400, len(hull)) and np.isin(left(points)[:, 0], hull[:, 0]).all()
     measured = measured[:10]
     monkeypatch.setattr(moving, "surface_points", lambda *given: (measured, measured, np.ones(len(given[-1]), bool)))
-    points, _ = on_surfaces(seen, masks, frames, 200, 0)
+    points, _ = on_surfaces(seen, VisualHull(seen), masks, frames, 200, 0)
     assert len(points) == 200 and (points == 9).all(1).sum() == 10, "the hull stands for what is not measured"
+
+
+def test_a_hull_that_has_seen_other_times_finds_the_same_points(rig):
+    flow, seen, _ = rig
+    used = VisualHull(seen)
+    for time in np.unique(seen.time)[:3]:
+        frames = seen.train[seen.time[seen.train] == time]
+        masks = [flow.moving(int(i)) > 127 for i in frames]
+        points = used.points(masks, frames, HULL, 0)
+        assert len(points) > 100
+        np.testing.assert_array_equal(points, VisualHull(seen).points(masks, frames, HULL, 0))
+
+
+def test_cells_inside_a_solid_are_not_on_its_surface():
+    axis = np.arange(20, 27)
+    solid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    outside = ((solid == 20) | (solid == 26)).any(1)
+    size, corner = 0.25, np.array([-3.0, 1.0, 2.0])
+    np.testing.assert_array_equal(_on_surface(corner + (solid + 0.5) * size, corner, size), outside)
 
 
 def test_before_a_rig_without_masks_there_are_no_seeds(rig):
