@@ -164,9 +164,10 @@ def test_auto_matches_all_pairs_of_few_or_unordered_images(matcher, images, stat
 
 def test_sequential_pairs_hold_neighbours_longer_steps_and_loops():
     pairs = set(image_pairs("sequential", 300, overlap=10))
-    assert all((i, i + 10) in pairs and (i, i + 64) in pairs for i in range(236))
+    assert all((i, i + 10) in pairs for i in range(290)), "each image and the next ones"
+    assert [i for i in range(236) if (i, i + 64) in pairs] == list(range(0, 236, 6)), "far ones are few, but everywhere"
     assert (0, 299 // 13 * 13) in pairs, "first and last keyframe close the loop"
-    assert all(a < b for a, b in pairs) and len(pairs) < 300 * 20
+    assert all(a < b for a, b in pairs) and len(pairs) < 300 * 13
     assert image_pairs("exhaustive", 4) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
 
 

@@ -17,11 +17,13 @@ def choose(matcher: str | None, images: int, static: bool) -> str:
 
 
 def image_pairs(matcher: str, images: int, overlap: int = OVERLAP) -> list[tuple[int, int]]:
-    """Pairs (a, b), a < b, sorted. `sequential` takes the next `overlap` images, those at powers of two beyond, and keyframes."""
+    """Pairs (a, b), a < b, sorted. `sequential` takes the next `overlap` images; those at powers of two beyond, the farther the fewer,
+    since they only tie together what the next images link already; and keyframes."""
     if matcher == "exhaustive":
         return [(a, b) for a in range(images) for b in range(a + 1, images)]
-    steps = {*range(1, overlap + 1), *(2**k for k in range(20) if 2**k <= LONGEST)}
-    pairs = {(a, a + step) for a in range(images) for step in steps if a + step < images}
+    pairs = {(a, a + step) for step in range(1, overlap + 1) for a in range(images - step)}
+    far = [2**k for k in range(20) if overlap < 2**k <= LONGEST]
+    pairs |= {(a, a + step) for step in far for a in range(0, images - step, max(1, step // overlap))}
     stride = max(1, -(-images // KEYFRAMES))
     keys = range(0, images, stride)
     pairs |= {(a, b) for a in keys for b in keys if a < b}
