@@ -26,7 +26,7 @@ MODULES = {  # what a distribution is imported as, where that is not its own nam
     "pyyaml": "yaml",
     "usd-core": "pxr",
 }
-LIBRARIES = {"nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12"}  # no modules: cuda-bindings loads them
+LIBRARIES = {"nvidia-cuda-nvrtc", "nvidia-cuda-nvrtc-cu12", "lpips"}  # not imported: cuda-bindings loads them; files are read
 
 
 def module_of(requirement: Requirement) -> str:

@@ -10,16 +10,21 @@ from blake3 import blake3
 
 from ...pipeline import StageError
 from ...scene.metrics.lpips import MINIMUM_SIZE, Lpips
+from ...scene.metrics.published_lpips import Unavailable, published_lpips
 from ..shared.frameset import FrameSet
 from .settings import EvaluateSettings
 
 
 def load_lpips(settings: EvaluateSettings, frames: FrameSet) -> tuple[Lpips | None, dict[str, str]]:
-    """The network, or None and the reason as `lpips_reason`. Raises StageError if the weights file is invalid."""
-    if settings.lpips_weights is None:
-        return None, {"lpips_reason": "no weights given; --set evaluate.lpips_weights=FILE measures it"}
+    """The network with the weights of a file, or else with the published ones; or None and the reason as `lpips_reason`. Raises StageError
+    if the weights file is invalid."""
     if min(frames.width, frames.height) < MINIMUM_SIZE:
         return None, {"lpips_reason": f"pictures of {frames.width}x{frames.height} are smaller than the {MINIMUM_SIZE} px that LPIPS needs"}
+    if settings.lpips_weights is None:
+        try:
+            return published_lpips(settings.lpips_net), {}
+        except Unavailable as error:
+            return None, {"lpips_reason": f"{error}, or name a file with evaluate.lpips_weights; then: e4dgs run evaluate CAPTURE --force"}
     try:
         return Lpips.load(settings.lpips_weights, settings.lpips_net), {}
     except ValueError as error:
@@ -51,6 +56,8 @@ def protocol(
         result["times"] = (
             f"frames.every_time={frames.every_time}; test: training cameras at the times left out; val: what the files hold out"
         )
-    if measured and settings.lpips_weights is not None:
+    if measured and settings.lpips_weights is None:
+        result["lpips_weights"] = "published: trunk of torchvision, heads of lpips 0.1"
+    elif measured and settings.lpips_weights is not None:
         result["lpips_weights_blake3"] = blake3(Path(settings.lpips_weights).read_bytes()).hexdigest()
     return result

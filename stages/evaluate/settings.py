@@ -24,5 +24,7 @@ class EvaluateSettings(Settings):
     movie_frames: int = Field(60, ge=0, le=1000, description="pictures in each of the report's two movies; 0: no movies")
     player: bool = Field(True, description="put the scene itself into the report, where it plays and can be turned; at most 8 MB")
     picture_size: int = Field(640, ge=16, le=8192, description="px; longest side of the report's pictures")
-    lpips_weights: Path | None = Field(None, description="safetensors file with the network's weights; without it, LPIPS is not measured")
-    lpips_net: Literal["alex", "vgg"] = Field("alex", description="network that lpips_weights is for")
+    lpips_weights: Path | None = Field(
+        None, description="safetensors file with the network's weights; none: the published ones, which e4dgs[lpips] brings"
+    )
+    lpips_net: Literal["alex", "vgg"] = Field("alex", description="network of LPIPS")

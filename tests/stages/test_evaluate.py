@@ -14,7 +14,7 @@ import torch
 from blake3 import blake3
 from e4dgs.pipeline import Artifact, ArtifactWriter, StageError
 from e4dgs.rasterizer import Camera, Frame
-from e4dgs.scene.metrics.lpips import expected_shapes
+from e4dgs.scene.metrics.lpips import Lpips, expected_shapes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.planes.field import DeformationField
 from e4dgs.scene.motion.static import Static
@@ -157,6 +157,7 @@ def test_some_training_views_are_measured_beside_the_held_out_ones_and_not_shown
 def test_without_weights_lpips_is_null_with_a_reason(result):
     test = result[0].attrs["metrics"]["splits"]["test"]
     assert test["lpips"] is None and "evaluate.lpips_weights" in test["lpips_reason"]
+    assert "pip install 'e4dgs[lpips]'" in test["lpips_reason"] and "e4dgs run evaluate CAPTURE --force" in test["lpips_reason"]
 
 
 def test_timings_are_not_content(result):
@@ -287,7 +288,7 @@ def test_flow_is_shown_where_it_was_measured_and_only_there(result, tmp_path):
     assert "flow" in Evaluate.inputs, "other flow is another key"
 
 
-def test_lpips_with_weights_names_net_and_file(tmp_path):
+def test_lpips_with_weights_names_net_and_file(tmp_path, monkeypatch):
     generator = torch.Generator().manual_seed(0)
     state = {
         name: torch.randn(shape, generator=generator).abs() * 0.1 if "lin" in name else torch.randn(shape, generator=generator) * 0.1
@@ -302,6 +303,11 @@ def test_lpips_with_weights_names_net_and_file(tmp_path):
     assert metrics["splits"]["test"]["lpips"] > 0 and "lpips_reason" not in metrics["splits"]["test"]
     assert metrics["protocol"]["lpips_net"] == "alex"
     assert metrics["protocol"]["lpips_weights_blake3"] == blake3(weights.read_bytes()).hexdigest()
+    loaded = Lpips.load(weights, "alex")
+    monkeypatch.setattr("e4dgs.stages.evaluate.protocol.published_lpips", lambda net: loaded if net == "alex" else None)
+    published = evaluate(tmp_path / "published", frames, fine=fine)[0].attrs["metrics"]
+    assert published["splits"]["test"]["lpips"] == metrics["splits"]["test"]["lpips"]
+    assert published["protocol"]["lpips_net"] == "alex" and "torchvision" in published["protocol"]["lpips_weights"]
     with pytest.raises(StageError, match=r"lpips_weights.*alex\.safetensors.*vgg"):
         evaluate(tmp_path / "vgg", frames, fine=fine, lpips_weights=weights, lpips_net="vgg")
 

@@ -30,6 +30,7 @@ def checks(workspace: Path) -> list[tuple[str, bool | None, str]]:
     loads, detail = _try(_open3d)
     found.append(("Open3D loads", loads or None, detail if loads else f"only meshes and scanned point clouds need it: {detail}"))
     found.append(("zarr writes and reads", *_try(_zarr)))
+    found.append(("LPIPS", *_lpips()))
     problem = why_not_cuda() or why_not_trusted()
     found.append(("CUDA", True if problem is None else None, f"--device auto takes the CPU: {problem}" if problem else "usable"))
     found += _cuda()
@@ -87,6 +88,14 @@ def _try(check: Callable[[], str]) -> tuple[bool, str]:
         return True, check()
     except Exception as error:  # a doctor reports whatever is broken
         return False, f"{type(error).__name__}: {error}"
+
+
+def _lpips() -> tuple[bool | None, str]:
+    """A row's ``well`` and detail: LPIPS is optional, so nothing is wrong where its weights are not there."""
+    from ...scene.metrics.published_lpips import what_is_there
+
+    there, detail = what_is_there()
+    return there or None, detail
 
 
 def _installed_version() -> str:

@@ -28,12 +28,12 @@ FILES = (
         "optional (flow.weights); trained on FlyingChairs, FlyingThings3D and more, whose data are for research only: "
         "ask their owners before commercial use",
     ),
-    Licence("LPIPS heads", "", "BSD-2-Clause", "optional (evaluate.lpips_weights); any use"),
+    Licence("LPIPS heads", "", "BSD-2-Clause", "optional (the extra lpips, or evaluate.lpips_weights); any use"),
     Licence(
         "AlexNet and VGG16 weights",
         "",
         "BSD-3-Clause",
-        "optional (the same file); torchvision's, trained on ImageNet, whose pictures are for non-commercial research",
+        "optional (with the heads); torchvision's, trained on ImageNet, whose pictures are for non-commercial research",
     ),
     Licence("samples/cube_and_ball", "", "CC0-1.0", "rendered by tests/factory, with no picture of others in it; any use"),
 )
