@@ -27,8 +27,8 @@ def auto_iterations(facts: Facts, settings: CoarseSettings, device: str = "cpu")
 
 
 def auto_sh_degree(facts: Facts, width: float) -> int:
-    """0 for a camera that stands still, which tells nothing of other directions. 1 for rigs, and along a path of which a point sees less than `WIDE_PATH` (``width``, degrees), else 2. Who sees each point from few
-    directions fits its colour to their differences, which does not hold for other views."""
+    """0 for a camera that stands still. 1 for rigs, and along a path of which a point sees less than `WIDE_PATH` (``width``, degrees), else
+    2. Who sees each point from few directions fits its colour to their differences, which does not hold for other views."""
     if one_way(facts) and width < NO_PATH:
         return 0
     return 1 if facts.rig or (one_way(facts) and width < WIDE_PATH) else 2

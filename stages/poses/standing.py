@@ -44,6 +44,6 @@ def lens_of(frames: FrameSet) -> tuple[np.ndarray, str]:
     if known is not None:
         return K, f"lens: {degrees:.0f} degrees along the longer side, from the EXIF data of {frames.names[0]}"
     return K, (
-        f"lens: {degrees:.0f} degrees along the longer side are assumed, since no file tells; K.txt in the folder of the pictures or of the "
-        "video, with nine numbers, the camera matrix in px, sets it"
+        f"lens: {degrees:.0f} degrees along the longer side are assumed, since no file tells; K.txt, a camera matrix of nine numbers, "
+        "sets it, in the folder that is the capture, with the pictures or the video"
     )

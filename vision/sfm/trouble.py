@@ -9,7 +9,7 @@ import numpy as np
 
 from .coverage import FEW_FEATURES
 
-FIXED = 0.005  # of the longer side; if matches move less than this in nine of ten pairs, the camera stands still
+FIXED = 0.005  # of the longer side; if matches move less than this in nine of ten pairs, the camera hardly moves
 TURNED = 0.8  # share of the pairs that one homography explains
 LINKED = 0.5  # share of the images that have a verified pair
 
@@ -27,10 +27,8 @@ def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str,
         cause = f"{int((matched == 0).sum())} frames have no other frame that shows the same things"
         remedy = f"try --set {other}, or more frames (--set frames.every=1 or frames.max_frames=N)"
     elif pairs["shift"] < FIXED:
-        cause = "the camera hardly moves: matches stay within a few pixels between any two frames, but shake too much for a tripod"
-        remedy = (
-            f"stabilise the video with another program, so that it is taken for a camera that stands still; or move it sideways, or {bring}"
-        )
+        cause = "the camera hardly moves, but shakes too much to count as one that stands still: matches stay within a few pixels"
+        remedy = f"stabilise the video with another program, so that the camera stands still; or move it sideways, or {bring}"
     elif pairs["flat"] > TURNED:
         cause = "the camera only turns or zooms, or sees a single plane: one homography explains most pairs of frames"
         remedy = f"a camera that only turns cannot be reconstructed; move it sideways, or {bring}"
