@@ -12,7 +12,7 @@ REACH, MOST_REACH = 0.12, 0.25  # of the viewing distance: how far a spiral goes
 BETWEEN = 0.7  # of the way from the mean camera to the outermost, so that a spiral stays between the cameras
 TRUST = 0.005  # in the mean up direction, against the squared sine of the cameras' roll
 GAP = 90.0  # degrees; with a gap this wide between cameras around the target, the path does not close around it
-SWING = 12.0  # degrees to either side, at least
+SWING, STANDING = 12.0, 3.0  # degrees to either side, at least; for one camera that stands still
 TURNS = 2  # of a spiral
 
 
@@ -51,9 +51,11 @@ def upward(poses: np.ndarray) -> np.ndarray:
 def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     """[count, 4, 4] around ``target`` [3], at the median distance and height of the cameras ``poses``; a closed path.
 
-    It is a circle if the cameras surround the target. If they see only one side, it swings back and forth between the outermost cameras.
+    It is a circle if the cameras surround the target. If they see only one side, it swings back and forth between the outermost cameras,
+    and hardly at all for one that stands still, beside which nothing is known.
     """
     up, offset = upward(poses), centres(poses) - target
+    stands = len(poses) > 1 and not np.ptp(poses, axis=0).any()
     height = float(np.median(offset @ up))
     flat = offset - (offset @ up)[:, None] * up
     radius = float(np.median(np.linalg.norm(flat, axis=1)))
@@ -65,13 +67,14 @@ def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
         first = np.cross(up, [1.0, 0, 0]) if abs(up[0]) < 0.9 else np.cross(up, [0, 1.0, 0])
     side = first / np.linalg.norm(first)
     other = np.cross(up, side)
-    angles = _around(np.arctan2(flat @ other, flat @ side), np.linspace(0, 2 * np.pi, count, endpoint=False))
+    angles = _around(np.arctan2(flat @ other, flat @ side), np.linspace(0, 2 * np.pi, count, endpoint=False), STANDING if stands else SWING)
     eyes = target + height * up + radius * (np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other)
     return np.stack([look_at(eye, target, up) for eye in eyes])
 
 
-def _around(azimuths: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Angles [count] of a path at ``phase`` [count] from 0 to 2 pi: the phase itself, or a swing over the range of ``azimuths`` [n]."""
+def _around(azimuths: np.ndarray, phase: np.ndarray, swing: float) -> np.ndarray:
+    """Angles [count] of a path at ``phase`` [count] from 0 to 2 pi: the phase itself, or a swing over the range of ``azimuths`` [n], and of
+    at least ``swing`` degrees to either side."""
     known = np.sort(np.mod(azimuths, 2 * np.pi))
     gaps = np.diff(np.append(known, known[0] + 2 * np.pi))
     widest = int(gaps.argmax())
@@ -79,7 +82,7 @@ def _around(azimuths: np.ndarray, phase: np.ndarray) -> np.ndarray:
         return phase
     covered = 2 * np.pi - gaps[widest]
     start = known[(widest + 1) % len(known)]
-    return start + 0.5 * covered + max(0.5 * covered, np.radians(SWING)) * np.sin(phase)
+    return start + 0.5 * covered + max(0.5 * covered, np.radians(swing)) * np.sin(phase)
 
 
 def spiral(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
@@ -94,7 +97,8 @@ def spiral(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     axes = middle[:3, :3]
     spread = np.percentile(np.abs((eyes - eye) @ axes.T), 90, axis=0)
     usual = distance * np.array([1, 0.5, 0.25])
-    reach = np.clip(BETWEEN * spread, REACH * usual, MOST_REACH * usual)
+    least = np.tan(np.radians(STANDING)) if len(poses) > 1 and not np.ptp(poses, axis=0).any() else REACH
+    reach = np.clip(BETWEEN * spread, least * usual, MOST_REACH * usual)
     angles = np.linspace(0, 2 * np.pi * TURNS, count, endpoint=False)
     shift = np.stack([np.cos(angles), np.sin(angles), np.sin(angles / TURNS)], 1) * reach
     return np.stack([look_at(eye + s @ axes, target, up) for s in shift])

@@ -8,6 +8,10 @@ from typing import Any, Self
 
 from ..scene.training.curriculum import MIN_CAMERAS
 
+STANDS_STILL = (
+    "one camera that stands still: its pictures do not show how far away things are, which is assumed where no depth is given; "
+    "views from beside the camera are guesses, and a few percent of the distance is as far as they hold"
+)
 _ONLY_WHERE_TRUE = ("upright", "untimed")  # left out of the JSON if false
 _ONLY_WHERE_UNUSUAL = {"every_time": 1, "new_items": None}  # left out of the JSON if they have these values
 
@@ -31,7 +35,7 @@ class Facts:
     alpha: bool = False  # pictures have an alpha channel
     static: bool = False  # --static, or only one time
     pairs: int = 0  # frames for which the same camera also saw the next time
-    fixed_cameras: bool = False  # several synchronised cameras that do not move, according to the files
+    fixed_cameras: bool = False  # no camera moves, according to the files
     splits: Mapping[str, int] = field(default_factory=dict)  # number of "train", "val" and "test" frames
     images_in_files: bool = True  # pictures are image files; nothing is extracted from videos
     upright: bool = False  # images are rotated as their EXIF data ask
@@ -61,3 +65,8 @@ class Facts:
     def rig(self) -> bool:
         """Whether several cameras see each time."""
         return self.frames >= MIN_CAMERAS * self.times
+
+    @property
+    def stands_still(self) -> bool:
+        """Whether one camera took all frames from one place, according to the files."""
+        return self.fixed_cameras and self.cameras == 1

@@ -44,6 +44,9 @@ def show_plan(console: Console, rows: Sequence[Row], time: str | None = None) ->
         words = f"{row.task} ({row.reason})" if row.state == "run" and row.task else row.reason
         table.add_row(row.stage, f"[{_COLOURS[row.state]}]{row.state}[/]", estimate, escape(words))
     console.print(table)
+    for row in rows:
+        if row.artifact is not None and (limits := row.artifact.attrs.get("limits")):
+            console.print(f"{row.stage}: {limits}", soft_wrap=True, highlight=False, markup=False)
     if time is not None and (left := [row.estimate for row in rows if row.state == "run" and row.estimate is not None]):
         console.print(f"expected: about {duration(sum(left))} of {time}; each stage is decided when it begins, by what is left")
 

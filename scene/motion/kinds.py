@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 NODE_TIMES = 9  # least number of times for nodes; fewer say too little about motion
 FORMER = {"free": "lifetimes"}  # names in models of earlier versions
-SEVERAL = 2  # cameras that see one time: the least for the depth of what moves
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ KINDS: dict[str, Kind] = {
 
 class Capture(Protocol):
     """What the choice depends on. static: nothing moves. cameras, frames, times: numbers of distinct ones. pairs: frames of which the same
-    camera also saw the next time. fixed_cameras: none of them moves."""
+    camera also saw the next time."""
 
     @property
     def static(self) -> bool: ...
@@ -93,8 +92,6 @@ class Capture(Protocol):
     def times(self) -> int: ...
     @property
     def pairs(self) -> int: ...
-    @property
-    def fixed_cameras(self) -> bool: ...
 
 
 def choose(asked: str | None, capture: Capture, moving_seeds: bool | None = None) -> str:
@@ -102,7 +99,7 @@ def choose(asked: str | None, capture: Capture, moving_seeds: bool | None = None
     moving objects; None before that is known, when they are expected wherever masks can tell their depth.
 
     Nodes if each frame has its own camera: one view per time says too little for planes. Lifetimes if seeds lie on what moves. Planes for
-    the others, such as a single camera that stands still, in front of which nothing tells the depth of what moves.
+    the others.
     """
     if capture.static:
         return "static"
@@ -111,7 +108,7 @@ def choose(asked: str | None, capture: Capture, moving_seeds: bool | None = None
     if capture.cameras == capture.frames and capture.pairs == 0 and capture.times >= NODE_TIMES:
         return "nodes"
     if moving_seeds is None:
-        moving_seeds = capture.pairs > 0 and not (capture.fixed_cameras and capture.cameras < SEVERAL)
+        moving_seeds = capture.pairs > 0
     return "lifetimes" if moving_seeds else "planes"
 
 

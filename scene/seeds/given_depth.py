@@ -87,6 +87,43 @@ def fit_depth(
     return GivenDepth(kind, float(np.median([_error(kind, fit[i], *samples[i]) for i in samples])), depth, sure)
 
 
+def scaled_depth(
+    maps: Callable[[int], tuple[np.ndarray, np.ndarray] | None],
+    frames: np.ndarray,
+    unsteady: Callable[[int], np.ndarray | None],
+    distance: float,
+) -> GivenDepth | None:
+    """The depth of ``frames`` of one camera that stands still, whose points nobody knows: the maps are taken as depth up to scale, and each
+    is scaled to agree with the others where nothing moves, with a median of ``distance`` world units there. For the arguments, see
+    `fit_depth`; unsteady(i): [H, W] bool, where frame i shows something that is not at rest. None if no frame has a map."""
+    known, logs = {}, {}
+    for i in (int(i) for i in frames):
+        found = maps(i)
+        if found is None or not (found[0] > 0).any():
+            continue
+        known[i], moves = _small(found), unsteady(i)
+        value = known[i][0]
+        rest = value > 0 if moves is None else (value > 0) & ~_small((moves, moves))[0]
+        rest = rest if rest.any() else value > 0
+        logs[i] = np.where(rest, np.log(np.maximum(value, 1e-9)), np.nan).astype(np.float32)
+    if not known:
+        return None
+    usual = np.array([np.nanmedian(one) for one in logs.values()])
+    stack = np.stack([one - middle for one, middle in zip(logs.values(), usual)])  # all of one size, that of the frames
+    somewhere = np.isfinite(stack).any(axis=0)
+    together = np.full(somewhere.shape, np.nan, np.float32)
+    together[somewhere] = np.nanmedian(stack[:, somewhere], axis=0)
+    together += np.log(distance) - np.nanmedian(together)
+    depth, sure, errors = {}, {}, []
+    for i, (values, confidence) in known.items():
+        off = together - logs[i]
+        factor = np.nanmedian(off)
+        errors.append(float(np.nanmedian(np.abs(off - factor))))
+        depth[i] = np.where(values > 0, values * np.exp(factor), 0).astype(np.float32)
+        sure[i] = np.where(values > 0, np.clip(confidence / max(float(confidence.max()), 1e-9), 0, 1), 0).astype(np.float32)
+    return GivenDepth(SCALE, float(np.median(errors)), depth, sure)
+
+
 def _small(found: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Values and confidence with at most `SIZE` px on the longer side: those of all frames are in memory."""
     step = -(-max(found[0].shape) // SIZE)

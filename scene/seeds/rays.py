@@ -33,7 +33,7 @@ def ray_seeds(
         K, pose = views.K[i], views.cam_from_world[i]
         cam = points[shown] @ pose[:3, :3].T + pose[:3, 3]
         pixels = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
-        at = _spread(views.width, views.height, OVERSAMPLED * count // len(frames), rng)
+        at = spread(views.width, views.height, OVERSAMPLED * count // len(frames), rng)
         skipped = None if skip is None else skip[k]
         if skipped is not None:
             at = at[~skipped[at[:, 1].astype(int), at[:, 0].astype(int)]]
@@ -47,7 +47,7 @@ def ray_seeds(
     return seeds[rng.permutation(len(seeds))[:count]]
 
 
-def _spread(width: int, height: int, count: int, rng: np.random.Generator) -> np.ndarray:
+def spread(width: int, height: int, count: int, rng: np.random.Generator) -> np.ndarray:
     """About ``count`` pixel positions [n, 2] (x, y), one at a random place in each cell of a grid."""
     cell = (width * height / max(count, 1)) ** 0.5
     columns, rows = max(1, round(width / cell)), max(1, round(height / cell))

@@ -11,6 +11,7 @@ from blake3 import blake3
 from ...pipeline import StageError
 from ...scene.metrics.lpips import MINIMUM_SIZE, Lpips
 from ...scene.metrics.published_lpips import Unavailable, published_lpips
+from ..facts import STANDS_STILL
 from ..shared.frameset import FrameSet
 from .settings import EvaluateSettings
 
@@ -52,6 +53,8 @@ def protocol(
         result["watermark"] = (
             f"{float((frames.watermark > 0).mean()):.2%} of each picture stands still while the camera moves and is left out"
         )
+    if frames.stands_still:
+        result["limits"] = STANDS_STILL
     if frames.every_time > 1:
         result["times"] = (
             f"frames.every_time={frames.every_time}; test: training cameras at the times left out; val: what the files hold out"

@@ -23,7 +23,7 @@ class StoredPoses:
     points: np.ndarray  # [P, 3] float64, world units
     point_colors: np.ndarray  # [P, 3] uint8
     lens_K: np.ndarray | None = None  # [F, 3, 3] float64 px, of the distorted pictures; None if equal to K
-    fixed_cameras: bool | None = None  # several cameras: whether all stand still; for reading only, `write_account` writes it
+    fixed_cameras: bool | None = None  # whether all cameras stand still; for reading only, `write_account` writes it
     point_errors: np.ndarray | None = None  # [P] float64 px, mean reprojection error; for people, so it is not read back
 
     fisheye = None  # no fisheye model is fitted
@@ -71,7 +71,8 @@ class Account(TypedDict, total=False):
     camera_model: str
     mapper: str
     matcher: str
-    fixed_cameras: bool  # several cameras: whether all stand still
+    fixed_cameras: bool  # whether all cameras stand still
+    limits: str  # how far the result can be trusted beside the cameras, for people
     moving_share: float | None  # share of the features triangulated in the first pass that lie on moving objects
     second_pass: str  # which pass was kept, and why
 

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from ...pipeline import Context
-from ...vision.images.files import BadImageError, open_image
+from ...vision.images.focal_length import DETAILS, EQUIVALENT, film_focal_length
 from ...vision.images.pictures import composite
 
 if TYPE_CHECKING:
@@ -91,15 +91,9 @@ def _save(frames: FrameSet, i: int, target: Path, exif: Image.Exif | None = None
 
 def _focal_length(file: Path) -> Image.Exif:
     """EXIF data with only the picture's 35 mm equivalent focal length, from which COLMAP initialises the intrinsics."""
-    details, tag = 0x8769, 0xA405
-    result = Image.Exif()
-    try:
-        with open_image(file) as image:
-            value = image.getexif().get_ifd(details).get(tag)
-    except BadImageError:  # EXIF data are often broken, and they are optional
-        value = None
-    if isinstance(value, int) and 1 <= value <= 10_000:
-        result[details] = {tag: value}
+    result, value = Image.Exif(), film_focal_length(file)
+    if value is not None:
+        result[DETAILS] = {EQUIVALENT: value}
     return result
 
 

@@ -6,11 +6,11 @@ import numpy as np
 
 from ...pipeline import Context, StageError
 from ...vision.sfm.coverage import cover
-from ...vision.sfm.fixed_cameras import is_fixed
+from ...vision.sfm.fixed_cameras import SHAKEN, is_fixed
 from ...vision.sfm.pairs import choose, image_pairs
 from ...vision.sfm.pose_agreement import doubtful
 from ...vision.sfm.runner import WorkerError, finished, run_worker
-from ...vision.sfm.trouble import nothing_registered, stands_still
+from ...vision.sfm.trouble import nothing_registered
 from ..facts import Facts
 from ..shared.frameset import FrameSet
 from .artifact import write_account
@@ -18,6 +18,7 @@ from .bars import Bars
 from .pictures import lens_groups, picture_folder, write_images, write_masks, write_picture
 from .second_pass import second_pass
 from .several import Several, several_cameras
+from .standing import write_standing
 from .write import write_poses
 
 INIT_ANGLES = (16.0, 4.0, 1.5)  # degrees, least triangulation angle of the initial image pair; tried in order, from good to last resort
@@ -32,8 +33,9 @@ def pose_capture(ctx: Context) -> None:
     matcher = choose(settings.matcher, len(frames), static)
     hint = frames.K_hint
     one_camera = len(np.unique(frames.camera)) == 1
-    if one_camera and not static and is_fixed(frames.original, [int(i) for i in np.argsort(frames.time, kind="stable")]):
-        raise StageError(stands_still(frames.names[0]))
+    if one_camera and is_fixed(frames.original, [int(i) for i in np.argsort(frames.time, kind="stable")], SHAKEN):
+        write_standing(ctx, frames)
+        return
     several = None if one_camera or static else _several(ctx, frames)
     request = {
         "task": "reconstruct",

@@ -28,7 +28,8 @@ class Poses(Stage):
                 f"structure from motion on {known.cameras} cameras at shared times; those that stand still get one pose each"
             )
         again = "" if not settings.moving or known.static else "; a second pass if moving objects could disturb the cameras"
-        return Applies.yes(f"structure from motion on {known.frames} frames{again}")
+        still = "" if known.cameras > 1 else ", unless the camera stands still"
+        return Applies.yes(f"structure from motion on {known.frames} frames{still}{again}")
 
     def estimate(self, facts: Mapping[str, Any], settings: PosesSettings) -> float | None:
         """Measured on one core: features 0.1 s + 1.3 s per megapixel (0.35 s where pictures are not enlarged), 0.1 s per pair, 0.9 s to

@@ -23,6 +23,7 @@ from ..shared.masks import moving_mask, unsteady_mask
 from .fill import fill_seeds, middle_frames, sweep
 from .given_objects import static_inverse
 from .moving import FEWEST_CAMERAS, camera_seeds, rig_seeds, rig_times
+from .one_place import standing_seeds
 
 # A seed is dynamic if at least this share of the masks that see it mark it as moving.
 FIXED_SHARE = 0.3  # masks of fixed cameras, each marking all pixels that ever change
@@ -30,6 +31,7 @@ MOVING_SHARE = 0.5  # masks of single frames of a moving camera, if moving objec
 COVERED_SHARE = 0.05  # the same, if they have none and seeds that they sometimes hide must represent them
 SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide,
 SWEPT_DENSITY = 1.5  # and relative to the share of the pixels whose depth it found: the others need seeds, too
+FEWEST_POINTS = 50  # of the capture or of SfM that are used
 LEAST_POINTS = 30  # least number of points for depths interpolated between them to be meaningful
 LOOKS = 60  # masks of a moving camera that are used
 
@@ -50,7 +52,10 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
     rigs are filled up to about ``count``, and so are those of captures whose points have to be triangulated, and with ``fill`` also
     those of others."""
     settings = ctx.settings
-    if frames.points is not None and len(frames.points) >= 50:
+    if frames.stands_still and (frames.points is None or len(frames.points) < FEWEST_POINTS):
+        standing = standing_seeds(ctx, frames, views, count)
+        return Seeds(standing.points, standing.colors, standing.points, standing.inverse, standing.given)
+    if frames.points is not None and len(frames.points) >= FEWEST_POINTS:
         points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
         ctx.log(f"seeds: {len(points)} points of the capture or of SfM")
         fill = fill or len(middle_frames(views)) >= MIN_CAMERAS
@@ -120,8 +125,6 @@ def moving_seeds(
         rows = rig_times(flow, np.unique(views.time[views.train]), most)
         with ctx.progress(len(rows), "seeds on moving objects") as bar:
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), rows, most, ctx.settings.seed, bar.advance)
-    elif flow.has_ever_moving:
-        return None  # one camera that stands still: nothing tells a depth
     else:
         with ctx.progress(len(views.train), "seeds on moving objects") as bar:
             found = camera_seeds(flow, views, points, most, bar.advance, given)
@@ -137,6 +140,8 @@ def initial_dynamic(ctx: Context, points: np.ndarray, views: Views, moving_seede
     moving_seeded: moving objects have seeds of their own, so ``points`` need not represent them.
     """
     flow = flow_of(ctx.inputs)
+    if moving_seeded and len(np.unique(views.camera)) == 1 and flow is not None and flow.has_ever_moving:
+        return np.zeros(len(points), bool)  # one camera that stands still: they lie behind what moves
     if flow is not None and flow.has_ever_moving:
         first = {int(c): int(i) for i, c in reversed(list(enumerate(views.camera)))}
         looks = [(first[camera], mask) for camera, mask in flow.ever_moving_masks()]

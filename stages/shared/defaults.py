@@ -26,8 +26,9 @@ def found_facts(ctx: Context, views: Views) -> Facts:
 
 
 def one_way(facts: Facts) -> bool:
-    """Whether a moving scene is seen along a path alone: one camera walks past it, or two or three that move together."""
-    return facts.pairs > 0 and not (facts.rig or facts.static or facts.fixed_cameras or facts.alpha)
+    """Whether a moving scene is seen along a path alone: one camera walks past it or stands still, or two or three move together."""
+    fixed = facts.fixed_cameras and not facts.stands_still
+    return facts.pairs > 0 and not (facts.rig or facts.static or fixed or facts.alpha)
 
 
 def auto_budget(facts: Facts, views: Views, kind: str) -> int:

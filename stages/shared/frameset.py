@@ -34,7 +34,7 @@ class FrameSet:
     masked: whether some pixels do not count, so that `kept` may return a mask.
     files, upright: the image files, and whether they are rotated as their EXIF data ask; crop [F,4] px, or None if all pictures are shown
     whole.
-    fixed_cameras: several cameras that do not move, according to the files or structure from motion.
+    fixed_cameras: no camera moves, according to the files or the pictures. stands_still: nor is there more than one.
     train, val, test: indices [n] int64 of registered frames of each split (of all frames when there are no poses at all).
     Pictures may be read from several threads at once; they are not cached here.
     """
@@ -58,6 +58,7 @@ class FrameSet:
         self.split, self.next, self.crop = stored.split, stored.next, stored.crop
         self._images = stored.images
         self.fixed_cameras = facts.fixed_cameras or (solved is not None and bool(solved.fixed_cameras))
+        self.stands_still = self.fixed_cameras and facts.cameras == 1
         self.K, self.cam_from_world = source.K, source.cam_from_world
         self._distortion = np.zeros((len(self), 4)) if source.distortion is None else source.distortion
         self._lens_K = self.K if source.lens_K is None else source.lens_K

@@ -101,7 +101,7 @@ def test_tracks_join_matches_and_leave_out_mistakes():
     [
         (50, {"matched": [0] * 4, "shift": 0.0, "flat": 0.0}, "dark, blurred or plain"),
         (900, {"matched": [0, 0, 0, 40], "shift": 0.1, "flat": 0.0}, "3 frames have no other frame"),
-        (900, {"matched": [400] * 4, "shift": 0.001, "flat": 1.0}, "the camera stands still"),
+        (900, {"matched": [400] * 4, "shift": 0.001, "flat": 1.0}, "the camera hardly moves"),
         (900, {"matched": [400] * 4, "shift": 0.1, "flat": 0.95}, "only turns or zooms"),
         (900, {"matched": [400] * 4, "shift": 0.1, "flat": 0.1}, "enough of the same static things"),
     ],

@@ -9,18 +9,9 @@ import numpy as np
 
 from .coverage import FEW_FEATURES
 
-FIXED = 0.005  # of the longer side; if matches move less than this in nine of ten pairs, the camera stands still
+FIXED = 0.005  # of the longer side; if matches move less than this in nine of ten pairs, the camera hardly moves
 TURNED = 0.8  # share of the pairs that one homography explains
 LINKED = 0.5  # share of the images that have a verified pair
-
-
-def stands_still(first: str) -> str:
-    """What to do about one camera that took all of its frames, of which ``first`` is the name of one, from one place."""
-    return (
-        f"the camera stands still: pictures spread over all frames (the first is {first}) show the same features at the same places. "
-        "From one place neither depth nor poses can be found; move the camera sideways while filming, add the video of a second camera, "
-        "or provide poses in the files (transforms.json, a COLMAP model)"
-    )
 
 
 def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str, Any], matcher: str) -> str:
@@ -36,8 +27,8 @@ def nothing_registered(frames: int, features: Sequence[int], pairs: Mapping[str,
         cause = f"{int((matched == 0).sum())} frames have no other frame that shows the same things"
         remedy = f"try --set {other}, or more frames (--set frames.every=1 or frames.max_frames=N)"
     elif pairs["shift"] < FIXED:
-        cause = "the camera stands still: matches hardly move between any two frames"
-        remedy = f"a camera that stands still cannot be reconstructed; move it sideways, or {bring}"
+        cause = "the camera hardly moves, but shakes too much to count as one that stands still: matches stay within a few pixels"
+        remedy = f"stabilise the video with another program, so that the camera stands still; or move it sideways, or {bring}"
     elif pairs["flat"] > TURNED:
         cause = "the camera only turns or zooms, or sees a single plane: one homography explains most pairs of frames"
         remedy = f"a camera that only turns cannot be reconstructed; move it sideways, or {bring}"

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ....pipeline import CaptureError
-from ...facts import Facts
+from ...facts import STANDS_STILL, Facts
 from .. import checks
 from ..capture import Capture
 from ..reading import SPLITS, TRAIN, Options, Reading, Shot
 from ..usual import told_size
 from .common_size import Crop, common_size, crop, told
 from .far_away import brought_near, told_moved
+from .one_place import joined_place
 from .timeline import Timeline, timeline
 
 
@@ -22,13 +23,15 @@ def assemble(root: Path, name: str, kind: str, reading: Reading, options: Option
     """Converts a reader's frames to a `Capture`: times in [0,1], splits, pairs, facts. Raises CaptureError if they cannot be trained on."""
     shots = reading.shots
     _refuse_duplicates(shots)
+    stands = joined_place(shots)
+    reading.fixed_cameras |= stands
     when = timeline(root, reading, options)
     poses, points, origin = brought_near([s.cam_from_world for s in shots], reading.points)
     sizes = [s.size for s in shots]
     common = common_size(sizes)
     crops = [crop(size, common) for size in sizes]
     width, height = _output_size(*common, options.size_limit)
-    notes = [*reading.notes, *when.notes, *([] if origin is None else [told_moved(origin)])]
+    notes = [*reading.notes, *when.notes, *([] if origin is None else [told_moved(origin)]), *([STANDS_STILL] if stands else [])]
     chosen = {}
     if options.max_size is None and options.usual is not None and (width, height) != common:
         chosen["max_size"] = options.usual.size

@@ -6,8 +6,6 @@ import os
 import re
 from pathlib import Path
 
-import numpy as np
-
 from ....pipeline import CaptureError
 from .. import checks
 from ..keep_masks import add_masks, turn_masks
@@ -15,12 +13,11 @@ from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import by_value, is_image
 from ..listing.twins import without_depth
 from ..listing.unread import described
+from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
 from ..reading import DEFAULT_FPS, Options, Reading, Shot
 from . import video
 
 _COPY = re.compile(r"images_\d+")
-_HINT = "K.txt"
-_HINT_LIMIT = 4096  # characters; nine numbers need a tenth of that
 
 
 def detect(root: Path) -> str | None:
@@ -43,10 +40,10 @@ def read(root: Path, options: Options) -> Reading:
     video.refuse_one(str(root), taken, len(found), options)
     paths = [found[i] for i in taken]
     sizes, alpha, upright = checks.upright_headers(root, paths)  # only this format follows EXIF: poses apply to pictures as stored
-    hint = _hint(root, prefix + _HINT, *sizes[0])
+    hint = read_camera_matrix(root, prefix + CAMERA_MATRIX, *sizes[0])
     if hint is not None and len(set(sizes)) > 1:
         raise CaptureError(
-            f"{prefix}{_HINT}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
+            f"{prefix}{CAMERA_MATRIX}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
         )
     shots = [Shot(name=path, camera=0, time=float(i), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)]
     if len(taken) < len(found):  # those that were not taken have had their time, too
@@ -63,7 +60,7 @@ def read(root: Path, options: Options) -> Reading:
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
         shots=shots,
         alpha=alpha,
-        sources=(prefix + _HINT,) if hint is not None else (),
+        sources=(prefix + CAMERA_MATRIX,) if hint is not None else (),
         K_hint=hint,
         upright=upright,
         notes=(*thinned, *decimals, *said, *masked),
@@ -100,25 +97,3 @@ def _holds_pictures(folder: Path) -> bool:
             return any(e.name.lower().endswith(checks.IMAGE_SUFFIXES) and not e.name.startswith(".") and e.is_file() for e in entries)
     except OSError:  # nothing can be read from it, so it is not the one that is meant
         return False
-
-
-def _hint(root: Path, name: str, width: int, height: int) -> np.ndarray | None:
-    """[3,3] px from `K.txt`: known intrinsics from which structure from motion starts. None without the file."""
-    path = root / name
-    if not path.is_file():
-        return None
-    checks.resolve_inside(root, name, name)
-    try:
-        with path.open(encoding="utf-8") as file:
-            values = [float(v) for v in file.read(_HINT_LIMIT).split()]
-    except (OSError, ValueError) as error:
-        raise CaptureError(f"{name}: expected nine numbers, a 3x3 camera matrix ({error}); correct or remove the file") from error
-    if len(values) != 9:
-        raise CaptureError(f"{name}: expected nine numbers, a 3x3 camera matrix, found {len(values)}; correct or remove the file")
-    K = checks.intrinsics(values[0], values[4], values[2], values[5], name, skew=values[1])
-    if not (0 < K[0, 2] < width and 0 < K[1, 2] < height):
-        raise CaptureError(
-            f"{name}: the principal point {K[0, 2]:g}, {K[1, 2]:g} lies outside the {width}x{height} images; "
-            "scale the matrix to the images or remove the file"
-        )
-    return K

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ....pipeline import CaptureError
 from .. import checks
+from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
 from ..reading import Options, Reading, Shot, Video
 from ..video.decode import decode
 from ..video.probe import Header, probe, told_together
@@ -36,12 +37,15 @@ def read(root: Path, options: Options) -> Reading:
     refuse_one(path.name, taken, total, options)
     step = taken[1] - taken[0]
     begin = header.seconds[0]
+    hint = read_camera_matrix(root, CAMERA_MATRIX, header.width, header.height) if root.is_dir() else None
     return Reading(
         why=f"video {path.name}, {total} frames, one camera over time",
         shots=[
             Shot(f"{path.name}#{i}", 0, header.seconds[i], (header.width, header.height), seconds=header.seconds[i] - begin) for i in taken
         ],
         fps=header.fps,
+        sources=() if hint is None else (CAMERA_MATRIX,),
+        K_hint=hint,
         videos=(Video(path.name, 0, taken, total),),
         notes=(
             f"took {len(taken)} of {total} video frames (every {step}); frames.every and frames.max_frames change it",

@@ -1,0 +1,35 @@
+"""`K.txt`: known intrinsics of pictures without poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ....pipeline import CaptureError
+from .. import checks
+
+CAMERA_MATRIX = "K.txt"
+LIMIT = 4096  # characters; nine numbers need a tenth of that
+
+
+def read_camera_matrix(root: Path, name: str, width: int, height: int) -> np.ndarray | None:
+    """[3,3] px from `K.txt`: known intrinsics from which structure from motion starts. None without the file."""
+    path = root / name
+    if not path.is_file():
+        return None
+    checks.resolve_inside(root, name, name)
+    try:
+        with path.open(encoding="utf-8") as file:
+            values = [float(v) for v in file.read(LIMIT).split()]
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{name}: expected nine numbers, a 3x3 camera matrix ({error}); correct or remove the file") from error
+    if len(values) != 9:
+        raise CaptureError(f"{name}: expected nine numbers, a 3x3 camera matrix, found {len(values)}; correct or remove the file")
+    K = checks.intrinsics(values[0], values[4], values[2], values[5], name, skew=values[1])
+    if not (0 < K[0, 2] < width and 0 < K[1, 2] < height):
+        raise CaptureError(
+            f"{name}: the principal point {K[0, 2]:g}, {K[1, 2]:g} lies outside the {width}x{height} images; "
+            "scale the matrix to the images or remove the file"
+        )
+    return K
