@@ -25,7 +25,7 @@ MOST_WINDOW = 0.8  # of the image's area; a larger window saves nothing
 WHOLLY = 254 / 255  # value of a downscaled mask from which a pixel counts: all of its parts do
 
 Window = tuple[int, int, int, int]
-Kind = Literal["colour", "alpha", "kept", "edges"]
+PictureKind = Literal["colour", "alpha", "kept", "edges"]
 
 
 class Projected(NamedTuple):
@@ -68,10 +68,10 @@ class Views:
     load_moving: Callable[[int], np.ndarray] | None = None
     recorder: np.ndarray | None = None
     device: str | torch.device = "cpu"
-    _images: OrderedDict[tuple[int, float, Kind], np.ndarray] = field(default_factory=OrderedDict, repr=False)
+    _images: OrderedDict[tuple[int, float, PictureKind], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _windows: dict[int, tuple[int, int, int, int] | None] = field(default_factory=dict, repr=False)
     _bytes: int = 0
-    _there: OrderedDict[tuple[int, float, Kind], Tensor] = field(
+    _there: OrderedDict[tuple[int, float, PictureKind], Tensor] = field(
         default_factory=OrderedDict, repr=False
     )  # on `device`, unless that is the CPU
     _there_bytes: int = 0
@@ -138,7 +138,7 @@ class Views:
         """[H, W] float32 in [0, 1], the weight of an edge at each pixel."""
         return floats(self.stored(i, scale, "edges"))
 
-    def stored(self, i: int, scale: float, kind: Kind, window: Window | None = None) -> Tensor:
+    def stored(self, i: int, scale: float, kind: PictureKind, window: Window | None = None) -> Tensor:
         """The picture of frame ``i`` of this kind as it is kept on `device`, uint8 [H, W, 3] or [H, W], cropped to ``window`` if one is
         given. It may be gone from there after the next call."""
         if window is not None:
@@ -156,7 +156,7 @@ class Views:
                 self._there_bytes -= self._there.popitem(last=False)[1].nbytes
             return self._there[key]
 
-    def _image(self, i: int, scale: float, kind: Kind = "colour") -> np.ndarray:
+    def _image(self, i: int, scale: float, kind: PictureKind = "colour") -> np.ndarray:
         key = (int(i), scale, kind)
         with self._lock:
             if key in self._images:

@@ -16,7 +16,7 @@ from ...rasterizer import Camera, Convexes, Gaussians, rasterize
 from ..model import Model
 from ..motion.times import Time
 
-Kind = TypeVar("Kind", Gaussians, Convexes)
+Drawn = TypeVar("Drawn", Gaussians, Convexes)
 Moved = tuple[Gaussians, Convexes]
 
 
@@ -36,7 +36,7 @@ def _centres(model: Model, gaussians: Gaussians, convexes: Convexes) -> tuple[Te
     return centres[0] - rest[0] + rest[0].detach(), centres[1] - rest[1] + rest[1].detach()
 
 
-def _detached(kind: Kind, extras: Tensor) -> Kind:
+def _detached(kind: Drawn, extras: Tensor) -> Drawn:
     fixed: dict[str, Any] = {name: value.detach() for name, value in vars(kind).items() if isinstance(value, Tensor)}
     fixed |= {"sh": None, "colors": extras.new_zeros(extras.shape[0], 3), "extras": extras}
     return replace(kind, **fixed)

@@ -17,7 +17,7 @@ FORMER = {"free": "lifetimes"}  # names in models of earlier versions
 
 
 @dataclass(frozen=True)
-class Kind:
+class MotionKind:
     """What is known of a kind of motion before anything runs.
 
     moves: what the plan says. load: returns its class. pixels: of a view for each Gaussian of the automatic budget, and steps:
@@ -61,10 +61,10 @@ def _lifetimes() -> type[Motion]:
     return Lifetimes
 
 
-KINDS: dict[str, Kind] = {
-    "static": Kind("nothing moves: Gaussians at rest", _static, pixels=8, step_seconds=0.01),
-    "planes": Kind("Gaussians, moved by the six-plane field", _planes),
-    "nodes": Kind(
+KINDS: dict[str, MotionKind] = {
+    "static": MotionKind("nothing moves: Gaussians at rest", _static, pixels=8, step_seconds=0.01),
+    "planes": MotionKind("Gaussians, moved by the six-plane field", _planes),
+    "nodes": MotionKind(
         "Gaussians, moved by control nodes",
         _nodes,
         pixels=5,
@@ -74,7 +74,7 @@ KINDS: dict[str, Kind] = {
         megapixel_seconds=0.1,  # of the full image, although most steps render only a window around the object
         convexes=False,
     ),
-    "lifetimes": Kind("Gaussians; those on moving pixels live around a time of their own", _lifetimes),
+    "lifetimes": MotionKind("Gaussians; those on moving pixels live around a time of their own", _lifetimes),
 }
 
 

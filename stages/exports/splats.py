@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from ...scene.model import Model
     from ..shared.frameset import FrameSet
 
-Kind = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]
-KINDS: dict[Kind, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb"}
+SplatFormat = Literal["ply", "compressed-ply", "spz", "sog", "gltf"]
+KINDS: dict[SplatFormat, str] = {"ply": ".ply", "compressed-ply": ".compressed.ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb"}
 # SPZ's axes are right, up, back; glTF says +Y is up. The others are written right, down, front by 3DGS and whoever followed it.
-UP: dict[Kind, str] = {"ply": "-Y", "compressed-ply": "-Y", "spz": "Y", "sog": "-Y", "gltf": "Y"}
+UP: dict[SplatFormat, str] = {"ply": "-Y", "compressed-ply": "-Y", "spz": "Y", "sog": "-Y", "gltf": "Y"}
 
 
 @dataclass
@@ -43,7 +43,7 @@ def export_splats(
     frames: FrameSet,
     out: Path,
     moments: Sequence[float],
-    kind: Kind = "ply",
+    kind: SplatFormat = "ply",
     single: bool = False,
     up: str | None = None,
     antialiased: bool = False,
@@ -92,7 +92,7 @@ def turn_of(frames: FrameSet, up: str | None, usual: str) -> Turn:
     return Turn(axis, axis if up == "capture" else up or usual)
 
 
-def encoder(kind: Kind, turn: Turn | None = None, antialiased: bool = False) -> Callable[[Gaussians], tuple[bytes, int]]:
+def encoder(kind: SplatFormat, turn: Turn | None = None, antialiased: bool = False) -> Callable[[Gaussians], tuple[bytes, int]]:
     """A function from Gaussians to the bytes of a file of ``kind`` and the number of Gaussians in it.
 
     turn: from their axes to those of the file; none is turned without it. In a .glb file the node turns, and the Gaussians stay as they
@@ -106,7 +106,7 @@ def encoder(kind: Kind, turn: Turn | None = None, antialiased: bool = False) -> 
         return partial(glb_bytes, turn=turn)
     # Brush and splat-transform (3.2 and later) read this comment, and write it.
     comments = [f"SplatRenderMode: {'mip' if antialiased else 'default'}", *([] if turn is None else [f"up: {turn.after}"])]
-    writers: dict[Kind, Callable[[Gaussians], tuple[bytes, int]]] = {
+    writers: dict[SplatFormat, Callable[[Gaussians], tuple[bytes, int]]] = {
         "ply": partial(ply_bytes, comments=comments),
         "compressed-ply": partial(compressed_ply_bytes, comments=comments),
         "spz": partial(spz_bytes, antialiased=antialiased),

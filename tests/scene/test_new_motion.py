@@ -7,7 +7,7 @@ import pytest
 import torch
 from e4dgs.rasterizer import Camera
 from e4dgs.scene.model import Model
-from e4dgs.scene.motion.kinds import KINDS, Kind, motion_class
+from e4dgs.scene.motion.kinds import KINDS, MotionKind, motion_class
 from e4dgs.scene.motion.start import Start
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
 from e4dgs.scene.training.checkpoint import model_of
@@ -21,7 +21,7 @@ PAGE = File(__file__).resolve().parents[2] / "docs" / "extending.md"
 
 @pytest.fixture(autouse=True)
 def row(monkeypatch):
-    monkeypatch.setitem(KINDS, "swing", Kind("Gaussians that swing to and fro", lambda: Swing))
+    monkeypatch.setitem(KINDS, "swing", MotionKind("Gaussians that swing to and fro", lambda: Swing))
 
 
 def swinging(views):

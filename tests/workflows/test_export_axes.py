@@ -19,7 +19,7 @@ from e4dgs.scene.mesh import Mesh, mesh_glb_bytes, mesh_ply_bytes
 from e4dgs.scene.model import Model
 from e4dgs.scene.motion.static import Static
 from e4dgs.scene.primitives import ConvexSet, GaussianSet
-from e4dgs.stages.exports.splats import KINDS, Kind, export_splats, turn_of
+from e4dgs.stages.exports.splats import KINDS, SplatFormat, export_splats, turn_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
@@ -79,7 +79,7 @@ def model_of(axes: np.ndarray) -> Model:
     return Model(gaussians, ConvexSet.empty(6, 2), Static(), 2, background=(0.0, 0.0, 0.0))
 
 
-def exported(tmp_path: Path, kind: Kind, axes: np.ndarray, up: str | None = None) -> Path:
+def exported(tmp_path: Path, kind: SplatFormat, axes: np.ndarray, up: str | None = None) -> Path:
     if kind == "sog":
         pytest.importorskip("gaussforge")
     file = tmp_path / f"scene{KINDS[kind]}"
@@ -87,7 +87,7 @@ def exported(tmp_path: Path, kind: Kind, axes: np.ndarray, up: str | None = None
     return file
 
 
-def read(kind: Kind, file: Path) -> tuple[Gaussians, np.ndarray]:
+def read(kind: SplatFormat, file: Path) -> tuple[Gaussians, np.ndarray]:
     """What an independent program reads, and the rotation [3, 3] that the file itself asks for."""
     if kind == "gltf":
         modules = readers.node_modules() or pytest.skip("needs node, and three and gltf-validator from npm: npm install, and E4DGS_NPM")

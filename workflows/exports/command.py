@@ -34,7 +34,7 @@ from .usd import usd
 from .web import web
 
 if TYPE_CHECKING:
-    from ...stages.exports.splats import Kind
+    from ...stages.exports.splats import SplatFormat
 
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
@@ -121,7 +121,7 @@ def ply(
     _splats("compressed-ply" if compressed else "ply", options, out, times, time, up, antialiased)
 
 
-def _command(kind: Kind) -> Callable[..., None]:
+def _command(kind: SplatFormat) -> Callable[..., None]:
     """A command that takes the run's options and writes files of ``kind``."""
 
     @of_last_run("coarse")
@@ -148,7 +148,7 @@ app.command()(mesh)
 
 
 def _splats(
-    kind: Kind, options: Options, out: Path | None, times: int | None, time: float | None, up: str | None, antialiased: bool
+    kind: SplatFormat, options: Options, out: Path | None, times: int | None, time: float | None, up: str | None, antialiased: bool
 ) -> None:
     """Writes the Gaussians of each time as files of ``kind``, and prints their axes and how far they are from the model."""
     from ...stages.exports.splats import KINDS, export_splats

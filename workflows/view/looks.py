@@ -23,7 +23,7 @@ FLOW_STEP = 1 / 30  # of the capture's time; flow is shown from the current mome
 OUTLINE = (255, 60, 200)
 EDGE = (255, 210, 0)
 
-Kind = TypeVar("Kind", Gaussians, Convexes)
+Drawn = TypeVar("Drawn", Gaussians, Convexes)
 
 
 def picture(model: Model, camera: Camera, time: float, look: str = "colour", primitives: str = "all", outlines: bool = False) -> np.ndarray:
@@ -103,7 +103,7 @@ def named(model: Model, primitives: str) -> tuple[Tensor, Tensor] | None:
     }[primitives]
 
 
-def _rows(kind: Kind, keep: Tensor) -> Kind:
+def _rows(kind: Drawn, keep: Tensor) -> Drawn:
     return replace(kind, **{name: value[keep] for name, value in vars(kind).items() if isinstance(value, Tensor)})
 
 

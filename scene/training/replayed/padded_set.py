@@ -9,20 +9,20 @@ from torch import Tensor
 
 from ...primitives import PrimitiveSet
 
-Kind = TypeVar("Kind", bound=PrimitiveSet)
+Set = TypeVar("Set", bound=PrimitiveSet)
 SPARE, LEAST_SPARE = 1.25, 256  # factor on the number of rows, and rows in addition
 SHRINKS = 2.0  # memory for more than so many times the rows is given up
 TRANSPARENT = -100.0  # logit of the opacity of spare rows: exactly 0
 
 
-class PaddedSet(Generic[Kind]):
+class PaddedSet(Generic[Set]):
     """Memory for more primitives than ``primitives`` has; its spare rows are transparent ones. An empty set has none.
 
     ``primitives``: `load` moves its parameters here, so that optimiser and graph work in the same memory. ``index`` [m] int64: those that
     move. ``link``: see `Motion.links`. ``padded``: the set of all rows, with leaves of its own, which a graph may read.
     """
 
-    def __init__(self, primitives: Kind, index: Tensor, link: Tensor | None) -> None:
+    def __init__(self, primitives: Set, index: Tensor, link: Tensor | None) -> None:
         n = len(primitives)
         rows = round(SPARE * n) + LEAST_SPARE if n else 0
         parameters = {name: p.detach().new_zeros(rows, *p.shape[1:]) for name, p in primitives.parameters.items()}
@@ -46,7 +46,7 @@ class PaddedSet(Generic[Kind]):
         return enough and (moving or len(index) == len(self.index) == 0)
 
     @torch.no_grad()
-    def load(self, primitives: Kind, index: Tensor, link: Tensor | None) -> Tensor | None:
+    def load(self, primitives: Set, index: Tensor, link: Tensor | None) -> Tensor | None:
         """Copy ``primitives`` in, and let their parameters be rows of this memory. Returns its part of ``link``."""
         n = len(primitives)
         for name, p in primitives.parameters.items():

@@ -74,7 +74,7 @@ MODEL = ("cameras", "images", "points3d", "frames", "rigs", "project")  # files 
 
 
 @dataclass(frozen=True)
-class Kind:
+class FileKind:
     """A kind of file. one, many: its name for one and for several files. advice: what to do with them; empty if some layout reads such
     files, or nothing is to be done. group: "picture", "video", "pose" or "other"."""
 
@@ -84,10 +84,10 @@ class Kind:
     advice: str = ""
 
 
-PICTURE = Kind("picture", "pictures", "picture")
-VIDEO = Kind("video", "videos", "video")
-POSE = Kind("pose file", "pose files", "pose")
-COPY = Kind("picture in another size", "pictures in another size", "picture")
+PICTURE = FileKind("picture", "pictures", "picture")
+VIDEO = FileKind("video", "videos", "video")
+POSE = FileKind("pose file", "pose files", "pose")
+COPY = FileKind("picture in another size", "pictures in another size", "picture")
 _OTHERS = (
     ("point cloud", "point clouds", lambda name: name.endswith(_CLOUDS)),
     ("mesh or splat file", "mesh or splat files", lambda name: name.endswith(_MESHES)),
@@ -99,7 +99,7 @@ _OTHERS = (
 )
 
 
-def kind_of(path: str) -> Kind | None:
+def kind_of(path: str) -> FileKind | None:
     """The kind of the file at `path` (with `/` between folders), by its name and those of its folders; None if it belongs to no kind that
     captures have."""
     folders, name = posixpath.split(path.lower())
@@ -107,22 +107,22 @@ def kind_of(path: str) -> Kind | None:
     if suffix in _CLOSED or is_image(name) or suffix in _ARRAYS:
         role = role_of(name) or next((r for part in folders.split("/") if (r := _role_of_word(part))), None)
         if role is not None:
-            return Kind(f"{role} map", f"{role} maps", "picture") if role != "mask" else Kind("mask", "masks", "picture")
+            return FileKind(f"{role} map", f"{role} maps", "picture") if role != "mask" else FileKind("mask", "masks", "picture")
     if suffix in _CLOSED:
         format, advice = _CLOSED[suffix]
-        return Kind(f"{format} picture", f"{format} pictures", "picture", advice)
+        return FileKind(f"{format} picture", f"{format} pictures", "picture", advice)
     if suffix in _CLOSED_VIDEOS:
         format, advice = _CLOSED_VIDEOS[suffix]
-        return Kind(f"{format} video", f"{format} videos", "video", advice)
+        return FileKind(f"{format} video", f"{format} videos", "video", advice)
     if is_image(name):
         return PICTURE
     if is_video(name):
         return VIDEO
     if name.endswith(ARCHIVES):
-        return Kind("archive", "archives", advice="unpack them, or pass such a file as the capture")
+        return FileKind("archive", "archives", advice="unpack them, or pass such a file as the capture")
     if _POSES.fullmatch(name) or (folders.split("/")[-1] in _POSE_FOLDERS and re.search(f"{_DATA}$", name)):
         return POSE
-    return next((Kind(one, many) for one, many, fits in _OTHERS if fits(name)), None)
+    return next((FileKind(one, many) for one, many, fits in _OTHERS if fits(name)), None)
 
 
 def role_of(name: str) -> str | None:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from .kinds import COPY, MODEL, PICTURE, POSE, Kind, kind_of
+from .kinds import COPY, MODEL, PICTURE, POSE, FileKind, kind_of
 from .names import is_image, natural_key
 from .tree import MOST_DEEP, MOST_FILES, tree
 
@@ -40,13 +40,13 @@ def unread(root: Path, layout: str, read: Iterable[str], spoken_for: Sequence[st
     return tuple(lines)
 
 
-def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thinned: bool) -> tuple[dict[Kind, list[str]], list[str]]:
+def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thinned: bool) -> tuple[dict[FileKind, list[str]], list[str]]:
     """The files that are not read, by kind, and the folders of COLMAP models that are not read."""
     folders = {posixpath.dirname(path) for path in read if is_image(path)}
     models, used = _models(files, read)
     told = {folder for folder in models if any(_within(f"{folder}/{part}".lstrip("/"), spoken_for) for part in _MODEL_FILES)}
     models = [folder for folder in models if folder not in told]
-    groups: dict[Kind, list[str]] = {POSE: []} if models else {}
+    groups: dict[FileKind, list[str]] = {POSE: []} if models else {}
     for path in files:
         if path in read or _within(path, spoken_for):
             continue
@@ -81,7 +81,7 @@ def only_closed(root: Path) -> bool:
     return bool(kinds) and all(map(_is_closed, kinds))
 
 
-def _is_closed(kind: Kind) -> bool:
+def _is_closed(kind: FileKind) -> bool:
     return kind.group in ("picture", "video") and bool(kind.advice)
 
 
@@ -105,7 +105,7 @@ def above(root: Path, layout: str) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _line(kind: Kind, paths: list[str], layout: str, read: set[str], models: Sequence[str]) -> str:
+def _line(kind: FileKind, paths: list[str], layout: str, read: set[str], models: Sequence[str]) -> str:
     if kind is POSE:
         named = [_model(folder) for folder in models] + _patterns(paths)
         many = len(named) > 1 or named[0][0].isdigit()
@@ -124,11 +124,11 @@ def _line(kind: Kind, paths: list[str], layout: str, read: set[str], models: Seq
     return f"{text}, because the layout is {layout}"
 
 
-def _advice(kind: Kind, paths: Sequence[str]) -> str:
+def _advice(kind: FileKind, paths: Sequence[str]) -> str:
     return kind.advice if len(paths) > 1 else re.sub(r"\bthem\b", "it", kind.advice)
 
 
-def _counted(kind: Kind, paths: list[str]) -> str:
+def _counted(kind: FileKind, paths: list[str]) -> str:
     first = min(paths, key=natural_key)
     return f"the {kind.one} {first}" if len(paths) == 1 else f"{len(paths)} {kind.many} (first {first})"
 
