@@ -13,6 +13,7 @@ from rich.table import Table
 from ..pipeline import Row, duration
 from ..pipeline.errors import one_line
 from ..stages.facts import Facts
+from ..stages.poses.artifact import read_limits
 from .session import Session
 
 _COLOURS = {"cached": "green", "run": "yellow", "skip": "dim"}
@@ -45,7 +46,7 @@ def show_plan(console: Console, rows: Sequence[Row], time: str | None = None) ->
         table.add_row(row.stage, f"[{_COLOURS[row.state]}]{row.state}[/]", estimate, escape(words))
     console.print(table)
     for row in rows:
-        if row.artifact is not None and (limits := row.artifact.attrs.get("limits")):
+        if row.stage == "poses" and row.artifact is not None and (limits := read_limits(row.artifact)):
             console.print(f"{row.stage}: {limits}", soft_wrap=True, highlight=False, markup=False)
     if time is not None and (left := [row.estimate for row in rows if row.state == "run" and row.estimate is not None]):
         console.print(f"expected: about {duration(sum(left))} of {time}; each stage is decided when it begins, by what is left")

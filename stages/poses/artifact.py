@@ -80,3 +80,9 @@ class Account(TypedDict, total=False):
 def write_account(out: ArtifactWriter, **account: Unpack[Account]) -> None:
     """Writes some of the attributes of `Account`; others may be written before or after."""
     out.attrs.update(account)
+
+
+def read_limits(artifact: Artifact) -> str | None:
+    """`Account.limits`; None if nothing special limits the result."""
+    limits: str | None = artifact.attrs.get("limits")
+    return limits
