@@ -33,7 +33,9 @@ class BudgetSettings(Settings):
 
     respelled: ClassVar = {"budget": {"0": None}}
 
-    budget: int | None = Field(None, ge=1, description="most Gaussians; none: chosen for the capture")
+    budget: int | None = Field(
+        None, ge=1, description="most Gaussians, convexes included; none: chosen for the capture, and counted at one time"
+    )
 
 
 class MotionSettings(Settings):

@@ -23,7 +23,7 @@ Scene = Annotated[
 ]
 Captures = Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="Captures, as `run` takes them.")]
 Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
-Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast, best.")]
+Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast, compact, best.")]
 PresetOfRun = Annotated[str | None, typer.Option("--preset", help="Preset of the run; by default that of the last one.")]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]

@@ -40,7 +40,7 @@ from .steps.immediate import ImmediateSteps, Step
 class Trainer:
     """Trains ``model`` in place on ``views``.
 
-    phases: run in this order. settings: see `TrainingSettings`. budget: maximum number of Gaussians. lr_scale: factor on the rates of
+    phases: run in this order. settings: see `TrainingSettings`. budget, most: see `DensityControl`. lr_scale: factor on the rates of
     parameters that an earlier stage has already trained. earlier: number of steps of that stage. measured_flow: returns for frame i the
     flow to the camera's next frame [H, W, 2] px and a weight [H, W], or None if there is none. measured_depth: of the static scene.
     held_depth: of what moves.
@@ -57,6 +57,7 @@ class Trainer:
         phases: list[Phase],
         settings: TrainingSettings,
         budget: int,
+        most: int | None = None,
         checkpoints: Path | None = None,
         part: str = "",
         lr_scale: float = 1.0,
@@ -101,7 +102,7 @@ class Trainer:
         self.learned.before_change = self.steps.settle
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)
-        self.density = DensityControl(*common, budget, grow, self._event, measure, moving)
+        self.density = DensityControl(*common, budget, grow, self._event, measure, moving, most)
 
     def run(self) -> TrainingLog:
         """Run all phases, starting from a checkpoint if there is one."""

@@ -57,6 +57,7 @@ def train_coarse(ctx: Context) -> None:
         model.motion.phases(settings.strategy, steps, settings.full_from, is_small(views)),
         settings,
         budget=settings.budget or auto_budget(facts, views, expected),
+        most=settings.budget,
         measured_flow=measured_flow(ctx.inputs["flow"], views),
         measured_depth=measured_depth(seeds.depth, unit, ctx, frames),
         held_depth=held_depth(stored, unit, ctx),

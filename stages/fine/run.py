@@ -53,6 +53,7 @@ def train_fine(ctx: Context) -> None:
         fine_phases(coarse.strategy, coarse.iterations, fine_iterations(settings, facts, ctx.device), facts.static),
         training_settings(settings, coarse.growth),
         budget=coarse.growth.budget or auto_budget(facts, views, model.motion.kind),
+        most=None if coarse.growth.budget is None else max(0, coarse.growth.budget - len(model.convexes)),
         earlier=coarse.iterations - left_to_fine(coarse.strategy, coarse.iterations, facts.static),
         lr_scale=1.0 if joint else settings.lr_scale,
         grow=joint,

@@ -35,6 +35,11 @@ def place_seeds(ctx: Context) -> None:
     if motion.most_seeds is not None:
         chosen = np.random.default_rng(settings.seed).permutation(len(points))[: motion.most_seeds]
         points, colors = points[chosen], colors[chosen]
+    room = len(points) if settings.budget is None else budget - (0 if moving is None else len(moving.points))
+    if len(points) > room:  # a budget that was asked for holds from the start
+        chosen = np.sort(np.random.default_rng(settings.seed).permutation(len(points))[:room])
+        points, colors = points[chosen], colors[chosen]
+        ctx.log(f"seeds: {len(points)} of them are used, since train.budget is {budget}")
     seeds = StoredSeeds(
         points=points,
         colors=colors,

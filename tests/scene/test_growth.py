@@ -18,7 +18,7 @@ STEP, STEPS = 700, 1000  # in the last round of growth
 LIFE = 0.25  # share of the views in which the brief one is present
 
 
-def split_first(error_of_brief: float, several: bool) -> int:
+def split_first(error_of_brief: float, several: bool, most: int | None = None) -> int:
     """Which of two Gaussians, of which the second stays throughout and has an error of 1, is split if only one can be. error_of_brief: mean
     over the views of its life."""
     gaussians = GaussianSet.from_points(np.array([[-0.5, 0, 3.0], [0.5, 0, 3.0]]), np.zeros((2, 3)), 0, opacity=0.8)
@@ -39,11 +39,19 @@ def split_first(error_of_brief: float, several: bool) -> int:
         grow=True,
         event=lambda words: None,
         measure=lambda *given: found,
+        most=most,
     )
     control.round(STEP, phase)
     (rows,) = replaced
     (kept,) = rows[rows >= 0].tolist()
     return BRIEF if kept == STAYS else STAYS
+
+
+def test_a_limit_on_all_holds_where_few_are_present_at_one_time():
+    """The two Gaussians of `split_first` fill a budget of 2 only in part, since one is there for a share of the time."""
+    assert split_first(1.01, True) == BRIEF
+    with pytest.raises(ValueError, match="not enough values"):
+        split_first(1.01, True, most=2)
 
 
 @pytest.mark.parametrize(

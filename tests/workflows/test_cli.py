@@ -100,7 +100,7 @@ def test_static_and_format_are_settings_of_frames(cli, capture):
     [
         (("--set", "fine.iterations=101"), "less than or equal to 100"),
         (("--set", "fine.iters=1"), "did you mean 'iterations'?"),
-        (("--preset", "fastest"), "presets: default, fast, best"),
+        (("--preset", "fastest"), "presets: default, fast, compact, best"),
         (("--device", "tpu"), "choose one of auto, cpu, cuda"),
         (("--device", "cuda"), "use --device cpu"),
         (("--name", "../up"), "use up to 100 letters"),

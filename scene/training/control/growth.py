@@ -32,7 +32,8 @@ TIMES_TO_SPLIT = 16  # times of a capture from which on that is done; with fewer
 class DensityControl:
     """Adds primitives to ``learned`` where the error is, and removes those that contribute nothing.
 
-    phases: of the whole training. budget: maximum number of Gaussians. grow: whether any are added. event: called with what happened.
+    phases: of the whole training. budget: maximum number of Gaussians present at one time. most: of all, by default `MOST_FOR_ONE` times as
+    many. grow: whether any are added. event: called with what happened.
     measure: does the work of `measure_responsibility`. moving(i): the moving pixels of frame i, see `on_moving_pixels`; None if nothing
     is known about them.
     """
@@ -50,10 +51,12 @@ class DensityControl:
         event: Callable[[str], None],
         measure: Measure = measure_responsibility,
         moving: Callable[[int], Tensor | None] | None = None,
+        most: int | None = None,
     ) -> None:
         self.learned, self.views, self.curriculum, self.settings, self.recipe = learned, views, curriculum, settings, recipe
         self._measure, self._moving = measure, moving
         self.budget, self.grow, self._event = budget, grow, event
+        self.most = MOST_FOR_ONE * budget if most is None else most
         self.total = total = sum(phase.iterations for phase in phases)
         self.grow_until = recipe.grow_until if settings.densify_until is None else settings.densify_until
         self.every = settings.densify_every or max(DENSIFY_EVERY, total // recipe.rounds)
@@ -84,7 +87,7 @@ class DensityControl:
         probed = self.curriculum.probe(step, PROBE_VIEWS)
         measured = self._measure(model, self.views, probed, phase.move, phase.scale)
         alive = round(float(measured.life_gaussians.sum()))  # Gaussians absent at a time cost nothing then
-        room = min(self._most(phase) - alive, MOST_FOR_ONE * self.budget - len(model.gaussians))
+        room = min(self._most(phase) - alive, self.most - len(model.gaussians))
         if room <= 0:
             return
         error = measured.error_gaussians

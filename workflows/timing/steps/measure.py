@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 
 from ....scene.motion.phases import Phase
-from ....scene.training.control.growth import FINAL_VIEWS, MOST_FOR_ONE, PROBE_VIEWS
+from ....scene.training.control.growth import FINAL_VIEWS, PROBE_VIEWS
 from ....scene.training.control.splits import split
 from ....scene.training.trainer import Trainer
 from .costs import StepCosts, merged
@@ -117,7 +117,7 @@ class _Clock:
         """The number of Gaussians that the images of ``phase`` allow, of which those present at one time count."""
         density = self.trainer.density
         most = round(density._most(phase) / self.alive)
-        return max(self.count, min(most, MOST_FOR_ONE * density.budget))
+        return max(self.count, min(most, density.most))
 
     def fill(self, count: int) -> bool:
         """Splits Gaussians at random until there are ``count``. Returns whether that made a difference."""
