@@ -29,7 +29,16 @@ that read their results.
 HEAD = "| setting | default | values | meaning |\n|---|---|---|---|"
 MAIN = (
     *("frames.format", "frames.static", "frames.holdout", "frames.background", "frames.max_size", "frames.max_frames", "frames.every"),
-    *("poses.matcher", "poses.camera_model", "poses.mapper", "flow.method", "flow.weights", "coarse.iterations", "coarse.effort"),
+    *(
+        "poses.matcher",
+        "poses.camera_model",
+        "poses.mapper",
+        "depth.model",
+        "flow.method",
+        "flow.weights",
+        "coarse.iterations",
+        "coarse.effort",
+    ),
     *("train.motion", "train.budget", "coarse.strategy", "hulls.budget", "fine.iterations", "train.seed", "train.sh_degree"),
     *("evaluate.splits", "evaluate.lpips_weights"),
 )
@@ -65,6 +74,13 @@ def older(classes: Mapping[str, type[Settings]]) -> list[str]:
                     known.append(old)
     rows = [f"| {', '.join(f'`{old}`' for old in olds)} | `{new}` |" for new, olds in sorted(former.items())]
     told = "They are understood after the name of the stage that had them, and a line says the new name."
+    gone = {
+        f"{stage}.{old}": now
+        for stage, cls in classes.items()
+        for base in cls.__mro__
+        for old, now in vars(base).get("dropped", {}).items()
+    }
+    rows += [f"| `{old}` | no setting: {now} |" for old, now in sorted(gone.items())]
     return ["\n## Older names\n", told + "\n", "| older | now |\n|---|---|", *rows]
 
 
@@ -84,6 +100,8 @@ def values(field: FieldInfo) -> str:
     choices = [f"`{choice}`" for kind in kinds if get_origin(kind) is Literal for choice in get_args(kind)]
     if choices:
         return ", ".join(choices)
+    if kinds == [Path, str]:
+        return "folder or name"
     name = {bool: "yes, no", int: "integer", float: "number", Path: "file"}[kinds[0]]
     signs = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
     found = [(sign, getattr(limit, name)) for limit in field.metadata for name, sign in signs.items() if hasattr(limit, name)]

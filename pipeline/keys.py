@@ -35,12 +35,12 @@ def digest_of_files(digests: Mapping[str, str]) -> str:
 
 
 def settings_parts(settings: Settings) -> dict[str, Any]:
-    """The settings as JSON. A ``Path`` field is represented by the content digest of the file it names."""
+    """The settings as JSON. A ``Path`` field is represented by the content digest of the file or folder it names."""
     parts = settings.model_dump(mode="json")
     for name in type(settings).model_fields:
         value = getattr(settings, name)
         if isinstance(value, Path):
-            parts[name] = {"file": _file_digest(name, value)}
+            parts[name] = {"folder": _folder_digest(name, value)} if os.path.isdir(value) else {"file": _file_digest(name, value)}
     return parts
 
 
@@ -51,6 +51,15 @@ def _file_digest(name: str, path: Path) -> str:
         return digest_file(path)
     except OSError as error:
         raise SettingsError(f"{name}={path}: cannot be read ({error.strerror})") from error
+
+
+def _folder_digest(name: str, path: Path) -> str:
+    """Of the names and contents of the files right in the folder; hidden ones do not count."""
+    try:
+        files = sorted(file for file in os.listdir(path) if not file.startswith(".") and os.path.isfile(path / file))
+        return digest_of_files(digest_files(path, files))
+    except OSError as error:
+        raise SettingsError(f"{name}={path}: {error.filename or path} cannot be read ({error.strerror})") from error
 
 
 def key_parts(stage: Stage, settings: Settings, inputs: Mapping[str, str | None], capture: str | None, device: str) -> dict[str, Any]:

@@ -24,11 +24,13 @@ class Settings(BaseModel):
     group: of a class from which the settings of several stages inherit: its own fields are written ``group.key`` and are set for all of
     them at once. "" for the settings of a single stage.
     renamed: names that settings had in earlier versions, with their present full names. The old names are understood, and said.
+    dropped: names of settings that earlier versions had, with what is done now. They have no effect, which is said.
     respelled: older spellings of values, by setting: ``{"motion": {"auto": None}}``.
     """
 
     group: ClassVar[str] = ""
     renamed: ClassVar[Mapping[str, str]] = {}
+    dropped: ClassVar[Mapping[str, str]] = {}
     respelled: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
@@ -61,6 +63,9 @@ def build_settings(
     names = settings_by_name(classes)
     values: dict[str, dict[str, Any]] = {stage: {} for stage in classes}
     for given, value in assignments:
+        if given not in names and (now := _dropped(given, classes)):
+            say(f"{given} is no longer a setting and has no effect: {now}")
+            continue
         name = given if given in names else _present_name(given, classes, names)
         key, (stages, field) = name.partition(".")[2], names[name]
         if name != given:
@@ -98,6 +103,13 @@ def _full_name(stage: str, cls: type[Settings], key: str) -> str:
 def _older_values(cls: type[Settings], key: str) -> Mapping[str, Any]:
     """What the values of a setting were called, by its own class or by one that it inherits from."""
     return next((found for base in cls.__mro__ if (found := base.__dict__.get("respelled", {}).get(key))), {})
+
+
+def _dropped(given: str, classes: Mapping[str, type[Settings]]) -> str | None:
+    """What is done now in place of a setting that earlier versions had; None if there was none of that name."""
+    stage, _, key = given.partition(".")
+    found = (base.__dict__.get("dropped", {}).get(key) for base in (classes[stage].__mro__ if stage in classes else ()))
+    return next(filter(None, found), None)
 
 
 def _present_name(given: str, classes: Mapping[str, type[Settings]], names: Mapping[str, tuple[list[str], FieldInfo]]) -> str:

@@ -7,6 +7,8 @@ from ..scene.motion.kinds import KINDS, choose
 from .facts import Facts
 from .shared.defaults import one_way
 
+SECONDS_PER_MAP = 0.03  # of a depth map that is read and aligned, on two cores
+SECONDS_PER_NETWORK_FRAME = 2.0  # of a small network (25 M weights, 518 px) on two cores
 SECONDS_PER_FIRST_STEP = 0.01  # of a first training on very small images, on two cores
 
 # Seeds, on two cores.
@@ -51,13 +53,25 @@ def first_training_seconds(iterations: int) -> float:
     return iterations * SECONDS_PER_FIRST_STEP
 
 
+def depth_seconds(facts: Facts, network: bool) -> float:
+    """Seconds that depth of single frames takes on two cores."""
+    triangulating = facts.poses and not facts.points
+    seconds = 1.0 + (_triangulating_seconds(facts) if triangulating else 0.0)
+    frames = facts.splits.get("train", facts.frames)
+    return seconds + (SECONDS_PER_NETWORK_FRAME * frames if network else SECONDS_PER_MAP * facts.depths)
+
+
+def _triangulating_seconds(facts: Facts) -> float:
+    matched = facts.frames if facts.cameras == 1 else facts.cameras * min(facts.times, TRIANGULATED_TIMES)
+    return SECONDS_PER_TRIANGULATED_FRAME * min(matched, TRIANGULATED)
+
+
 def seeds_seconds(facts: Facts, motion: str | None) -> float:
     """Seconds that placing seeds takes on two cores. motion: the setting of that name."""
     known_points = facts.points or not facts.poses  # of the capture, or of structure from motion
     seconds = 1.0
     if not known_points and not facts.alpha:
-        matched = facts.frames if facts.cameras == 1 else facts.cameras * min(facts.times, TRIANGULATED_TIMES)
-        seconds += SECONDS_PER_TRIANGULATED_FRAME * min(matched, TRIANGULATED)
+        seconds += 0.0 if facts.depths else _triangulating_seconds(facts)  # else `depth` has done it
     if facts.rig or one_way(facts) or (not known_points and not facts.alpha):
         several = facts.cameras if facts.cameras > 1 else facts.frames // facts.times
         maps = min(several, SWEPT_MOST) if facts.rig or facts.fixed_cameras else min(facts.frames, SWEPT_ALONE)

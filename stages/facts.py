@@ -12,7 +12,7 @@ STANDS_STILL = (
     "one camera that stands still: its pictures do not show how far away things are, which is assumed where no depth is given; "
     "views from beside the camera are guesses, and a few percent of the distance is as far as they hold"
 )
-_ONLY_WHERE_TRUE = ("upright", "untimed")  # left out of the JSON if false
+_ONLY_WHERE_TRUE = ("upright", "untimed", "depths")  # left out of the JSON if false
 _ONLY_WHERE_UNUSUAL = {"every_time": 1, "new_items": None}  # left out of the JSON if they have these values
 
 
@@ -40,6 +40,7 @@ class Facts:
     images_in_files: bool = True  # pictures are image files; nothing is extracted from videos
     upright: bool = False  # images are rotated as their EXIF data ask
     untimed: bool = False  # the files give no times: frames are in the order of their names
+    depths: int = 0  # frames with a depth map in the files
     every_time: int = 1  # every so many-th time trains, and the others are test; 1 unless frames.every_time is set
     new_items: int | None = None  # in an estimate: how many of the stage's items are computed; the others are reused
 

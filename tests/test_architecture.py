@@ -206,7 +206,18 @@ def named_by_hand(tree: ast.AST) -> list[int]:
             case ast.Call(func=ast.Attribute(attr="write" | "create"), args=[name, _, *_]):  # text that goes to a file stands alone
                 found = is_text(name)
             case ast.Compare(left=name, ops=[ast.In() | ast.NotIn()], comparators=[ast.Name(id=of)]):
-                found = is_text(name) and of in ("artifact", "frames", "poses", "flow", "seeds", "coarse", "hulls", "fine", "evaluate")
+                found = is_text(name) and of in (
+                    "artifact",
+                    "frames",
+                    "poses",
+                    "depth",
+                    "flow",
+                    "seeds",
+                    "coarse",
+                    "hulls",
+                    "fine",
+                    "evaluate",
+                )
             case _:
                 found = False
         if found:

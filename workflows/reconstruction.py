@@ -2,18 +2,20 @@
 
 Each stage names its own inputs; this is the order in which stages run. `e4dgs plan CAPTURE` shows which of them a capture needs.
 
-    frames ── poses ── flow ── seeds ── coarse ── hulls ── fine ── evaluate
+    frames ── poses ── depth ── flow ── seeds ── coarse ── hulls ── fine ── evaluate
 """
 
 from ..pipeline import Graph
 
 
 def reconstruction() -> Graph:
-    """frames: times, cameras, splits, decoded video. poses: structure from motion, if the files have no poses. flow: motion between frames
-    of one camera, and edge masks. seeds: where Gaussians begin. coarse: Gaussians and their motion. hulls: initial convexes. fine: both
-    kinds together. evaluate: metrics on held-out views, and pictures for the report.
+    """frames: times, cameras, splits, decoded video. poses: structure from motion, if the files have no poses. depth: depth of single
+    frames, if the files have any or a network is asked for. flow: motion between frames of one camera, and edge masks. seeds: where
+    Gaussians begin. coarse: Gaussians and their motion. hulls: initial convexes. fine: both kinds together. evaluate: metrics on held-out
+    views, and pictures for the report.
     """
     from ..stages.coarse.stage import Coarse
+    from ..stages.depth.stage import Depth
     from ..stages.evaluate.stage import Evaluate
     from ..stages.fine.stage import Fine
     from ..stages.flow.stage import Flow
@@ -22,7 +24,7 @@ def reconstruction() -> Graph:
     from ..stages.poses.stage import Poses
     from ..stages.seeds.stage import Seeds
 
-    return Graph([Frames(), Poses(), Flow(), Seeds(), Coarse(), Hulls(), Fine(), Evaluate()])
+    return Graph([Frames(), Poses(), Depth(), Flow(), Seeds(), Coarse(), Hulls(), Fine(), Evaluate()])
 
 
 TRAINING = ("seeds", "coarse", "hulls", "fine")  # stages whose time is the training time of metrics.json

@@ -21,6 +21,7 @@ from .protocol import load_lpips, protocol
 from .spread import SAMPLE, most_measured, spread, worst_and_others
 from .views import choose_views, time_strip
 
+PICTURE_SIZE = 640  # px, longest side of the report's pictures of views
 METRICS = (
     *("psnr", "ssim", "edge_psnr", "lpips", "psnr_affine", "ssim_affine"),
     *("psnr_moving", "psnr_static", "psnr_foreground", "psnr_other_background"),
@@ -39,7 +40,7 @@ def evaluate(ctx: Context) -> None:
     for note in notes:
         ctx.log(note)
     lpips, lpips_facts = load_lpips(ctx.settings, frames)
-    book = PictureBook(ctx.settings.picture_size)
+    book = PictureBook(PICTURE_SIZE)
     judge = Judge(model, frames, lpips, fixed=frames.fixed_cameras)
     splits: dict[str, Any] = {}
     sample = {} if "train" in views else {"train": spread([int(i) for i in frames.train], SAMPLE)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -13,6 +13,8 @@ Split = Literal["train", "val", "test"]
 
 
 class EvaluateSettings(Settings):
+    dropped: ClassVar = {"picture_size": "pictures of the report are at most 640 px"}
+
     splits: tuple[Split, ...] = Field(("val", "test"), min_length=1, description="splits to measure, separated by commas")
     max_views: int = Field(8, ge=0, le=1000, description="most views of each split in the report, half of them the worst")
     measured: int | None = Field(
@@ -23,7 +25,6 @@ class EvaluateSettings(Settings):
     )
     movie_frames: int = Field(60, ge=0, le=1000, description="pictures in each of the report's two movies; 0: no movies")
     player: bool = Field(True, description="put the scene itself into the report, where it plays and can be turned; at most 8 MB")
-    picture_size: int = Field(640, ge=16, le=8192, description="px; longest side of the report's pictures")
     lpips_weights: Path | None = Field(
         None, description="safetensors file with the network's weights; none: the published ones, which e4dgs[lpips] brings"
     )

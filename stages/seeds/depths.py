@@ -11,9 +11,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ...scene.seeds.given_depth import GivenDepth
 from ...scene.views import Views
 from ...vision.moving.followed_parts import Objects
+from ..depth.artifact import StoredDepth
 from .given_objects import given_numbers, given_surface
 
 NEAR = 5.0  # percentile of the depths of hidden points that counts as the nearest, since single points may be wrong
@@ -31,7 +31,7 @@ STEADY = 9  # frames in the moving median of a track's depth
 
 
 def object_depths(
-    objects: Objects, views: Views, frames: list[int], points: np.ndarray, given: GivenDepth | None = None
+    objects: Objects, views: Views, frames: list[int], points: np.ndarray, given: StoredDepth | None = None
 ) -> list[np.ndarray]:
     """For each of ``frames`` the depth of each part, [labels] in world units; 0 if the static ``points`` [P, 3] do not determine it. given:
     depth of the capture, which replaces all other evidence where it covers a part."""
@@ -125,7 +125,7 @@ def depth_at(
     k: int,
     places: np.ndarray,
     usual: float,
-    given: GivenDepth | None = None,
+    given: StoredDepth | None = None,
     i: int = 0,
 ) -> np.ndarray:
     """Depth [n] of pixels ``places`` [n, 2] of frame ``k``, whose parts have ``depths`` [labels]; ``usual`` for parts without a depth.
@@ -135,7 +135,7 @@ def depth_at(
 
 
 def surface(
-    objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float, given: GivenDepth | None = None, i: int = 0
+    objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float, given: StoredDepth | None = None, i: int = 0
 ) -> np.ndarray:
     """`depth_at` of all pixels of the labels of frame ``k``: [h, w]."""
     labels = objects.labels[k]

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from ...scene.seeds.given_depth import GivenDepth
 from ...vision.moving.followed_parts import Objects
+from ..depth.artifact import StoredDepth
 
 FEWEST = 12  # least number of pixels of an object whose depth is known
 SURE = 0.5  # least confidence of these
@@ -17,7 +17,7 @@ WITHIN = 0.4  # logarithm of the factor between a pixel's depth and that of its 
 WIDTH = 320  # px, longest side of maps of the static scene
 
 
-def given_numbers(objects: Objects, frames: list[int], given: GivenDepth, depths: list[np.ndarray]) -> list[np.ndarray]:
+def given_numbers(objects: Objects, frames: list[int], given: StoredDepth, depths: list[np.ndarray]) -> list[np.ndarray]:
     """``depths`` of the parts in ``frames``, [labels] each, replaced by the median of the given depth over a part's pixels. If that is not
     precise, by the median over neighbouring frames as well, where the object's size tells how its depth changed."""
     scale: dict[int, dict[int, float]] = {}  # object -> frame -> log(depth * size)
@@ -41,7 +41,7 @@ def given_numbers(objects: Objects, frames: list[int], given: GivenDepth, depths
     return result
 
 
-def given_surface(given: GivenDepth, i: int, number: np.ndarray) -> np.ndarray:
+def given_surface(given: StoredDepth, i: int, number: np.ndarray) -> np.ndarray:
     """[h, w] depth of what moves in frame ``i``, whose objects have the depth ``number`` [h, w]: the given one where single pixels are to
     be believed and do not show something else, else the object's."""
     if not given.precise:
@@ -51,7 +51,7 @@ def given_surface(given: GivenDepth, i: int, number: np.ndarray) -> np.ndarray:
     return np.where(near, z, number)
 
 
-def static_inverse(given: GivenDepth, measured: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
+def static_inverse(given: StoredDepth, measured: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
     """Inverse depth by frame, see `Swept`: as ``measured``, and where that is unknown the given one if single pixels are to be believed."""
     result = dict(measured)
     for i, z in given.z.items() if given.precise else ():

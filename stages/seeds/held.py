@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...scene.seeds.given_depth import GivenDepth
 from ...vision.moving.followed_parts import Objects
+from ..depth.artifact import StoredDepth
 from .depths import inner, surface
 
 UNSURE = 0.3  # confidence in a part of a mask of which nothing tells the depth
 STEP = 2  # pixels of the labels for one of the map: depth is smooth, and all frames' maps are kept
 
 
-def held_map(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float, given: GivenDepth, i: int) -> np.ndarray:
+def held_map(objects: Objects, depths: np.ndarray, K: np.ndarray, k: int, usual: float, given: StoredDepth, i: int) -> np.ndarray:
     """[2, h, w] float32 for frame ``k``, whose parts have ``depths`` [labels]: inverse depth, 1 / world units, 0 where nothing moves, and
     its confidence. The rim of each part is left out: masks extend onto what is behind. For the rest, see `depth_at`."""
     inside = inner(objects.labels[k])

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 from ...scene.seeds.colours import median_colours
-from ...scene.seeds.given_depth import GivenDepth
 from ...scene.seeds.moving.hull import VisualHull
 from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.moving.surfaces import surface_points
@@ -22,6 +21,7 @@ from ...scene.views import Views
 from ...vision.flow.chain import Chain
 from ...vision.moving.followed_parts import follow_objects
 from ...vision.sequences import camera_sequences
+from ..depth.artifact import StoredDepth
 from ..flow.artifact import StoredFlow
 from .depths import depth_at, object_depths, steady
 from .held import held_map
@@ -131,7 +131,7 @@ def camera_seeds(
     static: np.ndarray,
     most: int,
     advance: Callable[[int], None] = lambda n: None,
-    given: GivenDepth | None = None,
+    given: StoredDepth | None = None,
 ) -> MovingSeeds | None:
     """Up to ``most`` seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth.
 

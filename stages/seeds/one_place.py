@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 
 from ...pipeline import Context
-from ...scene.seeds.given_depth import GivenDepth, scaled_depth
-from ...scene.seeds.one_place import DISTANCE, LOOKS, assumed_depth, background
+from ...scene.seeds.one_place import LOOKS, assumed_depth, background
 from ...scene.seeds.rays import spread
 from ...scene.views import Views
+from ..depth.artifact import StoredDepth, read_depth
 from ..shared.frameset import FrameSet
 from ..shared.masks import unsteady_mask
 from .moving import lift
@@ -27,7 +27,7 @@ class Standing(NamedTuple):
     points: np.ndarray
     colors: np.ndarray
     inverse: dict[int, np.ndarray]
-    given: GivenDepth | None
+    given: StoredDepth | None
 
 
 def standing_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> Standing:
@@ -37,9 +37,7 @@ def standing_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> 
         return unsteady_mask(ctx, frames, i)
 
     plate, i = background(views, unsteady), int(views.train[0])
-    depth, given = assumed_depth(views.K[i], views.width, views.height), None
-    if frames.depth_files is not None:
-        given = scaled_depth(frames.depth, views.train, unsteady, DISTANCE)
+    depth, given = assumed_depth(views.K[i], views.width, views.height), read_depth(ctx.inputs.get("depth"))
     if given is None:
         ctx.log(
             "seeds: how far away the background is, is assumed: a level floor below the horizon, and a wall behind it; depth/ beside "
@@ -47,10 +45,6 @@ def standing_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> 
         )
     else:
         depth = _with_given(given, depth, unsteady)
-        ctx.log(
-            f"depth: {len(given.z)} maps of the capture, read as distances along the axis in any unit; their median becomes {DISTANCE:g} "
-            f"world units; they agree to {given.error:.1%} where nothing moves"
-        )
     at = spread(views.width, views.height, count, np.random.default_rng(ctx.settings.seed))
     column, row = at.astype(int).T
     if frames.alpha:
@@ -64,7 +58,7 @@ def standing_seeds(ctx: Context, frames: FrameSet, views: Views, count: int) -> 
     return Standing(points, plate[row, column] / 255.0, dict.fromkeys(views.train.tolist(), inverse), given)
 
 
-def _with_given(given: GivenDepth, assumed: np.ndarray, unsteady: Callable[[int], np.ndarray | None]) -> np.ndarray:
+def _with_given(given: StoredDepth, assumed: np.ndarray, unsteady: Callable[[int], np.ndarray | None]) -> np.ndarray:
     """Depth [H, W] of the background: the median over time of what is given of it, and where nothing is, the nearest that is."""
     seen = []
     for i, z in given.z.items():

@@ -8,7 +8,6 @@ import numpy as np
 
 from ...pipeline import Context
 from ...scene.seeds.carve import carve
-from ...scene.seeds.given_depth import GivenDepth, fit_depth
 from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.outliers import trusted
 from ...scene.seeds.volume import common_volume
@@ -16,10 +15,11 @@ from ...scene.training.control.dynamics import dynamic_from_masks
 from ...scene.training.curriculum import MIN_CAMERAS
 from ...scene.views import Views
 from ...vision.triangulate import triangulate
+from ..depth.artifact import StoredDepth, read_depth, read_points
 from ..facts import Facts
 from ..flow.artifact import flow_of
 from ..shared.frameset import FrameSet
-from ..shared.masks import moving_mask, unsteady_mask
+from ..shared.masks import moving_mask
 from .fill import fill_seeds, middle_frames, sweep
 from .given_objects import static_inverse
 from .moving import FEWEST_CAMERAS, camera_seeds, rig_seeds, rig_times
@@ -44,7 +44,7 @@ class Seeds(NamedTuple):
     colors: np.ndarray
     trusted: np.ndarray
     inverse_depth: dict[int, np.ndarray]
-    given: GivenDepth | None = None
+    given: StoredDepth | None = None
 
 
 def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: bool = False) -> Seeds:
@@ -66,15 +66,13 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
         points, colors = carve(views, objects, chosen, count, settings.seed)
         return Seeds(points, colors, points, {})
     else:
-        ctx.log("seeds: triangulating points with the known poses")
-        points, colors, _ = triangulate(frames, seed=settings.seed)
-        colors = colors / 255.0
+        points, colors = triangulated(ctx, frames)
         fill = True
     keep = trusted(points, views.centres()[views.train])
     points, colors = points[keep], colors[keep]
     ctx.log(f"seeds: {len(points)} points; {int((~keep).sum())} isolated ones are left out")
     measured = points
-    given = given_depth(ctx, frames, views, points)
+    given = given_depth(ctx)
     swept = sweep(ctx, frames, views, points) if fill and len(points) >= LEAST_POINTS else None
     if swept is not None:
         share = min(SWEPT_SHARE, SWEPT_DENSITY * swept.known)
@@ -94,26 +92,26 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
     return Seeds(points, colors, measured if len(measured) else points, inverse, given)
 
 
-def given_depth(ctx: Context, frames: FrameSet, views: Views, points: np.ndarray) -> GivenDepth | None:
-    """Depth that came with the capture, in world units: fitted to the trusted ``points`` [P, 3]. None if it has none, or none that fits."""
-    if frames.depth_files is None:
-        return None
+def triangulated(ctx: Context, frames: FrameSet) -> tuple[np.ndarray, np.ndarray]:
+    """Points [P, 3] and their colours [P, 3] in [0, 1]: those to which `depth` was aligned, else new ones."""
+    known = read_points(ctx.inputs.get("depth"))
+    if known is None:
+        ctx.log("seeds: triangulating points with the known poses")
+        known = triangulate(frames, seed=ctx.settings.seed)[:2]
+    return known[0], known[1] / 255.0
 
-    def still(i: int) -> np.ndarray | None:
-        mask = unsteady_mask(ctx, frames, i)
-        return None if mask is None else ~mask
 
-    given = fit_depth(frames.depth, views, views.train, points, still)
-    if given is None:
-        ctx.log("depth: the capture's depth maps are not used, since no frame shows enough known points to fit them to")
-        return None
-    static = "for what moves and where nothing else gives the depth of what is at rest" if given.precise else "for what moves"
-    ctx.log(f"depth: {len(given.z)} maps of the capture ({given.kind}), {given.error:.1%} off the known points; used {static}")
+def given_depth(ctx: Context) -> StoredDepth | None:
+    """The maps of `depth`, None if there are none."""
+    given = read_depth(ctx.inputs.get("depth"))
+    if given is not None:
+        use = "for what moves and where nothing else gives the depth of what is at rest" if given.precise else "for what moves"
+        ctx.log(f"seeds: depth of {len(given.z)} frames, {given.error:.1%} off the known points, is used {use}")
     return given
 
 
 def moving_seeds(
-    ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int, given: GivenDepth | None = None
+    ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int, given: StoredDepth | None = None
 ) -> MovingSeeds | None:
     """Up to ``most`` seeds on moving objects, at several times; None without masks of moving pixels. points [P, 3]: mostly static. given:
     depth that came with the capture, for one camera."""

@@ -14,7 +14,7 @@ class Seeds(Stage):
     """Seeds on what is static and, at several times, on what moves; the near plane, and inverse depth maps from a plane sweep."""
 
     name = "seeds"
-    inputs = ("frames", "poses", "flow")
+    inputs = ("frames", "poses", "depth", "flow")
     settings = SeedsSettings
     reads_capture = True
 

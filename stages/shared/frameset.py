@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ...pipeline import Artifact
+from ...vision.depth.files import read_depth
 from ...vision.images import lenses, pictures
-from ...vision.images.depth_files import read_depth
 from ..frames.artifact import StoredFrames
 from ..poses.artifact import StoredPoses
 
@@ -135,8 +135,9 @@ class FrameSet:
         if name is None:
             return None
         sure = self._confidence_files[i] if self._confidence_files is not None else None
-        depth = self._nearest(i, read_depth(self.root, name))
-        return depth, np.ones_like(depth) if sure is None else self._nearest(i, read_depth(self.root, sure))
+        shape = self.height, self.width
+        depth = self._nearest(i, read_depth(self.root, name, shape))
+        return depth, np.ones_like(depth) if sure is None else self._nearest(i, read_depth(self.root, sure, shape))
 
     def _nearest(self, i: int, values: np.ndarray) -> np.ndarray:
         """``values`` of frame i, of any size, scaled, cropped and undistorted like its image, but never a mixture of two of them."""

@@ -153,3 +153,13 @@ def test_a_class_with_older_values_of_its_own_keeps_those_that_it_inherits():
 
     built = build_settings({"fit": Narrow}, [("fit.mode", "quick"), ("fit.rate", "auto")])["fit"]
     assert (built.mode, built.rate) == ("fast", 0.5)
+
+
+class Dropped(Settings):
+    dropped: ClassVar = {"size": "pictures have 640 px"}
+
+
+def test_a_setting_that_is_no_more_is_said_and_has_no_effect():
+    lines = []
+    assert build_settings({"report": Dropped}, [("report.size", "3")], lines.append)["report"] == Dropped()
+    assert lines == ["report.size is no longer a setting and has no effect: pictures have 640 px"]

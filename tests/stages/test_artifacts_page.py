@@ -16,6 +16,7 @@ PAGE = (ROOT / "docs" / "artifacts.md").read_text()
 SECTIONS = {  # file of stages: heading on the page
     "frames/artifact": "## `frames`",
     "poses/artifact": "## `poses`",
+    "depth/artifact": "## `depth`",
     "flow/artifact_writer": "## `flow`",
     "seeds/artifact": "## `seeds`",
     "coarse/artifact": "## `coarse`, `fine`",

@@ -1,80 +1,24 @@
-"""Depth that comes with a capture: found by its name, read, fitted to known points whatever its kind, and used for what moves."""
+"""Depth that comes with a capture: found by its name, and used for what moves."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from e4dgs.pipeline import Artifact, ArtifactWriter, CaptureError
-from e4dgs.scene.seeds.given_depth import KINDS, PRECISE, SCALE, GivenDepth, fit_depth
+from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
 from e4dgs.stages.captures.listing.depth_maps import add_depth
 from e4dgs.stages.captures.reading import Shot
+from e4dgs.stages.depth.artifact import PRECISE, StoredDepth
 from e4dgs.stages.seeds.artifact import StoredSeeds, read_held
 from e4dgs.stages.seeds.given_objects import given_numbers, given_surface, static_inverse
 from e4dgs.stages.seeds.moving import camera_seeds
 from e4dgs.stages.shared.dataset import load_frameset
-from e4dgs.vision.images.depth_files import read_depth
+from e4dgs.vision.depth.align import SCALE
 from e4dgs.vision.moving.followed_parts import Objects
 from factory import Options, make, render, write_nerfstudio
 from moving_square import FRAMES, HEIGHT, NEAR, WALL, WIDTH, flow_of, views, wall
 from PIL import Image
 from run_stage import run_frames
-
-FIRST, SECOND = (np.random.default_rng(0).uniform(0.5, 2.0, (FRAMES, 1)), np.random.default_rng(1).uniform(0.01, 0.04, (FRAMES, 1)))
-MADE = {  # of each kind, the value of a pixel of frame k at depth z
-    "depth up to scale": lambda z, k: 1000 * z,
-    "depth up to scale and shift": lambda z, k: FIRST[k] * (z + 50 * SECOND[k]),
-    "inverse depth up to scale and shift": lambda z, k: FIRST[k] * (1 / z + SECOND[k]),
-    "depth whose inverse is known up to scale and shift": lambda z, k: FIRST[k] / (1 / z + SECOND[k]),
-}
-
-
-def slanted(count=3000):
-    """Points of a wall that is far on the left and near on the right."""
-    rng = np.random.default_rng(2)
-    x, y = rng.uniform(-6, 6, count), rng.uniform(-3, 3, count)
-    return np.stack([x, y, 8.0 - 0.6 * x], 1)
-
-
-def true_depth(k):
-    """[H, W] of that wall in frame ``k``: z = 8 - 0.6 x and x = z ray + centre."""
-    seen = views()
-    ray = (np.arange(WIDTH) + 0.5 - seen.K[k][0, 2]) / seen.K[k][0, 0]
-    return np.tile((8.0 - 0.6 * seen.centres()[k][0]) / (1 + 0.6 * ray), (HEIGHT, 1))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_depth_of_each_kind_is_recognised_and_fitted(kind):
-    given = fit_depth(lambda k: (MADE[kind](true_depth(k), k), np.full((HEIGHT, WIDTH), 7.0)), views(), np.arange(FRAMES), slanted())
-    assert given is not None and given.kind == kind and given.error < 0.01 and given.precise
-    for k in range(FRAMES):
-        assert np.allclose(given.z[k], true_depth(k), rtol=0.02) and (given.confidence[k] == 1).all()
-
-
-def test_wrong_pixels_and_points_do_not_spoil_the_fit():
-    rng = np.random.default_rng(3)
-
-    def noisy(k):
-        z = true_depth(k) * 1000
-        z[rng.random(z.shape) < 0.2] *= 3.0
-        z[:20] = 0  # unknown
-        return z, np.ones_like(z)
-
-    given = fit_depth(noisy, views(), np.arange(FRAMES), np.concatenate([slanted(), rng.uniform(2, 9, (300, 3))]))
-    assert given is not None and given.kind == SCALE and (given.z[3][:20] == 0).all()
-    assert np.median(np.abs(given.z[3][20:] / true_depth(3)[20:] - 1)) < 0.02
-
-
-def test_points_on_what_moves_are_left_out():
-    moves = np.zeros((HEIGHT, WIDTH), bool)
-    moves[:, 60:] = True
-    half = lambda k: (np.where(moves, 3.0, 1.0) * true_depth(k), np.ones((HEIGHT, WIDTH)))  # noqa: E731
-    given = fit_depth(half, views(), np.arange(FRAMES), slanted(), lambda k: ~moves)
-    assert given is not None and np.allclose(given.z[0][:, :60], true_depth(0)[:, :60], rtol=0.02)
-
-
-def test_without_points_or_maps_there_is_none():
-    ones = np.ones((HEIGHT, WIDTH))
-    assert fit_depth(lambda k: None, views(), np.arange(FRAMES), slanted()) is None
-    assert fit_depth(lambda k: (ones, ones), views(), np.arange(FRAMES), np.zeros((0, 3))) is None
 
 
 def square_depth(k, flow):
@@ -85,7 +29,7 @@ def square_depth(k, flow):
 def test_seeds_lie_at_the_given_depth(error, tmp_path):
     flow = flow_of(tmp_path / "flow")
     z = {k: square_depth(k, flow) for k in range(FRAMES)}
-    given = GivenDepth(SCALE, error, z, {k: np.ones_like(one) for k, one in z.items()})
+    given = StoredDepth(SCALE, error, z, {k: np.ones_like(one) for k, one in z.items()})
     seeds = camera_seeds(flow, views(), wall(), 3000, given=given)
     assert seeds is not None and np.allclose(seeds.points[:, 2], NEAR, rtol=0.01)
     assert np.median(seeds.velocities[:, 0]) == pytest.approx(-0.2, rel=0.1), "and so they are as fast as the square"
@@ -105,7 +49,7 @@ def test_noise_of_single_frames_is_averaged_over_neighbours_with_the_size():
     found = {}
     for error in (0.0, 0.05):
         guessed = [np.zeros(2)] * FRAMES
-        depths = np.stack(given_numbers(objects, list(range(FRAMES)), GivenDepth(SCALE, error, z, sure), guessed))
+        depths = np.stack(given_numbers(objects, list(range(FRAMES)), StoredDepth(SCALE, error, z, sure), guessed))
         found[error] = np.abs(np.log(depths[:, 1] / true))
     assert np.allclose(found[0.0], np.abs(noise), atol=1e-5) and found[0.05].mean() < 0.6 * np.abs(noise).mean()
 
@@ -113,10 +57,10 @@ def test_noise_of_single_frames_is_averaged_over_neighbours_with_the_size():
 def test_pixels_of_something_else_have_their_objects_depth():
     z = np.full((4, 4), 5.0, np.float32)
     z[0, 0], z[1, 1] = 9.0, 0.0
-    given = GivenDepth(SCALE, 0.0, {0: z}, {0: np.ones_like(z)})
+    given = StoredDepth(SCALE, 0.0, {0: z}, {0: np.ones_like(z)})
     surface = given_surface(given, 0, np.full((4, 4), 4.8))
     assert surface[0, 0] == surface[1, 1] == 4.8 and surface[2, 2] == 5.0
-    assert (given_surface(given._replace(error=0.1), 0, np.full((4, 4), 4.8)) == 4.8).all()
+    assert (given_surface(replace(given, error=0.1), 0, np.full((4, 4), 4.8)) == 4.8).all()
 
 
 def test_what_is_at_rest_is_filled_up_where_pixels_are_to_be_believed():
@@ -125,9 +69,9 @@ def test_what_is_at_rest_is_filled_up_where_pixels_are_to_be_believed():
     sure[1][0, 0] = 0.2
     swept = {0: np.zeros((4, 4), np.float32)}
     swept[0][1, 1] = 0.5
-    filled = static_inverse(GivenDepth(SCALE, 0.01, z, sure), swept)
+    filled = static_inverse(StoredDepth(SCALE, 0.01, z, sure), swept)
     assert filled[0][1, 1] == 0.5 and filled[0][0, 0] == 0.25 and filled[1][0, 0] == 0 and filled[1][3, 3] == 0.25
-    assert static_inverse(GivenDepth(SCALE, 0.05, z, sure), swept) == swept
+    assert static_inverse(StoredDepth(SCALE, 0.05, z, sure), swept) == swept
 
 
 @pytest.fixture
@@ -172,6 +116,8 @@ def test_maps_of_another_shape_and_broken_ones_are_left_out(capture, tmp_path):
         ("rgb/2x/0_00001.png", "depth/2x/0_00001.npy"),
         ("frame-000003.color.png", "frame-000003.depth.png"),
         ("rgb/1305.031.png", "depth/1305.042.png"),
+        ("rgbd/7.jpg", "rgbd/7.depth"),
+        ("rgb/7.jpg", "depth/7.exr"),
         ("images/a.jpg", None),
         ("rgb/1305.031.png", None),
     ],
@@ -179,25 +125,12 @@ def test_maps_of_another_shape_and_broken_ones_are_left_out(capture, tmp_path):
 def test_where_depth_is_found(picture, depth, tmp_path):
     for name in ("depth/b.png", "depth/1306.042.png", *([depth] if depth else [])):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        if name.endswith(".npy"):
-            np.save(tmp_path / name, np.ones((4, 6), np.float32))
+        if name.endswith((".npy", ".depth", ".exr")):
+            np.save((tmp_path / name).open("wb"), np.ones((4, 6), np.float32))  # the content is looked at later
         else:
             Image.fromarray(np.ones((4, 6), np.uint16)).save(tmp_path / name)
     shot = Shot(name=picture, camera=0, time=0.0, size=(12, 8), file=picture)
     assert bool(add_depth(tmp_path, [shot])) is bool(depth) and shot.depth == depth
-
-
-def test_numpy_files_are_read_and_colours_are_not(tmp_path):
-    values = np.array([[1.5, np.nan], [-2.0, np.inf]], np.float64)
-    np.save(tmp_path / "a.npy", values)
-    assert read_depth(tmp_path, "a.npy").tolist() == [[1.5, 0.0], [0.0, 0.0]]
-    np.save(tmp_path / "b.npy", np.array([{}], object), allow_pickle=True)
-    np.save(tmp_path / "c.npy", np.zeros((2, 2, 3)))
-    (tmp_path / "d.npy").write_bytes((tmp_path / "a.npy").read_bytes()[:-8])
-    Image.new("RGB", (4, 4)).save(tmp_path / "e.png")
-    for name in ("b.npy", "c.npy", "d.npy", "e.png", "missing.npy"):
-        with pytest.raises(CaptureError, match=f"{name}: the depth map cannot be read"):
-            read_depth(tmp_path, name)
 
 
 def test_the_artifact_of_seeds_has_the_depth_at_which_things_are_held(tmp_path):

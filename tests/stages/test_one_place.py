@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from e4dgs.scene.seeds.given_depth import scaled_depth
 from e4dgs.scene.seeds.one_place import DISTANCE, assumed_depth, background
 from e4dgs.stages.captures.recognise import recognise
 from e4dgs.stages.facts import STANDS_STILL, Facts
 from e4dgs.stages.shared.frameset import FrameSet
+from e4dgs.vision.depth.together import FARTHEST, depth_of_inverse, scale_together
 from e4dgs.vision.sfm.fixed_cameras import SHAKEN, is_fixed
 from factory import Options, make, render
 from factory.render import to_uint8
@@ -123,27 +123,32 @@ def test_the_assumed_floor_is_level_and_joins_the_wall():
     np.testing.assert_allclose(height, height[0], rtol=1e-5)
 
 
-def test_given_depth_is_scaled_without_known_points():
+@pytest.mark.parametrize("masked", [True, False])
+def test_given_depth_is_scaled_without_known_points(masked):
+    """Something at another depth passes; with masks it may also stand there for as long as it likes."""
     rng = np.random.default_rng(0)
     true = np.tile(np.linspace(2, 9, 60), (40, 1))
-    moves = np.zeros((40, 60), bool)
-    moves[10:30, 20:30] = True
-    factors = 1000 * rng.uniform(0.8, 1.2, 5)
-
-    def of(i):
-        z = factors[i] * np.where(moves, 1.5, true)
-        z[:4] = 0
-        return z, np.ones_like(z)
-
-    given = scaled_depth(of, np.arange(5), lambda i: moves, DISTANCE)
-    assert given is not None and given.precise and (given.z[2][:4] == 0).all()
-    rest = ~moves
-    rest[:4] = False
-    assert np.median(given.z[0][rest]) == pytest.approx(DISTANCE, rel=0.02)
+    true[:4] = 0
+    factors, maps, rest = 1000 * rng.uniform(0.8, 1.2, 5), {}, {}
+    for i in range(5):
+        moves = np.zeros((40, 60), bool)
+        moves[10:30, 20:30] = True
+        moves = moves if masked else np.roll(moves, 8 * i, axis=1)
+        maps[i], rest[i] = factors[i] * np.where(moves, 1.5, true), ~moves if masked else None
+    scales, errors = scale_together(maps, rest, DISTANCE)
+    z = {i: maps[i] / scales[i][0] for i in maps}
+    still = (true > 0) & (maps[0] == factors[0] * true)
+    assert np.median(z[0][still]) == pytest.approx(DISTANCE, rel=0.02 if masked else 0.1)
+    assert max(errors.values()) < 1e-5 and (z[2][:4] == 0).all()
     for i in range(1, 5):
-        np.testing.assert_allclose(given.z[i], given.z[0], rtol=1e-4)
-    assert given.z[0][20, 25] / given.z[0][20, 40] == pytest.approx(1.5 / true[20, 40], rel=1e-3)
-    assert scaled_depth(lambda i: None, np.arange(5), lambda i: None, DISTANCE) is None
+        same = still & (maps[i] == factors[i] * true)
+        np.testing.assert_allclose(z[i][same], z[0][same], rtol=1e-4)
+    assert z[0][20, 25] / z[0][20, 40] == pytest.approx(1.5 / true[20, 40], rel=1e-3)
+
+
+def test_inverse_depth_without_known_points_has_no_shift_and_ends_far_away():
+    values = np.array([[0.0, 0.5, 1.0], [2.0, 1.0, 1e-6]])
+    np.testing.assert_allclose(depth_of_inverse(values), [[0, 2, 1], [0.5, 1, FARTHEST]], rtol=1e-6)
 
 
 @pytest.mark.parametrize("other", [0.0, 0.1])

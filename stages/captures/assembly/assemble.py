@@ -101,6 +101,7 @@ def _facts(kind: str, reading: Reading, options: Options, when: Timeline, size: 
         images_in_files=not reading.videos,
         upright=reading.upright,
         untimed=reading.untimed and not when.static,
+        depths=sum(shot.depth is not None for shot in reading.shots),
         every_time=options.every_time,
     )
 

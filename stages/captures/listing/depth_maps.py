@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from ....vision.images.depth_files import GREY, SUFFIXES
+from ....vision.depth.files import GREY, IMAGES, SUFFIXES, missing_extra
 from ....vision.images.files import BadImageError, open_image
 from .. import checks
 from ..reading import Shot
@@ -22,27 +22,34 @@ _STAMP = re.compile(r"\d+\.\d+")
 def add_depth(root: Path, shots: Sequence[Shot]) -> tuple[str, ...]:
     """Assigns to each shot without depth its map, if there is one: `depth/NAME` for `images/NAME`, or for NAME in the capture itself, with
     any of `SUFFIXES`; `depth/1x/NAME` for `rgb/1x/NAME`; `NAME.depth.png` beside `NAME.color.png`; the nearest stamp where names are time
-    stamps; and likewise `confidence/`. Maps that are no grey picture or do not have the shape of theirs are left out. Returns a note
-    for people if there is any that is used."""
+    stamps; `NAME.depth` and `NAME.conf` beside it; and likewise `confidence/`. Maps that are no grey picture or do not have the shape of
+    theirs are left out, and those that need a package that is not installed. Returns notes for people if there is any."""
     listed: dict[str, dict[str, str]] = {}
     for shot in shots:
         if shot.file is not None:
             shot.depth = shot.depth or _found(root, shot.file, FOLDERS, listed)
             shot.depth_confidence = _found(root, shot.file, CONFIDENCE, listed) if shot.depth else None
+    needing = {shot.depth: extra for shot in shots if shot.depth and (extra := missing_extra(shot.depth))}
+    for shot in shots:
+        if shot.depth in needing:
+            shot.depth = shot.depth_confidence = None
     unfit = [shot.depth for shot in shots if shot.depth and not _fits(root, shot)]
     for shot in shots:
         if shot.depth in unfit:
             shot.depth = shot.depth_confidence = None
     said = told(shots)
-    if said and unfit:
+    if needing:
+        first, extra = next(iter(needing.items()))
+        said += (f"{len(needing)} depth maps are not read (first {first}): that needs pip install 'e4dgs[{extra}]'",)
+    elif said and unfit:
         said += (f"{len(unfit)} depth maps are no grey picture or do not have the shape of theirs, and are left out (first {unfit[0]})",)
     return said
 
 
 def _fits(root: Path, shot: Shot) -> bool:
-    """Whether the map of ``shot`` can be opened and has the shape of its picture; that of arrays is not known yet."""
+    """Whether the map of ``shot`` can be opened and has the shape of its picture; that of others is not known yet."""
     assert shot.depth is not None
-    if shot.depth.lower().endswith(".npy"):
+    if not shot.depth.lower().endswith(IMAGES):
         return True
     try:
         with open_image(root / shot.depth) as opened:
@@ -75,6 +82,9 @@ def _found(root: Path, file: str, folders: Sequence[str], listed: dict[str, dict
             beside = posixpath.join(folder, f"{bare}.{folders[0]}{suffix}")
             if (root / beside).is_file():
                 return beside
+    packed = posixpath.join(folder, f"{stem}.{folders[-1] if folders is CONFIDENCE else folders[0]}")
+    if (root / packed).is_file():  # Record3D's
+        return packed
     inside = folder.partition("/")[2]
     for other in folders:
         places = (posixpath.dirname(folder), other), (folder, other), (other, inside)

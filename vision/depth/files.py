@@ -1,25 +1,45 @@
-"""Reads a depth map from an untrusted image or numpy file."""
+"""Reads a depth map, or the confidence in one, from an untrusted file."""
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from pathlib import Path
 
 import numpy as np
 
 from ...pipeline import CaptureError
-from .files import MOST_PIXELS, BadImageError, open_image, pixels
+from ..images.files import MOST_PIXELS, BadImageError, open_image, pixels
+from .exr import read_exr
+from .lzfse_files import PACKED, read_packed
 
-SUFFIXES = (".png", ".tif", ".tiff", ".npy")
+SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".exr", *PACKED)
+IMAGES = (".png", ".tif", ".tiff")
+EXTRAS = {".exr": ("OpenEXR", "exr"), **dict.fromkeys(PACKED, ("lzfse", "record3d"))}  # suffix: module that reads it, extra that brings it
 GREY = ("I;16", "I;16B", "I;16L", "I", "F", "L")
 
 
-def read_depth(root: Path, name: str) -> np.ndarray:
+def missing_extra(name: str) -> str | None:
+    """The extra of e4dgs without which the depth map ``name`` cannot be read; None if it can be."""
+    module, extra = EXTRAS.get(Path(name).suffix.lower(), (None, None))
+    return None if module is None or importlib.util.find_spec(module) is not None else extra
+
+
+def read_depth(root: Path, name: str, shape: tuple[int, int]) -> np.ndarray:
     """float32 [h, w]: the values of the depth map `root/name` as they are stored; 0 where there is none (also for what is negative or not
-    finite). Raises CaptureError if it cannot be read or is no map of one channel."""
+    finite). shape: height and width of its picture, for files that do not say their own: those have its ratio. Raises CaptureError if it
+    cannot be read or is no map of one channel."""
     again = "copy it again or remove it from the capture"
+    if extra := missing_extra(name):
+        raise CaptureError(f"{name}: reading it needs: pip install 'e4dgs[{extra}]'")
+    suffix = Path(name).suffix.lower()
     try:
-        found = _numpy(root / name) if name.lower().endswith(".npy") else _image(root / name)
+        if suffix in PACKED:
+            found = read_packed(root / name, shape)
+        elif suffix == ".exr":
+            found = read_exr(root / name)
+        else:
+            found = _numpy(root / name) if suffix == ".npy" else _image(root / name)
     except BadImageError as error:
         raise CaptureError(f"{name}: the depth map cannot be read, perhaps cut short ({error}); {again}") from error
     values = found.astype(np.float32)
