@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-from e4dgs.pipeline import Settings, settings_by_name
+from e4dgs.pipeline import settings_by_name
 from e4dgs.workflows.presets import PRESETS
 from e4dgs.workflows.reconstruction import reconstruction
 from pydantic.fields import FieldInfo
@@ -43,7 +42,7 @@ MAIN = (
     *("evaluate.splits", "evaluate.lpips_weights"),
 )
 BEYOND = 50_000  # upper limits from here on keep mistakes away, and are not worth a reader's time
-ADVANCED = "These are right for nearly all captures."
+ADVANCED = "These are right for nearly all captures. Older names are understood; a line says the new one."
 
 
 def page() -> str:
@@ -61,27 +60,7 @@ def page() -> str:
             of = next(stages for name, (stages, _) in names.items() if name in own)
             parts += [f"\n### {group}\n", *([f"Shared by {' and '.join(of)}.\n"] if len(of) > 1 else []), HEAD]
             parts += [row(name, field) for name, field in own.items()]
-    return "\n".join([*parts, *older(classes)]).rstrip() + "\n"
-
-
-def older(classes: Mapping[str, type[Settings]]) -> list[str]:
-    """The table of older names."""
-    former: dict[str, list[str]] = {}
-    for cls in classes.values():
-        for base in cls.__mro__:
-            for old, new in vars(base).get("renamed", {}).items():
-                if old not in (known := former.setdefault(new, [])):
-                    known.append(old)
-    rows = [f"| {', '.join(f'`{old}`' for old in olds)} | `{new}` |" for new, olds in sorted(former.items())]
-    told = "They are understood after the name of the stage that had them, and a line says the new name."
-    gone = {
-        f"{stage}.{old}": now
-        for stage, cls in classes.items()
-        for base in cls.__mro__
-        for old, now in vars(base).get("dropped", {}).items()
-    }
-    rows += [f"| `{old}` | no setting: {now} |" for old, now in sorted(gone.items())]
-    return ["\n## Older names\n", told + "\n", "| older | now |\n|---|---|", *rows]
+    return "\n".join(parts).rstrip() + "\n"
 
 
 def presets() -> list[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ..images.files import MOST_BYTES, MOST_PIXELS, BadImageError
 
 PACKED = (".depth", ".conf")
 SHAPE = 0.05  # share by which the ratio of the sides may differ from that of the picture
-_TYPES = {".depth": np.dtype("<f4"), ".conf": np.dtype("u1")}
+_TYPES: dict[str, np.dtype[Any]] = {".depth": np.dtype("<f4"), ".conf": np.dtype("u1")}
 _LONGEST = 2**14
 
 

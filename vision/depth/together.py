@@ -10,8 +10,8 @@ FARTHEST = 10.0  # times the usual depth: the values of farther pixels say nothi
 
 
 def depth_of_inverse(values: np.ndarray) -> np.ndarray:
-    """Depth [h, w], up to scale, of inverse depth ``values`` [h, w] of a network, 0 where they are unknown. Networks give about 0 for what is
-    infinitely far, so without known points no shift is assumed."""
+    """Depth [h, w], up to scale, of inverse depth ``values`` [h, w] of a network, 0 where they are unknown. Networks give about 0 for what
+    is infinitely far, so without known points no shift is assumed."""
     there = values > 0
     if not there.any():
         return np.zeros_like(values, np.float32)
