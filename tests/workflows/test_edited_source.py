@@ -69,9 +69,9 @@ def rerun(copy: Copy, name: str, line: str, cuda: bool = False) -> set[str]:
         ("stages/captures/checks.py", {"frames"}),
         ("vision/flow/two_way.py", {"poses", "flow", "seeds"}),
         ("vision/cpu/correlate.cpp", {"poses", "flow", "seeds"}),
-        ("vision/sfm/worker/survey.py", {"poses", "seeds"}),
+        ("vision/sfm/worker/survey.py", {"poses", "depth", "seeds"}),
         ("scene/training/rates.py", {"coarse", "fine"}),
-        ("rasterizer/math/hull.h", {"seeds", "coarse", "hulls", "fine", "evaluate"}),
+        ("rasterizer/math/hull.h", {"depth", "seeds", "coarse", "hulls", "fine", "evaluate"}),
         ("stages/evaluate/judge.py", {"evaluate"}),
         ("stages/estimates.py", set()),
         ("stages/report/page.py", set()),
@@ -88,7 +88,7 @@ def test_what_an_edit_reruns(copy, name, stages):
 
 def test_an_edit_of_a_kernel_of_the_gpu_reruns_what_was_computed_on_one(copy):
     line = "constexpr int kMore = 1;"
-    assert rerun(copy, "rasterizer/cuda/alpha.cuh", line, cuda=True) == {"coarse", "hulls", "fine", "evaluate"}
+    assert rerun(copy, "rasterizer/cuda/alpha.cuh", line, cuda=True) == {"depth", "coarse", "hulls", "fine", "evaluate"}
 
 
 def test_an_installed_package_has_the_same_keys(copy):
