@@ -1,6 +1,7 @@
 """LLFF, 4DGaussians, Record3D, Polycam, 7-Scenes and TUM: poses, times and lenses are those that made them."""
 
 import importlib
+import importlib.util
 import json
 import shutil
 
@@ -114,7 +115,8 @@ def test_record3d(path, tmp_path, folder):
     assert (capture.facts["format"], capture.facts["cameras"]) == ("record3d", 1)
     assert_truth(capture, written)
     assert capture.seconds[-1] == pytest.approx(11 / 60)
-    assert any(f"{folder}/0.depth and 11 more files are not read: depth" in note for note in capture.notes)
+    if importlib.util.find_spec("lzfse") is None:
+        assert any(f"12 depth maps are not read (first {folder}/0.depth)" in note for note in capture.notes)
     data = json.loads((tmp_path / "metadata.json").read_text())
     rows = {**data, "K": np.reshape(data["K"], (3, 3)).T.tolist()}  # some writers list rows
     (tmp_path / "metadata.json").write_text(json.dumps(rows))

@@ -97,10 +97,10 @@ def test_without_masks_every_seed_may_move(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("fixed", "moving", "expected"), [(False, True, "seeds"), (True, True, None), (True, False, None), (False, False, None)]
+    ("fixed", "moving", "expected"), [(False, True, "seeds"), (True, True, "seeds"), (True, False, None), (False, False, None)]
 )
-def test_one_camera_seeds_what_moves_when_it_moves_itself(fixed, moving, expected, tmp_path, monkeypatch):
-    """No seeds without masks of moving pixels, nor where the camera stands: nothing tells a depth."""
+def test_one_camera_seeds_what_moves_where_masks_show_it(fixed, moving, expected, tmp_path, monkeypatch):
+    """Also where the camera stands still: then their depth is given or assumed."""
     found = MovingSeeds(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]))
     monkeypatch.setattr(room, "camera_seeds", lambda *given: found)
     ctx = context(flow(tmp_path / "flow", fixed, moving))
