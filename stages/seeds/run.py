@@ -33,12 +33,10 @@ def place_seeds(ctx: Context) -> None:
     if frames.background is None:
         views.background = mean_colour(views)
     if motion.most_seeds is not None:
-        chosen = np.random.default_rng(settings.seed).permutation(len(points))[: motion.most_seeds]
-        points, colors = points[chosen], colors[chosen]
+        points, colors = drawn(points, colors, motion.most_seeds, settings.seed)
     room = len(points) if settings.budget is None else budget - (0 if moving is None else len(moving.points))
     if len(points) > room:  # a budget that was asked for holds from the start
-        chosen = np.sort(np.random.default_rng(settings.seed).permutation(len(points))[:room])
-        points, colors = points[chosen], colors[chosen]
+        points, colors = drawn(points, colors, room, settings.seed)
         ctx.log(f"seeds: {len(points)} of them are used, since train.budget is {budget}")
     seeds = StoredSeeds(
         points=points,
@@ -51,3 +49,9 @@ def place_seeds(ctx: Context) -> None:
         path_width=path_width(views, trusted) if one_way(facts) else None,
     )
     seeds.write(ctx.out, encode_png(seeds_picture(views, points, colors, moving)))
+
+
+def drawn(points: np.ndarray, colors: np.ndarray, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """``count`` of the ``points`` [N, 3] at random, with their ``colors`` [N, 3]: all if there are fewer, none if ``count`` is negative."""
+    chosen = np.random.default_rng(seed).permutation(len(points))[: max(count, 0)]
+    return points[chosen], colors[chosen]

@@ -11,6 +11,7 @@ from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
 from e4dgs.scene.views import Views
 from e4dgs.stages.seeds import place as room
 from e4dgs.stages.seeds.place import initial_dynamic, moving_seeds
+from e4dgs.stages.seeds.run import drawn
 from write_artifact import write_artifact
 
 LOOKS = 20
@@ -124,3 +125,10 @@ def test_seeds_of_each_time_live_around_it_and_overlap_the_next():
         presence = np.exp(-0.5 * (10 / one.log_spans.exp().detach().numpy()) ** 2)  # half way to the next
         assert (presence > 0.5).all()
     assert np.allclose(np.concatenate([one.velocities.detach().numpy() for one in sets]), velocities, atol=1e-6)
+
+
+@pytest.mark.parametrize(("count", "expected"), [(-3, 0), (0, 0), (7, 7), (WIDTH, WIDTH), (WIDTH + 5, WIDTH)])
+def test_no_more_seeds_are_drawn_than_there_is_room_for(count, expected):
+    """Seeds on what moves may fill a budget alone."""
+    chosen, colors = drawn(points(), points() / WIDTH, count, 0)
+    assert len(chosen) == expected == len(np.unique(chosen, axis=0)) and np.array_equal(colors, chosen / WIDTH)
