@@ -21,7 +21,6 @@ from .artifact import StoredDepth, write_points
 
 SIZE = 480  # px, longer side of the maps that are stored: all of them are in memory
 POINTS = 1500  # of a frame, at most
-FEWEST_POINTS = 50  # of a capture; fewer are not enough to begin with, here as in `seeds`
 
 Maps = Callable[[int], tuple[np.ndarray, np.ndarray] | None]
 
@@ -30,7 +29,7 @@ def find_depth(ctx: Context) -> None:
     """Writes the depth of all training frames that have any, and the points if they had to be triangulated."""
     frames = load_frameset(ctx.inputs, ctx.capture.root)
     views = load_views(frames, None)
-    if frames.stands_still and (frames.points is None or len(frames.points) < FEWEST_POINTS):
+    if frames.stands_still and not frames.enough_points:
         without_points(ctx, frames)
         return
     points = known_points(ctx, frames, views)
@@ -47,12 +46,12 @@ def find_depth(ctx: Context) -> None:
     if aligned is None:
         some = any(len(one.value) >= FEWEST for one in samples.values())
         why = "it has little to do with the known points" if some else "no frame shows enough known points to align it to"
-        ctx.log(f"depth: it is not used, since {why}")
+        ctx.log(f"it is not used, since {why}")
         return
     z = {i: aligned.depth(i, small[i][0]) for i in aligned.fits}
     stored = StoredDepth(aligned.kind, aligned.error, z, confidence(z, {i: sure for i, (_, sure) in small.items()}))
     stored.write(ctx.out, aligned.fits, aligned.errors)
-    ctx.log(f"depth: {len(z)} frames, {aligned.kind}, {aligned.error:.1%} off the known points")
+    ctx.log(f"{len(z)} frames, {aligned.kind}, {aligned.error:.1%} off the known points")
 
 
 def without_points(ctx: Context, frames: FrameSet) -> None:
@@ -69,16 +68,14 @@ def without_points(ctx: Context, frames: FrameSet) -> None:
                 rest[i] = None if still is None else _small((still, still))[0]
             bar.advance(1)
     if not any((one > 0).any() for one in depths.values()):
-        ctx.log("depth: it is not used, since no map has a known value")
+        ctx.log("it is not used, since no map has a known value")
         return
     scales, errors = scale_together(depths, rest, DISTANCE)
     z = {i: (depths[i] / scale[0]).astype(np.float32) for i, scale in scales.items()}
     stored = StoredDepth(SCALE, float(np.median(list(errors.values()))), z, confidence(z, sure))
     stored.write(ctx.out, scales, errors)
     told = "of the network" if ctx.settings.model is not None else "of the capture, read as distances along the axis in any unit"
-    ctx.log(
-        f"depth: {len(z)} maps {told}; their median becomes {DISTANCE:g} world units; they agree to {stored.error:.1%} where nothing moves"
-    )
+    ctx.log(f"{len(z)} maps {told}; their median becomes {DISTANCE:g} world units; they agree to {stored.error:.1%} where nothing moves")
 
 
 def confidence(z: Mapping[int, np.ndarray], sure: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
@@ -102,10 +99,10 @@ def maps_of(ctx: Context, frames: FrameSet) -> tuple[Maps, tuple[str, ...]]:
 
 def known_points(ctx: Context, frames: FrameSet, views: Views) -> np.ndarray:
     """[P, 3] points at rest, world units: the capture's, SfM's or triangulated ones, without those that `trusted` leaves out."""
-    if frames.points is not None and len(frames.points) >= FEWEST_POINTS:
+    if frames.enough_points:
         points = np.asarray(frames.points)
     else:
-        ctx.log("depth: triangulating points with the known poses")
+        ctx.log("triangulating points with the known poses")
         points, colors, _ = triangulate(frames)
         write_points(ctx.out, points, colors)
     return np.asarray(points[trusted(points, views.centres()[views.train])])

@@ -31,7 +31,6 @@ MOVING_SHARE = 0.5  # masks of single frames of a moving camera, if moving objec
 COVERED_SHARE = 0.05  # the same, if they have none and seeds that they sometimes hide must represent them
 SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide,
 SWEPT_DENSITY = 1.5  # and relative to the share of the pixels whose depth it found: the others need seeds, too
-FEWEST_POINTS = 50  # of the capture or of SfM that are used
 LEAST_POINTS = 30  # least number of points for depths interpolated between them to be meaningful
 LOOKS = 60  # masks of a moving camera that are used
 
@@ -52,10 +51,10 @@ def load_seeds(ctx: Context, frames: FrameSet, views: Views, count: int, fill: b
     rigs are filled up to about ``count``, and so are those of captures whose points have to be triangulated, and with ``fill`` also
     those of others."""
     settings = ctx.settings
-    if frames.stands_still and (frames.points is None or len(frames.points) < FEWEST_POINTS):
+    if frames.stands_still and not frames.enough_points:
         standing = standing_seeds(ctx, frames, views, count)
         return Seeds(standing.points, standing.colors, standing.points, standing.inverse, standing.given)
-    if frames.points is not None and len(frames.points) >= FEWEST_POINTS:
+    if frames.enough_points:
         points, colors = np.asarray(frames.points), np.asarray(frames.point_colors) / 255.0
         ctx.log(f"seeds: {len(points)} points of the capture or of SfM")
         fill = fill or len(middle_frames(views)) >= MIN_CAMERAS

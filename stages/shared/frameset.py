@@ -15,6 +15,7 @@ from ...vision.images import lenses, pictures
 from ..frames.artifact import StoredFrames
 from ..poses.artifact import StoredPoses
 
+FEWEST_POINTS = 50  # of the capture or of structure from motion; fewer are not used
 WHOLLY = 254  # of 255: value from which a pixel of a scaled or undistorted mask lies wholly inside
 _MAPS_KEPT = 4  # cached maps take 8 bytes per pixel; one camera needs two, one for each direction
 
@@ -32,6 +33,7 @@ class FrameSet:
     watermark: [H,W] uint8, 255 where something stands still in all distorted pictures, such as a logo; None if nothing does.
     origin: [3], the point of the files' world that is the origin of this one; None if nothing was moved.
     masked: whether some pixels do not count, so that `kept` may return a mask.
+    enough_points: whether the capture or structure from motion gives enough points to begin with.
     files, upright: the image files, and whether they are rotated as their EXIF data ask; crop [F,4] px, or None if all pictures are shown
     whole.
     fixed_cameras: no camera moves, according to the files or the pictures. stands_still: nor is there more than one.
@@ -64,6 +66,7 @@ class FrameSet:
         self._lens_K = self.K if source.lens_K is None else source.lens_K
         self._fisheye = np.zeros(len(self), np.uint8) if source.fisheye is None else source.fisheye
         self.points, self.point_colors = source.points, source.point_colors
+        self.enough_points = self.points is not None and len(self.points) >= FEWEST_POINTS
         if self.K is None or self.cam_from_world is None:
             self.registered = np.zeros(len(self), bool)
         else:
