@@ -48,6 +48,11 @@ def upward(poses: np.ndarray) -> np.ndarray:
     return up / np.linalg.norm(up) if length > 1e-6 else -poses[0, 1, :3]
 
 
+def stand_still(poses: np.ndarray) -> bool:
+    """Whether several ``poses`` [F, 4, 4] are those of one camera that stands still."""
+    return len(poses) > 1 and not np.ptp(poses, axis=0).any()
+
+
 def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     """[count, 4, 4] around ``target`` [3], at the median distance and height of the cameras ``poses``; a closed path.
 
@@ -55,7 +60,6 @@ def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     and hardly at all for one that stands still, beside which nothing is known.
     """
     up, offset = upward(poses), centres(poses) - target
-    stands = len(poses) > 1 and not np.ptp(poses, axis=0).any()
     height = float(np.median(offset @ up))
     flat = offset - (offset @ up)[:, None] * up
     radius = float(np.median(np.linalg.norm(flat, axis=1)))
@@ -67,7 +71,9 @@ def turntable(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
         first = np.cross(up, [1.0, 0, 0]) if abs(up[0]) < 0.9 else np.cross(up, [0, 1.0, 0])
     side = first / np.linalg.norm(first)
     other = np.cross(up, side)
-    angles = _around(np.arctan2(flat @ other, flat @ side), np.linspace(0, 2 * np.pi, count, endpoint=False), STANDING if stands else SWING)
+    angles = _around(
+        np.arctan2(flat @ other, flat @ side), np.linspace(0, 2 * np.pi, count, endpoint=False), STANDING if stand_still(poses) else SWING
+    )
     eyes = target + height * up + radius * (np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other)
     return np.stack([look_at(eye, target, up) for eye in eyes])
 
@@ -97,7 +103,7 @@ def spiral(poses: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     axes = middle[:3, :3]
     spread = np.percentile(np.abs((eyes - eye) @ axes.T), 90, axis=0)
     usual = distance * np.array([1, 0.5, 0.25])
-    least = np.tan(np.radians(STANDING)) if len(poses) > 1 and not np.ptp(poses, axis=0).any() else REACH
+    least = np.tan(np.radians(STANDING)) if stand_still(poses) else REACH
     reach = np.clip(BETWEEN * spread, least * usual, MOST_REACH * usual)
     angles = np.linspace(0, 2 * np.pi * TURNS, count, endpoint=False)
     shift = np.stack([np.cos(angles), np.sin(angles), np.sin(angles / TURNS)], 1) * reach

@@ -109,3 +109,14 @@ def test_upward_of_cameras_side_by_side_is_their_own():
     """They say nothing about how far they are tilted."""
     poses = np.stack([look_at(np.array([x, -4.0, 3.0]), np.array([x, 0, 0.0]), UP) for x in (0.0, 1.0)])
     np.testing.assert_allclose(upward(poses), [0, 0.6, 0.8], atol=1e-9)
+
+
+@pytest.mark.parametrize(("moved", "least", "most"), [(0.0, 0, 3.1), (1e-3, 11, 25)])
+def test_a_path_hardly_leaves_the_place_of_one_camera_that_stands_still(moved, least, most):
+    poses = np.stack([look_at(np.array([moved * k, -4.0, 1.0]), TARGET, UP) for k in range(5)])
+    for path in (turntable, spiral):
+        eyes = np.stack([-pose[:3, :3].T @ pose[:3, 3] for pose in path(poses, TARGET, 40)])
+        rays = eyes - TARGET
+        first = -poses[0, :3, :3].T @ poses[0, :3, 3] - TARGET
+        angle = np.degrees(np.arccos(np.clip(rays @ first / np.linalg.norm(rays, axis=1) / np.linalg.norm(first), -1, 1)))
+        assert angle.max() <= most and (path is spiral or angle.max() >= least)
