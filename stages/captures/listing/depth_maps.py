@@ -41,7 +41,7 @@ def add_depth(root: Path, shots: Sequence[Shot]) -> tuple[str, ...]:
     if needing:
         first, extra = next(iter(needing.items()))
         said += (f"{len(needing)} depth maps are not read (first {first}): that needs pip install 'e4dgs[{extra}]'",)
-    elif said and unfit:
+    if unfit and (said or needing):
         said += (f"{len(unfit)} depth maps are no grey picture or do not have the shape of theirs, and are left out (first {unfit[0]})",)
     return said
 
