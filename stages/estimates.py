@@ -8,7 +8,7 @@ from .facts import Facts
 from .shared.defaults import one_way
 
 SECONDS_PER_MAP = 0.03  # of a depth map that is read and aligned, on two cores
-SECONDS_PER_NETWORK_FRAME = 2.0  # of a small network (25 M weights, 518 px) on two cores
+SECONDS_PER_NETWORK_FRAME = 2.0  # a guess for a small network (25 M weights, 518 px) on two cores; none was timed
 SECONDS_PER_FIRST_STEP = 0.01  # of a first training on very small images, on two cores
 
 # Seeds, on two cores.
