@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from e4dgs.scene.seeds.colours import median_colours
-from e4dgs.scene.seeds.moving.hull import visual_hull
+from e4dgs.scene.seeds.moving.hull import VisualHull
 from e4dgs.scene.seeds.near_plane import near_plane
 from e4dgs.scene.seeds.outliers import trusted
 from e4dgs.scene.seeds.rays import ray_seeds
@@ -83,10 +83,10 @@ def test_no_rays_from_what_is_skipped_and_none_where_little_is_known():
 def test_the_hull_is_the_ball_and_nothing_is_in_empty_masks():
     views = ring()
     masks = silhouettes(views)
-    seeds = visual_hull(views, masks, views.train, 500, seed=0)
+    seeds = VisualHull(views).points(masks, views.train, 500, 0)
     distance = np.linalg.norm(seeds, axis=1)
     assert len(seeds) == 500 and np.quantile(distance, 0.9) < 1.6 * BALL and np.quantile(distance, 0.1) > 0.7 * BALL
-    assert visual_hull(views, [np.zeros_like(m) for m in masks], views.train, 500, seed=0).shape == (0, 3)
+    assert VisualHull(views).points([np.zeros_like(m) for m in masks], views.train, 500, 0).shape == (0, 3)
 
 
 def test_a_median_is_not_coloured_by_what_hides_a_point_from_some():

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from e4dgs.scene.seeds.moving.hull import visual_hull
+from e4dgs.scene.seeds.moving.hull import VisualHull
 from e4dgs.scene.seeds.moving.surfaces import TOLERANCE, surface_points
 from rendered_room import rendered_room
 
@@ -27,7 +27,7 @@ def empty(views, depths, points, margin):
 
 def test_measured_points_lie_on_the_surface_and_the_rest_of_the_hull_is_not_known_to_be_empty(rig):
     views, pictures, masks, depths = rig
-    hull = visual_hull(views, masks, views.train, 6000, 0)
+    hull = VisualHull(views).points(masks, views.train, 6000, 0)
     points, colors, left = surface_points(views, list(views.train), pictures, masks, hull)
     assert len(points) > 0.2 * sum(mask.sum() for mask in masks)
     assert empty(views, depths, points, TOLERANCE).mean() < 0.05
@@ -46,7 +46,7 @@ def test_measured_points_lie_on_the_surface_and_the_rest_of_the_hull_is_not_know
 
 def test_without_texture_the_hull_stays_as_it_is_seen_from_outside(rig):
     views, pictures, masks, _ = rig
-    hull = visual_hull(views, masks, views.train, 3000, 0)
+    hull = VisualHull(views).points(masks, views.train, 3000, 0)
     points, colors, left = surface_points(views, list(views.train), [np.full_like(p, 128) for p in pictures], masks, hull)
     assert points.shape == (0, 3) and colors.shape == (0, 3)
     assert left.mean() > 0.3
@@ -54,6 +54,6 @@ def test_without_texture_the_hull_stays_as_it_is_seen_from_outside(rig):
 
 def test_nothing_is_found_of_what_no_mask_shows(rig):
     views, pictures, masks, _ = rig
-    hull = visual_hull(views, masks, views.train, 3000, 0)
+    hull = VisualHull(views).points(masks, views.train, 3000, 0)
     points, colors, left = surface_points(views, list(views.train), pictures, [np.zeros_like(m) for m in masks], hull)
     assert points.shape == (0, 3) and colors.shape == (0, 3) and left.dtype == bool
