@@ -57,7 +57,6 @@ class Trainer:
         phases: list[Phase],
         settings: TrainingSettings,
         budget: int,
-        most: int | None = None,
         checkpoints: Path | None = None,
         part: str = "",
         lr_scale: float = 1.0,
@@ -70,6 +69,7 @@ class Trainer:
         recipe: Recipe | None = None,
         advance: Callable[[int, str], None] = lambda n, note: None,
         log: Callable[[str], None] = lambda message: None,
+        most: int | None = None,
     ) -> None:
         self.recipe = recipe = model.motion.recipe if recipe is None else recipe
         self.model, self.views, self.phases, self.settings = model, views, phases, settings
