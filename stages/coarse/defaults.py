@@ -12,7 +12,6 @@ ITERATIONS_A_TIME = 280  # steps per time of a rig, since each time needs its ow
 MOST_ITERATIONS = 30_000
 LEAST_ITERATIONS = 2000  # with fewer, renders look foggy
 WIDE_PATH = 60.0  # degrees
-NO_PATH = 0.01  # degrees
 
 
 def auto_iterations(facts: Facts, settings: CoarseSettings, device: str = "cpu") -> int:
@@ -29,6 +28,6 @@ def auto_iterations(facts: Facts, settings: CoarseSettings, device: str = "cpu")
 def auto_sh_degree(facts: Facts, width: float) -> int:
     """0 for a camera that stands still. 1 for rigs, and along a path of which a point sees less than `WIDE_PATH` (``width``, degrees), else
     2. Who sees each point from few directions fits its colour to their differences, which does not hold for other views."""
-    if one_way(facts) and width < NO_PATH:
+    if facts.stands_still:
         return 0
     return 1 if facts.rig or (one_way(facts) and width < WIDE_PATH) else 2

@@ -82,6 +82,11 @@ def write_account(out: ArtifactWriter, **account: Unpack[Account]) -> None:
     out.attrs.update(account)
 
 
+def found_fixed(artifact: Artifact | None) -> bool:
+    """`Account.fixed_cameras`; False without the stage or where it says nothing."""
+    return artifact is not None and bool(artifact.attrs.get("fixed_cameras"))
+
+
 def read_limits(artifact: Artifact) -> str | None:
     """`Account.limits`; None if nothing special limits the result."""
     limits: str | None = artifact.attrs.get("limits")

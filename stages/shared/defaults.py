@@ -9,6 +9,7 @@ from ...pipeline import Context
 from ...scene.motion.kinds import KINDS
 from ..facts import Facts
 from ..flow.artifact import flow_of
+from ..poses.artifact import found_fixed
 
 if TYPE_CHECKING:
     from ...scene.views import Views
@@ -17,9 +18,11 @@ CLIP_PIXELS = 250_000  # of a picture up to which a clip gets all steps on a CPU
 
 
 def found_facts(ctx: Context, views: Views) -> Facts:
-    """Facts about the capture, with what `flow` found. If nothing moves, its times are those of ``views``, one for a moving camera, as with
-    `--static`."""
+    """Facts about the capture, with what `poses` and `flow` found: whether its only camera stands still, and whether nothing moves. Its
+    times are then those of ``views``, one for a moving camera, as with `--static`."""
     facts, flow = Facts.of(ctx.facts), flow_of(ctx.inputs)
+    if facts.cameras == 1 and found_fixed(ctx.inputs.get("poses")):
+        facts = replace(facts, fixed_cameras=True)
     if flow is None or not flow.static:
         return facts
     return replace(facts, static=True, times=len(set(views.time.tolist())))

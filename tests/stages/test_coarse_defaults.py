@@ -83,6 +83,13 @@ def test_a_scene_is_static_where_the_user_says_so_or_flow_has_found_it(said, fou
     assert found_facts(SimpleNamespace(facts={"static": said}, inputs={"flow": old}), views).static is said
 
 
+@pytest.mark.parametrize(("cameras", "fixed", "stands"), [(1, True, True), (1, None, False), (3, True, False)])
+def test_one_camera_stands_still_where_poses_have_found_it(cameras, fixed, stands):
+    poses = None if fixed is None else SimpleNamespace(attrs={"fixed_cameras": fixed})
+    ctx = SimpleNamespace(facts={"cameras": cameras}, inputs={"flow": None, "poses": poses})
+    assert found_facts(ctx, SimpleNamespace(time=np.zeros(3))).stands_still is stands
+
+
 @pytest.mark.parametrize(("found", "times"), [(True, 1), (True, 20), (False, 1)])
 def test_a_static_scene_has_as_many_times_as_training_sees(found, times):
     ctx = SimpleNamespace(facts={"frames": 20, "times": 20}, inputs={"flow": SimpleNamespace(attrs={"static": found})})

@@ -129,7 +129,7 @@ def test_along_a_path_seeds_are_half_of_a_larger_budget(size, budget, seeds):
         {"static": True},
         {"alpha": True},  # an object alone: its silhouettes are carved
         {"times": 90 // 4},  # a rig
-        {"fixed_cameras": True},
+        {"fixed_cameras": True, "cameras": 2},
     ],
 )
 def test_other_captures_keep_their_seeds_budget_and_degree(other):
@@ -141,6 +141,11 @@ def test_other_captures_keep_their_seeds_budget_and_degree(other):
             8 if facts.static else 4
         )
         assert auto_sh_degree(facts, width=0.0) == 2
+
+
+def test_a_camera_that_stands_still_is_one_way_and_tells_nothing_of_directions():
+    facts = Facts(frames=90, times=90, pairs=89, cameras=1, fixed_cameras=True)
+    assert one_way(facts) and auto_sh_degree(facts, width=0.0) == 0
 
 
 @pytest.mark.parametrize(("width", "degree"), [(0.0, 1), (WIDE_PATH - 1, 1), (WIDE_PATH + 1, 2)])
