@@ -12,7 +12,7 @@ from ...scene.seeds.outliers import trusted
 from ...scene.views import Views
 from ...vision.depth.align import FEWEST, INVERSE, KINDS, SCALE, Sample, align
 from ...vision.depth.network import DepthNetwork
-from ...vision.depth.together import depth_of_inverse, scale_together
+from ...vision.depth.together import depth_of_inverse, is_inverse, scale_together
 from ...vision.sequences import camera_sequences
 from ...vision.triangulate import triangulate
 from ..shared.dataset import load_frameset, load_views
@@ -57,25 +57,34 @@ def find_depth(ctx: Context) -> None:
 def without_points(ctx: Context, frames: FrameSet) -> None:
     """The same before one camera that stands still: there are no points, so the maps are aligned to one another."""
     maps, kinds = maps_of(ctx, frames)
-    inverse = kinds == (INVERSE,)
-    depths, sure, rest = {}, {}, {}
+    values, sure, rest = {}, {}, {}
     with ctx.progress(len(frames.train), "depth of frames") as bar:
         for i in (int(i) for i in frames.train):
             found = maps(i)
             if found is not None and (found[0] > 0).any():
-                values, sure[i] = _small(found)
-                depths[i], still = depth_of_inverse(values) if inverse else values, at_rest(frames, i)
+                values[i], sure[i] = _small(found)
+                still = at_rest(frames, i)
                 rest[i] = None if still is None else _small((still, still))[0]
             bar.advance(1)
-    if not any((one > 0).any() for one in depths.values()):
+    if not any((one > 0).any() for one in values.values()):
         ctx.log("it is not used, since no map has a known value")
         return
+    inverse, told = (kinds == (INVERSE,), "of the network") if ctx.settings.model is not None else kind_of_files(values)
+    depths = {i: depth_of_inverse(one) for i, one in values.items()} if inverse else values
     scales, errors = scale_together(depths, rest, DISTANCE)
     z = {i: (depths[i] / scale[0]).astype(np.float32) for i, scale in scales.items()}
     stored = StoredDepth(SCALE, float(np.median(list(errors.values()))), z, confidence(z, sure))
     stored.write(ctx.out, scales, errors)
-    told = "of the network" if ctx.settings.model is not None else "of the capture, read as distances along the axis in any unit"
     ctx.log(f"{len(z)} maps {told}; their median becomes {DISTANCE:g} world units; they agree to {stored.error:.1%} where nothing moves")
+
+
+def kind_of_files(values: Mapping[int, np.ndarray]) -> tuple[bool, str]:
+    """Whether the maps ``values`` [h, w] of a camera that stands still hold inverse depth, and how that was found, for people."""
+    inverse = is_inverse(values)
+    if inverse is None:
+        return False, "of the capture, read as distances along the axis in any unit, since nothing passes in them that would tell"
+    kind = "inverse distances" if inverse else "distances along the axis in any unit"
+    return inverse, f"of the capture, which hold {kind}, by what passes before the background"
 
 
 def confidence(z: Mapping[int, np.ndarray], sure: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:

@@ -54,10 +54,12 @@ def given_surface(given: StoredDepth, i: int, number: np.ndarray) -> np.ndarray:
 def static_inverse(given: StoredDepth, measured: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
     """Inverse depth by frame, see `Swept`: as ``measured``, and where that is unknown the given one if single pixels are to be believed."""
     result = dict(measured)
+    shape = next((one.shape for one in measured.values()), None)
     for i, z in given.z.items() if given.precise else ():
         known = measured.get(i)
-        step = max(1, round(max(z.shape) / WIDTH))
-        shape = known.shape if known is not None else (z.shape[0] // step, z.shape[1] // step)
+        if shape is None:  # all maps have one size
+            step = max(1, round(max(z.shape) / WIDTH))
+            shape = z.shape[0] // step, z.shape[1] // step
         there = _sized(np.where(given.confidence[i] >= SURE, z, 0), shape)
         inverse = np.where(there > 0, 1 / np.maximum(there, 1e-9), 0).astype(np.float32)
         result[i] = inverse if known is None else np.where(known > 0, known, inverse)

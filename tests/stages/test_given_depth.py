@@ -71,6 +71,9 @@ def test_what_is_at_rest_is_filled_up_where_pixels_are_to_be_believed():
     swept[0][1, 1] = 0.5
     filled = static_inverse(StoredDepth(SCALE, 0.01, z, sure), swept)
     assert filled[0][1, 1] == 0.5 and filled[0][0, 0] == 0.25 and filled[1][0, 0] == 0 and filled[1][3, 3] == 0.25
+    wide = StoredDepth(SCALE, 0.01, *({k: np.repeat(one, 90, axis=1) for k, one in each.items()} for each in (z, sure)))
+    finer = static_inverse(wide, swept)
+    assert {one.shape for one in finer.values()} == {(4, 4)}, "maps of one size, whatever that of the depth"
     assert static_inverse(StoredDepth(SCALE, 0.05, z, sure), swept) == swept
 
 

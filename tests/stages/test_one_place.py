@@ -10,7 +10,7 @@ from e4dgs.scene.seeds.one_place import DISTANCE, assumed_depth, background
 from e4dgs.stages.captures.recognise import recognise
 from e4dgs.stages.facts import STANDS_STILL, Facts
 from e4dgs.stages.shared.frameset import FrameSet
-from e4dgs.vision.depth.together import FARTHEST, depth_of_inverse, scale_together
+from e4dgs.vision.depth.together import FARTHEST, depth_of_inverse, is_inverse, scale_together
 from e4dgs.vision.sfm.fixed_cameras import SHAKEN, is_fixed
 from factory import Options, make, render
 from factory.render import to_uint8
@@ -144,6 +144,34 @@ def test_given_depth_is_scaled_without_known_points(masked):
         same = still & (maps[i] == factors[i] * true)
         np.testing.assert_allclose(z[i][same], z[0][same], rtol=1e-4)
     assert z[0][20, 25] / z[0][20, 40] == pytest.approx(1.5 / true[20, 40], rel=1e-3)
+
+
+def passing(count, share=0.05, shift=0.0, noise=0.02):
+    """Inverse depth of a wall and floor by frame; something nearer passes over ``share`` of it in all but the first two frames."""
+    rng, maps = np.random.default_rng(1), {}
+    wall = np.tile(np.linspace(0.1, 0.5, 60)[:, None], (1, 80))
+    for i in range(count):
+        inverse = wall.copy()
+        if i > 1 and share:
+            inverse[20:40, 8 * i : 8 * i + max(1, round(share * 240))] = 0.6
+        maps[i] = rng.uniform(0.5, 2) * (inverse + shift) * np.exp(noise * rng.normal(size=wall.shape))
+    return maps
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.2])
+def test_what_passes_tells_distances_from_inverse_ones(shift):
+    maps = passing(8, shift=shift)
+    assert is_inverse(maps) is True
+    assert is_inverse({i: 1 / one for i, one in maps.items()}) is False
+
+
+@pytest.mark.parametrize(("share", "noise", "found"), [(0.0, 0.02, None), (0.004, 0.02, True), (0.05, 0.2, None)])
+def test_no_change_tells_nothing_and_noise_hides_what_passes(share, noise, found):
+    assert is_inverse(passing(8, share=share, noise=noise)) is found
+
+
+def test_no_map_tells_nothing():
+    assert is_inverse({0: np.zeros((4, 4))}) is None
 
 
 def test_inverse_depth_without_known_points_has_no_shift_and_ends_far_away():
