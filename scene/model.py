@@ -31,6 +31,7 @@ class Model:
     near: world units; nothing nearer to a camera was learned, so nothing nearer is drawn. background: RGB in [0, 1] used in training.
     affine: how each training camera records the model's colours; None if all record them alike. Held-out views use the mean camera.
     antialiased: the mode of `rasterize` for which the model is trained and in which it is drawn.
+    clocks: by how much the pictures of a training camera, by its number, are later than their times, as a share of the capture; 0 for others.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class Model:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         affine: CameraAffine | None = None,
         antialiased: bool = False,
+        clocks: Mapping[int, float] | None = None,
     ) -> None:
         self._motion = motion
         self.gaussians = gaussians
@@ -52,6 +54,7 @@ class Model:
         self.background = background
         self.affine = affine
         self.antialiased = antialiased
+        self.clocks = clocks or {}
         self._links: dict[str, tuple[PrimitiveSet, Tensor | None]] = {}
         self._stale: set[str] = set()
         self._moved: dict[str, tuple[Tensor, int, Tensor]] = {}
@@ -129,7 +132,7 @@ class Model:
         return Model(gaussians, self.convexes, *self._rest_of_it())
 
     def _rest_of_it(self) -> tuple[Any, ...]:
-        return self.motion, self.sh_degree, self.near, self.background, self.affine, self.antialiased
+        return self.motion, self.sh_degree, self.near, self.background, self.affine, self.antialiased, self.clocks
 
     def in_view(self, t: Time, camera: Camera, tiles: Tensor | None = None, move: bool = True, fuller: float = 1.0) -> Tensor | None:
         """[m] int64: the Gaussians that ``camera`` may show at time ``t``, if that can be told without moving them all; else None.
@@ -228,6 +231,7 @@ class Model:
             "background": list(self.background),
             "affine_cameras": None if self.affine is None else self.affine.cameras,
             "antialiased": self.antialiased,
+            **({"clocks": sorted(self.clocks.items())} if self.clocks else {}),
         }
 
     @classmethod
@@ -241,8 +245,9 @@ class Model:
             affine.load_state_dict({name: torch.tensor(np.asarray(arrays["affine_" + name])) for name in affine.state_dict()})
         red, green, blue = (float(c) for c in config["background"])
         sets = GaussianSet.from_arrays(arrays, motion.attributes), ConvexSet.from_arrays(arrays, motion.attributes)
+        clocks = {int(camera): float(late) for camera, late in config.get("clocks", [])}
         antialiased = bool(config.get("antialiased", False))  # models from before that mode are for the default one
-        return cls(*sets, motion, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, antialiased)
+        return cls(*sets, motion, int(config["sh_degree"]), float(config["near"]), (red, green, blue), affine, antialiased, clocks)
 
 
 def motion_from_state(state: Mapping[str, Tensor], config: Mapping[str, Any] | None) -> Motion:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from threading import RLock
 from typing import Literal, NamedTuple
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from ..rasterizer import Camera
 from .edges import edge_weights
+from .motion.times import corrected
 
 CACHE_BYTES = 4 << 30
 WINDOW_MARGIN = 0.04  # of the image's longer side, around the filled part
@@ -48,7 +49,7 @@ class Views:
     that do not; it is None if all count.
     ``load_moving(i)`` returns uint8 [H,W], 255 where something moves; it is None if that is unknown or if cameras move.
     recorder [F] int: frames with the same number record colours alike; the camera number if None.
-    background [3] in [0,1]. near: world units. device: where images are needed; cameras are always on the CPU.
+    clocks: see `Model`. background [3] in [0,1]. near: world units. device: where images are needed; cameras are always on the CPU.
     """
 
     K: np.ndarray
@@ -67,6 +68,7 @@ class Views:
     stored_edges: Callable[[int], np.ndarray] | None = None
     load_moving: Callable[[int], np.ndarray] | None = None
     recorder: np.ndarray | None = None
+    clocks: Mapping[int, float] = field(default_factory=dict)
     device: str | torch.device = "cpu"
     _images: OrderedDict[tuple[int, float, PictureKind], np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _windows: dict[int, tuple[int, int, int, int] | None] = field(default_factory=dict, repr=False)
@@ -81,8 +83,8 @@ class Views:
         self.device = str(self.device)
 
     def moment(self, i: int) -> float:
-        """Time of frame ``i`` in [0, 1]."""
-        return float(self.time[i])
+        """Time of frame ``i`` in [0, 1], by what is known of its camera's clock."""
+        return corrected(float(self.time[i]), int(self.camera[i]), self.clocks)
 
     def backdrop(self) -> Tensor:
         """`background` as a tensor [3] on the CPU."""

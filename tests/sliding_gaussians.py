@@ -28,7 +28,9 @@ def truth(t):
     return Model(g, ConvexSet.empty(6, 0), Static(), 0)
 
 
-def make_views(cameras=3, times=4, size=SIZE):
+def make_views(cameras=3, times=4, size=SIZE, late=None):
+    """late: by how many frames the pictures of a camera are later than their times, by its number."""
+    late = late or {}
     poses, K = [], np.array([[1.125 * size, 0, size / 2], [0, 1.125 * size, size / 2], [0, 0, 1]])
     for c in range(cameras):
         angle = 0.5 * (c - 1)
@@ -44,8 +46,8 @@ def make_views(cameras=3, times=4, size=SIZE):
         np.array([c for c, _ in frames]), nxt, np.arange(count), size, size, lambda i: images[i],
     )  # fmt: skip
     images = []
-    for i, (_, t) in enumerate(frames):
-        color = truth(t / (times - 1)).render(views.rasterizer_camera(i), 0.0).color
+    for i, (c, t) in enumerate(frames):
+        color = truth((t + late.get(c, 0.0)) / (times - 1)).render(views.rasterizer_camera(i), 0.0).color
         images.append((color.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
     return views
 

@@ -21,6 +21,7 @@ from ..motion.recipe import Recipe
 from ..settings import TrainingSettings
 from ..views import Views
 from .checkpoint import FILE, load_checkpoint, save_checkpoint
+from .control.clocks import ClockControl
 from .control.density import Measure, keep_small, measure_responsibility
 from .control.growth import DensityControl
 from .control.learned_model import LearnedModel
@@ -102,6 +103,7 @@ class Trainer:
         self.learned.before_change = self.steps.settle
         common = self.learned, views, self.curriculum, settings, recipe, phases
         self.motion = MotionControl(*common, self._event, log)
+        self.clocks = ClockControl(model, views, self.curriculum, self.total, moves, self._event)
         self.density = DensityControl(*common, budget, grow, self._event, measure, moving, most)
 
     def run(self) -> TrainingLog:
@@ -175,6 +177,7 @@ class Trainer:
             self.log.primitives.append([self.iteration, len(self.model.gaussians), len(self.model.convexes)])
         if phase.move and self.grow:
             self.motion.after_step(self.iteration, phase, self.log.skipped)
+            self.clocks.after_step(self.iteration, phase.scale)
         self.density.after_step(self.iteration, phase, self.motion.rigid_parts_alone)
 
     def _converged(self) -> bool:
@@ -212,6 +215,7 @@ class Trainer:
             "iteration": self.iteration,
             "ema": self.loss.value(),
             **self.motion.state(),
+            **self.clocks.state(),
             "changed": self.learned.changed,
             "left_out": self._left_out,
             "model": self.model.config,
@@ -235,6 +239,7 @@ class Trainer:
         (tensors, state), self._found = self._found, None
         self.learned.load(tensors, state)
         self.motion.load(state)
+        self.clocks.load(state)
         self.loss.load(state["ema"])
         self.iteration, self.learned.changed, self._left_out = state["iteration"], state["changed"], state.get("left_out", 0)
         self.guard.count = state["nonfinite"]

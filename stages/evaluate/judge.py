@@ -18,6 +18,7 @@ from ...scene.metrics.lpips import Lpips
 from ...scene.metrics.psnr import affine_fit, psnr
 from ...scene.metrics.ssim import ssim
 from ...scene.model import Model
+from ...scene.motion.times import corrected
 from ...vision.images.pictures import composite
 from ..shared.frameset import FrameSet
 
@@ -39,9 +40,13 @@ class Judge:
         K, pose = (torch.tensor(a[i], dtype=torch.float32) for a in (self.frames.K, self.frames.cam_from_world))
         return Camera(K, pose, self.frames.width, self.frames.height, self.model.near)
 
+    def moment(self, i: int) -> float:
+        """Time of frame i in [0, 1], by what training found of its camera's clock."""
+        return corrected(float(self.frames.time[i]), int(self.frames.camera[i]), self.model.clocks)
+
     def render(self, i: int, at: float | None = None) -> tuple[np.ndarray, Frame]:
         """Renders from frame i's camera at its own time, or at time ``at``: colour float32 [H, W, 3] clamped to [0, 1], and all outputs."""
-        frame = self.model.render(self.camera(i), float(self.frames.time[i]) if at is None else at)
+        frame = self.model.render(self.camera(i), self.moment(i) if at is None else at)
         if not torch.isfinite(frame.color).all():
             raise StageError(
                 f"evaluate: the render of frame {self.frames.names[i]!r} holds non-finite colours, so the model is damaged; "
@@ -120,7 +125,7 @@ class Judge:
         begin = time.perf_counter()
         for k in range(FPS_RENDERS + 1):
             i = indices[k % len(indices)]
-            camera, at = self.camera(i), float(self.frames.time[i])
+            camera, at = self.camera(i), self.moment(i)
             start = time.perf_counter()
             self.model.render(camera, at)
             if self.model.device.type == "cuda":

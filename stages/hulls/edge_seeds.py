@@ -31,7 +31,7 @@ def edge_seeds(model: Model, views: Views, frames: list[int]) -> EdgeSeeds:
     for i in frames:
         camera = views.rasterizer_camera(i)
         with torch.no_grad():
-            gaussians, _ = model.at(float(views.time[i]), camera)
+            gaussians, _ = model.at(views.moment(i), camera)
         probe = torch.zeros(len(model.gaussians), 3, device=model.device, requires_grad=True)
         background = torch.tensor(views.background)
         frame = rasterize(camera, replace(gaussians, extras=probe), background=background, antialiased=model.antialiased)

@@ -56,6 +56,7 @@ def load_views(frames: FrameSet, flow: Artifact | None, device: str = "cpu", mod
         recorder=np.arange(len(time)) if are_photos(frames, time) else None,
         device=device,
         near=Views.near if model is None else model.near,
+        clocks={} if model is None else model.clocks,
     )
 
 

@@ -34,7 +34,7 @@ def seen_share(model: Model, views: Views, frames: list[int], move: bool, scale:
     for i in frames:
         camera = views.rasterizer_camera(i, scale)
         with torch.no_grad():
-            gaussians, convexes = model.at(float(views.time[i]), camera, move)
+            gaussians, convexes = model.at(views.moment(i), camera, move)
         probe = torch.zeros(count, 1, device=device, requires_grad=True)
         frame = rasterize(camera, replace(gaussians, extras=probe), convexes, nothing, antialiased=model.antialiased)
         (weight,) = torch.autograd.grad(frame.extras.sum(), probe)
