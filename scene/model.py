@@ -31,7 +31,8 @@ class Model:
     near: world units; nothing nearer to a camera was learned, so nothing nearer is drawn. background: RGB in [0, 1] used in training.
     affine: how each training camera records the model's colours; None if all record them alike. Held-out views use the mean camera.
     antialiased: the mode of `rasterize` for which the model is trained and in which it is drawn.
-    clocks: by how much the pictures of a training camera, by its number, are later than their times, as a share of the capture; 0 for others.
+    clocks: by how much the pictures of a training camera, by its number, are later than their times, as a share of the capture; for cameras
+    whose clock is off.
     """
 
     def __init__(

@@ -13,6 +13,7 @@ from ...scene.settings import GrowthSettings
 from ...scene.views import Views
 from ..facts import Facts
 from ..seeds.artifact import StoredSeeds, required
+from ..shared.clocks import clock_lines
 from ..shared.dataset import load_frameset, load_views, measured_flow
 from ..shared.defaults import auto_budget, found_facts
 from ..shared.held_depth import held_depth
@@ -63,6 +64,8 @@ def train_coarse(ctx: Context) -> None:
         held_depth=held_depth(stored, unit, ctx),
         moving=moving_pixels(ctx, frames, views) if model.motion.splits_in_time else None,
     )
+    for line in clock_lines(model.clocks, frames):
+        ctx.log(line)
     if not len(model.gaussians):
         ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")
     growth = GrowthSettings(**settings.model_dump(include=set(GrowthSettings.model_fields)))

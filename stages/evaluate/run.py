@@ -8,6 +8,7 @@ from typing import Any
 from ...pipeline import Context, StageError
 from ..coarse.artifact import steps_of
 from ..flow.artifact import flow_of
+from ..shared.clocks import clock_lines
 from ..shared.frameset import FrameSet
 from ..shared.model import read_model
 from .artifact import write_metrics
@@ -37,6 +38,7 @@ def evaluate(ctx: Context) -> None:
     model = read_model(artifact).to(ctx.device)
     most = most_measured(ctx.settings.measured, steps_of(ctx.inputs["coarse"]))
     views, notes = choose_views(frames, ctx.settings.splits, most)
+    notes = [*notes, *clock_lines(model.clocks, frames)]
     for note in notes:
         ctx.log(note)
     lpips, lpips_facts = load_lpips(ctx.settings, frames)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ...scene.views import Views
-from ...vision.moving.followed_parts import Objects
+from ...vision.moving.followed_parts import Objects, inner
 from ..depth.artifact import StoredDepth
 from .given_objects import given_numbers, given_surface
 
@@ -20,7 +20,6 @@ NEAR = 5.0  # percentile of the depths of hidden points that counts as the neare
 FEWEST = 5  # least number of hidden points, or points of the floor, that give a depth
 BEFORE = 0.97  # factor on the depth of hidden points: an object is in front of what it hides
 ANYWHERE = 0.75  # the same for an object in the air: the mean over all positions in the view in front of what it hides
-INSET = 0.01  # of the picture's width; masks extend beyond outlines by this much, onto nearer floor
 TIGHTEST = 20.0  # percentile of an object's depths over its frames; low, since each is an upper bound or noisy
 STANDS = 0.75  # of the frames that show a surface below an object must show a level one for the object to count as standing
 BESIDE = 8  # frames on either side whose own evidence is used
@@ -110,12 +109,6 @@ def depth_below(part: np.ndarray, K: np.ndarray, x: np.ndarray, y: np.ndarray, z
     if not inverse.min() / 2 < at_foot < 2 * inverse.max():
         return None
     return Below(1 / at_foot, bool(plane[1] > FLOOR * np.linalg.norm(plane)))
-
-
-def inner(labels: np.ndarray) -> np.ndarray:
-    """``labels`` [H, W] without the rim of each part."""
-    inset = max(1, round(INSET * labels.shape[1]))
-    return np.where(cv2.erode((labels > 0).astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
 
 
 def depth_at(

@@ -7,29 +7,37 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from ...vision.moving.followed_parts import Objects
+from ...vision.moving.followed_parts import Objects, inner
 from ..depth.artifact import StoredDepth
 
 FEWEST = 12  # least number of pixels of an object whose depth is known
 SURE = 0.5  # least confidence of these
 AROUND = 4  # frames on either side over which an object's depth is averaged, with its size, if single pixels are not to be believed
 WITHIN = 0.4  # logarithm of the factor between a pixel's depth and that of its object; farther ones show something else
+NEARER = 40.0  # percentile of a part's depths that stands for it, if single pixels are not to be believed: they blend into what is behind
 WIDTH = 320  # px, longest side of maps of the static scene
 
 
 def given_numbers(objects: Objects, frames: list[int], given: StoredDepth, depths: list[np.ndarray]) -> list[np.ndarray]:
     """``depths`` of the parts in ``frames``, [labels] each, replaced by the median of the given depth over a part's pixels. If that is not
-    precise, by the median over neighbouring frames as well, where the object's size tells how its depth changed."""
+    precise, by `NEARER` and by the median over neighbouring frames as well, where the object's size tells how its depth changed."""
+    middle = 50.0 if given.precise else NEARER
     scale: dict[int, dict[int, float]] = {}  # object -> frame -> log(depth * size)
     for k, i in enumerate(frames):
         if i not in given.z:
             continue
         labels = objects.labels[k]
+        inside = inner(labels)  # masks extend onto what is behind
         z, sure = (_sized(one[i], labels.shape) for one in (given.z, given.confidence))
         for part in range(1, len(objects.number[k])):
-            there = (labels == part) & (z > 0) & (sure >= SURE)
+            known = (z > 0) & (sure >= SURE)
+            there = (inside == part) & known
+            if there.sum() < FEWEST:
+                there = (labels == part) & known
             if there.sum() >= FEWEST:
-                scale.setdefault(int(objects.number[k][part]), {})[k] = float(np.log(np.median(z[there])) + objects.log_size[k][part])
+                scale.setdefault(int(objects.number[k][part]), {})[k] = float(
+                    np.log(np.percentile(z[there], middle)) + objects.log_size[k][part]
+                )
     result = [of.copy() for of in depths]
     around = 0 if given.precise else AROUND
     for k, of in enumerate(result):

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...vision.moving.followed_parts import Objects
+from ...vision.moving.followed_parts import Objects, inner
 from ..depth.artifact import StoredDepth
-from .depths import inner, surface
+from .depths import surface
 
 UNSURE = 0.3  # confidence in a part of a mask of which nothing tells the depth
 STEP = 2  # pixels of the labels for one of the map: depth is smooth, and all frames' maps are kept

@@ -1,5 +1,8 @@
 """Cameras of a rig whose clocks are off by parts of a frame: found from the motion, used, stored, and left alone where nothing tells."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 import torch
 from e4dgs.scene.model import Model
@@ -8,6 +11,7 @@ from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
 from e4dgs.scene.motion.times import corrected
 from e4dgs.scene.training.control.clocks import AT, ClockControl
 from e4dgs.scene.training.curriculum import Curriculum
+from e4dgs.stages.shared.clocks import clock_lines
 from sliding_gaussians import make_views, truth
 
 TIMES, STEPS = 12, 100
@@ -69,6 +73,12 @@ def test_several_are_found_and_the_usual_clock_stays():
 def test_what_is_right_small_or_not_told_is_left_alone(case):
     views, model, events = looked(**case)
     assert not views.clocks and not events and "clocks" not in model.config
+
+
+def test_it_is_told_in_frames_and_by_the_name_of_a_picture():
+    of_frames = SimpleNamespace(time=np.array([0, 0.1, 0.2] * 2), camera=np.repeat([0, 7], 3), names=[f"cam{k}" for k in range(6)])
+    (line,) = clock_lines({7: -0.04}, of_frames)
+    assert "camera of cam3 is off" in line and "0.40 frames earlier" in line and not clock_lines({}, of_frames)
 
 
 def test_a_held_out_camera_and_moments_at_the_ends_stay_within_the_capture():

@@ -322,8 +322,8 @@ def test_same_model_same_content(tmp_path):
 def test_a_damaged_model_is_an_error_that_names_the_frame():
     frame = SimpleNamespace(color=torch.full((40, 48, 3), torch.nan))
     K, poses = cameras(1)
-    frames = SimpleNamespace(K=K, cam_from_world=poses, width=48, height=40, time=[0.0], names=["r_007"], background=None)
-    judge = Judge(SimpleNamespace(render=lambda *a: frame, near=0.01), frames, None, False)  # type: ignore[arg-type]
+    frames = SimpleNamespace(K=K, cam_from_world=poses, width=48, height=40, time=[0.0], camera=[0], names=["r_007"], background=None)
+    judge = Judge(SimpleNamespace(render=lambda *a: frame, near=0.01, clocks={}), frames, None, False)  # type: ignore[arg-type]
     with pytest.raises(StageError, match=r"'r_007'.*non-finite"):
         judge.render(0)
 
@@ -339,7 +339,7 @@ def test_what_moves_before_a_fixed_camera_is_measured_apart(times):
     frames = SimpleNamespace(K=K, cam_from_world=poses, width=48, height=40, names=names, background=None, alpha=False, **many)
     frames.composited, frames.kept = lambda i: pictures[i], lambda i: None
     frame = Frame(torch.full((40, 48, 3), 0.3), *[torch.zeros(40, 48)] * 2, torch.zeros(40, 48, 0), *[torch.ones(1) > 0] * 2)
-    row = Judge(SimpleNamespace(render=lambda *a: frame, near=0.01), frames, None, True).view(0)[0]  # type: ignore[arg-type]
+    row = Judge(SimpleNamespace(render=lambda *a: frame, near=0.01, clocks={}), frames, None, True).view(0)[0]  # type: ignore[arg-type]
     if times < LEAST_TIMES:
         assert (row["psnr_moving"], row["psnr_static"]) == (None, None)
         return
@@ -402,7 +402,7 @@ def test_flicker_is_measured_at_fixed_cameras_at_held_out_ones_where_there_are_a
         color = torch.full((40, 48, 3), 0.2 + 5 / 255 * (shown[-1] % 2))
         return Frame(color, *[torch.zeros(40, 48)] * 2, torch.zeros(40, 48, 0), *[torch.ones(1) > 0] * 2)
 
-    model = SimpleNamespace(render=render, near=0.01, motion=SimpleNamespace(static=False))
+    model = SimpleNamespace(render=render, near=0.01, clocks={}, motion=SimpleNamespace(static=False))
     found = measure_flicker(Judge(model, frames, None, True), frames)  # type: ignore[arg-type]
     assert found is not None and found["cameras"] == looked_at and found["pairs"] == 3 * looked_at
     assert found["static"] == pytest.approx(5.0, rel=1e-4) and found["edges"] is None and found["warped"] is None

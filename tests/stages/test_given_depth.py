@@ -54,6 +54,21 @@ def test_noise_of_single_frames_is_averaged_over_neighbours_with_the_size():
     assert np.allclose(found[0.0], np.abs(noise), atol=1e-5) and found[0.05].mean() < 0.6 * np.abs(noise).mean()
 
 
+@pytest.mark.parametrize("error", [0.0, PRECISE * 2])
+def test_the_rim_of_an_object_which_shows_what_is_behind_says_nothing(error):
+    labels = np.zeros((30, 40), np.uint8)
+    labels[5:25, 10:14] = 1
+    z = np.full((30, 40), 8.0, np.float32)
+    z[6:24, 11:13] = 2.0
+    objects = Objects([labels], (1.0, 1.0), [np.array([-1, 0])], [np.zeros(2)])
+    given = StoredDepth(SCALE, error, {0: z}, {0: np.ones_like(z)})
+    (numbers,) = given_numbers(objects, [0], given, [np.zeros(2)])
+    assert numbers[1] == pytest.approx(2.0), "most of its pixels are rim"
+    thin = Objects([np.where(labels > 0, 1, 0)[:, 10:13].astype(np.uint8)], (1.0, 1.0), [np.array([-1, 0])], [np.zeros(2)])
+    near = StoredDepth(SCALE, error, {0: np.full((30, 3), 3.0, np.float32)}, {0: np.ones((30, 3), np.float32)})
+    assert given_numbers(thin, [0], near, [np.zeros(2)])[0][1] == pytest.approx(3.0), "nothing but rim is better than nothing"
+
+
 def test_pixels_of_something_else_have_their_objects_depth():
     z = np.full((4, 4), 5.0, np.float32)
     z[0, 0], z[1, 1] = 9.0, 0.0

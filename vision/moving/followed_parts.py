@@ -16,6 +16,7 @@ PIXELS = 400  # most pixels of a part that are tracked to the next frame
 FEWEST = 12  # least number of these that must be found again
 PAIRS = 400  # pairs of pixels whose distances are compared
 LEAST_AREA = 1e-3  # of the picture; smaller parts are noise of the mask
+INSET = 0.01  # of the picture's width; masks extend beyond outlines by this much, onto what is behind and nearer floor
 
 
 class Objects(NamedTuple):
@@ -96,3 +97,9 @@ def _growth(places: np.ndarray, there: np.ndarray, rng: np.random.Generator) -> 
     first, second = (np.linalg.norm(p[a] - p[b], axis=1) for p in (places, there))
     far = first > np.percentile(first, 50)
     return float(np.median(np.log(np.maximum(second[far], 1e-3) / first[far]))) if far.any() else 0.0
+
+
+def inner(labels: np.ndarray) -> np.ndarray:
+    """``labels`` [H, W] without the rim of each part."""
+    inset = max(1, round(INSET * labels.shape[1]))
+    return np.where(cv2.erode((labels > 0).astype(np.uint8), np.ones((2 * inset + 1, 2 * inset + 1), np.uint8)) > 0, labels, 0)
