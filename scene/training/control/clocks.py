@@ -12,8 +12,10 @@ from ...model import Model
 from ...views import Views
 from ..curriculum import MIN_CAMERAS, Curriculum
 
-AT = 0.3, 0.4, 0.5, 0.6, 0.7, 0.8  # of the training: each look finds what is left, as the model so far learned from wrong times
-LOOKS = 8  # frames of a camera
+AT = 0.12, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8  # of the training: each look finds what the model, which learned from wrong
+# times so far, does not hide
+RIGHT_AFTER = 4  # looks that find every clock right end the search
+LOOKS, FEWEST, TOGETHER = 8, 4, 96  # frames of a camera, and the least number of them; frames of all cameras
 HALF = 0.25  # frames before and after, from which the change of the picture over time is taken
 LEAST, SURE = 0.05, 3.0  # frames, and standard errors, below which a clock is taken to be right
 FARTHEST = 1.0  # frames, the most that is found: a camera that is off by more than a frame is to be cut, not corrected
@@ -47,6 +49,8 @@ class ClockControl:
         sure = {camera: error for camera, (_, error) in found.items()}
         clear = {c: float(np.clip(v - usual, -FARTHEST, FARTHEST)) for c, v in off.items()}
         clear = {c: v for c, v in clear.items() if abs(v) > max(LEAST, SURE * sure[c])}
+        if not clear and self._looked >= RIGHT_AFTER:
+            self._looked = len(AT)
         if clear or known:
             self._use({camera: value * self.step for camera, value in clear.items()})
             told = ", ".join(f"camera {c} {abs(v):.2f} frames {'late' if v > 0 else 'early'}" for c, v in sorted(clear.items()))
@@ -68,7 +72,7 @@ class ClockControl:
         """By how many frames the pictures of a camera are later than the model of their moments, and the standard error of that.
 
         Least squares of the pictures' differences from the model in what changes over time (Lucas and Kanade 1981, in time alone)."""
-        chosen = np.unique(np.linspace(1, len(frames) - 2, LOOKS).round().astype(int))
+        chosen = np.unique(np.linspace(1, len(frames) - 2, max(FEWEST, min(LOOKS, TOGETHER // len(self.frames)))).round().astype(int))
         sums = np.array([self._look(int(frames[k]), scale) for k in chosen])
         along, square = sums.T
         total = square.sum()
