@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +14,7 @@ from ...stages.captures import usual
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace, of_captures
 from ..results import words_of
+from ..scenes import check_name
 from ..session import DEFAULT_WORKSPACE, Options, other_stores
 from .board import table, watch
 from .ledger import Ledger, Progress, batches
@@ -28,7 +28,6 @@ INSTEAD = {
     "--memory": ("set memory_gb of its pools", "set memory_gb of the pools in a file for --executor"),
     "--retries": ("set retries", "a job tries once, and the same command submits unfinished scenes again"),
 }
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 @of_captures()
@@ -51,8 +50,7 @@ def batch(
     """Run many captures; an unfinished batch is continued. Exit code 1 if a scene failed."""
     from .summary import rows_of, write_summary
 
-    if not _NAME.fullmatch(name):
-        raise SettingsError(f"--name {name}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
+    check_name(name, f"--name {name}")
     settings, workspace, device = tuple(_split(text) for text in options.assignments), options.workspace.resolve(), options.device
     _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
     cluster = None
