@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 from rich.console import Console
 
-from ...pipeline import SettingsError
+from ...pipeline import SettingsError, say
 from ...stages.captures import usual
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace, of_captures
@@ -76,16 +76,13 @@ def batch(
     for entry in entries:
         if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
             ledger.write(entry.name, Progress())
-    console = Console()
     if emit is not None:
         from .sites.pools import Cluster
         from .sites.slurm import USUAL, USUAL_GPU
         from .sites.slurm import emit as write_scripts
 
         cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
-        console.print(
-            f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh", markup=False, highlight=False, soft_wrap=True
-        )
+        say(f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh")
         return
     runner: Any
     if cluster is None:
@@ -100,14 +97,13 @@ def batch(
         runner = Parsl(ledger, cluster, stage_timeout)
     try:
         futures = runner.start([entry for entry in entries if ledger.progress(entry.name).state != "done"])
-        watch(ledger, console, lambda: all(future.done() for future in futures))
+        watch(ledger, Console(), lambda: all(future.done() for future in futures))
     finally:
         runner.stop()
         page = write_summary(ledger)
     failed = [row for row in rows_of(ledger) if row["state"] != "done"]
-    for row in failed[:MOST_COMMANDS]:
-        console.print(f"run {row['scene']} again: {row['command']}", markup=False, highlight=False, soft_wrap=True)
-    console.print(f"{len(entries) - len(failed)} of {len(entries)} scenes are done: {page}", markup=False, highlight=False, soft_wrap=True)
+    say(*(f"run {row['scene']} again: {row['command']}" for row in failed[:MOST_COMMANDS]))
+    say(f"{len(entries) - len(failed)} of {len(entries)} scenes are done: {page}")
     if failed:
         raise typer.Exit(1)
 
