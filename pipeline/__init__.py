@@ -12,6 +12,7 @@ from .records import Records
 from .running.build import Outcome
 from .running.progress import Progress, duration
 from .running.runner import Runner
+from .running.say import say
 from .settings import Settings, build_settings, describe, settings_by_name, split_assignment
 from .stage import Applies, Capture, Context, Given, Stage
 from .storage.artifact import Artifact
@@ -56,6 +57,7 @@ __all__ = [
     "duration",
     "explain",
     "make_plan",
+    "say",
     "settings_by_name",
     "split_assignment",
     "thread_count",

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from ..pipeline import PipelineError, check_targets, explain, make_plan
+from ..pipeline import PipelineError, check_targets, explain, make_plan, say
 from . import show
 from .batch.command import batch, status
 from .bench.ablation import ablation
@@ -91,21 +91,17 @@ def run(
     watch: Annotated[bool, typer.Option("--view", help="Open the viewer as soon as there is something to see.")] = False,
 ) -> None:
     """Run stages; what is in the store is reused."""
-    session, timed = begin(options, _say, anew=force and target == "all")
+    session, timed = begin(options, say, anew=force and target == "all")
     targets = check_targets(session.job.graph.stages, target)
     forced = tuple(targets or session.job.graph.stages) if force else ()
     rows = expect(session, make_plan(session.job, targets, forced))
     show.show_capture(console, session)
     show.show_plan(console, rows, session.options.time)
     with viewer_beside(options) if watch else nullcontext(), writing_to(options.workspace.resolve()):
-        if (found := execute(session, rows, console, _say, targets, forced, timed)) is not None:
+        if (found := execute(session, rows, console, say, targets, forced, timed)) is not None:
             show.show_metrics(console, *found)
         if watch:
-            _say("the viewer keeps running; Ctrl-C stops it")
-
-
-def _say(message: str) -> None:
-    console.print(message, markup=False, highlight=False, soft_wrap=True)
+            say("the viewer keeps running; Ctrl-C stops it")
 
 
 @app.command()
@@ -117,7 +113,7 @@ def plan(
     """Show what a run would do, stage by stage, and why. Nothing runs, and no result is written."""
     from .publish import plan_json
 
-    session, _ = begin(options, _say if not as_json else lambda line: None)
+    session, _ = begin(options, say if not as_json else lambda line: None)
     rows = expect(session, make_plan(session.job))
     if as_json:
         print(json.dumps(plan_json(session, rows), indent=2, ensure_ascii=False))
@@ -134,8 +130,7 @@ def why(
 ) -> None:
     """Say which setting, input or source file changed since a stage last ran for this capture."""
     session = open_session(options)
-    for line in explain(session.job, stage):
-        _say(line)
+    say(*explain(session.job, stage))
 
 
 @app.command()
@@ -150,7 +145,7 @@ def doctor(
 
     for one in licences() if licenses else ():
         note = f"  ({one.note})" if one.note else ""
-        console.print(f"{f'{one.name} {one.version}':42} {one.terms}{note}", markup=False, highlight=False, soft_wrap=True)
+        say(f"{f'{one.name} {one.version}':42} {one.terms}{note}")
     if licenses:
         return
     broken = 0
@@ -158,7 +153,7 @@ def doctor(
         broken += well is False
         mark = {True: "[green]ok[/]  ", False: "[red]FAIL[/]", None: "    "}[well]
         console.print(f"{mark} {what}: ", end="", highlight=False)
-        console.print(detail, markup=False, highlight=False, soft_wrap=True)
+        say(detail)
     if broken:
         raise typer.Exit(1)
 
@@ -179,12 +174,12 @@ def main(arguments: list[str] | None = None) -> Any:
             context = getattr(error, "ctx", None)
             help_hint = f" (see {context.command_path} --help)" if context is not None else ""
             if error.format_message():  # empty when no argument was given: the help is already printed
-                errors.print(f"error: {error.format_message()}{help_hint}", markup=False, highlight=False, soft_wrap=True)
+                say(f"error: {error.format_message()}{help_hint}", to=errors)
             return 2
         if "--debug" in arguments:
             traceback.print_exc()
         message = str(error) if isinstance(error, PipelineError) else f"{type(error).__name__}: {error} (--debug shows where)"
-        errors.print(f"error: {message}", markup=False, highlight=False, soft_wrap=True)
+        say(f"error: {message}", to=errors)
         return error.exit_code if isinstance(error, PipelineError) else 1
     finally:
         ended()

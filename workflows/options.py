@@ -6,7 +6,7 @@ A command that is decorated with `of_capture`, `of_captures` or `of_last_run` ta
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -136,11 +136,16 @@ def _with_options(
     place = next(k for k, (name, _, _) in enumerate(described) if name == "options")
     described[place : place + 1] = [(name, *row) for name, row in argument.items()]
     described += [(name, *row) for name, row in options.items()]
-    parameters = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for name, annotation, default in described
-    ]
+    return seen_as(run, command, described)
+
+
+def seen_as(run: Callable[..., None], command: Callable[..., None], parameters: Sequence[tuple[str, Any, Any]]) -> Callable[..., None]:
+    """``run``, which takes keywords, as the command line sees it: called and explained as ``command`` is, with ``parameters``: name,
+    annotation and default of each."""
     run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {name: annotation for name, annotation, _ in described}
+    kind = inspect.Parameter.KEYWORD_ONLY
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, kind, default=default, annotation=annotation) for name, annotation, default in parameters]
+    )
+    run.__annotations__ = {name: annotation for name, annotation, _ in parameters}
     return run

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from ..pipeline import make_plan
+from ..pipeline import make_plan, say
 from .machine.writable import writing_to
 from .options import of_last_run
 from .reconstruction import EVALUATION
@@ -26,4 +26,4 @@ def report(options: Options) -> None:
         (session.scene.folder / "records" / "report-shows.json").unlink(missing_ok=True)
         found = execute(session, rows, console, lambda line: None)
     assert found is not None
-    console.print(str(found[1]), markup=False, highlight=False, soft_wrap=True)
+    say(str(found[1]))

@@ -75,6 +75,12 @@ class Scene:
                 self.folder.parent.rmdir()  # if it is empty
 
 
+def check_name(name: str, where: str) -> None:
+    """Raises SettingsError, which begins with ``where``, for what is no name of a scene or a batch."""
+    if not _NAME.fullmatch(name):
+        raise SettingsError(f"{where}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
+
+
 def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None) -> Scene:
     """The scene of a capture (an absolute path): ``chosen``, or the capture's own name made safe for a folder.
 
@@ -84,8 +90,7 @@ def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None
     """
     scenes = workspace / "scenes"
     if chosen is not None:
-        if not _NAME.fullmatch(chosen):
-            raise SettingsError(f"--name {chosen}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
+        check_name(chosen, f"--name {chosen}")
         owner = _owner(scenes / chosen)
         if owner not in (None, str(capture)):
             raise NameTakenError(chosen, str(owner), scenes / chosen)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..pipeline import Row, duration
+from ..pipeline import Row, duration, say
 from ..pipeline.errors import one_line
 from ..stages.facts import Facts
 from ..stages.poses.artifact import read_limits
@@ -24,13 +24,8 @@ def show_capture(console: Console, session: Session) -> None:
     facts = Facts.of(session.job.capture.facts)
     splits = ", ".join(f"{count} {name}" for name, count in facts.splits.items() if count)
     console.print(f"[bold]{escape(session.scene.name)}[/]: {facts.format} ({escape(facts.why)})", soft_wrap=True, highlight=False)
-    console.print(
-        f"  {facts.frames} frames {facts.width}x{facts.height}, {facts.cameras} cameras, {facts.times} times; {splits}",
-        soft_wrap=True,
-        highlight=False,
-    )
-    for note in session.notes:
-        console.print(f"  {one_line(note)}", soft_wrap=True, highlight=False, markup=False)
+    say(f"  {facts.frames} frames {facts.width}x{facts.height}, {facts.cameras} cameras, {facts.times} times; {splits}", to=console)
+    say(*(f"  {one_line(note)}" for note in session.notes), to=console)
     if session.scene.renamed:
         console.print(f"  another capture already has this name in the workspace, so the scene is called {session.scene.name} (see --name)")
 
@@ -47,7 +42,7 @@ def show_plan(console: Console, rows: Sequence[Row], time: str | None = None) ->
     console.print(table)
     for row in rows:
         if row.stage == "poses" and row.artifact is not None and (limits := read_limits(row.artifact)):
-            console.print(f"{row.stage}: {limits}", soft_wrap=True, highlight=False, markup=False)
+            say(f"{row.stage}: {limits}", to=console)
     if time is not None and (left := [row.estimate for row in rows if row.state == "run" and row.estimate is not None]):
         console.print(f"expected: about {duration(sum(left))} of {time}; each stage is decided when it begins, by what is left")
 
@@ -67,7 +62,7 @@ def show_metrics(console: Console, metrics: Mapping[str, Any], report: Path) -> 
     if primitives := metrics.get("primitives"):
         parts.append(f"{primitives.get('gaussians', 0)} Gaussians, {primitives.get('convexes', 0)} convexes")
     console.print(", ".join(parts), highlight=False)
-    console.print(f"report: {report}", soft_wrap=True, highlight=False, markup=False)
+    say(f"report: {report}", to=console)
 
 
 def _number(value: Any, digits: int) -> str:

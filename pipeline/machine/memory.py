@@ -49,20 +49,22 @@ class PeakMemory:
         count = 0
         while not self._stop.wait(_SAMPLE_SECONDS):
             if count % _CHILDREN_EVERY == 0:
-                self._children = self._children_rss()
+                self._children = memory_of_children(self._process)
             count += 1
             self._sample()
 
     def _sample(self) -> None:
         self._peak = max(self._peak, self._process.memory_info().rss + self._children)
 
-    def _children_rss(self) -> int:
-        total = 0
-        with contextlib.suppress(psutil.Error):
-            for child in self._process.children(recursive=True):
-                with contextlib.suppress(psutil.Error):
-                    total += child.memory_info().rss
-        return total
+
+def memory_of_children(process: psutil.Process) -> int:
+    """Resident memory of all that ``process`` has started, bytes."""
+    total = 0
+    with contextlib.suppress(psutil.Error):
+        for child in process.children(recursive=True):
+            with contextlib.suppress(psutil.Error):
+                total += child.memory_info().rss
+    return total
 
 
 def _reset_mark() -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
+from .say import say
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -34,7 +36,7 @@ class Progress:
             self._show_bar(note)
         elif now - self._last >= self._line_seconds:
             self._last = now
-            self._console.print(self._line(now, note), markup=False, highlight=False, soft_wrap=True)
+            say(self._line(now, note), to=self._console)
 
     def _show_bar(self, note: str) -> None:
         if self._bar is None:

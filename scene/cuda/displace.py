@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
+from .inputs import check
 from .programs import program
 
 THREADS = 128
@@ -22,11 +23,7 @@ def displace(launcher: Launcher, heads: Tensor, rest: Tensor, centre: Tensor, re
     Gradients reach heads and rest and are bit-equal from run to run. Raises ValueError for other shapes or types, and whatever
     `Launcher.launch` raises.
     """
-    if heads.shape != (len(rest), 10) or rest.shape != (len(rest), 3) or centre.shape != (3,):
-        shapes = ", ".join(str(list(p.shape)) for p in (heads, rest, centre))
-        raise ValueError(f"heads must be [N, 10], rest [N, 3] and centre [3]; got {shapes}")
-    if any(p.dtype != torch.float32 for p in (heads, rest, centre)):
-        raise ValueError(f"heads, rest and centre must be float32; got {heads.dtype}, {rest.dtype} and {centre.dtype}")
+    check({"heads": (heads, (len(rest), 10)), "rest": (rest, (len(rest), 3)), "centre": (centre, (3,))})
     return _Displace.apply(launcher, heads, rest, centre.detach().contiguous(), reach)
 
 

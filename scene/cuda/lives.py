@@ -11,6 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
 from ..motion.lifetimes.lifetime import Lifetime
+from .inputs import check
 from .programs import program
 
 THREADS = 128
@@ -27,13 +28,11 @@ def at_frame(
     and whatever `Launcher.launch` raises.
     """
     n = len(opacities)
-    flat, shapes = (points, opacities, *life, *(() if quats is None else (quats,))), ((n,), (n,), (n,), (n, 3), (n, 3), (n, 4))
-    right = points.ndim == 3 and points.shape == (n, points.shape[1], 3) and points.shape[1] > 0 and dynamic.shape == (n,)
-    if not right or any(p.shape != shape for p, shape in zip(flat[1:], shapes)):
-        found = ", ".join(str(list(p.shape)) for p in (*flat, dynamic))
-        raise ValueError(f"points must be [N, K, 3], opacities, times, log_spans [N], velocities, spins [N, 3], quats [N, 4]; got {found}")
-    if any(p.dtype != torch.float32 for p in flat) or dynamic.dtype != torch.bool:
-        raise ValueError(f"dynamic must be bool and the rest float32; got {', '.join(str(p.dtype) for p in (dynamic, *flat))}")
+    shapes = {"points": (points, (n, max(1, points.shape[1]) if points.ndim == 3 else 1, 3)), "quats": (quats, (n, 4))}
+    of_life = zip(life._asdict().items(), ((n,), (n,), (n, 3), (n, 3)), strict=True)
+    own = {"opacities": (opacities, (n,)), "dynamic": (dynamic, (n,))}
+    check(shapes | own | {name: (value, shape) for (name, value), shape in of_life}, dynamic=torch.bool)
+    flat = (points, opacities, *life, *(() if quats is None else (quats,)))
     moved, shown, *turned = _Live.apply(launcher, frame, dynamic.contiguous(), *flat)
     return moved, turned[0] if turned else None, shown
 

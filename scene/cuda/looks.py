@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
+from .inputs import check
 from .programs import program
 
 PRIMITIVES = 128  # of a block, which has as many threads
@@ -38,16 +39,11 @@ def look(
     """
     n = len(logits)
     others = logs[1] if len(logs) > 1 else None
-    right = logits.ndim == 1 and logs[0].shape in ((n,), (n, logs[0].shape[-1])) and (others is None or others.shape == (n,))
-    right = right and dc.shape == (n, 1, 3) and rest.shape == (n, rest.shape[1], 3)
-    right = right and (shades is None or shades.shape == (n, 3))
-    right = right and (light is None or (shades is not None and light.shape == (3,)))
-    tensors = [p for p in (*logs, logits, dc, rest, shades, light) if p is not None]
-    if not right or len(logs) > 2 or not 0 <= shown <= rest.shape[1]:
-        found = ", ".join(str(list(p.shape)) for p in tensors)
-        raise ValueError(f"logs must be [N, W] or [N], logits [N], dc [N, 1, 3], rest [N, R, 3], shades [N, 3], light [3]; got {found}")
-    if any(p.dtype != torch.float32 for p in tensors):
-        raise ValueError(f"all must be float32; got {', '.join(str(p.dtype) for p in tensors)}")
+    if len(logs) > 2 or rest.ndim != 3 or not 0 <= shown <= rest.shape[1] or (light is not None and shades is None):
+        raise ValueError(f"logs must be one or two, rest [N, R, 3] with R of {shown} or more, and shades there with a light")
+    of_logs = {"logs": (logs[0], (n, *logs[0].shape[1:2])), "other logs": (others, (n,)), "logits": (logits, (n,))}
+    of_colour = {"dc": (dc, (n, 1, 3)), "rest": (rest, (n, rest.shape[1], 3)), "shades": (shades, (n, 3)), "light": (light, (3,))}
+    check(of_logs | of_colour)
     used = (logs[0], others, logits, dc, rest if shown else None, None if light is None else shades, light)
     sizes, other_sizes, opacities, sh = _Look.apply(launcher, shown, *used)
     return (sizes,) if other_sizes is None else (sizes, other_sizes), opacities, sh

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
+from .inputs import check
 from .programs import program
 
 WIDE, HIGH = 32, 8  # px, size of a tile
@@ -52,19 +53,14 @@ def photometric_loss(
         raise ValueError(f"image and target must both be [H, W, 3]; got {tuple(image.shape)} and {tuple(target.shape)}")
     gain, offset = recording or (None, None)
     alpha, known, kept = opposite[:3] if opposite else (None, None, None)
-    floats, flags = (image, target, weight, gain, offset, alpha, known), (kept,)
-    if any(p is not None and p.dtype != torch.float32 for p in floats) or any(p is not None and p.dtype != torch.bool for p in flags):
-        found = ", ".join(str(p.dtype) for p in (*floats, *flags) if p is not None)
-        raise ValueError(f"image and target, like all but kept, must be float32, and kept bool; got {found}")
     size = image.shape[:2]
-    images, colours = (weight, alpha, known, kept), (gain, offset)
-    if any(p is not None and p.shape != size for p in images) or any(p is not None and p.shape != (3,) for p in colours):
-        found = ", ".join(str(list(p.shape)) for p in (*images, *colours) if p is not None)
-        raise ValueError(f"weight, alpha, known and kept must be {list(size)}, gain and offset [3]; got {found}")
+    given = {"image": (image, (*size, 3)), "target": (target, (*size, 3)), "weight": (weight, size), "gain": (gain, (3,))}
+    given |= {"offset": (offset, (3,)), "alpha": (alpha, size), "known": (known, size), "kept": (kept, size)}
+    check(given, kept=torch.bool)
     pixels = size.numel()
     share, of_alpha, change = (opposite.share, opposite.weight, opposite.change) if opposite else (0.0, 0.0, (0.0, 0.0, 0.0))
     weights = [part * term / (3 * pixels) for part in (1 - share, share) for term in (l1, ssim)]
-    loss: Tensor = _Photometric.apply(launcher, change, (*weights, of_alpha / pixels), *floats, *flags)
+    loss: Tensor = _Photometric.apply(launcher, change, (*weights, of_alpha / pixels), *(tensor for tensor, _ in given.values()))
     return loss
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ...rasterizer.cuda.runtime import Launcher
+from .inputs import check
 from .programs import program
 
 THREADS = 128
@@ -101,7 +102,4 @@ def _check(given: Mapping[str, Tensor], links: int) -> None:
         raise ValueError(f"{limits}; got {list(given['hyper'].shape)}, {links} links and {nodes} nodes")
     of_points = {"points": (n, 3), "quats": (n, 4), "hyper": (n, coordinates)}
     of_nodes = {"home": (nodes, 3), "home_hyper": (nodes, coordinates), "falloff": (nodes,), "turns": (nodes, 4), "shifts": (nodes, 3)}
-    for name, tensor in given.items():
-        shape = (of_points | of_nodes)[name]
-        if tensor.shape != shape or tensor.dtype != torch.float32:
-            raise ValueError(f"{name} must be {list(shape)} float32, got {list(tensor.shape)} {tensor.dtype}")
+    check({name: (tensor, (of_points | of_nodes)[name]) for name, tensor in given.items()})

@@ -16,6 +16,23 @@ if TYPE_CHECKING:
     import zarr
 
 _IMAGES = "images"
+REQUIRED = ("camera", "time", "seconds", "split", "next")
+ARRAYS = {  # name: unit, what it is, for readers of the file
+    "camera": ("", "index of the camera that took the frame"),
+    "time": ("", "time over the capture, in [0,1]"),
+    "seconds": ("s", "time since the capture's start"),
+    "split": ("", "0 train, 1 val, 2 test"),
+    "next": ("", "the same camera's train frame at its next time, -1 where none"),
+    "K": ("px", "intrinsics of the undistorted pictures, pixel centres at +0.5"),
+    "cam_from_world": ("world", "OpenCV pose of the camera"),
+    "distortion": ("", "k1 k2 p1 p2 [k3 k4 k5 k6], of fisheye lenses k1 k2 k3 k4"),
+    "lens_K": ("px", "intrinsics of the pictures as the lens made them"),
+    "fisheye": ("", "1: the lens is OpenCV's fisheye model"),
+    "crop": ("px", "left, top, width, height of the part of each stored picture that is shown"),
+    "watermark": ("", "255: stands still in all pictures, such as a logo, and is ignored"),
+    "points": ("world", "points of the capture's files"),
+    "point_colors": ("", "RGB of points"),
+}
 LISTS = ("files", "mask_files", "keep_files", "keep_turns", "depth_files", "depth_confidence_files", "origin", "K_hint")
 
 
@@ -72,26 +89,9 @@ class StoredFrames:
 
     def write(self, out: ArtifactWriter, notes: Sequence[str]) -> None:
         """notes: remarks of the capture reader, for people."""
-        out.write("camera", self.camera, doc="index of the camera that took the frame")
-        out.write("time", self.time, doc="time over the capture, in [0,1]")
-        out.write("seconds", self.seconds, unit="s", doc="time since the capture's start")
-        out.write("split", self.split, doc="0 train, 1 val, 2 test")
-        out.write("next", self.next, doc="the same camera's train frame at its next time, -1 where none")
-        if self.K is not None and self.cam_from_world is not None and self.distortion is not None:
-            out.write("K", self.K, unit="px", doc="intrinsics of the undistorted pictures, pixel centres at +0.5")
-            out.write("cam_from_world", self.cam_from_world, unit="world", doc="OpenCV pose of the camera")
-            out.write("distortion", self.distortion, doc="k1 k2 p1 p2 [k3 k4 k5 k6], of fisheye lenses k1 k2 k3 k4")
-        if self.lens_K is not None:
-            out.write("lens_K", self.lens_K, unit="px", doc="intrinsics of the pictures as the lens made them")
-        if self.fisheye is not None:
-            out.write("fisheye", self.fisheye, doc="1: the lens is OpenCV's fisheye model")
-        if self.crop is not None:
-            out.write("crop", self.crop, unit="px", doc="left, top, width, height of the part of each stored picture that is shown")
-        if self.watermark is not None:
-            out.write("watermark", self.watermark, doc="255: stands still in all pictures, such as a logo, and is ignored")
-        if self.points is not None and self.point_colors is not None:
-            out.write("points", self.points, unit="world", doc="points of the capture's files")
-            out.write("point_colors", self.point_colors, doc="RGB of points")
+        for name, (unit, doc) in ARRAYS.items():
+            if (values := getattr(self, name)) is not None:
+                out.write(name, values, unit=unit, doc=doc)
         out.attrs.update(self.facts.as_json(), names=list(self.names), background=self.background)
         lists = {name: getattr(self, name) for name in LISTS}
         out.attrs.update({name: list(values) for name, values in lists.items() if values is not None})
@@ -100,37 +100,13 @@ class StoredFrames:
     @classmethod
     def read(cls, artifact: Artifact) -> StoredFrames:
         attrs, read = artifact.attrs, artifact.read
-
-        def there(name: str) -> np.ndarray | None:
-            return read(name) if name in artifact else None
-
         return cls(
             facts=Facts.among(attrs),
             names=attrs["names"],
             background=attrs["background"],
-            camera=read("camera"),
-            time=read("time"),
-            seconds=read("seconds"),
-            split=read("split"),
-            next=read("next"),
-            K=there("K"),
-            cam_from_world=there("cam_from_world"),
-            distortion=there("distortion"),
-            lens_K=there("lens_K"),
-            fisheye=there("fisheye"),
-            crop=there("crop"),
-            watermark=there("watermark"),
-            points=there("points"),
-            point_colors=there("point_colors"),
-            files=attrs.get("files"),
-            mask_files=attrs.get("mask_files"),
-            keep_files=attrs.get("keep_files"),
-            keep_turns=attrs.get("keep_turns"),
-            depth_files=attrs.get("depth_files"),
-            depth_confidence_files=attrs.get("depth_confidence_files"),
-            origin=attrs.get("origin"),
-            K_hint=attrs.get("K_hint"),
             images=DecodedPictures(artifact) if _IMAGES in artifact else None,
+            **{name: read(name) for name in ARRAYS if name in artifact or name in REQUIRED},
+            **{name: attrs.get(name) for name in LISTS},
         )
 
 

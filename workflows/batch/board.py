@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from ...pipeline import duration
+from ...pipeline import duration, say
 from .ledger import Ledger, Progress
 
 EVERY = 1.0  # s between two updates
@@ -117,14 +117,14 @@ def watch(ledger: Ledger, console: Console, ended: Callable[[], bool]) -> None:
             if said.get(name) != now and progress.state != "waiting":
                 said[name] = now
                 detail = f": {progress.message}" if progress.message else ""
-                console.print(f"{name}: {progress.state} {progress.stage}".rstrip() + detail, markup=False, highlight=False, soft_wrap=True)
+                say(f"{name}: {progress.state} {progress.stage}".rstrip() + detail, to=console)
         if last:
             return
         if time.monotonic() - line > EVERY_LINE:
             line = time.monotonic()
             running = [item for item in found if item[1].state == "running"]
             far = [f"{name} {progress.stage} {how_far(ledger.log(name))}".rstrip() for name, progress in running]
-            console.print(" | ".join([counts(ledger, found, pace), *far]), markup=False, highlight=False, soft_wrap=True)
+            say(" | ".join([counts(ledger, found, pace), *far]), to=console)
         time.sleep(EVERY)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,11 +9,12 @@ from typing import Annotated, Any, Literal
 import typer
 from rich.console import Console
 
-from ...pipeline import SettingsError
+from ...pipeline import SettingsError, say
 from ...stages.captures import usual
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace, of_captures
 from ..results import words_of
+from ..scenes import check_name
 from ..session import DEFAULT_WORKSPACE, Options, other_stores
 from .board import table, watch
 from .ledger import Ledger, Progress, batches
@@ -28,7 +28,6 @@ INSTEAD = {
     "--memory": ("set memory_gb of its pools", "set memory_gb of the pools in a file for --executor"),
     "--retries": ("set retries", "a job tries once, and the same command submits unfinished scenes again"),
 }
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 @of_captures()
@@ -51,8 +50,7 @@ def batch(
     """Run many captures; an unfinished batch is continued. Exit code 1 if a scene failed."""
     from .summary import rows_of, write_summary
 
-    if not _NAME.fullmatch(name):
-        raise SettingsError(f"--name {name}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
+    check_name(name, f"--name {name}")
     settings, workspace, device = tuple(_split(text) for text in options.assignments), options.workspace.resolve(), options.device
     _refuse_what_is_local({"--jobs": jobs, "--memory": memory, "--retries": retries}, executor, emit)
     cluster = None
@@ -78,16 +76,13 @@ def batch(
     for entry in entries:
         if ledger.progress(entry.name).state == "done" and not is_current(ledger, entry):
             ledger.write(entry.name, Progress())
-    console = Console()
     if emit is not None:
         from .sites.pools import Cluster
         from .sites.slurm import USUAL, USUAL_GPU
         from .sites.slurm import emit as write_scripts
 
         cluster = cluster or Cluster.model_validate({"cpu": USUAL, "gpu": None if device == "cpu" else USUAL_GPU})
-        console.print(
-            f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh", markup=False, highlight=False, soft_wrap=True
-        )
+        say(f"submit with: {write_scripts(ledger, cluster, stage_timeout)}/submit.sh")
         return
     runner: Any
     if cluster is None:
@@ -102,14 +97,13 @@ def batch(
         runner = Parsl(ledger, cluster, stage_timeout)
     try:
         futures = runner.start([entry for entry in entries if ledger.progress(entry.name).state != "done"])
-        watch(ledger, console, lambda: all(future.done() for future in futures))
+        watch(ledger, Console(), lambda: all(future.done() for future in futures))
     finally:
         runner.stop()
         page = write_summary(ledger)
     failed = [row for row in rows_of(ledger) if row["state"] != "done"]
-    for row in failed[:MOST_COMMANDS]:
-        console.print(f"run {row['scene']} again: {row['command']}", markup=False, highlight=False, soft_wrap=True)
-    console.print(f"{len(entries) - len(failed)} of {len(entries)} scenes are done: {page}", markup=False, highlight=False, soft_wrap=True)
+    say(*(f"run {row['scene']} again: {row['command']}" for row in failed[:MOST_COMMANDS]))
+    say(f"{len(entries) - len(failed)} of {len(entries)} scenes are done: {page}")
     if failed:
         raise typer.Exit(1)
 

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from ...pipeline import SettingsError
+from ..scenes import check_name
 from ..session import Options
 from .yaml_files import read_yaml
 
 MOST_SCENES = 100_000
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,8 @@ def _read_list(file: Path, common: Entry, listed: _Listed) -> None:
         _known(row, {"capture", "name", "settings", "preset", "static", "format"}, where)
         word = os.path.expanduser(row["capture"])
         paths = _paths(word if os.path.isabs(word) else str(file.parent / word))
-        if "name" in row and not _NAME.fullmatch(str(row["name"])):
-            raise SettingsError(f"{where}: name: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
+        if "name" in row:
+            check_name(str(row["name"]), f"{where}: name")
         if "name" in row and len(paths) > 1:
             raise SettingsError(f"{where}: {len(paths)} captures cannot share the name {row['name']}")
         listed.entries += [replace(_with(common, row, where), name=str(row.get("name", "")), capture=path) for path in paths]

@@ -14,6 +14,8 @@ from typing import Protocol
 
 import psutil
 
+from ...pipeline.machine.memory import memory_of_children
+
 LAST_LINES = 3  # of a stage's log that go into the message about its failure
 LOOK = 0.2  # s between two checks of the time
 LOOK_AT_MEMORY = 1.0  # s between two checks of memory, since listing children walks the process table
@@ -85,13 +87,10 @@ def _wait(
 
 def _memory_gb(pid: int) -> float:
     """Resident memory of a process and its children, GB."""
-    total = 0
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
-        for one in (process, *process.children(recursive=True)):
-            with contextlib.suppress(psutil.Error):
-                total += one.memory_info().rss
-    return total / 1e9
+        return (process.memory_info().rss + memory_of_children(process)) / 1e9
+    return 0.0
 
 
 def _end(process: Process) -> None:

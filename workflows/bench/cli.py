@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from ..options import Captures, Debug, of_captures
+from ..options import Captures, Debug, of_captures, seen_as
 from ..session import Options
 from . import output
 from .ablation import ablation
@@ -35,68 +36,40 @@ Garden = Annotated[
 Capture = Annotated[Path | None, typer.Option("--capture", metavar="CAPTURE", help="A capture with poses; by default the sample.")]
 
 
+def _measures(suite: str, *files: str) -> Callable[[Callable[[], None]], Callable[..., None]]:
+    """A command that measures the rows of ``suite``. files: those of `Bench` that it takes."""
+    of_files = {"garden": Garden, "capture": Capture}
+    before: list[tuple[str, Any, Any]] = [("rows", Rows, None), ("list", List, False), *((name, of_files[name], None) for name in files)]
+    after = [("out", Out, None), ("threads", Threads, 0), ("repeats", Repeats, REPEATS[suite]), ("seconds", Seconds, SECONDS[suite])]
+
+    def measure(rows: str | None, list: bool, out: Path | None, threads: int, debug: bool, **given: Any) -> None:
+        run(suite, SUITES[suite], Bench(**given), names=rows, only_list=list, threads=threads, out=out, console=output.make_console())
+
+    return lambda command: seen_as(measure, command, [*before, *after, ("scale", Scale, 1.0), ("debug", Debug, False)])
+
+
 @app.command()
-def raster(
-    rows: Rows = None,
-    list: List = False,
-    garden: Garden = None,
-    out: Out = None,
-    threads: Threads = 0,
-    repeats: Repeats = REPEATS["raster"],
-    seconds: Seconds = SECONDS["raster"],
-    scale: Scale = 1.0,
-    debug: Debug = False,
-) -> None:
+@_measures("raster", "garden")
+def raster() -> None:
     """The rasterizer: images of Gaussians and of convexes, without and with gradients."""
-    _run("raster", rows, list, Bench(scale, repeats, seconds, garden=garden), threads, out)
 
 
 @app.command()
-def field(
-    rows: Rows = None,
-    list: List = False,
-    out: Out = None,
-    threads: Threads = 0,
-    repeats: Repeats = REPEATS["field"],
-    seconds: Seconds = SECONDS["field"],
-    scale: Scale = 1.0,
-    debug: Debug = False,
-) -> None:
+@_measures("field")
+def field() -> None:
     """The deformation field, the image loss and the optimiser."""
-    _run("field", rows, list, Bench(scale, repeats, seconds), threads, out)
 
 
 @app.command()
-def cuda(
-    rows: Rows = None,
-    list: List = False,
-    garden: Garden = None,
-    capture: Capture = None,
-    out: Out = None,
-    threads: Threads = 0,
-    repeats: Repeats = REPEATS["cuda"],
-    seconds: Seconds = SECONDS["cuda"],
-    scale: Scale = 1.0,
-    debug: Debug = False,
-) -> None:
+@_measures("cuda", "garden", "capture")
+def cuda() -> None:
     """The CUDA kernels on the first GPU: do they agree with the CPU's, how fast are they, what do they do when memory ends."""
-    _run("cuda", rows, list, Bench(scale, repeats, seconds, garden=garden, capture=capture), threads, out)
 
 
 @app.command()
-def step(
-    rows: Rows = None,
-    list: List = False,
-    capture: Capture = None,
-    out: Out = None,
-    threads: Threads = 0,
-    repeats: Repeats = REPEATS["step"],
-    seconds: Seconds = SECONDS["step"],
-    scale: Scale = 1.0,
-    debug: Debug = False,
-) -> None:
+@_measures("step", "capture")
+def step() -> None:
     """The whole training step, and where its time goes."""
-    _run("step", rows, list, Bench(scale, repeats, seconds, capture=capture), threads, out)
 
 
 app.command()(ablation)
@@ -129,7 +102,3 @@ def pipeline(
         output.show_file(console, "plot", plot)
     if out is not None:
         output.show_file(console, "numbers", out)
-
-
-def _run(suite: str, names: str | None, only_list: bool, bench: Bench, threads: int, out: Path | None) -> None:
-    run(suite, SUITES[suite], bench, names=names, only_list=only_list, threads=threads, out=out, console=output.make_console())

@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from ..machine.devices import processor
+
 LIBRARIES = ("e4dgs", "torch", "numpy", "pycolmap", "opencv-contrib-python-headless", "zarr")
 
 
@@ -17,7 +19,7 @@ def machine() -> dict[str, object]:
     import psutil
 
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
         "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
@@ -38,15 +40,6 @@ def kernels() -> dict[str, object]:
     from ...rasterizer import _cpu  # type: ignore[attr-defined]
 
     return {"kernels": _cpu.kernels(), "threads": torch.get_num_threads(), "omp_wait_policy": os.environ.get("OMP_WAIT_POLICY", "default")}
-
-
-def _processor() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
-        if names:
-            return names[0]
-    return platform.processor() or platform.machine()
 
 
 def _version(name: str) -> str | None:

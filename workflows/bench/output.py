@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from ...pipeline import say
 from .rows import Bench, Check, Measured, Row
 
 WIDTH = 180  # columns of a table written to a file or pipe
@@ -56,7 +57,7 @@ def show_row(console: Console, row: Row, measured: Measured, judged: bool) -> No
 
 def show_file(console: Console, what: str, path: Path) -> None:
     """Prints that a file was written."""
-    console.print(f"{what}: {path}", markup=False, highlight=False, soft_wrap=True)
+    say(f"{what}: {path}", to=console)
 
 
 def row_json(row: Row, measured: Measured) -> dict[str, Any]:

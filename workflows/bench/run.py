@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
-from ...pipeline import Progress, SettingsError
+from ...pipeline import Progress, SettingsError, say
 from . import output
 from .machine import kernels, machine
 from .rows import Bench, Row, choose
@@ -21,8 +21,7 @@ def run(
     if bench.garden is not None and not bench.garden.is_file():
         raise SettingsError(f"--garden {bench.garden}: there is no such file")
     if only_list:
-        for row in rows:
-            console.print(f"{row.name:12} {row.what}", markup=False, highlight=False, soft_wrap=True)
+        say(*(f"{row.name:12} {row.what}" for row in rows), to=console)
         return {}
     chosen = choose(rows, names)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress, SettingsError
+from ...pipeline import CaptureError, Progress, SettingsError, say
 from ..machine.writable import writing_to
 from ..options import of_last_run
 from ..results import results
@@ -92,11 +92,8 @@ def flow(
     pictures = FrameSet(frames, session.job.capture.root, found.get("poses"))
     with Progress(len(fields.pairs), "export", console) as bar, writing(folder):
         count = export_flow(fields, pictures, folder, largest, bar.advance)
-    for line in (
-        f"{len(fields.pairs)} pairs, {count} files; full colour is {largest:.3g} px, darker means more, black means unknown (wheel.png)",
-        f"flow: {folder}",
-    ):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    meaning = f"full colour is {largest:.3g} px, darker means more, black means unknown (wheel.png)"
+    say(f"{len(fields.pairs)} pairs, {count} files; {meaning}", f"flow: {folder}")
 
 
 @app.command()
@@ -167,5 +164,4 @@ def _splats(
     with Progress(len(moments), "export", console) as bar, writing(target):
         done = export_splats(trained.model, trained.frames, target, moments, kind, single, axis, antialiased, bar.advance)
     files = f"{len(moments)} files, {done.fewest} to {done.most} Gaussians each" if len(moments) > 1 else f"{done.most} Gaussians"
-    for line in (f"{files}; {done.loss}", f"axes: {done.turn}", f"{kind}: {target}"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    say(f"{files}; {done.loss}", f"axes: {done.turn}", f"{kind}: {target}")

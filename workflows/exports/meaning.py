@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ...pipeline import SettingsError
+from ..options import seen_as
 
 FLAGS = ("antialiased",)
 
@@ -23,20 +24,13 @@ def without(**reasons: str) -> Callable[[Callable[..., None]], Callable[..., Non
                     raise SettingsError(f"--{name}: {reason}")
             command(**given)
 
-        own = inspect.signature(command, eval_str=True)
-        more = [
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=False if name in FLAGS else None,
-                annotation=Annotated[bool if name in FLAGS else str | None, typer.Option(f"--{name}", hidden=True)],
-            )
-            for name in reasons
-        ]
-        run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
-        given = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own.parameters.values()]
-        run.__signature__ = inspect.Signature([*given, *more])  # type: ignore[attr-defined]
-        run.__annotations__ = {one.name: one.annotation for one in (*given, *more)}
-        return run
+        own = inspect.signature(command, eval_str=True).parameters.values()
+        refused = [(name, bool, False) if name in FLAGS else (name, str | None, None) for name in reasons]
+        return seen_as(
+            run,
+            command,
+            [(one.name, one.annotation, one.default) for one in own]
+            + [(name, Annotated[kind, typer.Option(f"--{name}", hidden=True)], default) for name, kind, default in refused],
+        )
 
     return wrap

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ...pipeline import Progress, SettingsError, StageError
+from ...pipeline import Progress, SettingsError, StageError, say
 from ...pipeline.files import write_atomically
 from ..options import of_last_run
 from ..session import Options
@@ -86,8 +86,7 @@ def mesh(
             meshes = (fuse(trained.model, trained.frames, t, size, bar.advance) for t in moments)
             triangles = write_meshes(trained, meshes, moments, target, single, turn)
     said = f"{min(triangles)} to {max(triangles)} triangles at {count} times" if count > 1 else f"{triangles[0]} triangles"
-    for line in (f"{said}; {made}", f"axes: {turn}", f"mesh: {target}"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    say(f"{said}; {made}", f"axes: {turn}", f"mesh: {target}")
 
 
 def write_meshes(trained: Trained, meshes: Iterable[Mesh], moments: Sequence[float], target: Path, single: bool, turn: Turn) -> list[int]:

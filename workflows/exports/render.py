@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress, SettingsError, StageError
+from ...pipeline import CaptureError, Progress, SettingsError, StageError, say
 from ..options import of_last_run
 from ..session import Options
 from .film import Asked, Film
@@ -60,8 +60,7 @@ def render(
     model = trained.model.to(trained.session.job.device)
     views, (width, height), film, notes = _planned(path, trained.frames, model, asked, time)
     console = Console()
-    for note in notes:
-        console.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+    say(*(f"note: {note}" for note in notes))
     wanted = (width, height) if size is None else _scaled(width, height, size)
     scale = np.diag([wanted[0] / width, wanted[1] / height, 1.0])  # pixel centres are at +0.5, so there is no offset
     width, height = (even(wanted[0]), even(wanted[1])) if video else wanted
@@ -79,7 +78,7 @@ def render(
             bar.advance(1)
     cut = "" if (width, height) == wanted else f" (not {wanted[0]}x{wanted[1]}: the sizes of a video are even)"
     length = f", {film.seconds:.4g} s at {film.fps:.4g} a second ({film.why})" if video or film.why != "--frames" else ""
-    console.print(f"{film.count} pictures of {width}x{height}{cut}{length}: {out}", markup=False, highlight=False, soft_wrap=True)
+    say(f"{film.count} pictures of {width}x{height}{cut}{length}: {out}")
 
 
 def _checked(out: Path, alpha: bool, depth: bool) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import Progress
+from ...pipeline import Progress, say
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
@@ -50,5 +50,4 @@ def write_straight(kind: Straight, options: Options, out: Path | None, time: flo
     console = Console()
     with Progress(4, "export", console) as bar, writing(path):
         done = export_straight(trained.model, trained.frames, path, trained.times, kind, time, axis, antialiased, bar.advance)
-    for line in (str(done), f"axes: {done.turn}", f"{kind}: {path}"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    say(str(done), f"axes: {done.turn}", f"{kind}: {path}")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import Progress
+from ...pipeline import Progress, say
 from ..options import of_last_run
 from ..session import Options
 from .trained import Antialiased, Moment, Up, check_moment, is_file, open_trained, up_axis, writing
@@ -45,5 +45,4 @@ def usd(
         done = export_usd(trained.model, trained.frames, path, moments, trained.times, axis, antialiased, bar.advance)
     count = f"{len(moments)} times" if len(moments) > 1 else "one time"
     said = f"{done.gaussians} Gaussians at {count}, {done.rate:.6g} time codes a second; {done.loss}"
-    for line in (said, f"axes: {done.turn}", f"usd: {path}"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    say(said, f"axes: {done.turn}", f"usd: {path}")

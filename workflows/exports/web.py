@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress, SettingsError
+from ...pipeline import CaptureError, Progress, SettingsError, say
 from ...pipeline.files import write_atomically
 from ..options import of_last_run
 from ..session import Options
@@ -60,5 +60,4 @@ def web(options: Options, out: Out = None) -> None:
         text = page(scene, made.data if single else DATA, made.poster, trained.model.background, made.header["motion"] != "static")
         write_atomically(path, text)
     size = f"page of {len(text) / 1e6:.2f} MB" + ("" if single else f" beside {DATA}")
-    for line in (f"{made}; {size}", f"web: {path}"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    say(f"{made}; {size}", f"web: {path}")

@@ -6,6 +6,7 @@ import ctypes
 import ctypes.util
 import hashlib
 import os
+import platform
 import re
 import subprocess
 import sys
@@ -93,6 +94,15 @@ def _proof() -> Path:
     state.update(f"{driver.value} {os.environ.get('CUDA_VISIBLE_DEVICES')}".encode())
     cache = Path(os.environ.get("E4DGS_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "e4dgs")
     return cache / f"cuda-agrees-{state.hexdigest()[:20]}"
+
+
+def processor() -> str:
+    """The processor's name, or at least its kind."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
 
 
 def _is_there(module: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, duration
+from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, duration, say
 from ...pipeline.records import differences
 from ..last_run import scene_of
 from ..machine.writable import writing_to
@@ -50,9 +50,9 @@ def list_(
     console = console if console.is_terminal else Console(width=WIDTH)
     table, missing = fitted(rows, TITLES, console.width)
     console.print(table)
-    _say(f"{len(found)} results, {megabytes(sum(stored.size for stored in found))}")
+    say(f"{len(found)} results, {megabytes(sum(stored.size for stored in found))}")
     if missing:
-        _say(f"not shown in {console.width} columns: {', '.join(missing)}; --json has them")
+        say(f"not shown in {console.width} columns: {', '.join(missing)}; --json has them")
 
 
 def show_result(
@@ -69,7 +69,7 @@ def show_result(
         print(json.dumps(_facts(stored) | {"provenance": stored.manifest["provenance"]}, indent=2, ensure_ascii=False))
         return
     facts, parts = _facts(stored), stored.made("parts", {})
-    _say(stored.name)
+    say(stored.name)
     libraries = ", ".join(f"{name} {version}" for name, version in stored.made("libraries", {}).items())
     took = f"{duration(facts['seconds'] or 0.0)}, at most {facts['peak_rss_mb'] or 0.0:.0f} MB of memory, on {facts['device']}"
     rows = [
@@ -90,10 +90,7 @@ def show_result(
     rows += [(f"input {name}", source) for name, source in sources.items()]
     rows += [(f"{stored.stage}.{name}", json.dumps(value, ensure_ascii=False)) for name, value in parts.get("settings", {}).items()]
     rows += [(f"array {name}", f"{shape} {dtype} {unit}".rstrip()) for name, shape, dtype, unit in stored.arrays()]
-    for name, value in rows:
-        _say(f"  {name}: {value}")
-    for line in stored.made("log", []):
-        _say(f"  said: {line}")
+    say(*(f"  {name}: {value}" for name, value in rows), *(f"  said: {line}" for line in stored.made("log", [])))
 
 
 def diff(
@@ -106,11 +103,10 @@ def diff(
     one, two = find(workspace.resolve(), a), find(workspace.resolve(), b)
     if one.stage != two.stage:
         raise SettingsError(f"{a} and {b}: these are results of {one.stage} and of {two.stage}; give two of one stage")
-    _say(f"{one.name} -> {two.name}")
-    for line in _causes(workspace.resolve(), one, two):
-        _say(f"  {line}")
+    say(f"{one.name} -> {two.name}")
+    say(*(f"  {line}" for line in _causes(workspace.resolve(), one, two)))
     same = one.manifest["digest"] == two.manifest["digest"]
-    _say("the content is the same" if same else "the content differs")
+    say("the content is the same" if same else "the content differs")
 
 
 def pin(
@@ -126,7 +122,7 @@ def pin(
         raise SettingsError(f"{scene}: {workspace} has no results of such a scene; scenes: {', '.join(known) or 'none'}")
     with writing_to(workspace.resolve()):
         pinned = Pins(Store(workspace.resolve() / "store")).add(scene, sorted(results))
-    _say(f"{scene}: {len(pinned)} results are pinned")
+    say(f"{scene}: {len(pinned)} results are pinned")
 
 
 def unpin(
@@ -140,7 +136,7 @@ def unpin(
         raise SettingsError(f"{scene}: there is no such pin; pins: {', '.join(pins.names()) or 'none'}")
     with writing_to(workspace.resolve()):
         pins.remove(scene)
-    _say(f"{scene}: no longer pinned")
+    say(f"{scene}: no longer pinned")
 
 
 def _causes(workspace: Path, one: Stored, two: Stored) -> list[str]:
@@ -187,7 +183,3 @@ def _facts(stored: Stored) -> dict[str, Any]:
     facts: dict[str, Any] = {"stage": stored.stage, "key": stored.key, "scenes": list(stored.scenes), "bytes": stored.size}
     facts["digest"] = stored.manifest["digest"]
     return facts | {field: stored.made(field) for field in ("made", "seconds", "peak_rss_mb", "device")}
-
-
-def _say(message: str) -> None:
-    Console().print(message, markup=False, highlight=False, soft_wrap=True)

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from ...pipeline import Store, collect, unused
+from ...pipeline import Store, collect, say, unused
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
@@ -40,7 +39,7 @@ def gc(
         return users(workspace)
 
     if not workspace.is_dir():
-        _say("0 results, 0.0 MB")
+        say("0 results, 0.0 MB")
         return
     with writing_to(workspace):
         spared = _caches(workspace, store, most, age, dry_run)
@@ -53,15 +52,15 @@ def gc(
             found = collect(store, live, for_results, age)
         items, left = found.removed, found.left
         for item in found.busy:
-            _say(f"left {item.name}: a process uses it")
+            say(f"left {item.name}: a process uses it")
     else:
         items, left = [], 0
     for item in items:
-        _say(f"{'would remove' if dry_run else 'removed'} {item.name} ({megabytes(item.size)})")
+        say(f"{'would remove' if dry_run else 'removed'} {item.name} ({megabytes(item.size)})")
     results = [item for item in items if item.key]
-    _say(f"{len(results)} results, {megabytes(sum(item.size for item in results))}; {megabytes(left + spared)} are left")
+    say(f"{len(results)} results, {megabytes(sum(item.size for item in results))}; {megabytes(left + spared)} are left")
     if most is not None and left + spared > most:
-        _say(
+        say(
             "what is left is in use, pinned, too new, or belongs to a scene's last run; "
             "remove a folder under scenes/ to release the results of that scene"
         )
@@ -77,11 +76,7 @@ def _caches(workspace: Path, store: Store, most: int | None, age: float | None, 
             break
         if dry_run or remove(item):
             spared -= item.size
-            _say(f"{'would remove' if dry_run else 'removed'} {item.name} ({megabytes(item.size)})")
+            say(f"{'would remove' if dry_run else 'removed'} {item.name} ({megabytes(item.size)})")
         else:
-            _say(f"left {item.name}: a process uses it")
+            say(f"left {item.name}: a process uses it")
     return spared
-
-
-def _say(message: str) -> None:
-    Console().print(message, markup=False, highlight=False, soft_wrap=True)

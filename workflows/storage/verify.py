@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import typer
-from rich.console import Console
 
-from ...pipeline import Store
+from ...pipeline import Store, say
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
@@ -13,7 +12,6 @@ from ..session import DEFAULT_WORKSPACE
 
 def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
     """Digest every result in the store again; a damaged one is moved aside, to be made again by the next run. Exit code 1 for any."""
-    console = Console()
     store = Store(workspace.resolve() / "store")
     results = store.verify()
     damaged = [result for result in results if result[2]]
@@ -21,8 +19,7 @@ def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> No
         with writing_to(workspace.resolve()):
             place = store.quarantine_damaged(stage, key)
         then = f"moved to {place}; the next run makes it again" if place else "a process builds it now"
-        console.print(f"{stage}: damaged: {problem}; {then}", markup=False, highlight=False, soft_wrap=True)
-    whole = f"{len(results) - len(damaged)} of {len(results)} results in {workspace} are as they were written"
-    console.print(whole, markup=False, highlight=False, soft_wrap=True)
+        say(f"{stage}: damaged: {problem}; {then}")
+    say(f"{len(results) - len(damaged)} of {len(results)} results in {workspace} are as they were written")
     if damaged:
         raise typer.Exit(1)

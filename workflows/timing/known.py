@@ -6,7 +6,6 @@ training steps, and by what ratio finished trainings differed from what these ma
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 from ...pipeline import Job, thread_count
 from ...pipeline.files import read_json, write_json
 from ...stages.facts import Facts
+from ..machine.devices import processor
 from .steps.costs import StepCosts
 
 FILE = "timing.json"
@@ -61,7 +61,7 @@ class Known:
         """The costs of the trainings of `coarse` for captures of this kind; None if they are unknown."""
         try:
             return [StepCosts.of(row) for row in self._table("steps")[kind]] or None
-        except (KeyError, TypeError, ValueError, IndexError):
+        except (KeyError, TypeError, ValueError):
             return None
 
     def keep(self, kind: str, costs: Sequence[StepCosts]) -> None:
@@ -88,12 +88,7 @@ def machine(device: str) -> str:
     """Processor, number of threads and device. The version belongs to it: another one has other costs."""
     from ... import __version__
 
-    cpuinfo = Path("/proc/cpuinfo")
-    names: list[str] = []
-    with suppress(OSError):
-        lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
-        names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return f"{names[0] if names else platform.processor() or platform.machine()}, {thread_count()} threads, {device}, {__version__}"
+    return f"{processor()}, {thread_count()} threads, {device}, {__version__}"
 
 
 def kind_of(job: Job, settings: Mapping[str, Any]) -> str:

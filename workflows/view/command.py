@@ -7,9 +7,8 @@ import webbrowser
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
-from ...pipeline import CaptureError
+from ...pipeline import CaptureError, say
 from ...stages.facts import Facts
 from ..options import of_last_run
 from ..session import Options, open_session
@@ -41,7 +40,6 @@ def view(
     from .source import Source
 
     source = Source(session)
-    console = Console()
     try:
         while (found := source.newest()) is None:
             if not wait:
@@ -65,9 +63,7 @@ def view(
             viewer = Viewer(frames, found, *place)
         pages = addresses(host, viewer.port)
         also = "".join(f", from other machines {page}" for page in pages[1:])
-        lines = [f"{found.title}: {pages[0]}{also} (Ctrl-C ends)", over_ssh(host, viewer.port)]
-        for line in filter(None, lines):
-            console.print(line, markup=False, highlight=False, soft_wrap=True)
+        say(*filter(None, (f"{found.title}: {pages[0]}{also} (Ctrl-C ends)", over_ssh(host, viewer.port))))
         if not no_browser:
             webbrowser.open(pages[0])
         try:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
+
+from pydantic import TypeAdapter
 
 from .growth import Growth
 
@@ -74,25 +76,12 @@ class StepCosts:
 
     def as_json(self) -> dict[str, Any]:
         """For a file. Inverse of `of`."""
-        content = asdict(self)
-        content["measured"] = [[scale, [list(row) for row in rows]] for scale, rows in self.measured.items()]
-        content["loads"] = [list(row) for row in (self.loads or {}).items()]
-        content["growth"] = self.growth.as_json()
-        return content
+        return TypeAdapter(StepCosts).dump_python(self, mode="json")
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> StepCosts:
-        """From JSON. Raises KeyError, TypeError or ValueError for anything else."""
-        return cls(
-            pieces=tuple((float(share), float(scale)) for share, scale in content["pieces"]),
-            measured={float(scale): tuple((int(n), float(s)) for n, s in rows) for scale, rows in content["measured"]},
-            growth=Growth.of(content["growth"]),
-            round=float(content["round"]),
-            removals=tuple((int(views), bool(looked)) for views, looked in content["removals"]),
-            loads={float(scale): float(seconds) for scale, seconds in content["loads"]},
-            pictures=int(content["pictures"]),
-            setup=float(content["setup"]),
-        )
+        """From JSON. Raises ValueError for anything else."""
+        return TypeAdapter(cls).validate_python(content)
 
 
 def merged(pieces: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 FIRST_ROUND = 200  # as in `scene.training.control.growth`
 EVERY = 100
@@ -47,11 +46,3 @@ class Growth:
     def without_hidden(self, count: float, start: int, end: int, steps: int) -> float:
         """The number of Gaussians that is left of ``count`` after the removals from step ``start`` to ``end`` of ``steps`` steps."""
         return count * (1 - HIDDEN) ** sum(start < share * steps <= end for share in self.hidden_at)
-
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self) | {"limits": [list(row) for row in self.limits.items()]}
-
-    @classmethod
-    def of(cls, content: Mapping[str, Any]) -> Growth:
-        limits = {float(scale): int(count) for scale, count in content["limits"]}
-        return cls(**{**content, "limits": limits, "hidden_at": tuple(map(float, content["hidden_at"]))})
