@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from e4dgs.vision.sfm.pairs import MANY, many
-from e4dgs.vision.sfm.worker.database import extract, image_ids, write_cameras
+from e4dgs.vision.sfm.pairs import MANY, image_pairs, many
+from e4dgs.vision.sfm.worker.database import extract, image_ids, match, write_cameras
 from e4dgs.vision.sfm.worker.strongest import extract_strongest
 from PIL import Image
 
@@ -47,6 +47,15 @@ def test_only_long_videos_have_fewer_features():
     assert not many(10 * MANY, True)
 
 
+def test_long_videos_leave_out_steps_that_are_no_power_of_two():
+    short, long = set(image_pairs("sequential", MANY)), set(image_pairs("sequential", MANY + 1))
+    for step in (1, 2, 3, 4):
+        every = {(a, a + step) for a in range(MANY - step)}
+        assert every <= short
+        assert (every <= long) == (step != 3)
+    assert len(long) < 0.75 * len(short)
+
+
 def test_features_lie_where_colmap_finds_them(pictures):
     _, (strong,) = found(pictures, "strong.db", extract_strongest, ["0.png"], MOST, lambda *_: None)
     _, (all_of_them,) = found(pictures, "colmap.db", extract, ["0.png"], 8192, lambda *_: None)
@@ -62,8 +71,6 @@ def test_features_lie_where_colmap_finds_them(pictures):
 def test_they_match_and_follow_the_pictures(pictures):
     names = ["0.png", "4.png"]
     path, (first, second) = found(pictures, "two.db", extract_strongest, names, MOST, lambda *_: None)
-    from e4dgs.vision.sfm.worker.database import match
-
     match(path, names, [(0, 1)], 0, False, lambda *_: None)
     with pycolmap.Database.open(path) as database:
         rows = np.asarray(database.read_matches(*image_ids(path, names))).astype(int)
