@@ -21,7 +21,9 @@ class PosesSettings(Settings):
     camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = Field(
         "SIMPLE_RADIAL", description="lens model that is fitted; OPENCV suits wide lenses with many images"
     )
-    max_features: int = Field(8192, ge=256, le=65_536, description="most SIFT features per image")
+    max_features: int | None = Field(
+        None, ge=256, le=65_536, description="most SIFT features per image; none: 8192, of over 100 frames 3000"
+    )
     mapper: Literal["incremental", "global"] = Field("incremental", description="COLMAP's incremental mapper or the global one (GLOMAP)")
     moving: bool = Field(
         True, description="a second pass without features on moving objects, if there are enough of these; the better pass is kept"

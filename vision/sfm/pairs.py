@@ -6,7 +6,9 @@ EXHAUSTIVE_LIMIT = 40  # images; 780 pairs
 OVERLAP = 4  # following images that each image is matched with, besides those at distances of powers of two up to LONGEST
 LONGEST = 64
 SMALL = 1200  # px; frames whose longer side is shorter are enlarged for features
-KEYFRAMES = 24  # images spread over a sequence that are all matched with one another, which closes loops without a vocabulary tree
+MANY = 100  # images; in a longer sequence each feature is seen so often that fewer of them determine the cameras as well
+MOST, STRONGEST = 8192, 3000  # features of an image; of one among many
+KEYFRAMES, FEWER_KEYFRAMES = 24, 16  # images spread over a sequence that are all matched with one another, to close loops; fewer among many
 
 
 def choose(matcher: str | None, images: int, static: bool) -> str:
@@ -18,16 +20,23 @@ def choose(matcher: str | None, images: int, static: bool) -> str:
 
 def image_pairs(matcher: str, images: int, overlap: int = OVERLAP) -> list[tuple[int, int]]:
     """Pairs (a, b), a < b, sorted. `sequential` takes the next `overlap` images; those at powers of two beyond, the farther the fewer,
-    since they only tie together what the next images link already; and keyframes."""
+    since they only tie together what the next images link already; and keyframes. Among `many` images all steps are powers of two."""
     if matcher == "exhaustive":
         return [(a, b) for a in range(images) for b in range(a + 1, images)]
-    pairs = {(a, a + step) for step in range(1, overlap + 1) for a in range(images - step)}
+    lean = many(images, False)
+    near = [step for step in range(1, overlap + 1) if not lean or step & (step - 1) == 0]
+    pairs = {(a, a + step) for step in near for a in range(images - step)}
     far = [2**k for k in range(20) if overlap < 2**k <= LONGEST]
     pairs |= {(a, a + step) for step in far for a in range(0, images - step, max(1, step // overlap))}
-    stride = max(1, -(-images // KEYFRAMES))
+    stride = max(1, -(-images // (FEWER_KEYFRAMES if lean else KEYFRAMES)))
     keys = range(0, images, stride)
     pairs |= {(a, b) for a in keys for b in keys if a < b}
     return sorted(pairs)
+
+
+def many(images: int, static: bool) -> bool:
+    """Whether a sequence is so long that the strongest features of each image are enough."""
+    return images > MANY and not static
 
 
 def enlarged(width: int, height: int, static: bool) -> bool:

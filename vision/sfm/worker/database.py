@@ -17,7 +17,7 @@ from ..pairs import enlarged
 
 Report = Callable[[str, int, int], None]  # phase, done, total
 
-EXTRACT_CHUNK = 8  # images per call; a killed run loses at most this many
+CHUNK_OF_FEATURES = 8  # images per call; a killed run loses at most this many
 MATCH_CHUNK = 64  # pairs per call
 ENLARGED, AS_IT_IS = -1, 0  # SIFT's first octave: pictures at twice their size, or as they are
 LOOKED = 3  # images whose features are counted to decide between the two
@@ -44,7 +44,7 @@ def extract(
 ) -> None:
     """Extracts SIFT features of every image; `camera_ids[i]` is the camera of `names[i]`. Images that have features are skipped. masks: a
     folder; if it has NAME.png, the image NAME gets no features where that is black. first_octave: `ENLARGED` or `AS_IT_IS`."""
-    _register(path, root, names, camera_ids)
+    register(path, root, names, camera_ids)
     with pycolmap.Database.open(path) as database:
         have = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
     options = pycolmap.FeatureExtractionOptions()
@@ -57,8 +57,8 @@ def extract(
         if masks is not None:
             reader.mask_path = masks
         todo = [name for name, c in zip(names, camera_ids, strict=True) if c == camera and name not in have]
-        for start in range(0, len(todo), EXTRACT_CHUNK):
-            chunk = todo[start : start + EXTRACT_CHUNK]
+        for start in range(0, len(todo), CHUNK_OF_FEATURES):
+            chunk = todo[start : start + CHUNK_OF_FEATURES]
             pycolmap.extract_features(path, root, chunk, pycolmap.CameraMode.SINGLE, reader, options)
             done += len(chunk)
             report("features", done, len(names))
@@ -82,7 +82,7 @@ def first_octave(root: Path, names: Sequence[str], cameras: Sequence[pycolmap.Ca
     return ENLARGED if np.median(found) < FEW else AS_IT_IS
 
 
-def _register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int]) -> None:
+def register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[int]) -> None:
     """Registers images in the order of `names`. Extraction would number them as its threads finish, and results would depend on that."""
     with pycolmap.Database.open(path) as database:
         known = {image.name for image in database.read_all_images()}

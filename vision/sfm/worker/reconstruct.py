@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 
 from ..impossible_points import observe, purge
+from ..pairs import MOST, STRONGEST, many
 from ..pose_agreement import explained
 from ..trouble import FIXED
 from ..turning.result import turning_arrays
@@ -19,6 +20,7 @@ from .masked_points import without_moving_points
 from .reclaim import reclaim
 from .refine import refine_or_keep
 from .result import result_arrays, used_features
+from .strongest import extract_strongest
 from .survey import free_pairs, survey, tell
 
 DATABASE = "database.db"  # in the request's folder
@@ -45,8 +47,12 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
     distinct = sorted(set(groups))
     cameras = [first_camera(root / names[groups.index(g)], request) for g in distinct]
     ids = dict(zip(distinct, db.write_cameras(path, cameras), strict=True))
-    octave = db.first_octave(root, names, cameras, bool(request["static"]))
-    db.extract(path, root, names, [ids[g] for g in groups], int(request["max_features"]), report, request.get("keep"), octave)
+    of, most, keep = [ids[g] for g in groups], request["max_features"], request.get("keep")
+    if many(len(names), bool(request["static"])):
+        extract_strongest(path, root, names, of, most or STRONGEST, report, keep)
+    else:
+        octave = db.first_octave(root, names, cameras, bool(request["static"]))
+        db.extract(path, root, names, of, most or MOST, report, keep, octave)
     db.match(path, names, [(a, b) for a, b in request["pairs"]], seed, True, report)
     return map_database(path, request, report)
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from ..pairs import MOST
 from . import database as db
 from .reconstruct import DATABASE, first_camera, map_database
 from .starts import reconstruct_fixed
@@ -32,7 +33,7 @@ def reconstruct_rig(request: dict[str, Any], report: db.Report) -> tuple[dict[st
     pycolmap.set_random_seed(seed)
     looks = folder / LOOKS
     camera_ids = db.write_cameras(looks, [first_camera(root / names[0], request)]) * len(names)
-    db.extract(looks, root, names, camera_ids, int(request["max_features"]), report)
+    db.extract(looks, root, names, camera_ids, request["max_features"] or MOST, report)
     db.match(looks, names, pairs, seed, False, report)
 
     firsts = [names[image.index(i)] for i in range(max(image) + 1)]
