@@ -11,6 +11,7 @@ import pytest
 from e4dgs.pipeline import settings_by_name
 from e4dgs.workflows.cli import app
 from e4dgs.workflows.presets import PRESETS
+from e4dgs.workflows.publish import PLAYER
 from e4dgs.workflows.reconstruction import reconstruction
 from run_stage import run_frames, run_stage
 from script_module import load_script
@@ -99,8 +100,14 @@ def test_commands_of_the_readme_exist():
 def test_links_lead_somewhere(document):
     text = (ROOT / document).read_text()
     for target in re.findall(r"\]\(([^)#]+)\)", text):
-        if not target.startswith("http"):
+        if not target.startswith(("http", "e4dgs-workspace/")):
             assert ((ROOT / document).parent / target).exists(), f"{document} links to {target}"
+
+
+def test_the_picture_leads_to_the_page_that_the_first_command_writes():
+    (target,) = re.findall(r"\]\((e4dgs-workspace/[^)]+)\)", README)
+    sample = re.search(r'SAMPLE = "samples/(\w+)"', (ROOT / "dev.py").read_text())[1]
+    assert 'ROOT / "e4dgs-workspace"' in (ROOT / "dev.py").read_text() and target == f"e4dgs-workspace/scenes/{sample}/{PLAYER}"
 
 
 def test_design_pages_are_short():

@@ -1,4 +1,4 @@
-"""Writes the results of a run for people and programs: plan.json, metrics.json and report.html in the scene's folder."""
+"""Writes the results of a run for people and programs: plan.json, metrics.json, report.html and player.html in the scene's folder."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from ..stages.shared.training_log import read_training_log
 from .reconstruction import EVALUATION, TRAINING
 from .results import run_command
 from .session import Session
+
+PLAYER = "player.html"  # in a scene's folder
 
 
 def plan_json(session: Session, rows: Sequence[Row]) -> dict[str, Any]:
@@ -65,8 +67,8 @@ def _training_seconds(outcome: Outcome) -> float:
 
 
 def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) -> tuple[dict[str, Any], Path]:
-    """Writes metrics.json and report.html; returns the metrics and the report's path. The report is drawn again only if a stage ran or the
-    results in it have changed.
+    """Writes metrics.json, report.html and, where the report has the scene in it, player.html with the scene alone; returns the metrics and
+    the report's path. The pages are drawn again only if a stage ran or the results in them have changed.
     """
     from .. import __version__
 
@@ -80,21 +82,39 @@ def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) 
     report = folder / "report.html"
     shown = {"version": __version__, "artifacts": {name: o.artifact.digest for name, o in named.items() if o.artifact}}
     stamp = folder / "records" / "report-shows.json"
-    if any(outcome.state == "ran" for outcome in outcomes) or not report.is_file() or read_json(stamp) != shown:
-        write_atomically(report, _render(session, rows, named, evaluate, metrics))
+    there = report.is_file() and ((folder / PLAYER).is_file() or "player" not in evaluate)
+    if any(outcome.state == "ran" for outcome in outcomes) or not there or read_json(stamp) != shown:
+        player = _player(session.scene.name, evaluate)
+        write_atomically(report, _render(session, rows, named, evaluate, metrics, player))
+        if player is None:
+            (folder / PLAYER).unlink(missing_ok=True)
+        else:
+            write_atomically(folder / PLAYER, player)
         write_json(stamp, shown)
     return metrics, report
 
 
-def _render(session: Session, rows: Sequence[Row], outcomes: Mapping[str, Outcome], evaluate: Artifact, metrics: Mapping[str, Any]) -> str:
+def _player(scene: str, evaluate: Artifact) -> str | None:
+    """The page on which the scene plays; None if `evaluate` holds no scene for it."""
     from ..scene.formats.web.container import header_of
-    from ..stages.report.page import render_report
     from .player.page import page
+
+    stored = read_player(evaluate)
+    return None if stored is None else page(scene, *stored, header_of(stored[0])[0]["background"], play=False)
+
+
+def _render(
+    session: Session,
+    rows: Sequence[Row],
+    outcomes: Mapping[str, Outcome],
+    evaluate: Artifact,
+    metrics: Mapping[str, Any],
+    player: str | None,
+) -> str:
+    from ..stages.report.page import render_report
 
     infos = {name: report_attributes(outcome.artifact) for name, outcome in outcomes.items() if outcome.artifact is not None}
     plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
     placed = outcomes["seeds"].artifact if "seeds" in outcomes else None
     seeds = None if placed is None else read_seeds_png(placed)
-    stored, scene = read_player(evaluate), session.scene.name
-    player = None if stored is None else page(scene, *stored, header_of(stored[0])[0]["background"], play=False)
-    return render_report(scene, evaluate, infos, plan_rows, metrics, seeds, run_command(session.options, "all"), player)
+    return render_report(session.scene.name, evaluate, infos, plan_rows, metrics, seeds, run_command(session.options, "all"), player)

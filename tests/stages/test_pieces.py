@@ -12,6 +12,7 @@ from e4dgs.scene.motion.lifetimes.lifetime import lifetime
 from e4dgs.scene.primitives import SH_C0
 from e4dgs.stages.exports.bake import Baked
 from e4dgs.stages.exports.plain import PlainLook
+from e4dgs.stages.exports.straight.colors import fitting_colors
 from e4dgs.stages.exports.straight.pieces import pieces_of, still_pieces, turned_pieces
 from e4dgs.stages.exports.straight.soft import soft_pieces
 from made_models import FRAMES, MOTIONS, camera, made
@@ -22,11 +23,12 @@ CLOCK = Clock(1.0, FRAMES / (FRAMES - 1))
 VIEW = View(50.0, np.array([0.0, 0.0, -3.0]), np.zeros(3))
 
 
-def baked(motion: str, slow: float = 1.0, spin: float = 1.0) -> Baked:
-    """A model with Gaussians in place of its convexes; ``slow`` scales what moves, ``spin`` what lives turn."""
-    model = made(motion, gaussians=300, convexes=30, antialiased=False)
+def baked(motion: str, slow: float = 1.0, spin: float = 1.0, bright: float = 1.0, degree: int = 2) -> Baked:
+    """A model with Gaussians in place of its convexes; ``slow`` scales what moves, ``spin`` what lives turn, ``bright`` contrast."""
+    model = made(motion, degree, gaussians=300, convexes=30, antialiased=False)
     with torch.no_grad():
         for one in (model.gaussians, model.convexes):
+            one.sh_dc.mul_(bright)
             if "shades" in one.parameters:
                 one.shades.mul_(0.1)  # colours stay in [0, 1], which is all that the containers hold
             if "spins" in one.parameters:
@@ -58,6 +60,29 @@ def test_a_4dgs_file_is_decoded_to_the_model_by_its_own_package(motion):
     found = [(psnr(source, pieces.at(t), t), psnr(source, at(CLOCK.span * t), t)) for t in TIMES]
     assert min(exact for exact, _ in found) > 42 and min(decoded for _, decoded in found) >= 40, found
     assert motion != "static" or len(pieces) == 330
+
+
+@pytest.mark.parametrize(("motion", "degree"), [("static", 0), ("lives", 2), ("nodes", 1), ("planes", 3)])
+def test_colours_beyond_what_the_container_holds_come_back(motion, degree):
+    """As a model has them that was hardly trained: a seventh and more of all colours, by up to 0.7."""
+    pytest.importorskip("fourdgs")
+    source = baked(motion, slow=0.4, spin=0.2, bright=1.8, degree=degree)
+    pieces = pieces_of(source, FRAMES, PIXEL)
+    colors = 0.5 + SH_C0 * pieces.gaussians.sh[:, 0]
+    assert float(((colors < 0) | (colors > 1)).float().mean()) > 1 / 7
+    poses = torch.stack([camera(float(angle)).cam_from_world for angle in np.arange(0, 6.28, 0.3)])
+    eyes = -(poses[:, :3, :3].transpose(1, 2) @ poses[:, :3, 3:])[..., 0]
+    found = []
+    for written in (pieces, fitting_colors(pieces, eyes)):
+        at = read_container(container_bytes(written, CLOCK, Turn("-Y", "-Y"), VIEW, "made"))
+        found.append(min(psnr(source, at(CLOCK.span * t), t) for t in TIMES))
+    assert found[0] < 34 and found[1] >= 40, found
+
+
+def test_colours_that_fit_are_left_as_they_are():
+    pieces = still_pieces(baked("static"), 0.5)
+    inside = pieces.select((0.5 + SH_C0 * pieces.gaussians.sh[:, 0] - 0.5).abs().amax(1).lt(0.5).nonzero()[:, 0])
+    assert len(inside) > 100 and fitting_colors(inside, torch.eye(3)) is inside
 
 
 def test_a_straight_life_is_one_piece_with_its_own_times():

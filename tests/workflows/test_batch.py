@@ -130,7 +130,7 @@ def test_what_can_be_run_is_run_and_the_rest_is_told(finished, capsys):
     assert "pair: 1 failed, 1 done" in capsys.readouterr().out
 
 
-def test_the_page_links_to_the_reports_and_shows_the_worst_first(finished):
+def test_the_page_links_to_reports_and_players_and_shows_the_worst_first(finished):
     class Links(HTMLParser):
         def __init__(self):
             super().__init__()
@@ -144,7 +144,9 @@ def test_the_page_links_to_the_reports_and_shows_the_worst_first(finished):
     page = (batch / "results.html").read_text()
     parser = Links()
     parser.feed(page)
-    assert len(parser.found) == 1 and (batch / parser.found[0]).is_file()
+    assert [os.path.basename(link) for link in parser.found] == ["report.html", "player.html"]
+    assert all((batch / link).is_file() for link in parser.found)
+    assert [read(batch)[0][name] for name in ("report", "player")] == parser.found
     assert page.index(">empty<") < page.index("report.html")
     command = unescape(page.split("<pre>")[1].split("</pre>")[0])
     assert sorted(shlex.split(command)) == sorted(["e4dgs", *finished[2]])

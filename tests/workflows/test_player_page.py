@@ -370,6 +370,17 @@ def test_the_command_writes_a_page_that_plays(finished_run, browser, tmp_path, c
     assert main([*words, "--out", str(tmp_path / "scene.txt")]) == 2
 
 
+def test_a_run_ends_with_a_page_that_plays(finished_run, browser):
+    page = next((finished_run[1] / "scenes").glob("*/player.html"))
+    shown = browser.new_page()
+    try:
+        shown.goto(page.as_uri())
+        shown.wait_for_selector("body.ready", timeout=60_000)
+        assert shown.evaluate("e4dgs.info.gaussians") > 0
+    finally:
+        shown.close()
+
+
 def test_the_report_plays_the_scene(finished_run, browser):
     workspace = finished_run[1]
     report = next((workspace / "scenes").glob("*/report.html"))

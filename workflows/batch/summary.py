@@ -24,7 +24,7 @@ TEMPLATE = Path(__file__).with_name("summary.html.jinja")
 METRICS = ("psnr", "ssim", "lpips", "edge_psnr")
 COLUMNS = (
     *("scene", "state", "stage", "message", *METRICS, "split", "train_seconds", "seconds", "render_fps", "gaussians", "convexes"),
-    *("attempts", "group", "settings", "capture", "report", "command"),
+    *("attempts", "group", "settings", "capture", "report", "player", "command"),
 )
 
 
@@ -38,7 +38,6 @@ def rows_of(ledger: Ledger) -> list[dict[str, Any]]:
         splits = metrics.get("splits") or {}
         split = next((name for name in ("test", "val", "train") if name in splits), None)
         values = splits[split] if split is not None else {}
-        report = ledger.workspace / "scenes" / entry.name / "report.html"
         found: dict[str, Any] = {"scene": entry.name, "state": progress.state, "stage": progress.stage, "message": progress.message}
         found |= {name: values.get(name) for name in METRICS} | {"split": split}
         found |= {name: metrics.get(name) for name in ("train_seconds", "render_fps")} | {"seconds": progress.seconds}
@@ -46,7 +45,9 @@ def rows_of(ledger: Ledger) -> list[dict[str, Any]]:
         settings = " ".join(f"{key}={value}" for key, value in entry.settings)
         found |= {"attempts": progress.attempts, "group": entry.group, "settings": settings, "capture": entry.capture}
         found["command"] = run_command(entry.options(ledger.workspace), "all")
-        found["report"] = os.path.relpath(report, ledger.folder) if report.is_file() else None
+        for name in ("report", "player"):
+            page = ledger.workspace / "scenes" / entry.name / f"{name}.html"
+            found[name] = os.path.relpath(page, ledger.folder) if page.is_file() else None
         rows.append({name: found[name] for name in COLUMNS})
     return rows
 

@@ -18,10 +18,13 @@ from ..capture_cameras import camera_of, distinct_views
 from ..plain import compensated
 from ..splats import turn_of
 from ..web import pixel_width
+from .colors import fitting_colors
 from .pieces import pieces_of, still_pieces, turned_pieces
 from .soft import soft_pieces
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from ....rasterizer import Gaussians
     from ....scene.formats.gaussian_birth import Clock, View
     from ....scene.formats.pieces import Pieces
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
 Straight = Literal["4dgs", "freetime"]
 UP: dict[Straight, str] = {"4dgs": "Y", "freetime": "-Y"}
 USUAL_RATE = 24.0  # times per second for a capture without seconds
+EYES = 64  # cameras from which colours are held to the model's
 MOMENTS = 0.0, 0.25, 0.5, 0.75, 1.0  # at which the file is compared with the model
 
 
@@ -83,6 +87,8 @@ def export_straight(
         pieces = (pieces_of if kind == "4dgs" else soft_pieces)(baked, times, pixel_width(frames, target))
     else:
         pieces = still_pieces(baked, moment or 0.0)
+    if kind == "4dgs":
+        pieces = fitting_colors(pieces, eyes_of(frames))
     advance(1)
     clock = clock_of(frames, times if moves else 1)
     data = written(turned_pieces(pieces, turn), frames, clock, Look(kind, target, turn, antialiased, out.stem, times if moves else 1))
@@ -150,6 +156,15 @@ def view_of(frames: FrameSet, target: np.ndarray, turn: Turn) -> View:
     angle = 2 * math.degrees(math.atan(frames.height / (2 * K[1, 1])))
     place = -pose[:3, :3].T @ pose[:3, 3]
     return View(angle, turn.matrix @ place, turn.matrix @ target)
+
+
+def eyes_of(frames: FrameSet) -> Tensor:
+    """[V, 3] places of at most `EYES` cameras of the capture."""
+    import torch
+
+    assert frames.cam_from_world is not None
+    poses = torch.as_tensor(frames.cam_from_world[distinct_views(frames, frames.train, EYES)]).double()
+    return -(poses[:, :3, :3].transpose(1, 2) @ poses[:, :3, 3:])[..., 0]
 
 
 def compared(baked: Baked, frames: FrameSet, decoded: Callable[[float], Gaussians], moments: tuple[float, ...]) -> float:
