@@ -5,7 +5,7 @@
     python benchmarks/publish.py --check     says which rows are out of date, by which stages; fails if a page is not what the results say
 
 SCENES holds the captures named in `quality_rows.py`. Stop it whenever you like and begin again: runs are kept one by one
-(results/rows/NAME.json) and are not repeated while the code of their stages, their options and their seed are the same. A run of less than
+(results/rows/NAME.json) and are not repeated while machine, code of their stages, options and seed are the same. A run of less than
 20 minutes is repeated with two more seeds. It begins only on idle cores, unless --busy is given; the row says how many other programs used
 meanwhile. --weights: the folder that `fetch-weights` fills, for LPIPS; without it the published weights of e4dgs[lpips], if they are there.
 """
@@ -78,8 +78,10 @@ def children_seconds() -> float:
 
 def fill(name: str, args: argparse.Namespace, more: list[str]) -> None:
     """Measures the seeds of a row that are missing or of other code."""
-    row, found = ROWS[name], kept(name)
+    row, found, here = ROWS[name], kept(name), machine()["processor"]
     runs = found["runs"] if found is not None and stale(name, found) is None else []
+    if any(run["machine"]["processor"] != here or (more and run["metrics"]["splits"]["train"]["lpips"] is None) for run in runs):
+        runs = []  # of another machine, or without the LPIPS that can be measured now
     wanted = list(range(SEEDS))
     while missing := [seed for seed in wanted if seed not in [run["seed"] for run in runs]]:
         if runs and runs[0]["seconds"] >= SHORT:

@@ -1,6 +1,6 @@
 """The rows of the tables of quality on the pages: what each runs, what was kept of it, and by which code it is out of date.
 
-`results/rows/NAME.json` holds one row: its runs, one a seed, all of one commit.
+`results/rows/NAME.json` holds one row: its runs, one a seed, all by one machine and the same code.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ROOM, DOG, WHITE = "room_video/room.mp4", "dog_gooses/dog-gooses.mp4", "D-NeRF l
 TEST, EIGHTH, BOTH = "test", "every 8th frame", "test / val"
 EVERY_2 = ("--set", "frames.every_time=2")
 ROWS: dict[str, Row] = {
-    "basketball": Row("basketball", "basketball (Panoptic, 27 cameras, 12 times)", TEST),
+    "basketball": Row("basketball", "basketball (Panoptic, 27 cameras, 12 of 150 times)", TEST),
     "basketball-fast": Row("basketball", "basketball", TEST, FAST),
     "stage": Row("stage", "stage (rendered rig of 8 cameras)", TEST),
     "stage-fast": Row("stage", "stage", TEST, FAST),
