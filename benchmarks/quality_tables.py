@@ -43,9 +43,8 @@ def results() -> str:
     """The README's: held-out views, two splits with a slash between them."""
     heads = ["capture", "resolution, held out", "PSNR, dB", "SSIM", "LPIPS", "edge PSNR", "after colour fit", "training views", "minutes"]
     lines: list[list[str]] = []
-    for name in SHOWN:
-        if (row := kept(name)) is None:
-            continue
+    found = {name: row for name in SHOWN if (row := kept(name)) is not None}
+    for name, row in found.items():
         cells = [
             " / ".join(number(metric(row, split, key), digits) for split in held_out(row))
             for key, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3), ("edge_psnr", 2))
@@ -54,14 +53,11 @@ def results() -> str:
         over = spread(row, held_out(row)[0])
         cells[0] += f" (of {len(row['runs'])}: {over:.2f})" if over is not None else ""
         cells = [cell if any(map(str.isdigit, cell)) else SAYS_NOTHING for cell in cells]
-        fitted, train, train_fitted = (
-            metric(row, held_out(row)[0], "psnr_affine"),
-            metric(row, "train", "psnr"),
-            metric(row, "train", "psnr_affine"),
-        )
-        shown = number(train, 2) + (f", fitted {train_fitted:.2f}" if train_fitted is not None else "")
-        lines.append([titled(name), f"{size}, {ROWS[name].views}", *cells, number(fitted, 2), shown, minutes(row)])
-    return table(heads, lines)
+        fitted = number(metric(row, held_out(row)[0], "psnr_affine"), 2)
+        lines.append([titled(name), f"{size}, {ROWS[name].views}", *cells, fitted, trained(row, ", fitted "), minutes(row)])
+    stale = [name for name, row in found.items() if row["stale"]]
+    told = "all" if len(stale) == len(found) else ", ".join(stale) or "none"
+    return f"{table(heads, lines)}\n\nRows of an older version: {told}."
 
 
 def whole_runs() -> str:
@@ -78,17 +74,9 @@ def whole_runs() -> str:
 
 
 def line(row: dict[str, Any], split: str) -> list[str]:
-    values = (
-        ("psnr", 2),
-        ("", 0),
-        ("ssim", 4),
-        ("lpips", 4),
-        ("psnr_foreground", 2),
-        ("psnr_moving", 2),
-        ("edge_psnr", 2),
-        ("psnr_affine", 2),
-    )
-    cells = [number(spread(row, split), 2) if not key else number(metric(row, split, key), digits) for key, digits in values]
+    digits = {"psnr": 2, "ssim": 4, "lpips": 4, "psnr_foreground": 2, "psnr_moving": 2, "edge_psnr": 2, "psnr_affine": 2}
+    cells = [number(metric(row, split, key), n) for key, n in digits.items()]
+    cells.insert(1, number(spread(row, split), 2))
     flicker = [mean(row, lambda run, key=key: (run["metrics"]["flicker"] or {}).get(key)) for key in ("static", "edges", "warped")]
     count = [mean(row, lambda run, kind=kind: run["metrics"]["primitives"][kind]) for kind in ("gaussians", "convexes")]
     speed = mean(row, lambda run: 1000 / run["metrics"]["render_fps"] if run["metrics"]["render_fps"] else None)
@@ -117,14 +105,17 @@ def gpus() -> str:
 
 
 def memory() -> str:
-    """The largest stage's peak, of `results/stages.json`."""
-    stages = json.loads((ROWS_FOLDER.parent / "stages.json").read_text())
+    """The largest stage's peak in the row's first run; for rows that did not keep it, of `results/stages.json`."""
+    earlier = json.loads((ROWS_FOLDER.parent / "stages.json").read_text())
     lines = []
     for what, names in MEMORY.items():
-        peaks = [f"{max(stages[name]['peak_mb'].values()) / 1000:.1f} GB" for name in names]
-        lines.append(
-            [what, "; ".join(f"{ROWS[name].capture.partition('/')[0]}, {stages[name]['size']}" for name in names), "; ".join(peaks)]
-        )
+        peaks, pictures = [], []
+        for name in names:
+            run = (kept(name) or {"runs": [{"metrics": {}}]})["runs"][0]["metrics"].get("stages", {})
+            known = [stage["peak_rss_mb"] for stage in run.values()] or earlier[name]["peak_mb"].values()
+            peaks.append(f"{max(known) / 1000:.1f} GB")
+            pictures.append(f"{ROWS[name].capture.partition('/')[0]}, {earlier[name]['size']}")
+        lines.append([what, "; ".join(pictures), "; ".join(peaks)])
     return table(["capture", "pictures", "memory, the largest stage"], lines)
 
 
