@@ -23,7 +23,7 @@ import capture_kinds as kinds
 import numpy as np
 from e4dgs.pipeline import Artifact, Records
 from e4dgs.workflows.bench.machine import machine
-from quality import trimmed
+from quality_rows import trimmed
 
 Make = Callable[[Path, Path], Path]
 CAPTURES: dict[str, tuple[str, Make]] = {

@@ -2,7 +2,7 @@
 
     python benchmarks/scale.py [--scenes 10000] [--out benchmarks/results/scale.json]
 
-Each scene is one of those in benchmarks/results/quality.json (seconds of its stages on one thread; 0 where one was skipped), longer or
+Each scene is one of those in benchmarks/results/stages.json (seconds of its stages on one thread; 0 where one was skipped), longer or
 shorter by a factor drawn for each stage. A worker takes a scene, runs its stages in order, reads each stage's inputs from the store and
 writes its result there; the store has a bandwidth that all share, and answers requests (one a file, so many at a time by a worker). Workers
 are lost at random; what they did since the last checkpoint is done again by another.
@@ -55,8 +55,8 @@ class Cluster:
 
 
 def measured() -> dict[str, dict[str, float]]:
-    found = json.loads((RESULTS / "quality.json").read_text())["results"]
-    return {name: {s: c["metrics"]["stages"][s]["seconds"] for s in STAGES} for name, c in found.items() if name not in LEFT_OUT}
+    found = json.loads((RESULTS / "stages.json").read_text())
+    return {name: {s: row["seconds"][s] for s in STAGES} for name, row in found.items() if name not in LEFT_OUT}
 
 
 def simulate(cluster: Cluster, scenes: int, seed: int = 0) -> dict[str, Any]:

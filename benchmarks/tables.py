@@ -1,23 +1,23 @@
-"""Writes the tables and plots of benchmarks/results/benchmarks.md: `python benchmarks/tables.py [--check]`.
+"""The tables of measured figures on the pages: `benchmarks/publish.py` writes them.
 
-Between the lines `<!-- NAME -->` and `<!-- end -->` of the page everything is replaced by the tables of benchmarks/results/bench_NAME.json,
-as `benchmarks/bench.py NAME --out` and `benchmarks/knobs.py --out` write it, and plots go to plots/ beside it. Nothing else is touched; a
-result that is absent leaves one line that says how to make it. --check changes nothing and exits 1 where the page is not what it would
-write.
+Between the lines `<!-- NAME -->` and `<!-- end -->` of a page everything is replaced: by a table of `quality_tables.py`, or by those of
+benchmarks/results/bench_NAME.json, as `benchmarks/bench.py NAME --out` and `benchmarks/knobs.py --out` write it; its plots go to plots/.
+Nothing else is touched; a result that is absent leaves one line that says how to make it.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 from pathlib import Path
 
 from e4dgs.workflows.bench.output import number
+from quality_tables import TABLES
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-PAGE, PLOTS = RESULTS / "benchmarks.md", RESULTS / "plots"
+PLOTS = RESULTS / "plots"
+PAGES = ("README.md", "docs/hardware.md", "benchmarks/results/benchmarks.md")
 COMMANDS = {
     "raster": "python benchmarks/bench.py raster --garden FILE --out benchmarks/results/bench_raster.json",
     "field": "python benchmarks/bench.py field --out benchmarks/results/bench_field.json",
@@ -31,7 +31,7 @@ COMMANDS = {
 
 
 def section(name: str, draw: bool = True) -> str:
-    """The tables of one result, its machine above them, its plots below."""
+    """The tables of a bench, its machine above them, its plots below."""
     path = RESULTS / f"bench_{name}.json"
     if not path.is_file():
         return f"Not measured yet: `{COMMANDS[name]}`."
@@ -76,22 +76,18 @@ def page(text: str, draw: bool = True) -> str:
     """The page with every marked part replaced."""
     return re.sub(
         r"<!-- (\w+) -->\n.*?<!-- end -->",
-        lambda match: f"<!-- {match[1]} -->\n{section(match[1], draw)}\n<!-- end -->",
+        lambda match: f"<!-- {match[1]} -->\n{TABLES[match[1]]() if match[1] in TABLES else section(match[1], draw)}\n<!-- end -->",
         text,
         flags=re.DOTALL,
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true")
-    args = parser.parse_args()
-    before = PAGE.read_text()
-    after = page(before, draw=not args.check)
-    if args.check:
-        raise SystemExit(0 if after == before else f"{PAGE} is not what its results say; run python benchmarks/tables.py")
-    PAGE.write_text(after)
-
-
-if __name__ == "__main__":
-    main()
+def write(check: bool) -> None:
+    """Writes the pages. check: changes nothing, and raises SystemExit if one is not what the results say."""
+    for name in PAGES:
+        before = (ROOT / name).read_text()
+        if page(before, draw=False) == before:
+            continue
+        if check:
+            raise SystemExit(f"{name} is not what its results say; run python benchmarks/publish.py")
+        (ROOT / name).write_text(page(before))

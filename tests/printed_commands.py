@@ -49,7 +49,6 @@ RUN = {
     "e4dgs bench raster --scale 0.05": f"{SHORT} --scale 0.001",
     "e4dgs bench pipeline CAPTURE... --plot FILE.svg": f"{TINY} --points default",
     # docs/comparing.md
-    "e4dgs bench pipeline CAPTURE --seeds 3 --plot curve.svg": f"{TINY} --seeds 1 --points default",
     "e4dgs bench ablation CAPTURE --seeds 3 --out ablation/": f"{TINY} --seeds 1 --rows full",
     # docs/first-scene.md
     "e4dgs view samples/cube_and_ball": f"{SAMPLE} --no-browser",
@@ -57,6 +56,13 @@ RUN = {
     "e4dgs plan samples/cube_and_ball --preset fast --set fine.iterations=600": PLANNED,
     # docs/hardware.md
     "e4dgs run all CAPTURE --time 10m": TINY,
+    # docs/reproduce.md
+    "e4dgs run all data/n3v/coffee_martini --set frames.max_size=1352 --set evaluate.measured=300": TINY,
+    "e4dgs run all data/hypernerf/vrig-chicken --set frames.max_size=960 --set evaluate.measured=1000": TINY,
+    "e4dgs run all data/nvidia/Balloon1_split": TINY,
+    "e4dgs run all data/iphone/apple --set frames.max_size=480 --set evaluate.measured=1000": TINY,
+    "e4dgs run all data/panoptic/basketball --set evaluate.measured=600": TINY,
+    "e4dgs run all data/dnerf/lego --set frames.background=black": SAMPLE,
     # docs/reruns.md
     "e4dgs run all CAPTURE --set fine.iterations=3000": f"{TINY} --set fine.iterations=4",
     "e4dgs run flow CAPTURE": TINY,
@@ -86,6 +92,7 @@ RUN = {
     "e4dgs export flow CAPTURE --out DIR": TINY,
 }
 
+SPLITS = "tests/test_reproduce.py and the place of tests/test_run_printed_commands.py do it"
 ROWS = "runs for minutes; tests/benchmarks/test_bench_rows.py runs every row at a tiny size"
 REAL = "measures real captures for minutes; only its words are checked"
 PARSED_ONLY = {
@@ -95,12 +102,12 @@ PARSED_ONLY = {
     "source .venv/bin/activate": "a shell's own; the environment is made by `python3 dev.py sample`, which downloads",
     "e4dgs bench cuda --garden test_garden.npz": "needs a GPU; tests/workflows/test_bench.py runs its rows on a pretended one",
     "python benchmarks/bench.py raster --garden test_garden.npz": ROWS,
-    "python benchmarks/bench.py field": ROWS,
-    "python benchmarks/bench.py step --capture CAPTURE": ROWS,
-    "python benchmarks/bench.py cuda --garden test_garden.npz": "needs a GPU; tests/benchmarks runs its rows on a pretended one",
     "python benchmarks/knobs.py": "compiles the kernels a dozen times",
     "python benchmarks/flow.py SCENES --weights DIR": "needs weights that are downloaded",
     "python benchmarks/moving.py SCENES": REAL,
+    "python benchmarks/published_splits.py without data/n3v/coffee_martini_all cam13 data/n3v/coffee_martini": SPLITS,
+    "python benchmarks/published_splits.py nvidia data/nvidia/Balloon1 data/nvidia/Balloon1/truth data/nvidia/Balloon1_split": SPLITS,
+    "python benchmarks/published_splits.py nvidia SCENE TRUTH OUT": SPLITS,
     "python benchmarks/flow_terms.py SCENES": REAL,
     "python benchmarks/sfm_moving.py SCENES": REAL,
     "python benchmarks/zoom.py SCENE CAPTURE": "needs a trained scene and its capture",
@@ -109,9 +116,9 @@ PARSED_ONLY = {
     "python benchmarks/overhead.py": "runs for minutes; tests/pipeline/test_overhead.py measures the same at a small size",
     "python benchmarks/captures.py SCENES": REAL,
     "python benchmarks/throughput.py": "trains twelve scenes three times",
-    "python benchmarks/quality.py SCENES": REAL,
+    "python benchmarks/publish.py SCENES": REAL,
     "python benchmarks/scale.py": "writes a result that is committed; tests/test_scale.py runs it at a small size",
-    "python benchmarks/tables.py": "writes a page that is committed; tests/test_documents.py runs it with --check",
+    "python benchmarks/publish.py --check": "tests/test_documents.py runs it",
     "python benchmarks/cuda_resources.py": "compiles every kernel, and writes a result that is committed",
 }
 

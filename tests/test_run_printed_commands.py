@@ -19,6 +19,8 @@ from e4dgs.workflows.batch.listing import Entry, entries_of
 from e4dgs.workflows.cli import main
 from open3d_here import problem
 from printed_commands import PARSED_ONLY, ROOT, RUN, TINY, printed
+from public_captures import PUBLIC, TRUTH
+from script_module import load_script
 
 # Where each path that a page names comes from.
 CAPTURES = {
@@ -26,7 +28,6 @@ CAPTURES = {
     "clip.mp4": "video_capture",
     "photos": "images_capture",
     "data/dnerf/lego": "dnerf_capture",
-    "data/n3v/coffee_martini": "n3v_capture",
 }
 NAMES = {"SCENE": "CAPTURE", "SCENE/fine": "CAPTURE/fine", "OTHER/fine": "lego/fine", "CAPTURE...": "CAPTURE"}
 
@@ -39,6 +40,11 @@ def place(request, tmp_path_factory):
         source = request.getfixturevalue(fixture).root
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
+    for name, write in PUBLIC.items():
+        write(folder / name)
+    splits = load_script(ROOT / "benchmarks" / "published_splits.py")
+    splits.without(folder / "data/n3v/coffee_martini_all", "cam13", folder / "data/n3v/coffee_martini")
+    splits.nvidia(folder / "data/nvidia/Balloon1", folder / "data/nvidia/Balloon1" / TRUTH, folder / "data/nvidia/Balloon1_split")
     (folder / "samples").symlink_to(ROOT / "samples")
     (folder / "captures").mkdir()
     (folder / "captures" / "clip.mp4").symlink_to(folder / "clip.mp4")

@@ -41,8 +41,8 @@ def result() -> dict:
 
 
 def test_the_result_is_of_what_is_measured_now(scale, result):
-    """Both files are committed: a change of quality.json asks for another simulation."""
-    assert result["measured_seconds"] == scale.measured(), "quality.json has other seconds: run benchmarks/scale.py again"
+    """Both files are committed: a change of stages.json asks for another simulation."""
+    assert result["measured_seconds"] == scale.measured(), "stages.json has other seconds: run benchmarks/scale.py again"
     assert result["defaults"] == vars(scale.Cluster()), "run benchmarks/scale.py again"
     row = result["rows"]["100 workers"]
     again = scale.simulate(scale.Cluster(**row["changed"]), result["scenes"])

@@ -30,11 +30,11 @@ _SPLITS = ((TRAIN, "train_ids"), (VAL, "val_ids"))
 _GREY = 128  # the points have no colours
 # Folders that DyCheck adds (github.com/KAIR-BAIR/dycheck, docs/DATASETS.md).
 _UNREAD = {
-    "covisible": "metrics count all pixels, not only those that training views see (covisibility masks)",
     "keypoint": "keypoints are not evaluated",
     "flow": "optical flow is measured instead",
     "splits": "the splits are those of dataset.json",
 }
+_SEEN = "covisible"  # DyCheck's masks of validation views: what training views see, which alone its metrics count
 _FAR = 1e9  # world units; larger positions are errors
 
 
@@ -68,6 +68,9 @@ def read(root: Path, options: Options) -> Reading:
         shot = Shot(name=image, camera=camera, time=time, size=size, split=split[name], file=image)
         shot.cam_from_world = _pose(data, file, center, scale)
         shot.K, shot.distortion, shot.fisheye = _lens(data, file, root, image, size)
+        if shot.split == VAL:
+            mask = f"{_SEEN}/{folder[4:]}/val/{name}"
+            shot.keep = checks.seek_image(root, mask, mask)
         shots.append(shot)
         cameras.append(file)
     shots.sort(key=lambda s: (s.time, s.camera, checks.natural_key(s.name)))
@@ -84,10 +87,21 @@ def read(root: Path, options: Options) -> Reading:
         sources=tuple(sources),
         points=points,
         point_colors=None if points is None else np.full(points.shape, _GREY, np.uint8),
-        notes=(*found.notes, *_unread(root)),
+        notes=(*found.notes, *_told_seen(root, folder[4:], shots), *_unread(root)),
         depth_notes=told_depth(root, [name for name in ("depth",) if (root / name).is_dir()]),
-        spoken_for=tuple(name for name in ("depth", *_UNREAD) if (root / name).is_dir()),
+        spoken_for=tuple(name for name in ("depth", _SEEN, *_UNREAD) if (root / name).is_dir()),
     )
+
+
+def _told_seen(root: Path, scale: str, shots: Sequence[Shot]) -> tuple[str, ...]:
+    """A note about the pixels that metrics count, if DyCheck's masks are there."""
+    if not (root / _SEEN).is_dir():
+        return ()
+    held_out = [shot for shot in shots if shot.split == VAL]
+    masked = sum(shot.keep is not None for shot in held_out)
+    if not masked:
+        return (f"{_SEEN}/ is not read: it has no {scale}/val/ID.png of a picture that is held out, so metrics count all pixels",)
+    return (f"metrics of {masked} of {len(held_out)} validation views count only pixels that training views see ({_SEEN}/{scale}/val/)",)
 
 
 def _unread(root: Path) -> tuple[str, ...]:

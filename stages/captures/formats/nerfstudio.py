@@ -60,7 +60,7 @@ def read(root: Path, options: Options) -> Reading:
             )
         )
     fixed = _cameras(shots)
-    if not fixed and len({shot.camera for shot in shots}) > 1:
+    if not fixed and len({shot.camera for shot in shots}) == len(shots) > 1:
         said += (
             "frames share times and no camera stands still, so each frame counts as a camera of its own and no optical flow is measured",
         )
@@ -182,6 +182,9 @@ def _cameras(shots: Sequence[Shot]) -> bool:
             for shot, key in zip(shots, keys, strict=True):
                 shot.camera = ids[key]
             return True
-    for i, shot in enumerate(shots):
-        shot.camera = i
+    training = [time for shot, time in zip(shots, times, strict=True) if shot.split == TRAIN]
+    alone = len(set(training)) == len(training) < len(shots)  # one moving camera trains, and others are held out at its times
+    ids = {pose: i for i, pose in enumerate(dict.fromkeys(poses), 1)}
+    for i, (shot, pose) in enumerate(zip(shots, poses, strict=True)):
+        shot.camera = i if not alone else 0 if shot.split == TRAIN else ids[pose]
     return False
