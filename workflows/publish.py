@@ -82,7 +82,7 @@ def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) 
     report = folder / "report.html"
     shown = {"version": __version__, "artifacts": {name: o.artifact.digest for name, o in named.items() if o.artifact}}
     stamp = folder / "records" / "report-shows.json"
-    there = report.is_file() and ((folder / PLAYER).is_file() or "player" not in evaluate)
+    there = report.is_file() and ((folder / PLAYER).is_file() or not has_player(evaluate))
     if any(outcome.state == "ran" for outcome in outcomes) or not there or read_json(stamp) != shown:
         player = _player(session.scene.name, evaluate)
         write_atomically(report, _render(session, rows, named, evaluate, metrics, player))

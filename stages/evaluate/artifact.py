@@ -61,9 +61,14 @@ def write_player(out: ArtifactWriter, scene: bytes, poster: bytes) -> None:
     out.write("player_poster", np.frombuffer(poster, np.uint8), doc="JPEG that is shown until the scene is")
 
 
+def has_player(artifact: Artifact) -> bool:
+    """Whether there is a scene for the web player."""
+    return "player" in artifact and "player_poster" in artifact
+
+
 def read_player(artifact: Artifact) -> tuple[bytes, bytes] | None:
     """Inverse of `write_player`; None if there is no scene."""
-    if "player" not in artifact or "player_poster" not in artifact:
+    if not has_player(artifact):
         return None
     return artifact.read("player").tobytes(), artifact.read("player_poster").tobytes()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 from e4dgs.vision.sfm.pairs import SMALL, enlarged
-from e4dgs.vision.sfm.worker.database import AS_IT_IS, ENLARGED, FEW, extract, first_octave, image_ids, write_cameras
+from e4dgs.vision.sfm.worker.features.database import AS_IT_IS, ENLARGED, FEW, extract, first_octave, image_ids, write_cameras
 from PIL import Image
 
 

@@ -11,7 +11,7 @@ import pycolmap
 
 from ..alignment import camera_centres
 from ..impossible_points import FEWEST, MAX_ERROR
-from ..worker.database import Report
+from ..worker.features.database import Report
 from ..worker.result import result_arrays
 from ..worker.survey import Survey
 from .solve import FITS, Turning, solve_turning

@@ -11,7 +11,7 @@ import pycolmap
 
 from ....pipeline import thread_count
 from ..epipolar import fundamental, guided_matches
-from . import database as db
+from .features import database as db
 
 
 def triangulate_known(request: dict[str, Any], report: db.Report) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pycolmap
 
-from .database import Report
+from .features.database import Report
 from .refine import TOLERANCE, lens_of
 
 ENOUGH = 0.5  # of the images; a smaller model may have started from the wrong pair, so another first angle is tried

@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 
 from ..masks import on_moving, static_matches
-from . import database as db
+from .features import database as db
 from .reconstruct import DATABASE, map_database
 
 SAMPLE = 200_000  # matches used to compare the two passes; the share that agrees is then known to a tenth of a percent

@@ -14,7 +14,7 @@ import numpy as np
 import pycolmap
 
 from ..pairs import MOST
-from . import database as db
+from .features import database as db
 from .reconstruct import DATABASE, first_camera, map_database
 from .starts import reconstruct_fixed
 

@@ -16,7 +16,7 @@ import pycolmap
 
 from ..explains import Places, misfit
 from ..impossible_points import purge
-from . import database as db
+from .features import database as db
 from .mapping import map_once
 from .masked_points import without_moving_points
 from .refine import lens_of, refine_or_keep

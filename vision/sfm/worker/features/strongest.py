@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pycolmap
 
-from ....pipeline import thread_count
-from ...images.files import open_image, pixels
+from .....pipeline import thread_count
+from ....images.files import open_image, pixels
 from .database import CHUNK_OF_FEATURES, Report, register
 
 CONTRAST = 0.02  # OpenCV divides it by the layers of an octave; COLMAP's threshold of a peak is 0.02 / 3 of such a layer

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from ....pipeline import thread_count
-from ..pairs import enlarged
+from .....pipeline import thread_count
+from ...pairs import enlarged
 
 Report = Callable[[str, int, int], None]  # phase, done, total
 

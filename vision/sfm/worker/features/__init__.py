@@ -1,0 +1,1 @@
+"""Features of images, found and matched, in a COLMAP database."""
