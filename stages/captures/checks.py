@@ -21,15 +21,12 @@ from ...vision.images.files import LYING as LYING
 from ...vision.images.files import BadImageError, open_image, orientation_of, stored_size
 from .listing.names import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from .listing.names import VIDEO_SUFFIXES as VIDEO_SUFFIXES
-from .listing.names import elsewhere as elsewhere
 from .listing.names import find_image as find_image
-from .listing.names import in_order as in_order
+from .listing.names import in_order
 from .listing.names import natural_key as natural_key
-from .listing.names import on_disk as on_disk
 from .listing.names import relative as relative
 from .listing.names import resolve_inside as resolve_inside
 from .listing.names import seek_image as seek_image
-from .listing.names import tail_inside as tail_inside
 from .listing.tree import is_foreign as is_foreign
 
 _JSON_LIMIT = 64 * 2**20  # 1 kB per frame is usual; millions of empty lists take seconds and gigabytes to parse
@@ -146,6 +143,14 @@ def text(value: Any, where: str) -> str:
     if not isinstance(value, str) or not value.strip():
         raise CaptureError(f"{where}: expected a non-empty string, found {_kind(value)}; correct the file")
     return value
+
+
+def numbers(value: Any, where: str, counts: tuple[int, ...], most: float = 1e12) -> list[float]:
+    """A list of as many numbers as one of ``counts``, each in [-most, most]."""
+    if not isinstance(value, list) or len(value) not in counts:
+        found = f"{len(value)} entries" if isinstance(value, list) else _kind(value)
+        raise CaptureError(f"{where}: expected a list of {' or '.join(map(str, counts))} numbers, found {found}; correct the file")
+    return [number(v, f"{where}[{i}]", -most, most) for i, v in enumerate(value)]
 
 
 def items(value: Any, where: str) -> list[Any]:

@@ -17,7 +17,6 @@ from ....pipeline import CaptureError
 from .. import checks
 from ..keep_masks import add_masks
 from ..posed.finding import find_pictures
-from ..posed.rotations import rotation
 from ..posed.stated import states_layout
 from ..reading import Options, Reading, Shot
 from ..rigs import Rig, all_fixed, cameras_of, folders_of
@@ -84,17 +83,9 @@ def _shot(root: Path, image: ImageRecord, path: str, size: tuple[int, int], came
     if image.camera not in cameras:
         raise CaptureError(f"{where}: camera {image.camera} is not in {files['cameras']}; export again")
     lens = lens_of(cameras[image.camera], f"{files['cameras']}: camera {image.camera}", root, path, size)
-    shot = Shot(name=path, camera=0, time=0.0, size=size, file=path, cam_from_world=pose_of(image, f"{where}: pose"))
+    shot = Shot(name=path, camera=0, time=0.0, size=size, file=path, cam_from_world=image.cam_from_world(f"{where}: pose"))
     shot.K, shot.distortion, shot.fisheye = lens
     return shot
-
-
-def pose_of(image: ImageRecord, where: str) -> np.ndarray:
-    """[4,4] `cam_from_world`."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation(image.pose[:4], where)
-    matrix[:3, 3] = image.pose[4:7]
-    return checks.rigid(matrix, where)
 
 
 def _told(root: Path, model: Model, rig: Rig, paths: Sequence[str], where: str) -> tuple[str, ...]:

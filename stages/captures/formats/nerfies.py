@@ -134,7 +134,7 @@ def _scene(root: Path) -> tuple[np.ndarray, float]:
         return np.zeros(3), 1.0
     data = checks.read_json(root, _SCENE)
     scale = checks.number(data.get("scale", 1.0), f"{_SCENE}: scale", 1e-9, 1e9)
-    return _vector(data.get("center", [0, 0, 0]), f"{_SCENE}: center", (3,), _FAR), scale
+    return np.array(checks.numbers(data.get("center", [0, 0, 0]), f"{_SCENE}: center", (3,), _FAR)), scale
 
 
 def _folder(root: Path, name: str, max_size: int | None) -> str:
@@ -158,33 +158,26 @@ def _pose(data: dict[str, Any], file: str, center: np.ndarray, scale: float) -> 
     turn = np.eye(4)
     turn[:3, :3] = checks.matrix(data.get("orientation"), f"{file}: orientation", ((3, 3),))
     result = checks.rigid(turn, f"{file}: orientation")
-    position = _vector(data.get("position"), f"{file}: position", (3,), _FAR)
+    position = np.array(checks.numbers(data.get("position"), f"{file}: position", (3,), _FAR))
     result[:3, 3] = -result[:3, :3] @ ((position - center) * scale)
     return checks.rigid(result, f"{file}: position")
 
 
 def _lens(data: dict[str, Any], file: str, root: Path, picture: str, size: tuple[int, int]) -> Lens:
     """The lens, with K for a picture of `size`."""
-    width, height = _vector(data.get("image_size"), f"{file}: image_size", (2,), 1e6)
+    width, height = checks.numbers(data.get("image_size"), f"{file}: image_size", (2,), 1e6)
     if min(width, height) < 1:
         raise CaptureError(f"{file}: image_size: {width:g}x{height:g} makes no sense; correct the file")
     sx, sy = scale_of(root, picture, size, (width, height), f"{file}: image_size says")
     focal = checks.number(data.get("focal_length"), f"{file}: focal_length", 1e-3, 1e7)
     ratio = checks.number(data.get("pixel_aspect_ratio", 1.0), f"{file}: pixel_aspect_ratio", 0.01, 100)
-    cx, cy = _vector(data.get("principal_point"), f"{file}: principal_point", (2,), 1e6)
+    cx, cy = checks.numbers(data.get("principal_point"), f"{file}: principal_point", (2,), 1e6)
     skew = checks.number(data.get("skew", 0.0), f"{file}: skew")
-    radial = _vector(data.get("radial_distortion", [0, 0, 0]), f"{file}: radial_distortion", (2, 3), LARGEST_TERM)
+    radial = checks.numbers(data.get("radial_distortion", [0, 0, 0]), f"{file}: radial_distortion", (2, 3), LARGEST_TERM)
     field = "tangential_distortion" if "tangential_distortion" in data else "tangential"
-    tangential = _vector(data.get(field, [0, 0]), f"{file}: {field}", (2,), LARGEST_TERM)
+    tangential = checks.numbers(data.get(field, [0, 0]), f"{file}: {field}", (2,), LARGEST_TERM)
     K = checks.intrinsics(focal * sx, focal * ratio * sy, cx * sx, cy * sy, file, skew=skew * sx)
     return Lens(K, distortion_of([*radial[:2], *tangential, *radial[2:]]))
-
-
-def _vector(value: Any, where: str, lengths: tuple[int, ...], most: float) -> np.ndarray:
-    if not isinstance(value, list) or len(value) not in lengths:
-        found = f"{len(value)} entries" if isinstance(value, list) else type(value).__name__
-        raise CaptureError(f"{where}: expected a list of {' or '.join(map(str, lengths))} numbers, found {found}; correct the file")
-    return np.array([checks.number(v, f"{where}[{i}]", -most, most) for i, v in enumerate(value)])
 
 
 def _cloud(root: Path, center: np.ndarray, scale: float) -> np.ndarray | None:

@@ -122,16 +122,6 @@ def seek_image(root: Path, name: str, where: str) -> str | None:
     return _image_at(root, relative(root, name, where))
 
 
-def tail_inside(root: Path, name: str) -> str | None:
-    """The image at the end of a path that leads out of the capture, such as an absolute one of another computer: of
-    `/home/me/room/images/0.png`, `images/0.png` if that exists here. The longest end wins; None if none exists."""
-    parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".", "..", "~")]
-    for begin in range(len(parts)):
-        if ":" not in parts[begin] and (found := _image_at(root, "/".join(parts[begin:]))) is not None:
-            return found
-    return None
-
-
 def elsewhere(root: Path, name: str) -> str | None:
     """Path relative to `root` of the one picture in the capture that has the file name of `name`, in whatever folder; None if there is
     none or several. For messages: the search looks at up to 50,000 files."""

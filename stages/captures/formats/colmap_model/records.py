@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ... import checks
+from ...posed.rotations import rotation
+
 MOST_IMAGES = 1_000_000
 # COLMAP's camera models in the order of their ids. For the supported models: whether fx and fy are one value, and how many distortion
 # terms follow cx, cy. The terms are OpenCV's in OpenCV's order. Models with fisheye terms are listed separately.
@@ -25,6 +28,13 @@ class ImageRecord:
     name: str
     camera: int
     pose: np.ndarray  # [7] qw qx qy qz tx ty tz, cam_from_world
+
+    def cam_from_world(self, where: str) -> np.ndarray:
+        """[4,4]. Raises CaptureError, which begins with ``where``."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation(self.pose[:4], where)
+        matrix[:3, 3] = self.pose[4:7]
+        return checks.rigid(matrix, where)
 
 
 def refusal(model: str) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 from .....pipeline import CaptureError
 from ... import checks
 from ...lens import Lens
-from ...posed.rotations import rotation
 from .lenses import lens_of
 from .places import Model, model_places
 from .records import ImageRecord
@@ -33,12 +32,9 @@ class CameraModel:
         image, file = self.images[name], self.model.place.file("images")
         if image.camera not in self.model.cameras:
             raise CaptureError(f"{file}: image {image.name!r}: camera {image.camera} is not in the model; export it again")
-        where = f"{file}: image {image.name!r}: pose"
-        pose = np.eye(4)
-        pose[:3, :3] = rotation(image.pose[:4], where)
-        pose[:3, 3] = image.pose[4:7]
         lens_where = f"{self.model.place.file('cameras')}: camera {image.camera}"
-        return lens_of(self.model.cameras[image.camera], lens_where, root, picture, size), checks.rigid(pose, where)
+        lens = lens_of(self.model.cameras[image.camera], lens_where, root, picture, size)
+        return lens, image.cam_from_world(f"{file}: image {image.name!r}: pose")
 
 
 def model_of_cameras(root: Path, cameras: Sequence[str]) -> CameraModel | None:

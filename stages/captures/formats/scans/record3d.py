@@ -58,7 +58,7 @@ def read(root: Path, options: Options) -> Reading:
     shots = []
     for (i, picture), size in zip(pictures.items(), sizes, strict=True):
         where = f"{file}: poses[{i}]"
-        qx, qy, qz, qw, *centre = _numbers(poses[i], where, 7)
+        qx, qy, qz, qw, *centre = checks.numbers(poses[i], where, (7,))
         world_from_cam = np.eye(4)
         world_from_cam[:3, :3] = rotation((qw, qx, qy, qz), where)
         world_from_cam[:3, 3] = centre
@@ -133,21 +133,15 @@ def _rows(data: dict[str, Any], key: str, count: int, file: str) -> list[Any] | 
     return rows
 
 
-def _numbers(value: Any, where: str, count: int) -> list[float]:
-    if not isinstance(value, list) or len(value) != count:
-        raise CaptureError(f"{where}: expected a list of {count} numbers; correct the file")
-    return [checks.number(v, f"{where}[{i}]") for i, v in enumerate(value)]
-
-
 def _lens(value: Any, where: str) -> np.ndarray:
-    fx, fy, cx, cy = _numbers(value, where, 4)
+    fx, fy, cx, cy = checks.numbers(value, where, (4,))
     return checks.intrinsics(fx, fy, cx, cy, where)
 
 
 def _matrix(value: Any, where: str) -> np.ndarray:
     """K from nine numbers or three rows of three. Record3D lists columns; where the last column holds cx, cy, they are rows."""
     flat = [v for row in value for v in (row if isinstance(row, list) else [row])] if isinstance(value, list) else value
-    matrix = np.reshape(_numbers(flat, where, 9), (3, 3))
+    matrix = np.reshape(checks.numbers(flat, where, (9,)), (3, 3))
     if matrix[0, 2] == matrix[1, 2] == 0:
         matrix = matrix.T
     return checks.intrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], where, skew=matrix[0, 1])
