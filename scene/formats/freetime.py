@@ -7,7 +7,8 @@ import numpy as np
 import torch
 
 from ...rasterizer import Gaussians
-from .pieces import ALWAYS, LEAST_ALPHA, Pieces
+from .pieces import ALWAYS, Pieces
+from .ply import LEAST_ALPHA, table_bytes
 
 SHORTEST = 1e-4  # least spread that is written
 BEYOND = ("time", "log_duration", *(f"velocity_{k}" for k in range(3)))
@@ -17,33 +18,20 @@ def freetime_bytes(pieces: Pieces, frames: int, comments: tuple[str, ...] = ()) 
     """The file with ``pieces``, which have no windows here: their opacity alone says when they are there. ``frames``: of the clip."""
     look = pieces.gaussians
     assert look.sh is not None
-    rows, bands = len(pieces), look.sh.shape[1]
-    rest = look.sh[:, 1:].transpose(1, 2).reshape(rows, -1)
     spreads = pieces.spreads.clamp(SHORTEST, ALWAYS)
-    logit = torch.logit(look.opacities.double().clamp(LEAST_ALPHA / 2, 1 - 1e-6))
-    quats = torch.nn.functional.normalize(look.quats, dim=1)
-    columns = [look.means, torch.zeros(rows, 3), look.sh[:, 0], rest, logit[:, None], look.scales.clamp(min=1e-20).log(), quats]
-    columns += [pieces.middles[:, None], spreads.log()[:, None], pieces.velocities]
-    names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest.shape[1]))]
-    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4)), *BEYOND]
+    logits = torch.logit(look.opacities.double().clamp(LEAST_ALPHA / 2, 1 - 1e-6))
     said = {
         "ftgs_version": 1,
         "time_units": "normalized",
-        "sh_degree": round(bands**0.5) - 1,
+        "sh_degree": round(look.sh.shape[1] ** 0.5) - 1,
         "use_velocity": 1,
         "min_duration": SHORTEST,
         "opacity_floor": 0,
         "n_frames": frames,
     }
-    header = ["ply", "format binary_little_endian 1.0", *(f"comment {key} {value}" for key, value in said.items())]
-    header += [
-        *(f"comment {line}" for line in comments),
-        f"element vertex {rows}",
-        *(f"property float {name}" for name in names),
-        "end_header",
-    ]
-    table = torch.cat([column.detach().cpu().float() for column in columns], 1).numpy().astype("<f4")
-    return ("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes()
+    beyond = dict(zip(BEYOND, (pieces.middles, spreads.log(), *pieces.velocities.unbind(1)), strict=True))
+    quats, lines = torch.nn.functional.normalize(look.quats, dim=1), [f"{key} {value}" for key, value in said.items()]
+    return table_bytes(look.means, look.sh, logits, look.scales.clamp(min=1e-20).log(), quats, beyond, [*lines, *comments])
 
 
 def read_freetime(data: bytes) -> Pieces:
@@ -59,11 +47,9 @@ def read_freetime(data: bytes) -> Pieces:
         return torch.stack([columns[f"{name}_{k}"] for k in range(count)], 1)
 
     rest = sum(name.startswith("f_rest_") for name in names)
-    sh = (
-        torch.cat([some("f_dc", 3)[:, None], some("f_rest", rest).reshape(-1, 3, rest // 3).transpose(1, 2)], 1)
-        if rest
-        else some("f_dc", 3)[:, None]
-    )
+    sh = some("f_dc", 3)[:, None]
+    if rest:
+        sh = torch.cat([sh, some("f_rest", rest).reshape(-1, 3, rest // 3).transpose(1, 2)], 1)
     means = torch.stack([columns[k] for k in "xyz"], 1)
     look = Gaussians(means, some("rot", 4), some("scale", 3).exp(), torch.sigmoid(columns["opacity"]), sh=sh)
     always = torch.full((len(means),), torch.inf).double()

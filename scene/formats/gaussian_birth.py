@@ -16,7 +16,8 @@ import torch
 from ...rasterizer import Gaussians
 from ..primitives import SH_C0
 from .axes import Turn
-from .pieces import ALWAYS, LEAST_ALPHA, Pieces
+from .pieces import ALWAYS, Pieces
+from .ply import LEAST_ALPHA
 
 QUALITY = "fine"  # of the package's three; it states the largest error of each number in the file
 RANGE = 4.0  # of SH coefficients

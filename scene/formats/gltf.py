@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Gaussians
+from ..primitives import SH_C0
 from .axes import Turn
 from .glb import FLOAT, VERTICES, Glb
 from .ply import seen
 
 EXTENSION = "KHR_gaussian_splatting"
 POINTS = 0  # a mode of glTF 2.0
-SH_0 = 0.28209479177387814  # the constant spherical harmonic
 
 
 def glb_bytes(gaussians: Gaussians, turn: Turn | None = None) -> tuple[bytes, int]:
@@ -27,7 +27,7 @@ def glb_bytes(gaussians: Gaussians, turn: Turn | None = None) -> tuple[bytes, in
     sh, opacity, quats = shown.sh, shown.opacities.clamp(0, 1), shown.quats
     named: dict[str, Tensor] = {
         "POSITION": shown.means,
-        "COLOR_0": torch.cat([(0.5 + SH_0 * sh[:, 0]).clamp(0, 1), opacity[:, None]], 1),
+        "COLOR_0": torch.cat([(0.5 + SH_C0 * sh[:, 0]).clamp(0, 1), opacity[:, None]], 1),
         f"{EXTENSION}:ROTATION": quats[:, [1, 2, 3, 0]],
         f"{EXTENSION}:SCALE": shown.scales,
         f"{EXTENSION}:OPACITY": opacity[:, None],

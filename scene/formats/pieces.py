@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from ...rasterizer import Gaussians
+from .ply import LEAST_ALPHA
 
-LEAST_ALPHA = 1 / 255  # the rasterizer draws nothing below this
 ALWAYS = 1e3  # a spread, in clips, that is no fade any more
 
 

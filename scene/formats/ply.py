@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -25,15 +25,22 @@ def ply_bytes(gaussians: Gaussians, comments: Sequence[str] = (), padded: bool =
     rows, sh = len(shown.means), shown.sh
     if padded:
         sh = torch.cat([sh, sh.new_zeros(rows, COEFFICIENTS - sh.shape[1], 3)], 1)
-    rest = sh[:, 1:].transpose(1, 2).reshape(rows, 3 * (sh.shape[1] - 1))
     logit = torch.logit(shown.opacities.clamp(LEAST_ALPHA / 2, 1 - 1e-6))
-    columns = [shown.means, torch.zeros(rows, 3), sh[:, 0], rest, logit[:, None], shown.scales.log(), shown.quats]
+    return table_bytes(shown.means, sh, logit, shown.scales.log(), shown.quats, {}, comments), rows
+
+
+def table_bytes(
+    means: Tensor, sh: Tensor, logits: Tensor, log_scales: Tensor, quats: Tensor, more: Mapping[str, Tensor], comments: Sequence[str]
+) -> bytes:
+    """A PLY file of the columns of `ply_bytes` and, after them, ``more`` [N] by name."""
+    rest = sh[:, 1:].transpose(1, 2).reshape(len(sh), 3 * (sh.shape[1] - 1))
     names = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(rest.shape[1]))]
-    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4)), *more]
+    columns = [means, torch.zeros(len(sh), 3), sh[:, 0], rest, logits[:, None], log_scales, quats, *(one[:, None] for one in more.values())]
     table = torch.cat([column.detach().cpu().float() for column in columns], 1).numpy().astype("<f4")
-    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments), f"element vertex {rows}"]
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments), f"element vertex {len(table)}"]
     header += [*(f"property float {n}" for n in names), "end_header"]
-    return ("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes(), rows
+    return ("\n".join(header) + "\n").encode() + np.ascontiguousarray(table).tobytes()
 
 
 def seen_rows(gaussians: Gaussians) -> Tensor:
