@@ -38,30 +38,35 @@ def train_coarse(ctx: Context) -> None:
     stored = required(ctx.inputs["seeds"])
     seeds = StoredSeeds.read(stored)
     views.near, views.background = seeds.near, seeds.background
-    facts = found_facts(ctx, views)
+    facts, flow = found_facts(ctx, views), measured_flow(ctx.inputs["flow"], views)
+
     expected, kind = choose(settings.motion, facts), choose(settings.motion, facts, seeds.moving is not None)
     if kind != expected:
         ctx.log(f"{'no seeds' if seeds.moving is None else 'seeds'} were found on moving objects: {KINDS[kind].moves}")
-    unit = views.viewing_distance(seeds.points)
+    unit, small = views.viewing_distance(seeds.points), is_small(views)
     sh_degree = chosen_sh_degree(ctx, facts, seeds.path_width) if settings.sh_degree is None else settings.sh_degree
+    steps = settings.iterations or auto_iterations(facts, settings, ctx.device)
+    budget = settings.budget or auto_budget(facts, views, expected)
+    depth, held = measured_depth(seeds.depth, unit, ctx, frames), held_depth(stored, unit, ctx)
+
     start = Start(seeds.points, seeds.colors, seeds.dynamic, seeds.moving, sh_degree, MOST_SCALE * unit)
     model = first_model(kind, start, views, settings).to(ctx.device)
-
-    steps = settings.iterations or auto_iterations(facts, settings, ctx.device)
-    find_first_motion(ctx, model, views, settings, steps, is_small(views))
+    phases = model.motion.phases(settings.strategy, steps, settings.full_from, small)
+    moving = moving_pixels(ctx, frames, views) if model.motion.splits_in_time else None
+    find_first_motion(ctx, model, views, settings, steps, small)
     log = train(
         ctx,
         "coarse",
         model,
         views,
-        model.motion.phases(settings.strategy, steps, settings.full_from, is_small(views)),
+        phases,
         settings,
-        budget=settings.budget or auto_budget(facts, views, expected),
+        budget=budget,
         most=settings.budget,
-        measured_flow=measured_flow(ctx.inputs["flow"], views),
-        measured_depth=measured_depth(seeds.depth, unit, ctx, frames),
-        held_depth=held_depth(stored, unit, ctx),
-        moving=moving_pixels(ctx, frames, views) if model.motion.splits_in_time else None,
+        measured_flow=flow,
+        measured_depth=depth,
+        held_depth=held,
+        moving=moving,
     )
     if not len(model.gaussians):
         ctx.log("no Gaussian is left, so the model shows its background alone: do the pictures show anything, and are the poses right?")

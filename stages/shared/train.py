@@ -28,7 +28,7 @@ def train(
             phases,
             settings,
             checkpoints=ctx.checkpoints,
-            advance=lambda n, note: bar.advance(n, note),
+            advance=bar.advance,
             log=ctx.log,
             **options,
         )
