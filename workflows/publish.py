@@ -8,7 +8,7 @@ from typing import Any
 
 from ..pipeline import Artifact, Outcome, Row
 from ..pipeline.files import read_json, write_atomically, write_json
-from ..stages.evaluate.artifact import read_metrics, read_player
+from ..stages.evaluate.artifact import has_player, read_metrics, read_player
 from ..stages.seeds.artifact import read_seeds_png
 from ..stages.shared.report_attributes import report_attributes
 from ..stages.shared.training_log import read_training_log

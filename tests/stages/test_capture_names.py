@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import checks, recognise
+from e4dgs.stages.captures.listing import names as listed
 from e4dgs.stages.captures.listing.names import by_value, elsewhere, in_order
 from PIL import Image
 
@@ -58,7 +59,7 @@ def test_letters_with_accents_are_found_in_either_form(tmp_path, on_disk, in_fil
     capture = recognise(root)
     assert capture.images == tuple(unicodedata.normalize(on_disk, name) for name in names)
     (root / "café").mkdir()
-    assert on_disk(root, unicodedata.normalize("NFD", "café") + "/x") == "café/x"
+    assert listed.on_disk(root, unicodedata.normalize("NFD", "café") + "/x") == "café/x"
 
 
 def test_absolute_paths_into_the_capture_are_read(tmp_path):

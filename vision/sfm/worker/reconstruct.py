@@ -15,12 +15,12 @@ from ..trouble import FIXED
 from ..turning.result import turning_arrays
 from ..turning.solve import ANYHOW
 from .features import database as db
+from .features.strongest import extract_strongest
 from .mapping import ENOUGH, map_images
 from .masked_points import without_moving_points
 from .reclaim import reclaim
 from .refine import refine_or_keep
 from .result import result_arrays, used_features
-from .features.strongest import extract_strongest
 from .survey import free_pairs, survey, tell
 
 DATABASE = "database.db"  # in the request's folder
