@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
 
-def check(given: dict[str, tuple[Tensor | None, Sequence[int]]], **others: torch.dtype) -> None:
+def check(given: Mapping[str, tuple[Tensor | None, Sequence[int]]], **others: torch.dtype) -> None:
     """Raises ValueError for a tensor, by name, that has not its shape or is not float32, or of the type in ``others``. None is none."""
     for name, (tensor, shape) in given.items():
         dtype = others.get(name, torch.float32)

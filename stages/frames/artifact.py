@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -100,13 +100,14 @@ class StoredFrames:
     @classmethod
     def read(cls, artifact: Artifact) -> StoredFrames:
         attrs, read = artifact.attrs, artifact.read
+        listed: dict[str, Any] = {name: read(name) for name in ARRAYS if name in artifact or name in REQUIRED}
+        listed |= {name: attrs.get(name) for name in LISTS}
         return cls(
             facts=Facts.among(attrs),
             names=attrs["names"],
             background=attrs["background"],
             images=DecodedPictures(artifact) if _IMAGES in artifact else None,
-            **{name: read(name) for name in ARRAYS if name in artifact or name in REQUIRED},
-            **{name: attrs.get(name) for name in LISTS},
+            **listed,
         )
 
 

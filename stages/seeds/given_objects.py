@@ -30,10 +30,10 @@ def given_numbers(objects: Objects, frames: list[int], given: StoredDepth, depth
         inside = inner(labels)  # masks extend onto what is behind
         z, sure = (_sized(one[i], labels.shape) for one in (given.z, given.confidence))
         for part in range(1, len(objects.number[k])):
-            known = (z > 0) & (sure >= SURE)
-            there = (inside == part) & known
+            sound = (z > 0) & (sure >= SURE)
+            there = (inside == part) & sound
             if there.sum() < FEWEST:
-                there = (labels == part) & known
+                there = (labels == part) & sound
             if there.sum() >= FEWEST:
                 scale.setdefault(int(objects.number[k][part]), {})[k] = float(
                     np.log(np.percentile(z[there], middle)) + objects.log_size[k][part]
