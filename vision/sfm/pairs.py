@@ -20,10 +20,11 @@ def choose(matcher: str | None, images: int, static: bool) -> str:
 
 def image_pairs(matcher: str, images: int, overlap: int = OVERLAP) -> list[tuple[int, int]]:
     """Pairs (a, b), a < b, sorted. `sequential` takes the next `overlap` images; those at powers of two beyond, the farther the fewer,
-    since they only tie together what the next images link already; and keyframes. Among `many` images all steps are powers of two."""
+    since they only tie together what the next images link already; and keyframes. Among `many` images all steps are powers of two, unless
+    more of the next ones are asked for."""
     if matcher == "exhaustive":
         return [(a, b) for a in range(images) for b in range(a + 1, images)]
-    lean = many(images, False)
+    lean = many(images, False) and overlap <= OVERLAP  # more that are asked for are kept
     near = [step for step in range(1, overlap + 1) if not lean or step & (step - 1) == 0]
     pairs = {(a, a + step) for step in near for a in range(images - step)}
     far = [2**k for k in range(20) if overlap < 2**k <= LONGEST]
