@@ -19,8 +19,9 @@ WIDTH = 320  # px, longest side of maps of the static scene
 
 
 def given_numbers(objects: Objects, frames: list[int], given: StoredDepth, depths: list[np.ndarray]) -> list[np.ndarray]:
-    """``depths`` of the parts in ``frames``, [labels] each, replaced by the median of the given depth over a part's pixels. If that is not
-    precise, by `NEARER` and by the median over neighbouring frames as well, where the object's size tells how its depth changed."""
+    """``depths`` of the parts in ``frames``, [labels] each, replaced by the median of the given depth over a part's pixels without its rim.
+    If the depth is not precise, the percentile `NEARER` takes the place of the median, and the median over neighbouring frames is taken, in
+    which the object's size tells how its depth changed."""
     middle = 50.0 if given.precise else NEARER
     scale: dict[int, dict[int, float]] = {}  # object -> frame -> log(depth * size)
     for k, i in enumerate(frames):
@@ -35,9 +36,8 @@ def given_numbers(objects: Objects, frames: list[int], given: StoredDepth, depth
             if there.sum() < FEWEST:
                 there = (labels == part) & sound
             if there.sum() >= FEWEST:
-                scale.setdefault(int(objects.number[k][part]), {})[k] = float(
-                    np.log(np.percentile(z[there], middle)) + objects.log_size[k][part]
-                )
+                depth = float(np.percentile(z[there], middle))
+                scale.setdefault(int(objects.number[k][part]), {})[k] = float(np.log(depth) + objects.log_size[k][part])
     result = [of.copy() for of in depths]
     around = 0 if given.precise else AROUND
     for k, of in enumerate(result):

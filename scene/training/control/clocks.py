@@ -46,9 +46,8 @@ class ClockControl:
         found = {camera: self._off(frames, scale) for camera, frames in self.frames.items()}
         off = {camera: known.get(camera, 0.0) / self.step + value for camera, (value, _) in found.items()}
         usual = float(np.median(list(off.values())))  # all clocks together can be shifted, and the motion with them
-        sure = {camera: error for camera, (_, error) in found.items()}
         clear = {c: float(np.clip(v - usual, -FARTHEST, FARTHEST)) for c, v in off.items()}
-        clear = {c: v for c, v in clear.items() if abs(v) > max(LEAST, SURE * sure[c])}
+        clear = {c: v for c, v in clear.items() if abs(v) > max(LEAST, SURE * found[c][1])}
         if not clear and self._looked >= RIGHT_AFTER:
             self._looked = len(AT)
         if clear or known:
@@ -79,8 +78,8 @@ class ClockControl:
         if total <= 0:  # nothing moves there
             return 0.0, float("inf")
         value = along.sum() / total
-        spread = np.sqrt(((along - value * square) ** 2).sum()) / total  # of frames that are independent of one another
-        return float(value), float(spread)
+        error = np.sqrt(((along - value * square) ** 2).sum()) / total  # of frames that are independent of one another
+        return float(value), float(error)
 
     def _look(self, i: int, scale: float) -> tuple[float, float]:
         """Sums over the pixels of frame ``i``: of the error times the change in a frame's time, and of that change squared."""
@@ -90,10 +89,8 @@ class ClockControl:
         background = self.views.backdrop()
         with torch.no_grad():
             before, now, after = (self.model.render(camera, t, background).color for t in (ends[0], at, ends[1]))
-            recorder = self.views.recorded_by(i)
-            recording = None if self.model.affine is None else self.model.affine.recording(recorder)
-            if recording is not None:
-                before, now, after = (one * recording[0] + recording[1] for one in (before, now, after))
+            if (affine := self.model.affine) is not None:
+                before, now, after = (affine(one, self.views.recorded_by(i)) for one in (before, now, after))
             change = (after - before) * (self.step / max(ends[1] - ends[0], 1e-9))
             error = self.views.target(i, scale).to(now.device) - now
             weight = 1 / (1 + (error / OUTLIER).square())
