@@ -1,10 +1,12 @@
 """Cameras that turn and hardly move: solved from matches alone, refused where the camera moves, said in words where nothing tells."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from e4dgs.vision.sfm.alignment import similarity
 from e4dgs.vision.sfm.trouble import nothing_registered
-from e4dgs.vision.sfm.turning.bundle import rotations
+from e4dgs.vision.sfm.turning.bundle import GROUP, Bundle, _jacobians, _normal, _step, rotations
 from e4dgs.vision.sfm.turning.solve import ANYHOW, UNTOLD, solve_turning
 from e4dgs.vision.sfm.turning.tracks import join
 
@@ -84,6 +86,60 @@ def test_a_turn_too_small_to_tell_the_lens_takes_the_usual_one():
     found = solve_turning(matches, places, WIDTH, HEIGHT)
     assert found.bundle.focal == UNTOLD * WIDTH
     assert solve_turning(matches, places, WIDTH, HEIGHT, focal=800.0).bundle.focal == pytest.approx(800, rel=0.5)
+
+
+def small_bundle() -> Bundle:
+    """9 frames, each of which sees half of more points than one group has."""
+    rng = np.random.default_rng(1)
+    frames, points = 9, GROUP + 20
+    seen = rng.random((points, frames)) < 0.5
+    seen[:, :2] = True
+    point, frame = np.nonzero(seen)
+    d = rng.normal((0, 0, 1), 0.2, (points, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    R, t = rotations(rng.normal(0, 0.05, (frames, 3))), rng.normal(0, 0.02, (frames, 3))
+    bundle = Bundle(R, t, d, rng.uniform(0.3, 1, points), 500.0, 0.1, np.array([320.0, 180.0]), frame, point, np.zeros((len(point), 2)))
+    local = bundle.local()
+    return replace(bundle, xy=500 * local[:, :2] / local[:, 2:] + [320, 180] + rng.normal(0, 2, (len(point), 2)))
+
+
+@pytest.mark.parametrize(("move", "lens"), [(False, 0), (False, 2), (True, 0), (True, 2)])
+def test_a_step_is_that_of_all_unknowns_solved_at_once(move, lens):
+    bundle, damping = small_bundle(), 1e-2
+    residual, to_camera, to_point, to_lens = _jacobians(bundle, move, lens)
+    frames, points, per, k = len(bundle.R), len(bundle.d), to_camera.shape[2], to_point.shape[2]
+    J = np.zeros((len(residual), 2, per * frames + lens + k * points))
+    for o, (f, p) in enumerate(zip(bundle.frame, bundle.point, strict=True)):
+        J[o, :, per * f : per * (f + 1)] = to_camera[o]
+        J[o, :, per * frames : per * frames + lens] = to_lens[o]
+        J[o, :, per * frames + lens + k * p : per * frames + lens + k * (p + 1)] = to_point[o]
+    weight = 1 / (1 + (residual**2).sum(1) / 4.0)
+    N, g = np.einsum("o,oia,oib->ab", weight, J, J), np.einsum("o,oia,oi->a", weight, J, residual)
+    x = -np.linalg.solve(N + damping * np.diag(np.diag(N)) + 1e-9 * np.eye(len(N)), g)
+    stepped = _step(bundle, _normal(bundle, 2.0, move, lens), damping, move, lens)
+    turns = x[: per * frames].reshape(frames, per)[:, :3]
+    assert np.abs(stepped.R - rotations(turns) @ bundle.R).max() < 1e-6
+    if move:
+        assert np.abs(stepped.rho - bundle.rho - x[per * frames + lens :].reshape(points, k)[:, 2]).max() < 1e-4
+    assert np.median(stepped.errors()) < np.median(bundle.errors())
+
+
+def test_derivatives_are_those_of_central_differences():
+    bundle, h = small_bundle(), 1e-6
+    _, to_camera, _, to_lens = _jacobians(bundle, True, 2)
+
+    def residual(of: Bundle) -> np.ndarray:
+        return _jacobians(of, True, 2)[0]
+
+    for axis in range(3):
+        step = h * np.eye(3)[axis]
+        turned = [replace(bundle, R=rotations(np.tile(sign * step, (len(bundle.R), 1))) @ bundle.R, t=bundle.t) for sign in (1, -1)]
+        # R turns the direction alone, as the unknowns do: t stays
+        assert np.abs((residual(turned[0]) - residual(turned[1])) / (2 * h) - to_camera[:, :, axis]).max() < 1e-4
+        moved = [replace(bundle, t=bundle.t + sign * step) for sign in (1, -1)]
+        assert np.abs((residual(moved[0]) - residual(moved[1])) / (2 * h) - to_camera[:, :, 3 + axis]).max() < 1e-4
+    bent = [replace(bundle, k1=bundle.k1 + sign * h) for sign in (1, -1)]
+    assert np.abs((residual(bent[0]) - residual(bent[1])) / (2 * h) - to_lens[:, :, 1]).max() < 1e-4
 
 
 def test_tracks_join_matches_and_leave_out_mistakes():

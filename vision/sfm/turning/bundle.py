@@ -1,5 +1,5 @@
 """`Bundle`: bundle adjustment of cameras that mostly turn, with the directions of the points and, if wanted, their distances. Uses only
-numpy.
+numpy and scipy.
 
 A point is a direction d from the world's origin and an inverse distance rho; a camera (R, t) sees it along R d + rho t. A point at
 infinity is simply rho = 0, while in world coordinates it would diverge. This is the parametrisation of Yu and Gallup, "3D Reconstruction
@@ -9,21 +9,26 @@ complement) and Cauchy's loss as weights.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 
 CAUCHY = 2.385 / 1.1774  # width of the loss, times the median error of a Gaussian in two dimensions
 FINEST = 0.01  # px
 SETTLED = 1e-4  # relative change of the cost
 STEPS = 25
 STRONGEST = 0.5  # largest radial term
+GROUP = 64  # points eliminated together: few of the frames of a long pan see them
 
 
 @dataclass(frozen=True)
 class Bundle:
     """R [F, 3, 3], t [F, 3]: cam from world; d [P, 3] unit directions, rho [P] inverse distances; focal px, k1 (COLMAP's SIMPLE_RADIAL),
-    centre [2] px. In observation o, frame `frame[o]` sees point `point[o]` at `xy[o]` px; xy is [O, 2]."""
+    centre [2] px. In observation o, frame `frame[o]` sees point `point[o]` at `xy[o]` px; xy is [O, 2]. They are sorted by point, and no
+    frame sees a point twice. Points are best sorted by their first frame."""
 
     R: np.ndarray
     t: np.ndarray
@@ -51,23 +56,25 @@ class Bundle:
         return np.where((local[:, 2] > 0) & np.isfinite(error), error, np.inf)
 
 
-def solve(bundle: Bundle, move: bool, lens: int) -> Bundle:
+def solve(bundle: Bundle, move: bool, lens: int, tick: Callable[[], None] = lambda: None) -> Bundle:
     """The adjusted bundle. Rotations and directions are always adjusted; `move` adds translations and distances; `lens` 1 adds the focal
-    length, and 2 also k1."""
+    length, and 2 also k1. tick: called before each of at most `STEPS` steps."""
     damping = 1e-3
     errors = bundle.errors()
     scale = max(FINEST, CAUCHY * float(np.median(errors)))
     cost = _cost(errors, scale)
     for _ in range(STEPS):
+        tick()
         system = _normal(bundle, scale, move, lens)
-        settled = False
-        for _ in range(8):
+        for tries in range(8):
             trial = _step(bundle, system, damping, move, lens)
             errors = trial.errors()
             now = _cost(errors, scale)
             if np.isfinite(now) and now < cost:
                 settled = cost - now < SETTLED * cost
-                bundle, damping = trial, max(1e-9, damping / 5)
+                bundle = trial
+                if not tries:  # what has just been refused would be refused again
+                    damping = max(1e-9, damping / 5)
                 scale = max(FINEST, CAUCHY * float(np.median(errors)))
                 cost = _cost(errors, scale)
                 break
@@ -84,9 +91,60 @@ def _cost(errors: np.ndarray, scale: float) -> float:
     return float(np.log1p((seen / scale) ** 2).mean() * scale**2)
 
 
-def _normal(bundle: Bundle, scale: float, move: bool, lens: int) -> tuple[np.ndarray, ...]:
-    """Normal equations: camera block A [C, C] and right side a [C], point blocks V [P, k, k] and v [P, k], and coupling W [P, k, C]."""
-    frames, points = len(bundle.R), len(bundle.d)
+class Group(NamedTuple):
+    """m points that are eliminated together. columns [c]: the unknowns of the cameras that see them; W [m, k, c]: how both are coupled."""
+
+    points: slice
+    columns: np.ndarray
+    W: np.ndarray
+
+
+class System(NamedTuple):
+    """Normal equations: camera block A [C, C] and right side a [C], point blocks V [P, k, k] and v [P, k], and the coupling by groups."""
+
+    A: np.ndarray
+    a: np.ndarray
+    V: np.ndarray
+    v: np.ndarray
+    groups: list[Group]
+
+
+def _normal(bundle: Bundle, scale: float, move: bool, lens: int) -> System:
+    frames, points, k = len(bundle.R), len(bundle.d), 3 if move else 2
+    residual, J_camera, J_point, J_lens = _jacobians(bundle, move, lens)
+    weight = 1 / (1 + (residual**2).sum(axis=1) / scale**2)
+    per = J_camera.shape[2]
+    wJ, wP = weight[:, None, None] * J_camera, weight[:, None, None] * J_point
+    size = per * frames + lens
+    A, a = np.zeros((size, size)), np.zeros(size)
+    blocks = _summed(_products(wJ, J_camera), bundle.frame, frames)
+    lens_blocks = _summed(_products(wJ, J_lens), bundle.frame, frames)
+    a[: per * frames] = _summed(_products(wJ, residual[:, :, None]), bundle.frame, frames).reshape(-1)
+    for i in range(frames):
+        at = slice(per * i, per * (i + 1))
+        A[at, at] = blocks[i]
+        A[at, per * frames :], A[per * frames :, at] = lens_blocks[i], lens_blocks[i].T
+    A[per * frames :, per * frames :] = np.einsum("o,oij,oik->jk", weight, J_lens, J_lens)
+    a[per * frames :] = np.einsum("o,oij,oi->j", weight, J_lens, residual)
+    V = _summed(_products(wP, J_point), bundle.point, points)
+    v = _summed(_products(wP, residual[:, :, None]), bundle.point, points)[:, :, 0]
+    joined, lens_joined = _products(wP, J_camera), _summed(_products(wP, J_lens), bundle.point, points)
+    groups = []
+    for first in range(0, points, GROUP):
+        last = min(first + GROUP, points)
+        start, end = np.searchsorted(bundle.point, [first, last])
+        seeing, place = np.unique(bundle.frame[start:end], return_inverse=True)
+        W = np.zeros((last - first, k, per * len(seeing) + lens))
+        columns = per * place[:, None] + np.arange(per)
+        W[(bundle.point[start:end] - first)[:, None, None], np.arange(k)[None, :, None], columns[:, None, :]] = joined[start:end]
+        W[:, :, per * len(seeing) :] = lens_joined[first:last]
+        own = (per * seeing[:, None] + np.arange(per)).reshape(-1)
+        groups.append(Group(slice(first, last), np.concatenate([own, np.arange(size - lens, size)]), W))
+    return System(A, a, V, v, groups)
+
+
+def _jacobians(bundle: Bundle, move: bool, lens: int) -> tuple[np.ndarray, ...]:
+    """Residuals [O, 2] px, and their derivatives by camera [O, 2, 3 or 6], point [O, 2, 2 or 3] and lens [O, 2, lens]."""
     turned = np.einsum("oij,oj->oi", bundle.R[bundle.frame], bundle.d[bundle.point])
     local = turned + bundle.rho[bundle.point, None] * bundle.t[bundle.frame]
     z = np.where(local[:, 2] > 1e-6, local[:, 2], np.inf)
@@ -94,70 +152,51 @@ def _normal(bundle: Bundle, scale: float, move: bool, lens: int) -> tuple[np.nda
     r2 = (u**2).sum(axis=1)
     bent = u * (1 + bundle.k1 * r2)[:, None]
     residual = np.where(np.isfinite(z)[:, None], bundle.focal * bent + bundle.centre - bundle.xy, 0.0)
-    weight = 1 / (1 + (residual**2).sum(axis=1) / scale**2)
-
     to_u = np.zeros((len(z), 2, 3))
     to_u[:, 0, 0] = to_u[:, 1, 1] = 1 / z
     to_u[:, :, 2] = -u / z[:, None]
     bend = (1 + bundle.k1 * r2)[:, None, None] * np.eye(2) + 2 * bundle.k1 * u[:, :, None] * u[:, None, :]
-    G = bundle.focal * np.einsum("oij,ojk->oik", bend, to_u)
-
-    per = 6 if move else 3
-    J_camera = np.zeros((len(z), 2, per))
-    J_camera[:, :, :3] = -np.einsum("oij,ojk->oik", G, _cross(turned))
-    basis = _tangents(bundle.d)
-    k = 3 if move else 2
-    J_point = np.zeros((len(z), 2, k))
-    J_point[:, :, :2] = np.einsum("oij,ojk,okl->oil", G, bundle.R[bundle.frame], basis[bundle.point])
+    G = bundle.focal * bend @ to_u
+    J_camera = -G @ _cross(turned)
+    J_point = G @ (bundle.R[bundle.frame] @ _tangents(bundle.d)[bundle.point])
     if move:
-        J_camera[:, :, 3:] = G * bundle.rho[bundle.point, None, None]
-        J_point[:, :, 2] = np.einsum("oij,oj->oi", G, bundle.t[bundle.frame])
-    extra = lens
-    J_lens = np.stack([bundle.focal * bent, bundle.focal * u * r2[:, None]], axis=2)[:, :, :extra]
-
-    size = per * frames + extra
-    A, a = np.zeros((size, size)), np.zeros(size)
-    camera_blocks, lens_blocks = np.zeros((frames, per, per)), np.zeros((frames, per, extra))
-    sides = np.zeros((frames, per))
-    wJ = weight[:, None, None] * J_camera
-    np.add.at(camera_blocks, bundle.frame, np.einsum("oij,oik->ojk", wJ, J_camera))
-    np.add.at(lens_blocks, bundle.frame, np.einsum("oij,oik->ojk", wJ, J_lens))
-    np.add.at(sides, bundle.frame, np.einsum("oij,oi->oj", wJ, residual))
-    for i in range(frames):
-        at = slice(per * i, per * (i + 1))
-        A[at, at], a[at] = camera_blocks[i], sides[i]
-        A[at, per * frames :], A[per * frames :, at] = lens_blocks[i], lens_blocks[i].T
-    A[per * frames :, per * frames :] = np.einsum("o,oij,oik->jk", weight, J_lens, J_lens)
-    a[per * frames :] = np.einsum("o,oij,oi->j", weight, J_lens, residual)
-
-    V, v, W = np.zeros((points, k, k)), np.zeros((points, k)), np.zeros((points, k, size))
-    wP = weight[:, None, None] * J_point
-    np.add.at(V, bundle.point, np.einsum("oij,oik->ojk", wP, J_point))
-    np.add.at(v, bundle.point, np.einsum("oij,oi->oj", wP, residual))
-    joined = np.einsum("oij,oik->ojk", wP, J_camera)
-    columns = per * bundle.frame[:, None] + np.arange(per)
-    np.add.at(W, (bundle.point[:, None, None], np.arange(k)[None, :, None], columns[:, None, :]), joined)
-    lens_joined = np.zeros((points, k, extra))
-    np.add.at(lens_joined, bundle.point, np.einsum("oij,oik->ojk", wP, J_lens))
-    W[:, :, per * frames :] = lens_joined
-    return A, a, V, v, W
+        J_camera = np.concatenate([J_camera, G * bundle.rho[bundle.point, None, None]], axis=2)
+        J_point = np.concatenate([J_point, G @ bundle.t[bundle.frame][:, :, None]], axis=2)
+    J_lens = np.stack([bundle.focal * bent, bundle.focal * u * r2[:, None]], axis=2)[:, :, :lens]
+    return residual, J_camera, J_point, J_lens
 
 
-def _step(bundle: Bundle, system: tuple[np.ndarray, ...], damping: float, move: bool, lens: int) -> Bundle:
-    A, a, V, v, W = system
+def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[O, j, k]: of every observation, a^T b, from [O, 2, j] and [O, 2, k]."""
+    return np.asarray(a.transpose(0, 2, 1) @ b)
+
+
+def _summed(values: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
+    """[count, ...]: the sums of the rows of ``values`` [O, ...] that have one ``index`` [O]."""
+    one = csr_array((np.ones(len(index)), index, np.arange(len(index) + 1)), shape=(len(index), count))
+    return np.asarray(one.T @ values.reshape(len(index), -1)).reshape(count, *values.shape[1:])
+
+
+def _step(bundle: Bundle, system: System, damping: float, move: bool, lens: int) -> Bundle:
+    A, a, V, v, groups = system
     frames, per = len(bundle.R), 6 if move else 3
     # a floor under the diagonal keeps unmeasured quantities (the world's rotation, scale and origin; distances under no angle) in place
-    damped = V + _diagonal(V, damping)
-    inverse = np.linalg.inv(damped)
-    carried = np.einsum("pij,pjc->pic", inverse, W)
-    flat, flat_carried = W.reshape(-1, W.shape[2]), carried.reshape(-1, W.shape[2])
-    S = A + np.diag(damping * np.diag(A) + 1e-9 * np.trace(A) / len(A)) - flat.T @ flat_carried
-    s = a - flat_carried.T @ v.reshape(-1)
+    S = A + np.diag(damping * np.diag(A) + 1e-9 * np.trace(A) / len(A))
+    s = a.copy()
     try:
+        root = np.linalg.inv(np.linalg.cholesky(V + _diagonal(V, damping)))  # root^T root is the inverse
+        side = root @ v[:, :, None]
+        carried = [root[group.points] @ group.W for group in groups]
+        for group, of in zip(groups, carried, strict=True):
+            rows = of.reshape(-1, of.shape[2])
+            S[np.ix_(group.columns, group.columns)] -= rows.T @ rows  # symmetric, which BLAS uses
+            s[group.columns] -= rows.T @ side[group.points].reshape(-1)
         dx = -np.linalg.solve(S, s)
     except np.linalg.LinAlgError:
         return bundle
-    dp = -np.einsum("pij,pj->pi", inverse, v) - np.einsum("pic,c->pi", carried, dx)
+    for group, of in zip(groups, carried, strict=True):
+        side[group.points, :, 0] += of @ dx[group.columns]
+    dp = -(root.transpose(0, 2, 1) @ side)[:, :, 0]
     cameras = dx[: per * frames].reshape(frames, per)
     R = rotations(cameras[:, :3]) @ bundle.R
     d = bundle.d + np.einsum("pij,pj->pi", _tangents(bundle.d), dp[:, :2])

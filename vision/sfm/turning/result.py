@@ -14,7 +14,8 @@ from ..impossible_points import FEWEST, MAX_ERROR
 from ..worker.features.database import Report
 from ..worker.result import result_arrays
 from ..worker.survey import Survey
-from .solve import FITS, Turning, solve_turning
+from .bundle import STEPS
+from .solve import FITS, SOLVES, Turning, solve_turning
 from .tracks import LONG_ENOUGH
 
 BENT = ("SIMPLE_RADIAL", "RADIAL", "OPENCV")  # lens models with a radial term
@@ -31,9 +32,15 @@ def turning_arrays(
         return None
     (camera,) = cameras
     focal = camera.mean_focal_length() if camera.has_prior_focal_length else None
-    report("turning", 0, 1)
-    turning = solve_turning(found.matches, found.places, camera.width, camera.height, focal, request["camera_model"] in BENT, fits)
-    report("turning", 1, 1)
+    done, most = 0, SOLVES * STEPS
+
+    def tick() -> None:
+        nonlocal done
+        report("turning", done, most)
+        done += 1
+
+    turning = solve_turning(found.matches, found.places, camera.width, camera.height, focal, request["camera_model"] in BENT, fits, tick)
+    report("turning", most, most)
     if turning is None:
         return None
     arrays = _arrays(turning, request, camera.width, camera.height)

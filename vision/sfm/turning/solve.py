@@ -7,7 +7,7 @@ matches alone. The small motion of the camera is then found from all images toge
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ FITS = 0.003  # of the longer side: limit for the median error of those pairs un
 ANYHOW = 0.02  # the same limit if the mapper did not get far: more motion than rotations explain, less than two images can determine
 SOLVED = 0.0015  # of the longer side: limit for the median error of all observations at the end
 MOST = 3000  # tracks
+SOLVES = 3  # adjustments: of rotations, then motion, then the lens as well
 MOVED = 0.75  # share of the median error under rotations that must remain at most for motion to be believed
 SPAN = 0.1, 10.0  # times the median: limits of inverse distances, which are arbitrary for points seen under no angle
 TOLD = 0.001  # of the longer side: least gap between the errors of the best and worst focal lengths for the pictures to determine one
@@ -46,9 +47,10 @@ def solve_turning(
     focal: float | None = None,
     bent: bool = True,
     fits: float = FITS,
+    tick: Callable[[], None] = lambda: None,
 ) -> Turning | None:
     """Cameras of images taken with one lens, from matches {(a, b): [M, 2]} between features at places [n] of [N, 2] px. focal: in px, if
-    known; bent: whether the lens has a radial term; fits: `FITS` or `ANYHOW`.
+    known; bent: whether the lens has a radial term; fits: `FITS` or `ANYHOW`; tick: called before each of at most `SOLVES` * `STEPS` steps.
 
     None if rotations do not explain the matches: the camera then moves, and the mapper should be used.
     """
@@ -80,19 +82,19 @@ def solve_turning(
     np.add.at(d, track, rays)
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     start = Bundle(R, np.zeros((len(places), 3)), d, np.zeros(len(d)), found, 0.0, centre, frame, track, xy)
-    turned = solve(start, move=False, lens=lens)
+    turned = solve(start, move=False, lens=lens, tick=tick)
     if np.median(turned.errors()) > fits * side:
         return None
-    bundle, moved = _moved(turned, lens)
+    bundle, moved = _moved(turned, lens, tick)
     if np.median(bundle.errors()) > SOLVED * side:
         return None
     return Turning(known, bundle, moved)
 
 
-def _moved(turned: Bundle, lens: int) -> tuple[Bundle, bool]:
+def _moved(turned: Bundle, lens: int, tick: Callable[[], None]) -> tuple[Bundle, bool]:
     """Adds the camera's motion if that explains the pictures better. Otherwise all points are put on a sphere, at the same distance."""
     flat = replace(turned, rho=np.ones(len(turned.rho)))
-    moved = solve(solve(flat, move=True, lens=0), move=True, lens=lens)
+    moved = solve(solve(flat, move=True, lens=0, tick=tick), move=True, lens=lens, tick=tick)
     median = float(np.median(moved.rho))
     if median < 0:  # flipping the signs of both changes nothing in the pictures
         moved, median = replace(moved, rho=-moved.rho, t=-moved.t), -median
