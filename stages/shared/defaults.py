@@ -14,7 +14,7 @@ from ..poses.artifact import found_fixed
 if TYPE_CHECKING:
     from ...scene.views import Views
 
-CLIP_PIXELS = 250_000  # of a picture up to which a clip gets all steps on a CPU
+CLIP_PIXELS = 200_000  # of a picture up to which a clip gets all steps on a CPU
 
 
 def found_facts(ctx: Context, views: Views) -> Facts:
