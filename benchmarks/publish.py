@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -76,21 +77,19 @@ def children_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def fill(name: str, args: argparse.Namespace, more: list[str]) -> None:
-    """Measures the seeds of a row that are missing or of other code."""
+def fill(name: str, seed: int, args: argparse.Namespace, more: list[str]) -> None:
+    """Measures one seed of a row unless it is there, or the runs are long and there is another one. Runs of other code are thrown away."""
     row, found, here = ROWS[name], kept(name), machine()["processor"]
     runs = found["runs"] if found is not None and stale(name, found) is None else []
     if any(run["machine"]["processor"] != here or (more and run["metrics"]["splits"]["train"]["lpips"] is None) for run in runs):
         runs = []  # of another machine, or without the LPIPS that can be measured now
-    wanted = list(range(SEEDS))
-    while missing := [seed for seed in wanted if seed not in [run["seed"] for run in runs]]:
-        if runs and runs[0]["seconds"] >= SHORT:
-            return
-        if not args.busy and (busy := psutil.cpu_percent(LOOK) / 100 * (psutil.cpu_count() or 1)) > IDLE:
-            raise SystemExit(f"other programs use {busy:.1f} cores; wait until they end, or measure all the same with --busy")
-        print(f"{name}, seed {missing[0]} ...", flush=True)
-        runs.append(measure(row, name, missing[0], args.scenes / row.capture, args.workspace / name, more))
-        keep(name, {"capture": row.capture, "options": list(row.options), "device": row.device, "stale": None, "runs": runs})
+    if seed in [run["seed"] for run in runs] or (runs and runs[0]["seconds"] >= SHORT):
+        return
+    if not args.busy and (busy := psutil.cpu_percent(LOOK) / 100 * (psutil.cpu_count() or 1)) > IDLE:
+        raise SystemExit(f"other programs use {busy:.1f} cores; wait until they end, or measure all the same with --busy")
+    print(f"{name}, seed {seed} ...", flush=True)
+    runs.append(measure(row, name, seed, args.scenes / row.capture, args.workspace / name, more))
+    keep(name, {"capture": row.capture, "options": list(row.options), "device": row.device, "stale": None, "runs": runs})
 
 
 def main() -> None:
@@ -104,9 +103,10 @@ def main() -> None:
     parser.add_argument("--check", action="store_true")
     args = parser.parse_args()
     more = ["--set", f"evaluate.lpips_weights={args.weights.resolve() / 'lpips_alex.safetensors'}"] if args.weights else []
-    for name in args.only if args.scenes and not args.check else ():
-        if ROWS[name].device == args.device:
-            fill(name, args, more)
+    if args.scenes and not args.check:
+        rows = [name for name in args.only if ROWS[name].device == args.device]
+        for seed, name in product(range(SEEDS), rows):  # all rows once before any row again
+            fill(name, seed, args, more)
     for name in args.only:
         row = kept(name)
         reason = "not measured yet" if row is None else stale(name, row)
