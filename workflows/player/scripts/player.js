@@ -8,6 +8,7 @@ import { Stereo, hasStereo } from "./stereo.js";
 
 const USUAL_SECONDS = 4;           // of a scene whose times have no seconds
 const SLOW = 45, QUICK = 18;       // ms a frame from which a moving picture gets coarser, or finer again
+const STRIDE = 0.6;                // least factor by which it gets coarser at once
 const COARSEST = 0.4;              // of the screen's pixels, along each side
 const REST = 250;                  // ms after which a picture that stands still gets all pixels
 const PATIENCE = 5000;             // ms for which a picture that was asked for waits for a lost graphics device
@@ -38,7 +39,8 @@ export class Player {
     this.panel = new Panel(this, scene);
     this.stereo = new Stereo(this);
     hasStereo().then((there) => this.panel.offerStereo(there, () => this.stereo.toggle().catch((error) => say(error.message))));
-    await this.#drawn(this.#window());
+    if (this.renderer.software) this.scale = COARSEST;  // else the first picture, too, would take seconds
+    await this.#drawn(this.#window(this.scale));
     this.#loop();
     this.panel.show();
   }
@@ -201,7 +203,7 @@ export class Player {
     await this.#drawn(view, false);
     if (this.asked) return this.#drawn(this.asked);  // asked for in the meantime
     this.times.frame = again ? 1000 * seconds : this.times.frame;
-    if (moving && this.times.frame > SLOW) this.scale = Math.max(COARSEST, 0.85 * this.scale);
+    if (moving && this.times.frame > SLOW) this.scale = Math.max(COARSEST, this.scale * Math.max(STRIDE, 0.9 * Math.sqrt(SLOW / this.times.frame)));
     else if (moving && this.times.frame < QUICK) this.scale = Math.min(1, 1.1 * this.scale);
   }
 

@@ -46,7 +46,8 @@ export class Renderer {
     this.blend = new Program(gl, shaders.draw_vert, shaders.draw_frag, defines);
     this.finish = new Program(gl, shaders.full_vert, shaders.finish_frag, defines);
     this.opaque = new Program(gl, shaders.full_vert, shaders.opaque_frag, defines);
-    this.format = pictureFormat(gl);
+    this.software = drawsInSoftware(gl);
+    this.format = pictureFormat(gl, this.software);
     this.empty = gl.createVertexArray();
     this.quads = quadsOf(gl, total);
     this.order = ordered(gl, total);
@@ -194,8 +195,13 @@ export class Renderer {
 }
 
 // The format in which colours add up: 16 bits a channel where there are floats; 32 without a graphics device, where they take half the time.
-function pictureFormat(gl) {
+function pictureFormat(gl, software) {
   if (!gl.getExtension("EXT_color_buffer_float")) return gl.getExtension("EXT_color_buffer_half_float") ? gl.RGBA16F : gl.RGBA8;
-  const known = gl.getExtension("WEBGL_debug_renderer_info"), name = gl.getParameter(known ? known.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
-  return SOFTWARE.test(name) && gl.getExtension("EXT_float_blend") ? gl.RGBA32F : gl.RGBA16F;
+  return software && gl.getExtension("EXT_float_blend") ? gl.RGBA32F : gl.RGBA16F;
+}
+
+// Whether the browser draws without a graphics device.
+function drawsInSoftware(gl) {
+  const known = gl.getExtension("WEBGL_debug_renderer_info");
+  return SOFTWARE.test(gl.getParameter(known ? known.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
 }
