@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,13 @@ def children_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def fill(name: str, seed: int, args: argparse.Namespace, more: list[str]) -> None:
+def fill(names: Iterable[str], args: argparse.Namespace, more: list[str]) -> None:
+    """Measures what is missing: all rows once before any row again."""
+    for seed, name in product(range(SEEDS), names):
+        fill_seed(name, seed, args, more)
+
+
+def fill_seed(name: str, seed: int, args: argparse.Namespace, more: list[str]) -> None:
     """Measures one seed of a row unless it is there, or the runs are long and there is another one. Runs of other code are thrown away."""
     row, found, here = ROWS[name], kept(name), machine()["processor"]
     runs = found["runs"] if found is not None and stale(name, found) is None else []
@@ -104,9 +111,7 @@ def main() -> None:
     args = parser.parse_args()
     more = ["--set", f"evaluate.lpips_weights={args.weights.resolve() / 'lpips_alex.safetensors'}"] if args.weights else []
     if args.scenes and not args.check:
-        rows = [name for name in args.only if ROWS[name].device == args.device]
-        for seed, name in product(range(SEEDS), rows):  # all rows once before any row again
-            fill(name, seed, args, more)
+        fill([name for name in args.only if ROWS[name].device == args.device], args, more)
     for name in args.only:
         row = kept(name)
         reason = "not measured yet" if row is None else stale(name, row)

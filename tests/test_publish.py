@@ -26,12 +26,12 @@ def rows(tmp_path, monkeypatch):
 
 @pytest.fixture
 def publish(rows, monkeypatch):
-    """publish.py, whose runs take no time: `measured` lists their seeds."""
+    """publish.py, whose runs take no time: `measured` lists their titles and seeds."""
     module = load_script(BENCHMARKS / "publish.py")
     module.measured = []
 
     def measure(row, name, seed, capture, workspace, more):
-        module.measured.append(seed)
+        module.measured.append((row.title, seed))
         return run(seed, seconds=module.takes)
 
     monkeypatch.setattr(module, "measure", measure)
@@ -50,14 +50,21 @@ def run(seed: int, seconds: float = 60.0, lpips: float | None = 0.1, **changed) 
     return row | {"metrics": metrics} | changed
 
 
-def fill(publish, more=(), busy=False):
-    publish.fill("sample", argparse.Namespace(scenes=Path("scenes"), workspace=Path("work"), busy=busy), list(more))
+def fill(publish, more=(), busy=False, names=("sample",)):
+    """The seeds that are measured."""
+    publish.fill(list(names), argparse.Namespace(scenes=Path("scenes"), workspace=Path("work"), busy=busy), list(more))
     measured, publish.measured = publish.measured, []
-    return measured
+    return [seed for _, seed in measured] if len(names) == 1 else measured
 
 
 def test_short_runs_have_three_seeds_and_are_not_repeated(publish):
     assert fill(publish) == [0, 1, 2] and fill(publish) == []
+
+
+def test_all_rows_are_measured_once_before_any_row_again(publish, rows):
+    rows.ROWS["other"] = rows.Row("ball", "the ball", "test")
+    expected = [(title, seed) for seed in range(3) for title in ("the cube", "the ball")]
+    assert fill(publish, names=["sample", "other"]) == expected
 
 
 def test_a_long_run_has_one_seed(publish):
