@@ -68,7 +68,7 @@ def test_steps_of_fine():
 
 
 def test_large_clips_get_fewer_steps_of_fine_on_a_cpu():
-    clip = Facts(frames=120, times=120, cameras=1, pairs=104, width=1000, height=500)
+    clip = Facts(frames=120, times=120, cameras=1, pairs=104, width=800, height=500)
     assert fine_iterations(FineSettings(), clip) == 750 and fine_iterations(FineSettings(), clip, "cuda") == 1500
     assert fine_iterations(FineSettings(effort=0.2), clip) == 300, "as for smaller pictures with --preset fast"
     assert fine_iterations(FineSettings(effort=0.1), clip) == 150
