@@ -90,7 +90,7 @@ def _options(request: dict[str, Any], fixed_lens: bool) -> pycolmap.IncrementalP
     options.ba_global_max_refinements = 3
     # COLMAP's own tolerance is zero: it goes on when nothing changes any more.
     options.ba_global_function_tolerance = TOLERANCE
-    options.mapper.ba_global_ignore_redundant_points3D = True  # cameras are adjusted to few long tracks, then all points to the cameras
+    options.mapper.ba_global_ignore_redundant_points3D = True  # cameras are adjusted to some points, then the others to the cameras
     options.max_num_models = MOST_MODELS
     options.min_model_size = min(options.min_model_size, max(2, len(request["names"]) // 2))
     if fixed_lens:

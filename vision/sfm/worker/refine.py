@@ -16,7 +16,7 @@ CAUCHY = 2.385  # standard deviations; Cauchy's loss then has 95 % of the effici
 MEDIAN_OF_NORM = 1.1774  # of a Gaussian in two dimensions, in standard deviations: sqrt(2 log 2)
 FINEST = 0.01  # px; exact features have no noise to measure
 ITERATIONS = 50
-TOLERANCE = 1e-4  # relative change of the cost; a hundredth of it takes three times as long and moves no camera by a tenth of its error
+TOLERANCE = 1e-4  # relative change of the cost; with a hundredth of it, errors of made clips were 2 and 4 % smaller, and it took longer
 WORSE = 1.05, 0.01  # factor and px by which the median error may grow
 KEPT = 0.9  # share of the observations that must still fit after an adjustment
 
