@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.vision.sfm.alignment import similarity
 from e4dgs.vision.sfm.trouble import nothing_registered
-from e4dgs.vision.sfm.turning.bundle import GROUP, Bundle, _jacobians, _normal, _step, rotations
+from e4dgs.vision.sfm.turning.bundle import GROUP, Bundle, _jacobians, _normal, _step, _tangents, rotations
 from e4dgs.vision.sfm.turning.solve import ANYHOW, UNTOLD, solve_turning
 from e4dgs.vision.sfm.turning.tracks import join
 
@@ -126,20 +126,26 @@ def test_a_step_is_that_of_all_unknowns_solved_at_once(move, lens):
 
 def test_derivatives_are_those_of_central_differences():
     bundle, h = small_bundle(), 1e-6
-    _, to_camera, _, to_lens = _jacobians(bundle, True, 2)
+    _, to_camera, to_point, to_lens = _jacobians(bundle, True, 2)
 
-    def residual(of: Bundle) -> np.ndarray:
-        return _jacobians(of, True, 2)[0]
+    def slope(change) -> np.ndarray:
+        """[O, 2] of the residuals. change: the bundle after a step of so much."""
+        return (_jacobians(change(h), True, 2)[0] - _jacobians(change(-h), True, 2)[0]) / (2 * h)
 
-    for axis in range(3):
-        step = h * np.eye(3)[axis]
-        turned = [replace(bundle, R=rotations(np.tile(sign * step, (len(bundle.R), 1))) @ bundle.R, t=bundle.t) for sign in (1, -1)]
-        # R turns the direction alone, as the unknowns do: t stays
-        assert np.abs((residual(turned[0]) - residual(turned[1])) / (2 * h) - to_camera[:, :, axis]).max() < 1e-4
-        moved = [replace(bundle, t=bundle.t + sign * step) for sign in (1, -1)]
-        assert np.abs((residual(moved[0]) - residual(moved[1])) / (2 * h) - to_camera[:, :, 3 + axis]).max() < 1e-4
-    bent = [replace(bundle, k1=bundle.k1 + sign * h) for sign in (1, -1)]
-    assert np.abs((residual(bent[0]) - residual(bent[1])) / (2 * h) - to_lens[:, :, 1]).max() < 1e-4
+    def turned(axis: np.ndarray, by: float) -> Bundle:  # of the direction alone, as the unknowns are: t stays
+        return replace(bundle, R=rotations(by * axis[None]) @ bundle.R)
+
+    def aside(k: int, by: float) -> Bundle:
+        return replace(bundle, d=bundle.d + by * _tangents(bundle.d)[:, :, k])
+
+    for k, axis in enumerate(np.eye(3)):
+        assert np.abs(slope(lambda by, axis=axis: turned(axis, by)) - to_camera[:, :, k]).max() < 1e-4
+        assert np.abs(slope(lambda by, axis=axis: replace(bundle, t=bundle.t + by * axis)) - to_camera[:, :, 3 + k]).max() < 1e-4
+    for k in range(2):
+        assert np.abs(slope(lambda by, k=k: aside(k, by)) - to_point[:, :, k]).max() < 1e-4
+    assert np.abs(slope(lambda by: replace(bundle, rho=bundle.rho + by)) - to_point[:, :, 2]).max() < 1e-4
+    assert np.abs(slope(lambda by: replace(bundle, focal=bundle.focal * np.exp(by))) - to_lens[:, :, 0]).max() < 1e-4
+    assert np.abs(slope(lambda by: replace(bundle, k1=bundle.k1 + by)) - to_lens[:, :, 1]).max() < 1e-4
 
 
 def test_tracks_join_matches_and_leave_out_mistakes():

@@ -161,6 +161,20 @@ def test_the_page_plays_and_its_controls_work(opened, file):
     assert not shown.errors
 
 
+def test_without_a_graphics_device_the_first_picture_is_coarse_and_the_next_has_all_pixels(opened, file):
+    watch = """
+        window.widths = [];
+        const note = (all) => all.forEach(({ target }) => target.id === "canvas" && widths.push(target.width));
+        new MutationObserver(note).observe(document, { subtree: true, attributes: true, attributeFilter: ["width"] });
+    """
+    page = opened(file, before=watch).page
+    for _ in range(100):
+        if page.evaluate("e4dgs.canvas.width") == 500:
+            break
+        page.wait_for_timeout(100)
+    assert page.evaluate("widths") == [200, 500]
+
+
 def test_layers_have_the_names_of_the_live_viewer_and_show_their_primitives(opened, file):
     from e4dgs.workflows.view.looks import PRIMITIVES
 
