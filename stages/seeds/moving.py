@@ -19,52 +19,22 @@ from ...scene.seeds.moving.moving_seeds import MovingSeeds
 from ...scene.seeds.moving.surfaces import surface_points
 from ...scene.views import Views
 from ...vision.flow.chain import Chain
-from ...vision.moving.followed_parts import follow_objects
+from ...vision.moving.followed_parts import Objects, follow_objects
 from ...vision.sequences import camera_sequences
 from ..depth.artifact import StoredDepth
 from ..flow.artifact import StoredFlow
 from .depths import depth_at, object_depths, steady
 from .held import held_map
+from .key_times import APART_ALONE, KEYS, PAIRS, SLOWER, WAY_ALONE, apart_by_speed, key_times
 from .scene_flow import next_positions
 
-KEYS = 24  # least number of times at which seeds are placed
-APART = 8  # frames; if these times of a rig would lie farther apart, more are used,
-WAY = 0.014  # of the image's width; also if moving pixels would move farther between them
-APART_ALONE = 3  # frames, about the most between these times of one camera: its own motion is in the flow, which thus tells no speeds
-SLOWER = 75  # percent of the moving pixels, that is: the others are faster
-LEAST_AT_ONCE = 250  # seeds; so many remain for each time of a rig that has more than `KEYS`
-PAIRS = 60  # of frames in which the speed is measured
 FEWEST_FRAMES = 3  # least number of frames of a camera for a path
 FEWEST_CAMERAS = 2  # least number of cameras that see a time for a hull
 HULL = 20_000  # points of a visual hull
 AT_ONCE = 4  # times of a rig whose seeds are placed at once, which bounds the memory
 MEASURED_SHARE = 0.6  # of the seeds at a time, where cameras agree on their depth
+STEP = 4  # px, between the pixels of a mask whose speed is measured
 AROUND = 3  # frames on either side over which the velocity is measured for one camera
-
-
-def key_times(times: np.ndarray, apart: float, most: int | None = None) -> np.ndarray:
-    """Indices into ``times`` [T] of the key times, at which seeds are placed: evenly spread, including the first and the last; about
-    ``apart`` frames from one another, but at least `KEYS` and not more than ``most``."""
-    count = max(KEYS, int(len(times) / apart))
-    return np.unique(np.linspace(0, len(times) - 1, min(count, len(times), most or count)).round().astype(int))
-
-
-def rig_times(flow: StoredFlow, times: np.ndarray, most: int) -> np.ndarray:
-    """Indices into the training times ``times`` [T] of the key times of a rig, which share ``most`` seeds: the faster things move, the
-    closer they are, because a seed moves steadily and lives for about as long as there is to the next."""
-    apart = min(APART, WAY / max(speed(flow), 1e-6))
-    return key_times(times, max(apart, 1.0), max(KEYS, most // LEAST_AT_ONCE))
-
-
-def speed(flow: StoredFlow) -> float:
-    """How far moving pixels move between neighbouring frames, in widths of the image: `SLOWER` percent of them are slower. 0 if nothing
-    moves."""
-    found = []
-    for p in range(0, len(flow.pairs), max(1, len(flow.pairs) // PAIRS)):
-        row = flow.moving(flow.pairs[p][0]) > 127
-        if row.any():
-            found.append(np.linalg.norm(flow.forward(p)[row].astype(np.float32), axis=1))
-    return float(np.percentile(np.concatenate(found), SLOWER)) / flow.size[1] if found else 0.0
 
 
 def rig_seeds(
@@ -129,11 +99,13 @@ def camera_seeds(
     flow: StoredFlow,
     views: Views,
     static: np.ndarray,
+    at_once: int,
     most: int,
     advance: Callable[[int], None] = lambda n: None,
     given: StoredDepth | None = None,
 ) -> MovingSeeds | None:
-    """Up to ``most`` seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth.
+    """Seeds on the masks of moving cameras at key times; None if masks are empty or nothing determines a depth. They are up to ``at_once``
+    for each of these times, or as many as that makes for `KEYS` times if there are fewer, but all together not more than ``most``.
 
     static [P, 3]: points that are mostly static. given: depth of the capture. advance: called with the number of frames that are done.
     """
@@ -150,12 +122,13 @@ def camera_seeds(
         usual = float(np.median(known))
         if given is not None:
             held |= {i: held_map(objects, depths[k], views.K[i], k, usual, given, i) for k, i in enumerate(frames) if i in given.z}
-        rows = key_times(views.time[frames], APART_ALONE)
+        speed = own_speed(chain, objects, depths, views, frames, usual)
+        rows = key_times(views.time[frames], apart_by_speed(APART_ALONE, WAY_ALONE, speed))
         area = sum(int(chain.mask(k).sum()) for k in rows)
-        stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(most, 1)))))
+        count = min(at_once * max(KEYS, len(rows)), most)
+        stride = max(1, int(np.ceil(np.sqrt(area * len(cameras) / max(count, 1)))))
         for k in rows:
-            y, x = np.nonzero(chain.mask(k)[stride // 2 :: stride, stride // 2 :: stride])
-            begin = (np.stack([x, y], 1) * stride + stride // 2).astype(np.float32)
+            begin = pixels(chain.mask(k), stride)
             if not len(begin):
                 continue
             places, alive = chain.follow(k, begin, AROUND)
@@ -173,6 +146,31 @@ def camera_seeds(
             found.append(MovingSeeds(where[near.index(k)].astype(np.float64), color, velocity, time))
     seeds = join(found)
     return None if seeds is None else seeds._replace(held=held)
+
+
+def pixels(mask: np.ndarray, stride: int) -> np.ndarray:
+    """Those of ``mask`` [H, W] bool on a grid of ``stride`` px: x and y, [n, 2] float32."""
+    y, x = np.nonzero(mask[stride // 2 :: stride, stride // 2 :: stride])
+    return (np.stack([x, y], 1) * stride + stride // 2).astype(np.float32)
+
+
+def own_speed(chain: Chain, objects: Objects, depths: list[np.ndarray], views: Views, frames: list[int], usual: float) -> float:
+    """How far what moves gets between neighbouring ``frames`` of one camera, in widths of the image, compared with where the camera's own
+    motion would take it: `SLOWER` percent of its pixels are slower. 0 if nothing moves. For the rest, see `depth_at`."""
+    found = []
+    for k in range(0, len(frames) - 1, max(1, len(frames) // PAIRS)):
+        begin = pixels(chain.mask(k), STEP)
+        moved = chain.move(k, 1, begin)
+        if moved is None or not len(begin):
+            continue
+        z = depth_at(objects, depths[k], views.K[frames[k]], k, begin, usual)
+        K, pose = views.K[frames[k + 1]], views.cam_from_world[frames[k + 1]]
+        cam = lift(views, frames[k], begin, z) @ pose[:3, :3].T + pose[:3, 3]
+        at_rest = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5
+        there, trusted = moved
+        found.append(np.linalg.norm(there - at_rest, axis=1)[trusted & (cam[:, 2] > 0)])
+    values = np.concatenate(found) if found else np.zeros(0)
+    return float(np.percentile(values, SLOWER)) / chain.width if len(values) else 0.0
 
 
 def slope(x: np.ndarray, y: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -22,7 +22,8 @@ from ..shared.frameset import FrameSet
 from ..shared.masks import moving_mask
 from .fill import fill_seeds, middle_frames, sweep
 from .given_objects import static_inverse
-from .moving import FEWEST_CAMERAS, camera_seeds, rig_seeds, rig_times
+from .key_times import KEYS, rig_times
+from .moving import FEWEST_CAMERAS, camera_seeds, rig_seeds
 from .one_place import standing_seeds
 
 # A seed is dynamic if at least this share of the masks that see it mark it as moving.
@@ -32,6 +33,7 @@ COVERED_SHARE = 0.05  # the same, if they have none and seeds that they sometime
 SWEPT_SHARE = 0.7  # largest share of the seeds that a plane sweep may provide,
 SWEPT_DENSITY = 1.5  # and relative to the share of the pixels whose depth it found: the others need seeds, too
 LEAST_POINTS = 30  # least number of points for depths interpolated between them to be meaningful
+LONGEST = 4  # times the usual number of seeds on what moves, the most for a long clip
 LOOKS = 60  # masks of a moving camera that are used
 
 
@@ -113,7 +115,8 @@ def moving_seeds(
     ctx: Context, frames: FrameSet, views: Views, points: np.ndarray, most: int, given: StoredDepth | None = None
 ) -> MovingSeeds | None:
     """Up to ``most`` seeds on moving objects, at several times; None without masks of moving pixels. points [P, 3]: mostly static. given:
-    depth that came with the capture, for one camera."""
+    depth that came with the capture, for one camera. In front of one camera, they are more if there are more than `KEYS` times, since each
+    is present for a short time, unless the number of Gaussians is limited by a setting."""
     flow = flow_of(ctx.inputs)
     if flow is None or not flow.has_moving:
         return None
@@ -124,7 +127,8 @@ def moving_seeds(
             found = rig_seeds(flow, views, lambda i: moving_mask(ctx, frames, i), rows, most, ctx.settings.seed, bar.advance)
     else:
         with ctx.progress(len(views.train), "seeds on moving objects") as bar:
-            found = camera_seeds(flow, views, points, most, bar.advance, given)
+            longest = most if ctx.settings.budget else LONGEST * most
+            found = camera_seeds(flow, views, points, most // KEYS, longest, bar.advance, given)
     if found is not None:
         ctx.log(f"seeds: {len(found.points)} on moving objects, at {len(np.unique(found.time))} times")
     return found

@@ -30,7 +30,7 @@ def test_seeds_lie_at_the_given_depth(error, tmp_path):
     flow = flow_of(tmp_path / "flow")
     z = {k: square_depth(k, flow) for k in range(FRAMES)}
     given = StoredDepth(SCALE, error, z, {k: np.ones_like(one) for k, one in z.items()})
-    seeds = camera_seeds(flow, views(), wall(), 3000, given=given)
+    seeds = camera_seeds(flow, views(), wall(), 125, 3000, given=given)
     assert seeds is not None and np.allclose(seeds.points[:, 2], NEAR, rtol=0.01)
     assert np.median(seeds.velocities[:, 0]) == pytest.approx(-0.2, rel=0.1), "and so they are as fast as the square"
     inverse, _ = seeds.held[4]

@@ -6,24 +6,14 @@ import numpy as np
 import pytest
 import torch
 from e4dgs.scene.seeds.moving.hull import VisualHull, _on_surface
+from e4dgs.stages.seeds import key_times as usual
 from e4dgs.stages.seeds import moving
 from e4dgs.stages.seeds.depths import ANYWHERE
-from e4dgs.stages.seeds.moving import (
-    APART,
-    APART_ALONE,
-    HULL,
-    KEYS,
-    LEAST_AT_ONCE,
-    MEASURED_SHARE,
-    camera_seeds,
-    key_times,
-    on_surfaces,
-    rig_seeds,
-    rig_times,
-    slope,
-    speed,
-)
-from moving_square import CAMERA, FOCAL, FRAMES, SQUARE, WALL, flow_of, pose, views, wall
+from e4dgs.stages.seeds.key_times import APART, APART_ALONE, KEYS, LEAST_AT_ONCE, WAY, apart_by_speed, key_times, rig_times, speed
+from e4dgs.stages.seeds.moving import HULL, MEASURED_SHARE, camera_seeds, on_surfaces, own_speed, rig_seeds, slope
+from e4dgs.vision.flow.chain import Chain
+from e4dgs.vision.moving.followed_parts import follow_objects
+from moving_square import CAMERA, FOCAL, FRAMES, NEAR, SQUARE, WALL, WIDTH, flow_of, pose, views, wall
 from sliding_ball import CAMERAS, RADIUS, TIMES, place, sliding_ball
 
 
@@ -33,7 +23,7 @@ def rig(tmp_path_factory):
 
 
 def test_before_one_camera_seeds_lie_on_the_mask_and_move_with_it(tmp_path):
-    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 3000)
+    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 125, 3000)
     assert seeds is not None and 1500 < len(seeds.points) <= 3000 * 1.5
     assert len(np.unique(seeds.time)) == FRAMES
     for k, t in enumerate(np.unique(seeds.time)):
@@ -50,18 +40,40 @@ def test_before_one_camera_seeds_lie_on_the_mask_and_move_with_it(tmp_path):
 
 
 def test_a_guessed_depth_is_not_held(tmp_path):
-    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 3000)
+    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 125, 3000)
     assert seeds is not None and not seeds.held
 
 
-def test_before_one_camera_seeds_lie_at_about_every_third_frame(tmp_path, monkeypatch):
-    monkeypatch.setattr(moving, "KEYS", 2)
-    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 3000)
-    assert seeds is not None and len(np.unique(seeds.time)) == FRAMES // APART_ALONE == 3
+@pytest.mark.parametrize(("way", "times"), [(0.03, FRAMES), (1.0, FRAMES // APART_ALONE)])
+def test_before_one_camera_seeds_lie_closer_in_time_if_things_move_fast(way, times, tmp_path, monkeypatch):
+    """The square moves by 3.6 % of the width from frame to frame."""
+    monkeypatch.setattr(usual, "KEYS", 2)
+    monkeypatch.setattr(moving, "WAY_ALONE", way)
+    seeds = camera_seeds(flow_of(tmp_path / "flow"), views(), wall(), 125, 3000)
+    assert seeds is not None and len(np.unique(seeds.time)) == times
+
+
+def test_before_one_camera_the_more_times_have_seeds_the_more_there_are(tmp_path, monkeypatch):
+    for module in (usual, moving):
+        monkeypatch.setattr(module, "KEYS", 2)
+    monkeypatch.setattr(moving, "WAY_ALONE", 0.03)
+    flow = flow_of(tmp_path / "flow")
+    many, few = (camera_seeds(flow, views(), wall(), 100, most) for most in (3000, 200))
+    assert many is not None and few is not None
+    assert 0.6 * 100 * FRAMES < len(many.points) <= 1.2 * 100 * FRAMES and 0.6 * 200 < len(few.points) <= 1.2 * 200
+
+
+def test_the_speed_of_what_moves_leaves_out_the_motion_of_the_camera(tmp_path):
+    chain = Chain(flow_of(tmp_path / "flow"), list(range(FRAMES)))
+    objects, depth = follow_objects(chain, FRAMES), 6.0
+    depths = [np.where(number < 0, 0.0, depth).astype(np.float32) for number in objects.number]
+    shown = FOCAL * ((SQUARE - CAMERA) / NEAR + CAMERA / depth)  # px a frame, at its outline
+    measured = own_speed(chain, objects, depths, views(), list(range(FRAMES)), depth) * WIDTH
+    assert measured == pytest.approx(abs(shown), rel=0.05)
 
 
 def test_before_one_camera_nothing_hidden_means_no_seeds(tmp_path):
-    assert camera_seeds(flow_of(tmp_path / "flow"), views(), np.zeros((0, 3)), 3000) is None
+    assert camera_seeds(flow_of(tmp_path / "flow"), views(), np.zeros((0, 3)), 125, 3000) is None
 
 
 def test_before_a_rig_seeds_lie_on_the_ball_at_each_time(rig):
@@ -185,6 +197,11 @@ def test_key_times_of_a_rig_are_closer_if_things_move_fast():
     assert len(rig_times(Moving(1.0, width=0), times, 100_000)) == 300 // APART, "nothing moves"
     assert len(rig_times(Moving(10.0), times, 20_000)) == 20_000 // LEAST_AT_ONCE, "each time has seeds enough"
     assert len(rig_times(Moving(10.0), times, 10)) == len(rig_times(Moving(0.0), times[: KEYS + 5], 10)) == KEYS
+
+
+@pytest.mark.parametrize(("speed_there", "expected"), [(0.0, 3.0), (WAY / 3, 3.0), (WAY / 2, 2.0), (WAY, 1.0), (1.0, 1.0)])
+def test_key_times_are_so_close_that_nothing_gets_farther_than_its_way(speed_there, expected):
+    assert apart_by_speed(3, WAY, speed_there) == pytest.approx(expected)
 
 
 def test_the_speed_is_that_of_all_but_the_fastest_moving_pixels():

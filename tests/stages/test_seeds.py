@@ -6,11 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, Progress
-from e4dgs.scene.motion.lifetimes.lifetimes import Lifetimes
+from e4dgs.scene.motion.lifetimes.lifetimes import LEAST, LEAST_ALONE, Lifetimes
+from e4dgs.scene.primitives import GaussianSet
 from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
 from e4dgs.scene.views import Views
 from e4dgs.stages.seeds import place as room
-from e4dgs.stages.seeds.place import initial_dynamic, moving_seeds
+from e4dgs.stages.seeds.key_times import KEYS
+from e4dgs.stages.seeds.place import LONGEST, initial_dynamic, moving_seeds
 from e4dgs.stages.seeds.run import drawn
 from write_artifact import write_artifact
 
@@ -66,7 +68,7 @@ def flow(folder: Path, fixed: bool = False, moving: bool = False) -> Artifact:
 
 def context(flow: Artifact | None) -> SimpleNamespace:
     lines: list[str] = []
-    return SimpleNamespace(inputs={"flow": flow}, log=lines.append, lines=lines, progress=Progress)
+    return SimpleNamespace(inputs={"flow": flow}, log=lines.append, lines=lines, progress=Progress, settings=SimpleNamespace(budget=None))
 
 
 @pytest.mark.parametrize(
@@ -110,6 +112,16 @@ def test_one_camera_seeds_what_moves_where_masks_show_it(fixed, moving, expected
     assert ctx.lines == (["seeds: 3 on moving objects, at 2 times"] if expected else [])
 
 
+@pytest.mark.parametrize(("budget", "most"), [(None, 480 * LONGEST), (960, 480)])
+def test_a_long_clip_has_more_seeds_unless_their_number_is_limited(budget, most, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(room, "camera_seeds", lambda *given: asked.append(given[3:5]))
+    ctx = context(flow(tmp_path / "flow", moving=True))
+    ctx.facts, ctx.settings.budget = {"frames": LOOKS, "times": LOOKS}, budget
+    moving_seeds(ctx, None, views(False), points(), 480)
+    assert asked == [(480 // KEYS, most)]
+
+
 def test_without_flow_nothing_is_seeded():
     assert moving_seeds(context(None), None, views(False), points(), 100) is None
 
@@ -125,6 +137,18 @@ def test_seeds_of_each_time_live_around_it_and_overlap_the_next():
         presence = np.exp(-0.5 * (10 / one.log_spans.exp().detach().numpy()) ** 2)  # half way to the next
         assert (presence > 0.5).all()
     assert np.allclose(np.concatenate([one.velocities.detach().numpy() for one in sets]), velocities, atol=1e-6)
+
+
+@pytest.mark.parametrize(("cameras", "shortest"), [(1, LEAST_ALONE), (2, LEAST)])
+def test_seeds_at_each_time_live_longer_if_one_camera_alone_sees_them(cameras, shortest):
+    """Each time is then seen from one side, and what lives for it alone fits it and nothing beside it."""
+    times = np.repeat(np.linspace(0, 1, 5), 2)
+    found = MovingSeeds(np.zeros((10, 3)), np.zeros((10, 3)), np.zeros((10, 3)), times)
+    start = SimpleNamespace(
+        moving=found, sh_degree=0, max_scale=1.0, gaussians=lambda: GaussianSet.from_points(np.ones((1, 3)), np.ones((1, 3)), 0)
+    )
+    _, gaussians = Lifetimes.start(start, SimpleNamespace(time=times, camera=np.arange(10) % cameras), None)
+    assert np.allclose(gaussians.log_spans[1:].exp().detach().numpy(), shortest)
 
 
 @pytest.mark.parametrize(("count", "expected"), [(-3, 0), (0, 0), (7, 7), (WIDTH, WIDTH), (WIDTH + 5, WIDTH)])

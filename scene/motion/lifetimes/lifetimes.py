@@ -29,7 +29,8 @@ from .halves import halves_in_time
 from .lifetime import ATTRIBUTES, lifetime, set_lifetime
 
 PACE, MOST_PACE = 0.35, 4.0  # rates grow with this power of the share of the times at which a primitive is present, at most so much
-OVERLAP = 0.6  # standard deviation of the lifetime of a Gaussian, relative to the frames between two times with seeds
+OVERLAP = 0.6  # standard deviation of the lifetime of a Gaussian, relative to the frames between two times with seeds,
+LEAST, LEAST_ALONE = 1.0, 1.6  # frames; but at least so much, for several cameras and for one, which sees each time only from one side
 
 
 class Lifetimes(Motion):
@@ -64,18 +65,20 @@ class Lifetimes(Motion):
         motion, gaussians = cls(len(np.unique(views.time))), start.gaussians()
         set_lifetime(gaussians, 0.5 * (motion.times - 1), motion.times)
         if start.moving is not None:
-            gaussians = GaussianSet.joined([gaussians, *motion.around(start.moving, start.sh_degree, start.max_scale)])
+            least = LEAST_ALONE if len(np.unique(views.camera)) == 1 else LEAST
+            gaussians = GaussianSet.joined([gaussians, *motion.around(start.moving, start.sh_degree, start.max_scale, least)])
         return motion, gaussians
 
-    def around(self, seeds: MovingSeeds, sh_degree: int, max_scale: float) -> list[GaussianSet]:
-        """Gaussians on ``seeds``, one set per time, whose lifetimes overlap with those of the times before and after."""
+    def around(self, seeds: MovingSeeds, sh_degree: int, max_scale: float, least: float = LEAST) -> list[GaussianSet]:
+        """Gaussians on ``seeds``, one set per time, whose lifetimes overlap with those of the times before and after; their standard
+        deviations are at least ``least`` frames."""
         times = np.unique(seeds.time)
         apart = (self.times - 1) * float(times[-1] - times[0]) / max(len(times) - 1, 1)
         sets = []
         for t in times:
             row = seeds.time == t
             one = GaussianSet.from_points(seeds.points[row], seeds.colors[row], sh_degree, max_scale=max_scale)
-            set_lifetime(one, self.frame(t), max(OVERLAP * apart, 1.0), torch.from_numpy(seeds.velocities[row]).float())
+            set_lifetime(one, self.frame(t), max(OVERLAP * apart, least), torch.from_numpy(seeds.velocities[row]).float())
             sets.append(one)
         return sets
 
