@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from e4dgs.vision.sfm.alignment import similarity
 from e4dgs.vision.sfm.trouble import nothing_registered
+from e4dgs.vision.sfm.turning import bundle as bundle_module
 from e4dgs.vision.sfm.turning.bundle import GROUP, Bundle, _jacobians, _normal, _step, _tangents, rotations
 from e4dgs.vision.sfm.turning.solve import ANYHOW, UNTOLD, solve_turning
 from e4dgs.vision.sfm.turning.tracks import join
@@ -122,6 +123,16 @@ def test_a_step_is_that_of_all_unknowns_solved_at_once(move, lens):
     if move:
         assert np.abs(stepped.rho - bundle.rho - x[per * frames + lens :].reshape(points, k)[:, 2]).max() < 1e-4
     assert np.median(stepped.errors()) < np.median(bundle.errors())
+
+
+def test_a_step_does_not_depend_on_the_number_of_threads(monkeypatch):
+    bundle, found = small_bundle(), []
+    monkeypatch.setattr(bundle_module, "GROUP", 5)
+    for threads in (1, 4):
+        monkeypatch.setattr(bundle_module, "thread_count", lambda threads=threads: threads)
+        found.append(_step(bundle, _normal(bundle, 1.0, True, 2), 1e-3, True, 2))
+    one, several = found
+    assert np.array_equal(one.R, several.R) and np.array_equal(one.d, several.d) and one.k1 == several.k1
 
 
 def test_derivatives_are_those_of_central_differences():

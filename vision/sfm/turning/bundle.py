@@ -1,5 +1,4 @@
-"""`Bundle`: bundle adjustment of cameras that mostly turn, with the directions of the points and, if wanted, their distances. Uses only
-numpy and scipy.
+"""`Bundle`: bundle adjustment of cameras that mostly turn, with the directions of the points and, if wanted, their distances.
 
 A point is a direction d from the world's origin and an inverse distance rho; a camera (R, t) sees it along R d + rho t. A point at
 infinity is simply rho = 0, while in world coordinates it would diverge. This is the parametrisation of Yu and Gallup, "3D Reconstruction
@@ -10,18 +9,23 @@ complement) and Cauchy's loss as weights.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
+
+from ....pipeline import thread_count
 
 CAUCHY = 2.385 / 1.1774  # width of the loss, times the median error of a Gaussian in two dimensions
 FINEST = 0.01  # px
 SETTLED = 1e-4  # relative change of the cost
 STEPS = 25
 STRONGEST = 0.5  # largest radial term
-GROUP = 64  # points eliminated together: few of the frames of a long pan see them
+GROUP = 128  # points eliminated together: few of the frames of a long pan see them
+PARTS = 4  # of the groups, eliminated beside one another; a fixed number, so that the result does not depend on the threads
 
 
 @dataclass(frozen=True)
@@ -186,11 +190,12 @@ def _step(bundle: Bundle, system: System, damping: float, move: bool, lens: int)
     try:
         root = np.linalg.inv(np.linalg.cholesky(V + _diagonal(V, damping)))  # root^T root is the inverse
         side = root @ v[:, :, None]
-        carried = [root[group.points] @ group.W for group in groups]
-        for group, of in zip(groups, carried, strict=True):
-            rows = of.reshape(-1, of.shape[2])
-            S[np.ix_(group.columns, group.columns)] -= rows.T @ rows  # symmetric, which BLAS uses
-            s[group.columns] -= rows.T @ side[group.points].reshape(-1)
+        carried: list[np.ndarray] = []
+        with ThreadPoolExecutor(min(PARTS, thread_count())) as pool:
+            for some, square, cross in pool.map(partial(_eliminated, root=root, side=side, size=len(S)), _parts(groups)):
+                carried += some
+                S -= square
+                s -= cross
         dx = -np.linalg.solve(S, s)
     except np.linalg.LinAlgError:
         return bundle
@@ -208,6 +213,23 @@ def _step(bundle: Bundle, system: System, damping: float, move: bool, lens: int)
     if lens == 2:
         changed = replace(changed, k1=float(np.clip(bundle.k1 + dx[-1], -STRONGEST, STRONGEST)))
     return changed
+
+
+def _parts(groups: list[Group]) -> list[list[Group]]:
+    return [groups[k * len(groups) // PARTS : (k + 1) * len(groups) // PARTS] for k in range(PARTS)]
+
+
+def _eliminated(groups: list[Group], root: np.ndarray, side: np.ndarray, size: int) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """The coupling of each of ``groups`` times ``root``, and what eliminating them takes from the camera block [size, size] and from the
+    right side [size]."""
+    carried, square, cross = [], np.zeros((size, size)), np.zeros(size)
+    for group in groups:
+        of = root[group.points] @ group.W
+        rows = of.reshape(-1, of.shape[2])
+        square[np.ix_(group.columns, group.columns)] += rows.T @ rows  # symmetric, which BLAS uses
+        cross[group.columns] += rows.T @ side[group.points].reshape(-1)
+        carried.append(of)
+    return carried, square, cross
 
 
 def _diagonal(V: np.ndarray, damping: float) -> np.ndarray:
