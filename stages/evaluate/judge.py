@@ -57,9 +57,12 @@ class Judge:
 
     def view(self, i: int) -> tuple[dict[str, Any], Frame, np.ndarray]:
         """Row of metrics, the rendered frame, and the ground truth uint8 [H, W, 3] of frame i."""
-        picture = self.frames.composited(i)
-        truth = picture.astype(np.float64) / 255.0
         color, frame = self.render(i)
+        return self.measured(i, color, frame), frame, self.frames.composited(i)
+
+    def measured(self, i: int, color: np.ndarray, frame: Frame) -> dict[str, Any]:
+        """Row of metrics of frame i, rendered with `render`. Any thread may call this."""
+        truth = self.frames.composited(i).astype(np.float64) / 255.0
         kept = self.kept(i)
         if kept is not None:  # since windows of metrics reach into pixels that do not count
             color = np.where(kept[..., None], color, truth).astype(np.float32)
@@ -80,7 +83,7 @@ class Judge:
             row |= self._of_motion(i, color, truth)
         if self.frames.alpha and self.frames.background is not None:
             row |= self._of_alpha(i, color, truth, frame)
-        return row, frame, picture
+        return row
 
     def _of_motion(self, i: int, color: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
         """PSNR of the moving and of the static pixels, if the fixed camera saw enough times to distinguish them, otherwise None."""

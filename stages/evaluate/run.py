@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from ...pipeline import Context, StageError
+from ...pipeline import Context, StageError, thread_count
 from ..coarse.artifact import steps_of
 from ..flow.artifact import flow_of
 from ..shared.clocks import clock_lines
@@ -46,12 +48,13 @@ def evaluate(ctx: Context) -> None:
     judge = Judge(model, frames, lpips, fixed=frames.fixed_cameras)
     splits: dict[str, Any] = {}
     sample = {} if "train" in views else {"train": spread([int(i) for i in frames.train], SAMPLE)}
-    with ctx.progress(sum(map(len, [*views.values(), *sample.values()])), "views") as bar:
+    total = sum(map(len, [*views.values(), *sample.values()]))
+    with ctx.progress(total, "views") as bar, ThreadPoolExecutor(thread_count()) as pool:
         for split, indices in (sample | views).items():
             rows = []
-            for i in indices:
-                rows.append(judge.view(i)[0])
-                bar.advance(1, f"{rows[-1]['psnr']:.1f} dB")
+            for row in measured_rows(judge, indices, pool):
+                rows.append(row)
+                bar.advance(1, f"{row['psnr']:.1f} dB")
             for i in worst_and_others(rows, ctx.settings.max_views) if split in views else ():
                 row, frame, truth = judge.view(i)
                 book.add_view(split, frames.names[i], float(frames.time[i]), truth, frame, row, judge.kept(i))
@@ -72,6 +75,18 @@ def evaluate(ctx: Context) -> None:
         "flicker": measure_flicker(judge, frames, most, ctx.progress),
     }
     write_metrics(ctx.out, metrics, {"render_fps": judge.frames_per_second(next(reversed(views.values())))})
+
+
+def measured_rows(judge: Judge, indices: Sequence[int], pool: ThreadPoolExecutor) -> Iterator[dict[str, Any]]:
+    """Rows of metrics of the views ``indices``, in their order. Metrics use one core each, so ``pool`` measures a few views while this
+    thread renders the next."""
+    waiting: deque[Future[dict[str, Any]]] = deque()
+    for i in indices:
+        waiting.append(pool.submit(judge.measured, i, *judge.render(i)))
+        if len(waiting) > thread_count():
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
 
 
 def means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:

@@ -2,6 +2,9 @@
 
 import io
 import json
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +26,7 @@ from e4dgs.stages.evaluate.artifact import StoredPictures, read_movies
 from e4dgs.stages.evaluate.flicker import measure_flicker
 from e4dgs.stages.evaluate.judge import LEAST_TIMES, Judge
 from e4dgs.stages.evaluate.pictures.book import depth_picture, depth_range, error_picture
-from e4dgs.stages.evaluate.run import means
+from e4dgs.stages.evaluate.run import means, measured_rows
 from e4dgs.stages.evaluate.settings import EvaluateSettings
 from e4dgs.stages.evaluate.spread import most_measured, spread, stretches, worst_and_others
 from e4dgs.stages.evaluate.stage import Evaluate
@@ -426,3 +429,22 @@ def test_stretches_of_neighbours_cover_a_long_capture():
     parts = stretches(range(300), 48)
     assert [len(part) for part in parts] == [16, 16, 16] and parts[0][0] == 0 and parts[-1][-1] == 299
     assert all(b - a == 1 for part in parts for a, b in pairwise(part))
+
+
+def test_views_are_rendered_by_one_thread_and_their_rows_come_in_order():
+    """The first to be measured are the last to be done."""
+    rendered = []
+
+    class Slow:
+        def render(self, i):
+            rendered.append(threading.get_ident())
+            return i, None
+
+        def measured(self, i, color, frame):
+            time.sleep(0.02 * (3 - i % 4))
+            return {"frame": i, "color": color, "thread": threading.get_ident()}
+
+    with ThreadPoolExecutor(4) as pool:
+        rows = list(measured_rows(Slow(), range(3, 23), pool))
+    assert [row["frame"] for row in rows] == [row["color"] for row in rows] == list(range(3, 23))
+    assert set(rendered) == {threading.get_ident()} and threading.get_ident() not in {row["thread"] for row in rows}
