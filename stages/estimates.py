@@ -9,6 +9,7 @@ from .shared.defaults import one_way
 
 SECONDS_PER_MAP = 0.03  # of a depth map that is read and aligned, on two cores
 SECONDS_PER_NETWORK_FRAME = 2.0  # a guess for a small network (25 M weights, 518 px) on two cores; none was timed
+DENSER_ALONG_A_PATH = 1.5  # Gaussians for each pixel, see `auto_budget`
 SECONDS_PER_FIRST_STEP = 0.01  # of a first training on very small images, on two cores
 
 # Seeds, on two cores.
@@ -44,7 +45,7 @@ def picture_resources(facts: Facts, gb_per_megapixel: float, gb: float = 0.3, gp
 def training_seconds(facts: Facts, iterations: int, kind: str, area: float = 1.0) -> float:
     """Seconds that ``iterations`` steps with a ``kind`` of motion take on two cores. area: mean area of the training images, as a share of
     the full images."""
-    megapixels = facts.width * facts.height / 1e6
+    megapixels = facts.width * facts.height / 1e6 * (DENSER_ALONG_A_PATH if one_way(facts) else 1.0)
     return iterations * (KINDS[kind].step_seconds + KINDS[kind].megapixel_seconds * megapixels * area)
 
 
