@@ -55,11 +55,6 @@ class Judge:
         frame = on_the_cpu(frame)
         return frame.color.clamp(0, 1).numpy(), frame
 
-    def view(self, i: int) -> tuple[dict[str, Any], Frame, np.ndarray]:
-        """Row of metrics, the rendered frame, and the ground truth uint8 [H, W, 3] of frame i."""
-        color, frame = self.render(i)
-        return self.measured(i, color, frame), frame, self.frames.composited(i)
-
     def measured(self, i: int, color: np.ndarray, frame: Frame) -> dict[str, Any]:
         """Row of metrics of frame i, rendered with `render`. Any thread may call this."""
         truth = self.frames.composited(i).astype(np.float64) / 255.0

@@ -55,9 +55,10 @@ def evaluate(ctx: Context) -> None:
             for row in measured_rows(judge, indices, pool):
                 rows.append(row)
                 bar.advance(1, f"{row['psnr']:.1f} dB")
+            known = {row["frame"]: row for row in rows}
             for i in worst_and_others(rows, ctx.settings.max_views) if split in views else ():
-                row, frame, truth = judge.view(i)
-                book.add_view(split, frames.names[i], float(frames.time[i]), truth, frame, row, judge.kept(i))
+                truth, (_, frame) = frames.composited(i), judge.render(i)
+                book.add_view(split, frames.names[i], float(frames.time[i]), truth, frame, known[i], judge.kept(i))
             splits[split] = {**means(rows), **lpips_facts, "frames": len(rows), "per_view": rows}
             if lpips is not None:
                 splits[split].pop("lpips_reason", None)

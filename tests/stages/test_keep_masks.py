@@ -123,13 +123,14 @@ def test_metrics_see_only_what_counts(masked, tmp_path):
     gaussians = GaussianSet.from_points(rng.uniform(-1, 1, (40, 3)), rng.random((40, 3)), 0)
     model = Model(gaussians, ConvexSet.empty(6, 0), Static(), 0)
     clean, other = frameset(masked, tmp_path / "a"), frameset(spoiled(masked, tmp_path / "spoiled"), tmp_path / "b")
-    before, after = (Judge(model, frames, None, False).view(0)[0] for frames in (clean, other))
+    judges = [Judge(model, frames, None, False) for frames in (clean, other)]
+    before, after = (judge.measured(0, *judge.render(0)) for judge in judges)
     assert not np.array_equal(clean.image(0), other.image(0))
     assert before["psnr"] == pytest.approx(after["psnr"], abs=1e-9) and before["psnr_affine"] == pytest.approx(
         after["psnr_affine"], abs=1e-9
     )
     assert before["ssim"] == pytest.approx(after["ssim"], abs=0.01)
-    unmasked = [Judge(model, frames, None, False).view(9)[0]["psnr"] for frames in (clean, other)]
+    unmasked = [judge.measured(9, *judge.render(9))["psnr"] for judge in judges]
     assert unmasked[0] == unmasked[1], "the last frame has no mask and was not changed"
 
 

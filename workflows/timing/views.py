@@ -22,7 +22,7 @@ class ViewCosts:
 
 
 def measure_views(job: Job, inputs: Mapping[str, Artifact | None], model: Artifact, views: int = 2) -> ViewCosts:
-    """Judges a few views, as `evaluate` does."""
+    """Judges a few views one by one: `evaluate` measures some beside one another and takes no longer."""
     begin = time.perf_counter()
     frames = FrameSet(inputs["frames"], job.capture.root, inputs["poses"])  # type: ignore[arg-type]
     judge = Judge(read_model(model).to(job.device), frames, None, fixed=frames.fixed_cameras)
@@ -31,7 +31,7 @@ def measure_views(job: Job, inputs: Mapping[str, Artifact | None], model: Artifa
     setup, judged, rendered = time.perf_counter() - begin, [], []
     for i in (chosen[0], *chosen):
         begin = time.perf_counter()
-        judge.view(i)
+        judge.measured(i, *judge.render(i))
         judged.append(time.perf_counter() - begin)
         begin = time.perf_counter()
         judge.render(i)
