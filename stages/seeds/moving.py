@@ -26,7 +26,7 @@ from ..flow.artifact import StoredFlow
 from .depths import depth_at, object_depths, steady
 from .held import held_map
 from .key_times import APART_ALONE, KEYS, PAIRS, SLOWER, WAY_ALONE, apart_by_speed, key_times
-from .scene_flow import next_positions
+from .scene_flow import next_positions, places_of
 
 FEWEST_FRAMES = 3  # least number of frames of a camera for a path
 FEWEST_CAMERAS = 2  # least number of cameras that see a time for a hull
@@ -164,11 +164,9 @@ def own_speed(chain: Chain, objects: Objects, depths: list[np.ndarray], views: V
         if moved is None or not len(begin):
             continue
         z = depth_at(objects, depths[k], views.K[frames[k]], k, begin, usual)
-        K, pose = views.K[frames[k + 1]], views.cam_from_world[frames[k + 1]]
-        cam = lift(views, frames[k], begin, z) @ pose[:3, :3].T + pose[:3, 3]
-        at_rest = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5
+        at_rest = places_of(views, frames[k + 1], lift(views, frames[k], begin, z))
         there, trusted = moved
-        found.append(np.linalg.norm(there - at_rest, axis=1)[trusted & (cam[:, 2] > 0)])
+        found.append(np.linalg.norm(there - at_rest, axis=1)[trusted & np.isfinite(at_rest).all(1)])
     values = np.concatenate(found) if found else np.zeros(0)
     return float(np.percentile(values, SLOWER)) / chain.width if len(values) else 0.0
 

@@ -32,9 +32,7 @@ def next_positions(
         i, j = frames[k], frames[k + direction]
         shown = _first_in_line(views, i, points)
         shown = shown[alive[shown]]
-        K, pose = views.K[i], views.cam_from_world[i]
-        cam = points[shown] @ pose[:3, :3].T + pose[:3, 3]
-        places = cam[:, :2] / cam[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5  # `Chain` has pixel centres at whole numbers
+        places = places_of(views, i, points[shown])
         x, y = (np.clip(np.rint(places[:, c]).astype(int), 0, size - 1) for c, size in enumerate((views.width, views.height)))
         on = chain.mask(k)[y, x]
         moved = chain.move(k, direction, places)
@@ -50,6 +48,14 @@ def next_positions(
     focal = float(np.median(views.K[views.train, 0, 0]))
     found, agreed = meet(ends, rays, seen, points, AGREE * views.width / 640 / focal)
     return _with_neighbours(points, found - points, agreed & alive, alive)
+
+
+def places_of(views: Views, i: int, points: np.ndarray) -> np.ndarray:
+    """Where frame ``i`` shows ``points`` [N, 3], [N, 2] px as in `Chain`: pixel centres are at whole numbers. NaN behind the camera."""
+    K, pose = views.K[i], views.cam_from_world[i]
+    cam = points @ pose[:3, :3].T + pose[:3, 3]
+    z = np.where(cam[:, 2:] > 0, cam[:, 2:], np.nan)
+    return np.asarray(cam[:, :2] / z * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5)
 
 
 def meet(centres: np.ndarray, rays: np.ndarray, seen: np.ndarray, start: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,18 @@ from e4dgs.scene.seeds.moving.hull import VisualHull, _on_surface
 from e4dgs.stages.seeds import key_times as usual
 from e4dgs.stages.seeds import moving
 from e4dgs.stages.seeds.depths import ANYWHERE
-from e4dgs.stages.seeds.key_times import APART, APART_ALONE, KEYS, LEAST_AT_ONCE, WAY, apart_by_speed, key_times, rig_times, speed
+from e4dgs.stages.seeds.key_times import (
+    APART,
+    APART_ALONE,
+    KEYS,
+    LEAST_AT_ONCE,
+    WAY,
+    WAY_ALONE,
+    apart_by_speed,
+    key_times,
+    rig_times,
+    speed,
+)
 from e4dgs.stages.seeds.moving import HULL, MEASURED_SHARE, camera_seeds, on_surfaces, own_speed, rig_seeds, slope
 from e4dgs.vision.flow.chain import Chain
 from e4dgs.vision.moving.followed_parts import follow_objects
@@ -44,7 +55,7 @@ def test_a_guessed_depth_is_not_held(tmp_path):
     assert seeds is not None and not seeds.held
 
 
-@pytest.mark.parametrize(("way", "times"), [(0.03, FRAMES), (1.0, FRAMES // APART_ALONE)])
+@pytest.mark.parametrize(("way", "times"), [(WAY_ALONE, FRAMES), (1.0, FRAMES // APART_ALONE)])
 def test_before_one_camera_seeds_lie_closer_in_time_if_things_move_fast(way, times, tmp_path, monkeypatch):
     """The square moves by 3.6 % of the width from frame to frame."""
     monkeypatch.setattr(usual, "KEYS", 2)
@@ -56,7 +67,6 @@ def test_before_one_camera_seeds_lie_closer_in_time_if_things_move_fast(way, tim
 def test_before_one_camera_the_more_times_have_seeds_the_more_there_are(tmp_path, monkeypatch):
     for module in (usual, moving):
         monkeypatch.setattr(module, "KEYS", 2)
-    monkeypatch.setattr(moving, "WAY_ALONE", 0.03)
     flow = flow_of(tmp_path / "flow")
     many, few = (camera_seeds(flow, views(), wall(), 100, most) for most in (3000, 200))
     assert many is not None and few is not None
