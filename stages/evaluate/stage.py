@@ -35,14 +35,13 @@ class Evaluate(Stage):
         return Applies.yes(f"no views in {', '.join(settings.splits)}: training views are measured instead")
 
     def estimate(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> float | None:
-        """On two cores: about 0.9 s per view and megapixel for rendering and metrics, without LPIPS; as much at each time for flicker; and
-        the pictures and movies of the report."""
+        """Two cores take about 1 s for each view and megapixel, without LPIPS, and as much at each time whose flicker is measured. The
+        report's movies and the scene in it come on top."""
         known = Facts.of(facts)
         views = SAMPLE + sum(known.splits.get(split, 0) for split in settings.splits)
         if known.fixed_cameras and not known.static:
             views += flicker_cameras(known.times) * known.times
-        megapixels = known.width * known.height / 1e6
-        return 4.0 + (0.9 * views + 1.2 * settings.max_views) * megapixels + 0.25 * settings.movie_frames
+        return 5.0 + views * known.width * known.height / 1e6 + 0.3 * settings.movie_frames
 
     def resources(self, facts: Mapping[str, Any], settings: EvaluateSettings, device: str) -> Resources:
         from ..estimates import training_resources
