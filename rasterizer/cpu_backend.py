@@ -43,6 +43,9 @@ class _Rasterize(torch.autograd.Function):
         gaussians = dict(zip(GAUSSIAN_FIELDS, plain[LEADING:]))
         convexes = dict(zip(CONVEX_FIELDS, plain[LEADING + len(GAUSSIAN_FIELDS) :]))
         channels = gaussians["extras"].shape[1]
+        for kind in (gaussians, convexes):
+            if not kind["extras"].any():  # nothing to blend: such extras are probes, of which only the gradients are wanted
+                kind["extras"] = None
         frame = {
             "color": torch.empty(height, width, 3, dtype=torch.float32),
             "alpha": torch.empty(height, width, dtype=torch.float32),

@@ -94,7 +94,8 @@ void blend_forward(State& state, const FrameOutput& out, bool keep, int threads)
     });
 }
 
-void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background, int threads) {
+void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background,
+                    bool attribution, int threads) {
     BackwardJob job;
     fill_job(state, job);
     job.grad_color = grad.color, job.grad_alpha = grad.alpha, job.grad_depth = grad.depth, job.grad_extras = grad.extras;
@@ -105,7 +106,7 @@ void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& sl
     std::fill(touched.begin(), touched.end(), uint8_t(0));
     Buffer<double> parts(background ? size_t(state.tiles()) * 3 : 0);
     job.slots = slots.data(), job.touched = touched.data(), job.grad_background = background ? parts.data() : nullptr;
-    const auto run = kernels().backward;
+    const auto run = attribution ? kernels().attribute : kernels().backward;
     parallel_blocks(state.tiles(), 4, threads, [&](int64_t first, int64_t last, int64_t) {
         [[maybe_unused]] const FlushDenormals flush;
         Buffer<float> scratch(scratch_floats(job.extras));

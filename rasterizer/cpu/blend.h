@@ -39,10 +39,13 @@ struct BackwardJob : TileJob {
 // Number of floats of scratch memory, aligned to 64 bytes, that a tile needs for its extras.
 inline int64_t scratch_floats(int extras) { return int64_t(extras) * (kTile * kTile + 16) + 16; }
 
+constexpr int kMostAttributed = 8;
+
 struct Kernels {
     const char* name;
     void (*forward)(const ForwardJob&, int tile, float* scratch);
     void (*backward)(const BackwardJob&, int tile, float* scratch);
+    void (*attribute)(const BackwardJob&, int tile, float* scratch);  // of at most kMostAttributed extras; the slots begin with the sums
 };
 
 const Kernels& kernels();  // the best ones for this processor

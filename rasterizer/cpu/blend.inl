@@ -16,10 +16,11 @@ using namespace e4dgs;
 #include "backward_layers.inl"
 #include "backward_convex.inl"
 #include "backward.inl"
+#include "attribution.inl"
 
 }  // namespace
 
 extern const Kernels kKernels;
-const Kernels kKernels = {E4DGS_ISA_NAME, &forward_tile, &backward_tile};
+const Kernels kKernels = {E4DGS_ISA_NAME, &forward_tile, &backward_tile, &attribute_tile};
 
 }  // namespace E4DGS_ISA

@@ -82,3 +82,22 @@ __attribute__((always_inline)) inline void for_count(int n, F&& f) {
 }
 
 inline Mask all() { return zero() >= zero(); }
+
+// The alphas before the cap at the pixels X, Y of block b, which convex_blocks() has been asked for.
+__attribute__((always_inline)) inline void convex_alphas(const ConvexItem& convex, int points, int b, const Float* X, const Float* Y, Float* raws,
+                                                         Mask* counts) {
+    if (convex.inside >> b & 1) {
+        for (int k = 0; k < kVectors; ++k) raws[k] = set1(convex.opacity), counts[k] = all();
+    } else if (convex.gentle) {
+        for_count(points, [&](auto count) {
+            ConvexValue<count.value> value;
+            for (int k = 0; k < kVectors; ++k) raws[k] = gentle_alpha(convex, b, k * kWidth, value, counts[k]);
+        });
+    } else {
+        const uint32_t edges = convex.edges[b];
+        for_count(__builtin_popcount(edges), [&](auto count) {
+            ConvexValue<count.value> value;
+            for (int k = 0; k < kVectors; ++k) raws[k] = sharp_alpha(convex, edges, X[k], Y[k], value, counts[k]);
+        });
+    }
+}

@@ -53,19 +53,8 @@ inline bool forward_block(TilePixels& px, float* extra, int extras, int b, Chunk
             if (!CONVEXES || item.convex < 0) {
                 Float u, v;
                 for (int k = 0; k < kVectors; ++k) raws[k] = gaussian_alpha(item, X[k], Y[k], u, v, counts[k]);
-            } else if (const ConvexItem& convex = chunk.convexes[item.convex]; convex.inside >> b & 1) {
-                for (int k = 0; k < kVectors; ++k) raws[k] = set1(convex.opacity), counts[k] = all();
-            } else if (convex.gentle) {
-                for_count(chunk.points, [&](auto count) {
-                    ConvexValue<count.value> value;
-                    for (int k = 0; k < kVectors; ++k) raws[k] = gentle_alpha(convex, b, k * kWidth, value, counts[k]);
-                });
             } else {
-                const uint32_t edges = convex.edges[b];
-                for_count(__builtin_popcount(edges), [&](auto count) {
-                    ConvexValue<count.value> value;
-                    for (int k = 0; k < kVectors; ++k) raws[k] = sharp_alpha(convex, edges, X[k], Y[k], value, counts[k]);
-                });
+                convex_alphas(chunk.convexes[item.convex], chunk.points, b, X, Y, raws, counts);
             }
             bool stops = false;
             Float before[kVectors];

@@ -42,7 +42,8 @@ void find_spans(State& state, bool keep, int threads);   // span_begin, spans, s
 void sort_by_depth(State& state, int threads);           // order
 void distribute(State& state, int threads);              // tile_begin, entries
 void blend_forward(State& state, const FrameOutput& out, bool keep, int threads);
-void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background, int threads);
+void blend_backward(const State& state, const FrameGrad& grad, Buffer<float>& slots, Buffer<uint8_t>& touched, double* background,
+                    bool attribution, int threads);  // attribution: of the extras alone
 void backward(const State& state, const FrameGrad& grad, const SceneGrad& out, int threads);
 
 }  // namespace e4dgs

@@ -91,6 +91,27 @@ def test_only_what_requires_gradients_gets_them_and_the_rest_does_not_change() -
         assert all(value.grad is None for other, value in leaves.items() if other != name)
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("channels", [1, 5, 8, 9])
+def test_extras_alone_have_the_gradients_that_they_have_beside_others(instruction_set: str, channels: int, antialiased: bool) -> None:
+    """Up to eight channels are summed by a walk of their own. Many layers, so that pixels stop; wide ones, so that tiles share them."""
+    scene = random_scene(18, 120, 60, degree=1, extras=channels, width=43, height=29, size=0.8, antialiased=antialiased).to(torch.float32)
+    weights = {"extras": cotangents(scene.render("reference"))["extras"]}
+    full = gradients(scene, "cpu", weights)
+    names = ["gaussians.extras", "convexes.extras"]
+    for extras in (lambda value: value, torch.zeros_like):  # those that are zero everywhere are not blended
+        leaves = scene.leaves()
+        leaves = {
+            name: extras(value.detach()).requires_grad_(name in names) if name in names else value.detach()
+            for name, value in leaves.items()
+        }
+        for threads in (1, 3):
+            torch.set_num_threads(threads)
+            frame = scene.having(leaves).render("cpu")
+            found = torch.autograd.grad((frame.extras * weights["extras"].float()).sum(), [leaves[name] for name in names])
+            assert all(torch.equal(one, full[name]) and one.any() for one, name in zip(found, names))
+
+
 def test_without_gradients_nothing_is_kept() -> None:
     frame = random_scene(0, gaussians=5, degree=None).to(torch.float32).render("cpu")
     assert frame.color.grad_fn is None

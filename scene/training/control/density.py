@@ -90,7 +90,7 @@ def add_frame(sums: Sums, model: Model, inputs: FrameInputs, move: bool) -> None
             difference = difference * (floats(inputs.kept) >= WHOLLY)[..., None]
         error = difference.abs().mean(-1, keepdim=True)
         channels = torch.cat([torch.ones_like(error), error, *([difference] if in_time else [])], -1)
-    gradients = torch.autograd.grad((frame.extras * channels).sum(), probes, allow_unused=True)
+    gradients = torch.autograd.grad(frame.extras, probes, channels, allow_unused=True)
     with torch.no_grad():
         for k, gradient in enumerate(gradients):
             if gradient is not None:

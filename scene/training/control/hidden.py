@@ -37,7 +37,7 @@ def seen_share(model: Model, views: Views, frames: list[int], move: bool, scale:
             gaussians, convexes = model.at(views.moment(i), camera, move)
         probe = torch.zeros(count, 1, device=device, requires_grad=True)
         frame = rasterize(camera, replace(gaussians, extras=probe), convexes, nothing, antialiased=model.antialiased)
-        (weight,) = torch.autograd.grad(frame.extras.sum(), probe)
+        (weight,) = torch.autograd.grad(frame.extras, probe, torch.ones_like(frame.extras))
         with torch.no_grad():
             own = footprint(camera, gaussians, 0.0 if model.antialiased else DILATION)
             judged = inside_image(camera, gaussians.means) & (own > LEAST)
