@@ -338,6 +338,21 @@ def test_dnerf_times_in_one_split_only(dnerf_capture, tmp_path):
     refused(root, "transforms_test.json", "time is missing")
 
 
+def test_times_of_splits_in_other_units(dnerf_capture, tmp_path):
+    """Test views may lie between or beyond training views, up to ten times as far: then the unit is in doubt."""
+    trained = np.ptp(recognise(dnerf_capture.root).time[recognise(dnerf_capture.root).split == 0])
+    for times, fits in ((9.9, True), (10.1, False)):
+        root = shutil.copytree(dnerf_capture.root, tmp_path / str(times))
+        data = json.loads((root / "transforms_test.json").read_text())
+        for i, frame in enumerate(data["frames"]):
+            frame["time"] = times * trained * i / (len(data["frames"]) - 1)
+        (root / "transforms_test.json").write_text(json.dumps(data))
+        if fits:
+            recognise(root)
+        else:
+            refused(root, "the times of the test views span", "transforms_test.json", "same unit")
+
+
 def test_colmap(colmap_capture, tmp_path):
     root = shutil.copytree(colmap_capture.root, tmp_path / "c")
     cameras = (root / "sparse/0/cameras.txt").read_text()

@@ -12,6 +12,9 @@ from ....pipeline import CaptureError
 from ..reading import DEFAULT_FPS, TEST, TRAIN, VAL, Options, Reading, Shot
 from . import skipped_times as skipping
 
+LEAST_TIMES = 3  # of training, from which their span says something
+MOST_SPAN = 10.0  # ratio of the span of held-out times to that of the training times
+
 
 class Timeline(NamedTuple):
     """Of F frames: split, camera, next, time and seconds [F], as in a `Capture`. times, cameras: how many there are. static: whether all
@@ -34,6 +37,8 @@ def timeline(root: Path, reading: Reading, options: Options) -> Timeline:
     notes: tuple[str, ...] = ()
     split = _splits(root, reading, options)
     raw = np.array([s.time for s in shots], dtype=np.float64)
+    if reading.has_split and not options.static:
+        _same_unit(root, reading, split, raw)
     time = np.zeros_like(raw) if options.static else _unit_times(raw)
     times = len(np.unique(np.round(time, 9)))
     static = options.static or times == 1
@@ -59,6 +64,18 @@ def _splits(root: Path, reading: Reading, options: Options) -> np.ndarray:
         advice = "check the split files" if reading.has_split else "use frames.holdout=0"
         raise CaptureError(f"{root}: {len(split)} frames, none of them for training; {advice}")
     return split
+
+
+def _same_unit(root: Path, reading: Reading, split: np.ndarray, raw: np.ndarray) -> None:
+    """Raises CaptureError if held-out views span so much more time than those for training that their times must be in another unit."""
+    train = raw[split == TRAIN]
+    for held_out, name in ((VAL, "validation"), (TEST, "test")):
+        times = raw[split == held_out]
+        if len(times) and len(np.unique(train)) >= LEAST_TIMES and np.ptp(times) > MOST_SPAN * np.ptp(train):
+            raise CaptureError(
+                f"{root}: the times of the {name} views span {np.ptp(times):g}, those for training {np.ptp(train):g} "
+                f"({', '.join(reading.sources[:3])}): they must be in the same unit; correct the times of one of them"
+            )
 
 
 def _unit_times(raw: np.ndarray) -> np.ndarray:
