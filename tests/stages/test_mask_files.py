@@ -70,6 +70,24 @@ def test_a_mask_of_another_size_is_refused_whatever_its_photo_is(tmp_path):
         recognise(root)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_masks_of_zeros_and_ones_are_truth_values(tmp_path, dtype):
+    """As NumPy's bool is saved as uint8. From 2 on a value says how bright a mask is, and all of that is black here."""
+    values = np.array([[0, 1, 0], [1, 1, 0]], dtype)
+    Image.fromarray(values).save(tmp_path / "truth.png")
+    np.testing.assert_array_equal(read_keep(tmp_path, "truth.png"), 255 * values)
+    Image.fromarray(2 * values).save(tmp_path / "dark.png")
+    with pytest.raises(CaptureError, match="black everywhere"):
+        read_keep(tmp_path, "dark.png")
+    root = photos(tmp_path / "photos", [1, 1])
+    for i in range(2):
+        Image.fromarray(np.eye(12, 16, dtype=dtype)).save(root / f"masks/{i}.png")
+    assert any(
+        "2 masks hold only 0 and 1, for example masks/0.png: 1 is taken for white" in line
+        for line in run_frames(root, tmp_path / "out").lines
+    )
+
+
 def test_masks_of_sixteen_bits_are_scaled_and_not_clipped(tmp_path):
     values = np.array([[0, 1, 32000], [33000, 300, 65535]], np.uint16)
     Image.fromarray(values).save(tmp_path / "deep.png")
