@@ -11,6 +11,7 @@ from e4dgs.stages.captures.formats.video import decode, probe
 from e4dgs.stages.captures.sound import onsets as sound
 from e4dgs.stages.captures.video.hidden import is_hidden
 from factory.writers import write_mp4
+from PIL import Image
 from run_stage import run_frames
 from tiny_videos import GOP, SIZE, encode, from_key, levels, remux, with_cover, with_data
 
@@ -196,6 +197,35 @@ def test_lost_bytes_are_told(tmp_path, suffix):
     file.write_bytes(data[: len(data) * 9 // 10])
     with pytest.raises(CaptureError, match=rf"clip\.{suffix}: .*cut short"):
         recognise(file)
+
+
+def animation(file, count=8):
+    """An animated GIF, each picture another one."""
+    rng = np.random.default_rng(0)
+    first, *others = [Image.fromarray(rng.integers(0, 255, (48, 64, 3), np.uint8)) for _ in range(count)]
+    first.save(file, save_all=True, append_images=others, duration=100)
+    return file
+
+
+def test_lost_bytes_of_an_animation_are_told(tmp_path):
+    file = animation(tmp_path / "clip.gif")
+    data = file.read_bytes()
+    assert recognise(file).facts["frames"] == 8
+    file.write_bytes(data + b"\0" * 1000)  # programs append such bytes
+    assert recognise(file).facts["frames"] == 8
+    for kept in (len(data) * 9 // 10, len(data) - 300, len(data) - 1):
+        file.write_bytes(data[:kept])
+        with pytest.raises(CaptureError, match=r"clip\.gif: .*cut short; copy it again"):
+            recognise(file)
+
+
+@pytest.mark.parametrize("ending", [b"\x3b", b"\x3b\0"])
+def test_a_byte_of_data_is_no_trailer_of_a_gif(tmp_path, ending):
+    data = animation(tmp_path / "clip.gif").read_bytes()
+    at = data.index(ending[:1], len(data) * 3 // 4)
+    (tmp_path / "clip.gif").write_bytes(data[:at] + ending)
+    with pytest.raises(CaptureError, match=r"clip\.gif: .*cut short"):
+        recognise(tmp_path / "clip.gif")
 
 
 def fast_start(file):

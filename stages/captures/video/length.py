@@ -12,7 +12,7 @@ _HOLD_MEDIA = (b"mdat", b"moov", b"moof")
 
 
 def is_cut_short(path: Path) -> bool:
-    """Whether an MP4, AVI or Matroska file ends before the end of its media. Other containers do not tell."""
+    """Whether an MP4, AVI, Matroska or GIF file ends before the end of its media. Other containers do not tell."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(12)
@@ -22,6 +22,8 @@ def is_cut_short(path: Path) -> bool:
             return _riff_ends(file, size)
         if head[:4] == b"\x1aE\xdf\xa3":
             return _segment_ends(file, size)
+        if head[:6] in (b"GIF87a", b"GIF89a") and len(head) > 10:
+            return _blocks_end(file, head)
     return False
 
 
@@ -77,3 +79,27 @@ def _segment_ends(file: BinaryIO, size: int) -> bool:
         if kind == b"\x18\x53\x80\x67":
             return at > size
     return False
+
+
+def _blocks_end(file: BinaryIO, head: bytes) -> bool:
+    """Whether the blocks of a GIF end without its trailer (GIF89a, section 27). What programs append behind the trailer does not matter."""
+
+    def colours(flags: int) -> int:
+        """Bytes of the table of colours that may follow."""
+        return 3 << (flags & 7) + 1 if flags & 0x80 else 0
+
+    file.seek(13 + colours(head[10]))
+    while kind := file.read(1):
+        if kind == b"\x3b":
+            return False
+        if kind == b"\x2c":  # a picture: its place, its colours, and the size of its codes
+            place = file.read(9)
+            file.seek(1 + colours(place[-1] if place else 0), 1)
+        elif kind == b"\x21":  # an extension
+            file.seek(1, 1)
+        else:  # damaged, which decoding tells
+            return False
+        length = file.read(1)
+        while length and length != b"\0":
+            length = file.read(length[0] + 1)[length[0] :]  # a piece of the data, and the length of the next one
+    return True
