@@ -72,9 +72,11 @@ def registered(workspace: Path) -> dict[str, int] | None:
 
 
 def said(lines: list[str]) -> list[str]:
-    """What the stages said of the capture, and errors; without their progress."""
+    """What was said of the capture, above the plan and by the stages, and errors; without their progress."""
     heads = ("  frames: ", "  poses: ", "  flow: nothing moves", "  evaluate: ", "error: ")
-    told = [line.strip() for line in lines if line.startswith(heads)]
+    above = next((i for i, line in enumerate(lines) if line.startswith("stage ")), 0)
+    told = [f"frames: {line.strip()}" for line in lines[:above] if line.startswith("  ")][1:]  # the first is of sizes
+    told += [line.strip() for line in lines if line.startswith(heads)]
     return [line for line in dict.fromkeys(told) if not re.search(r" \(\d+ %\)", line)]
 
 

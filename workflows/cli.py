@@ -97,8 +97,14 @@ def run(
     rows = expect(session, make_plan(session.job, targets, forced))
     show.show_capture(console, session)
     show.show_plan(console, rows, session.options.time)
+    told = {f"  frames: {note}" for note in session.notes}  # above; they stay in the log of the result
+
+    def tell(line: str) -> None:
+        if line not in told:
+            say(line)
+
     with viewer_beside(options) if watch else nullcontext(), writing_to(options.workspace.resolve()):
-        if (found := execute(session, rows, console, say, targets, forced, timed)) is not None:
+        if (found := execute(session, rows, console, tell, targets, forced, timed)) is not None:
             show.show_metrics(console, *found)
         if watch:
             say("the viewer keeps running; Ctrl-C stops it")

@@ -19,6 +19,7 @@ from ...pipeline import CaptureError
 from ...pipeline.errors import is_odd
 from ...vision.images.files import LYING as LYING
 from ...vision.images.files import BadImageError, open_image, orientation_of, stored_size
+from .listing import refusals
 from .listing.names import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from .listing.names import VIDEO_SUFFIXES as VIDEO_SUFFIXES
 from .listing.names import find_image as find_image
@@ -231,7 +232,7 @@ def _header(root: Path, name: str, turn: bool) -> tuple[int, int, bool, int]:
             mode = image.mode
             alpha = "A" in image.getbands() or "transparency" in image.info
     except BadImageError as error:
-        raise CaptureError(f"{name}: not a readable image ({error}); copy it again or remove it from the capture") from error
+        raise CaptureError(f"{name}: {refusals.of_picture(root / name, str(error))}") from error
     if mode not in PIXELS:
         raise CaptureError(f"{name}: pixels of kind {mode!r} are not supported; convert the images to RGB or RGBA of 8 or 16 bits")
     return width, height, alpha, orientation

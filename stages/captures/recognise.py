@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +20,7 @@ from .listing.archive_kind import archive_kind
 from .listing.depth_maps import add_depth
 from .listing.kinds import kind_of
 from .listing.names import is_video
-from .listing.unread import above, described, only_closed, unread
+from .listing.unread import above, described, models_in, only_closed, unread, with_pictures
 from .posed.doubts import doubts
 from .reading import Options, Reading
 from .rigs import rig_without_poses
@@ -44,6 +45,7 @@ _POSED: dict[Format, ModuleType] = {
     "tum": tum,
 }
 _BARE: dict[Format, ModuleType] = {"images": images, "video": video, "videos": videos}
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:)/+(.*)", re.DOTALL)  # a drive has one letter
 _STEPPED = ("n3v", "images", "video", "videos")
 
 
@@ -119,6 +121,8 @@ def _existing(path: Path) -> Path:
     try:
         root = path.expanduser().resolve(strict=True)
     except (OSError, RuntimeError, ValueError) as error:
+        if (address := _ADDRESS.match(str(path))) is not None:  # a Path has one slash of the two
+            raise CaptureError(f"{address[1]}//{address[2]}: an address, not a file; download it first, and pass the file") from error
         raise CaptureError(f"{path}: no such file or folder; check the path of the capture") from error
     checks.refuse_odd_names([str(root)])
     if not root.is_dir() and not root.is_file():
@@ -176,7 +180,17 @@ def _advice(root: Path) -> str:
         return "poses_bounds.npy needs cameras named cam00.mp4, cam01.mp4, ... or folders cam00/, cam01/, ..."
     if only_closed(root):
         return there.removeprefix(". ")
-    if folders:
+    if (models := models_in(root)) and not with_pictures(root):
+        return _place_of_pictures(models[0])
+    if folders and with_pictures(root):
         return f"It has the folders {', '.join(folders[:6])}: pass the one that holds images, or add transforms.json{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
     return f"Expected a video or several of one event, images, {known}{there}"
+
+
+def _place_of_pictures(model: str) -> str:
+    """Where the pictures of the COLMAP model in the folder `model` belong, which came without any."""
+    top = model.split("/")[0]
+    if not top or top.isdecimal():
+        return "It is a COLMAP model without its pictures: pass the folder that holds sparse/ with the model, and beside it images/"
+    return f"The COLMAP model in {model} is there, but none of its pictures: copy images/ beside {top}/"

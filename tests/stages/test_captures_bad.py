@@ -1,9 +1,12 @@
 """A bad capture is one `CaptureError` that names file, frame and field and says what to do."""
 
 import json
+import re
 import shutil
+from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
@@ -60,7 +63,7 @@ def test_paths_that_hold_nothing(tmp_path):
     (tmp_path / "text/readme.md").write_text("nothing here")
     refused(tmp_path / "text", "nothing recognised", "transforms.json")
     (tmp_path / "word.txt").write_text("not a video")
-    refused(tmp_path / "word.txt", "word.txt", "not a readable video")
+    refused(tmp_path / "word.txt", "word.txt", "not a video: it looks like a text file")
     refused(scene(tmp_path / "s") / "transforms.json", "pass its folder")
     refused(scene(tmp_path / "s"), "unknown", "nerfstudio", format="blender")
     refused(scene(tmp_path / "s"), "transforms_train.json", format="dnerf")
@@ -385,3 +388,67 @@ def test_photos_of_a_phone_are_turned_upright(tmp_path):
     posed = scene(tmp_path / "posed", frames())
     Image.fromarray(lying).save(posed / "1.png", exif=exif)
     assert recognise(posed).facts["width"] == 16 and "upright" not in recognise(posed).facts
+
+
+LOOKS = {
+    "html": (b"<!DOCTYPE html><html><body>sign in</body></html>", "looks like a web page (HTML)"),
+    "text": ("so much for the \u00fc video\n".encode() * 400, "looks like a text file"),
+    "empty": (b"", "the file is empty; copy it again"),
+    "zeros": (bytes(5000), "zeros"),
+    "pointer": (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 5\n", "git lfs pull"),
+    "PDF": (b"%PDF-1.7\n" + bytes(range(256)) * 8, "looks like a PDF document"),
+    "HEIC": (b"\0\0\0\x18ftypheic" + bytes(range(256)) * 8, "looks like a HEIC or AVIF picture"),
+}
+
+
+@pytest.mark.parametrize("kind", LOOKS)
+@pytest.mark.parametrize("name", ["1.png", "clip.mp4"])
+def test_a_file_of_another_kind_is_named(tmp_path, kind, name):
+    content, words = LOOKS[kind]
+    root = tmp_path / "c"
+    root.mkdir()
+    for i in range(3 if name == "1.png" else 0):
+        Image.new("RGB", (16, 12)).save(root / f"{i}.png")
+    (root / name).write_bytes(content)
+    with pytest.raises(CaptureError, match=f"{name}: .*{re.escape(words)}") as caught:
+        recognise(root)
+    assert not re.search(r"<_io|Errno|perhaps cut short|identify", str(caught.value)), caught.value
+
+
+def test_bytes_that_look_like_nothing_are_called_damaged(tmp_path):
+    noise = np.random.default_rng(0).integers(128, 256, 5000, np.uint8).tobytes()
+    (tmp_path / "clip.mp4").write_bytes(noise)
+    refused(tmp_path / "clip.mp4", "clip.mp4: not a readable video, perhaps cut short (Invalid data found when processing input); copy it")
+    (tmp_path / "clip.mp4").rename(tmp_path / "1.png")
+    Image.new("RGB", (16, 12)).save(tmp_path / "0.png")
+    refused(tmp_path, "1.png: not a readable image (cannot identify image file); copy it again")
+
+
+def test_a_tiff_of_floating_point_is_a_kind_that_is_not_read(tmp_path):
+    for i in range(3):
+        assert cv2.imwrite(str(tmp_path / f"{i}.tif"), np.ones((12, 16, 3), np.float32))
+    refused(tmp_path, "0.tif: a TIFF picture of 32-bit floating-point numbers in 3 channels", "not read; convert the images to RGB")
+
+
+def test_an_address_is_to_be_downloaded_first():
+    refused("https://example.com/x.mp4", "https://example.com/x.mp4: an address, not a file; download it first")
+    refused(Path("s3://bucket/x"), "s3://bucket/x: an address")
+
+
+def test_a_colmap_model_without_pictures_asks_for_them(colmap_capture, tmp_path):
+    root = shutil.copytree(colmap_capture.root, tmp_path / "c")
+    shutil.rmtree(root / "images")
+    refused(root, "The COLMAP model in sparse/0 is there, but none of its pictures: copy images/ beside sparse/")
+    for model in (root / "sparse", root / "sparse/0"):
+        refused(model, "a COLMAP model without its pictures: pass the folder that holds sparse/ with the model, and beside it images/")
+
+
+def test_only_a_folder_that_holds_images_is_to_be_passed(tmp_path):
+    (tmp_path / "notes/old").mkdir(parents=True)
+    (tmp_path / "notes/old/a.md").write_text("x")
+    with pytest.raises(CaptureError) as caught:
+        recognise(tmp_path)
+    assert "the one that holds" not in str(caught.value)
+    (tmp_path / "deep/er").mkdir(parents=True)
+    Image.new("RGB", (16, 12)).save(tmp_path / "deep/er/0.png")
+    refused(tmp_path, "It has the folders deep, notes: pass the one that holds images")

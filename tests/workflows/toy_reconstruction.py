@@ -16,6 +16,8 @@ class Frames(Stage):
     def run(self, ctx: Any) -> None:
         if "broken" in ctx.capture.name:
             raise CaptureError("000.png: cut short; copy it again")
+        for note in ctx.capture.notes:  # as the real stage does
+            ctx.log(note)
         ctx.out.attrs["frames"] = ctx.facts["frames"]
 
 

@@ -46,7 +46,7 @@ def open_image(path: Path) -> Iterator[Image]:
     except BadImageError:
         raise
     except Exception as error:  # for broken files Pillow raises struct.error, KeyError, IndexError, zlib.error, ...
-        raise BadImageError(str(error) or type(error).__name__) from error
+        raise BadImageError(str(error).split(" <_io.")[0] or type(error).__name__) from error  # no object in place of the name
 
 
 def orientation_of(image: Image) -> int:

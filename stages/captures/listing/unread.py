@@ -81,6 +81,16 @@ def only_closed(root: Path) -> bool:
     return bool(kinds) and all(map(_is_closed, kinds))
 
 
+def models_in(root: Path) -> list[str]:
+    """The folders with a COLMAP model, relative to `root`, in natural order."""
+    return _models(tree(root).files, set())[0]
+
+
+def with_pictures(root: Path) -> bool:
+    """Whether a folder, or one in it, has a picture or a video, of whatever kind."""
+    return any((kind := kind_of(path)) is not None and kind.group in ("picture", "video") for path in tree(root).files)
+
+
 def _is_closed(kind: FileKind) -> bool:
     return kind.group in ("picture", "video") and bool(kind.advice)
 

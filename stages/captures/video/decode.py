@@ -55,7 +55,8 @@ def decode(
             for frame in _taken(frames, video, found, say):
                 yield _picture(frame, found, width, height, crop)
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise CaptureError(f"{video.file}: frame {checked.number}: cannot be decoded ({error}); copy or record the video again") from error
+        why = getattr(error, "strerror", None) or error  # PyAV's own text begins with a number
+        raise CaptureError(f"{video.file}: frame {checked.number}: cannot be decoded ({why}); copy or record the video again") from error
     if checked.scaled:
         say(f"{video.file}: {checked.scaled} frames have another size and the same shape; they are scaled")
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ....pipeline import CaptureError, thread_count
+from ..listing.refusals import of_video
 from ..video_files import open_video
 from .colour import Tags, colours_told, frame_tags, stream_tags
 from .fields import FieldTest
@@ -89,7 +90,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
             packets.stamps, reordered = _pictures(root, name), False
         times, late = _times(packets, first, reordered, counted, name)
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise CaptureError(f"{name}: not a readable video, perhaps cut short ({error}); copy it again or convert it to MP4") from error
+        raise CaptureError(f"{name}: {of_video(root / name, error)}") from error
     ticks = times.ticks
     seconds = (ticks - ticks[0]) * (base if not times.untimed and base > 0 else 1 / _even_rate(stated))
     by_order = counted or times.untimed or first.stamp is None or first.stamp not in times.raw
