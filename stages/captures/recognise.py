@@ -20,6 +20,7 @@ from .listing.archive_kind import archive_kind
 from .listing.depth_maps import add_depth
 from .listing.kinds import kind_of
 from .listing.names import is_video
+from .listing.several import apart, several
 from .listing.unread import above, described, models_in, only_closed, unread, with_pictures
 from .posed.doubts import doubts
 from .reading import Options, Reading
@@ -127,6 +128,8 @@ def _existing(path: Path) -> Path:
     checks.refuse_odd_names([str(root)])
     if not root.is_dir() and not root.is_file():
         raise CaptureError(f"{path}: neither a file nor a folder; pass a video or the capture's folder")
+    if root.is_file() and (found := several(root)) is not None:
+        raise CaptureError(apart(root, found))
     if root.is_file() and root.suffix.lower() in (".json", ".npy", *checks.IMAGE_SUFFIXES):
         raise CaptureError(f"{path}: this is one file of a capture; pass its folder {root.parent}")
     if root.is_file() and (known := kind_of(root.name)) is not None and known.group == "picture":

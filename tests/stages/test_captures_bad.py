@@ -2,7 +2,10 @@
 
 import json
 import re
+import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import av
@@ -452,3 +455,44 @@ def test_only_a_folder_that_holds_images_is_to_be_passed(tmp_path):
     (tmp_path / "deep/er").mkdir(parents=True)
     Image.new("RGB", (16, 12)).save(tmp_path / "deep/er/0.png")
     refused(tmp_path, "It has the folders deep, notes: pass the one that holds images")
+
+
+ANIMATED = {"webp": "an animated WebP", "png": "an animated PNG (APNG)", "tif": "a TIFF of several pages"}
+
+
+def animation(file, count=5, sizes=((32, 24), (32, 24))):
+    first, *others = [Image.new("RGB", sizes[min(i, 1)], (40 * i, 0, 90)) for i in range(count)]
+    more = {} if file.suffix == ".tif" else {"duration": 50, "lossless": True}
+    first.save(file, save_all=True, append_images=others, **more)
+    return file
+
+
+@pytest.mark.parametrize("alone", [True, False])
+@pytest.mark.parametrize("suffix", ANIMATED)
+def test_a_file_of_several_pictures_comes_with_a_command_that_makes_a_folder_of_them(tmp_path, suffix, alone):
+    (tmp_path / "my clip").mkdir()
+    file = animation(tmp_path / "my clip" / f"a.{suffix}")
+    with pytest.raises(CaptureError) as caught:
+        recognise(file if alone else file.parent)
+    said, _, command = str(caught.value).partition(f": {shlex.quote(sys.executable)} ")
+    folder = file.with_name("a-pictures")
+    rate = "" if suffix == "tif" else " with --set frames.fps=20"
+    assert said == (
+        f"a.{suffix}: {ANIMATED[suffix]} with 5 pictures, which is not read; make a folder of pictures of it, and pass {folder}{rate}"
+    )
+    subprocess.run([sys.executable, *shlex.split(command)], check=True)
+    capture = recognise(folder)
+    assert capture.facts["frames"] == 5
+    colours = [read_picture(capture.root, name)[0, 0].tolist() for name in capture.images]
+    assert colours == [[40 * i, 0, 90] for i in range(5)]
+
+
+def test_files_of_several_pictures_among_others_are_told(tmp_path):
+    for i in range(3):
+        Image.new("RGB", (32, 24)).save(tmp_path / f"{i}.png")
+    assert recognise(tmp_path).notes == ()
+    animation(tmp_path / "3.tif", sizes=((32, 24), (8, 6)))  # its second page is a preview
+    assert recognise(tmp_path).notes == ()
+    animation(tmp_path / "4.webp")
+    (line,) = recognise(tmp_path).notes
+    assert line.startswith("1 file holds several pictures (first 4.webp), of which only the first is read")

@@ -11,6 +11,7 @@ from .. import checks
 from ..keep_masks import add_masks, turn_masks
 from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import by_value, is_image
+from ..listing.several import apart, several, told
 from ..listing.twins import without_depth
 from ..listing.unread import described
 from ..posed.camera_matrix import CAMERA_MATRIX, read_camera_matrix
@@ -35,6 +36,8 @@ def read(root: Path, options: Options) -> Reading:
     prefix = f"{folder}/" if folder else ""
     found, deep, said = without_depth(root, [prefix + name for name in _images(root / folder)])
     if len(found) < 2:
+        if found and (pictures := several(root / found[0])) is not None:
+            raise CaptureError(apart(root / found[0], pictures))
         raise CaptureError(f"{root}: one image alone has no pose and no depth; add more views of the scene{described(root, 2)}")
     taken = video.choose(len(found), options, None)
     video.refuse_one(str(root), taken, len(found), options)
@@ -63,7 +66,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=(prefix + CAMERA_MATRIX,) if hint is not None else (),
         K_hint=hint,
         upright=upright,
-        notes=(*thinned, *decimals, *said, *masked),
+        notes=(*thinned, *decimals, *told(root, paths), *said, *masked),
         spoken_for=deep,
     )
 
