@@ -35,7 +35,8 @@ def several(file: Path) -> Several | None:
             count = getattr(image, "n_frames", 1)
             if image.format not in _KINDS or count < 2 or not _is_alike(image):
                 return None
-            duration = image.info.get("duration")  # ms
+            about: dict[str, Any] = image.info
+            duration = about.get("duration")  # ms
             rate = 1000 / duration if isinstance(duration, int | float) and duration > 0 else None
             return Several(f"{_KINDS[image.format]} with {count} pictures", count, rate)
     except BadImageError:
