@@ -215,3 +215,43 @@ def test_pictures_may_lie_in_a_folder_of_another_name(root, written, folder):
     capture = recognise(root)
     assert capture.images[0].startswith(f"{folder}/")
     assert_truth(capture, written)
+
+
+def as_both(root):
+    """The text model of `root` as binary, beside the text."""
+    pycolmap = pytest.importorskip("pycolmap")
+    pycolmap.Reconstruction(str(root / "sparse/0")).write_binary(str(root / "sparse/0"))
+    return root
+
+
+def twice_told(root):
+    return [note for note in recognise(root).notes if "as .txt" in note]
+
+
+def test_a_model_as_binary_and_as_text_that_agree_is_read_in_silence(root, written):
+    assert_truth(recognise(as_both(root)), written)
+    assert twice_told(root) == []
+
+
+TWICE = {
+    "pose": ("images.txt", lambda row: _moved(row), "the poses of image '000.png' differ"),
+    "camera": ("cameras.txt", lambda row: " ".join([*row.split()[:4], "99", *row.split()[5:]]), "the cameras of image '000.png' differ"),
+    "name": ("images.txt", lambda row: row.replace("000.png", "zzz.png"), "12 images and 12; only one of them has '000.png'"),
+    "damage": ("images.txt", lambda row: row.replace(" ", " x", 1), "is damaged: sparse/0/images.txt"),
+}
+
+
+def _moved(row):
+    words = row.split()
+    return " ".join([*words[:5], str(float(words[5]) + 0.1), *words[6:]])
+
+
+@pytest.mark.parametrize("case", TWICE)
+def test_a_model_as_binary_and_as_text_that_disagree_is_told(root, written, case):
+    file, change, words = TWICE[case]
+    path = as_both(root) / "sparse/0" / file
+    first, *rest = path.read_text().split("\n")
+    path.write_text("\n".join([change(first), *rest]))
+    assert_truth(recognise(root), written)  # the binary one
+    (line,) = twice_told(root)
+    assert line.startswith("sparse/0 has its model as .bin, which is read, and as .txt, which is not") and words in line

@@ -240,3 +240,45 @@ def test_kinds_of_names():
     assert kind_of("cam/README.md") is kind_of("config.json") is kind_of("script.py") is None
     assert colour_only(["depth_1.png", "depth_2.png"]) == ["depth_1.png", "depth_2.png"], "without colours they are the pictures"
     assert colour_only(["1.png", "depth_1.png", "depth_2.png"]) == ["1.png", "depth_2.png"]
+
+
+COPIES = ("IMG_0 (1).JPG", "IMG_0(2).jpg", "IMG_1 copy.JPG", "IMG_1 - Copy (3).JPG", "Copy of IMG_2.JPG", "IMG_2_copy.JPG")
+
+
+@pytest.mark.parametrize("name", COPIES)
+def test_a_copy_of_a_photo_is_no_time_of_its_own(tmp_path, name):
+    root = photos(tmp_path)
+    source = next(part for part in ("IMG_0", "IMG_1", "IMG_2") if part in name)
+    shutil.copy(root / f"{source}.JPG", root / name)
+    capture = recognise(root)
+    assert capture.images == tuple(f"IMG_{i}.JPG" for i in range(4))
+    assert capture.notes == (f"{name} is left out: it is a copy of {source}.JPG, byte for byte",)
+    assert name in capture.files  # the result changes if it does
+    (root / name).write_bytes((root / "IMG_3.JPG").read_bytes())  # another picture
+    assert recognise(root).facts["frames"] == 5 and recognise(root).notes == ()
+
+
+def test_photos_with_the_same_bytes_are_times_of_a_scene_that_stands_still(tmp_path):
+    root = pictures(tmp_path / "photos", ["a (1).png"])
+    for i in range(2, 5):
+        shutil.copy(root / "a (1).png", root / f"a ({i}).png")
+    assert recognise(root).facts["frames"] == 4 and recognise(root).notes == ()
+
+
+def test_a_copy_of_a_video_is_no_camera(videos_capture, tmp_path):
+    root = shutil.copytree(videos_capture.root, tmp_path / "rig")
+    whole = recognise(root)
+    first = sorted(path.name for path in root.glob("*.mp4"))[0]
+    shutil.copy(root / first, root / "0 copy.mp4")
+    capture = recognise(root)
+    assert capture.facts["cameras"] == whole.facts["cameras"] and [v.file for v in capture.videos] == [v.file for v in whole.videos]
+    assert f"0 copy.mp4 is left out: it is a copy of {first}, byte for byte" in capture.notes
+    assert len(capture.notes) == len(whole.notes) + 1 and "0 copy.mp4" in capture.files
+
+
+def test_copies_of_one_video_are_no_rig(videos_capture, tmp_path):
+    source = sorted(videos_capture.root.glob("*.mp4"))[0]
+    for name in ("a.mp4", "a copy.mp4"):
+        shutil.copy(source, tmp_path / name)
+    with pytest.raises(CaptureError, match=r"copies of one, byte for byte; pass that one: .*/a\.mp4"):
+        recognise(tmp_path)

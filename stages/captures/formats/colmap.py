@@ -21,7 +21,7 @@ from ..posed.stated import states_layout
 from ..reading import Options, Reading, Shot
 from ..rigs import Rig, all_fixed, cameras_of, folders_of
 from . import n3v
-from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places
+from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, told_twice
 
 _OWN = ("sparse/0", "sparse")  # a model here makes a capture COLMAP's, whatever lies beside it
 _SMALLER = re.compile(r"images_\d+")  # copies of the pictures, as Mip-NeRF 360 and LLFF have them
@@ -61,7 +61,15 @@ def read(root: Path, options: Options) -> Reading:
         shots[-1].camera, shots[-1].time = checks.natural_key(camera), float(time)
     masked = add_masks(root, shots, model.pictures)
     copies = _copies(root, model.pictures)
-    notes = (*notes, *([model.note] if model.note else []), *found.notes, *masked, *copies[0], *_told(root, model, rig, paths, where))
+    notes = (
+        *notes,
+        *([model.note] if model.note else []),
+        *told_twice(model),
+        *found.notes,
+        *masked,
+        *copies[0],
+        *_told(root, model, rig, paths, where),
+    )
     layout = "a static scene" if options.static else f"{len({s.camera for s in shots})} cameras" if rig.places else "one camera over time"
     has_points = (root / files["points3D"]).is_file()
     return Reading(

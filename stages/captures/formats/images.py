@@ -9,6 +9,7 @@ from pathlib import Path
 from ....pipeline import CaptureError
 from .. import checks
 from ..keep_masks import add_masks, turn_masks
+from ..listing import copies
 from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import by_value, is_image
 from ..listing.several import apart, several, told
@@ -34,7 +35,9 @@ def read(root: Path, options: Options) -> Reading:
         there = described(root) if root.is_dir() else ""
         raise CaptureError(f"{root}: no images here; pass the folder that holds them{there}")
     prefix = f"{folder}/" if folder else ""
-    found, deep, said = without_depth(root, [prefix + name for name in _images(root / folder)])
+    listed = [prefix + name for name in _images(root / folder)]
+    copied = copies.named_copies(root, listed)
+    found, deep, said = without_depth(root, [name for name in listed if name not in copied])
     if len(found) < 2:
         if found and (pictures := several(root / found[0])) is not None:
             raise CaptureError(apart(root / found[0], pictures))
@@ -63,10 +66,10 @@ def read(root: Path, options: Options) -> Reading:
         why=f"{len(found)} images without poses, {'a static scene' if options.static else 'one camera over time'}",
         shots=shots,
         alpha=alpha,
-        sources=(prefix + CAMERA_MATRIX,) if hint is not None else (),
+        sources=(*([prefix + CAMERA_MATRIX] if hint is not None else []), *copied),
         K_hint=hint,
         upright=upright,
-        notes=(*thinned, *decimals, *told(root, paths), *said, *masked),
+        notes=(*thinned, *decimals, *told(root, paths), *copies.told(copied, "pictures"), *said, *masked),
         spoken_for=deep,
     )
 

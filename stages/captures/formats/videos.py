@@ -13,6 +13,7 @@ import numpy as np
 
 from ....pipeline import CaptureError
 from .. import checks
+from ..listing.copies import same_bytes, told
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
 from ..sound import onsets
 from ..sound.cache import onsets_of
@@ -32,9 +33,14 @@ def read(root: Path, options: Options) -> Reading:
     names = _videos(root, forced=True)
     if names is None:
         raise CaptureError(f"{root}: fewer than two videos here; pass the folder that holds the videos of one event")
-    headers = {}
     for name in names:
         checks.resolve_inside(root, name, name)
+    copied = same_bytes(root, names)
+    names = [name for name in names if name not in copied]
+    if len(names) < 2:
+        raise CaptureError(f"{root}: its videos are copies of one, byte for byte; pass that one: {root / names[0]}")
+    headers = {}
+    for name in names:
         headers[name] = video.probe(root, name)
     shifts, how = clocks(root, names, options.sync, options.audio_cache)
     if how == _BY_SOUND:  # sound is timed from the start of the track, of which the first pictures may be lost
@@ -60,7 +66,8 @@ def read(root: Path, options: Options) -> Reading:
         has_split=not options.static,  # times are held out for all cameras together, so each time has all of them or none
         fps=headers[names[0]].fps,
         videos=tuple(Video(name, n * len(times), taken[n], len(headers[name].seconds)) for n, name in enumerate(names)),
-        notes=(_told(names, shifts, times, taken, headers, how, late), *told_together(headers)),
+        sources=tuple(copied),
+        notes=(*told(copied, "videos"), _told(names, shifts, times, taken, headers, how, late), *told_together(headers)),
     )
 
 

@@ -6,5 +6,6 @@ from .lenses import lens_of
 from .places import Model, Place, choose, model_places
 from .records import ImageRecord
 from .rig import model_of_cameras
+from .twice import told_twice
 
-__all__ = ["ImageRecord", "Model", "Place", "choose", "lens_of", "model_of_cameras", "model_places"]
+__all__ = ["ImageRecord", "Model", "Place", "choose", "lens_of", "model_of_cameras", "model_places", "told_twice"]
