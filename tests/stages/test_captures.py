@@ -426,3 +426,63 @@ def test_a_folder_that_fits_two_formats_names_both(nerfstudio_capture, dnerf_cap
 def test_real_captures(shared_scenes, path, options, expected):
     facts = recognise(Path(shared_scenes) / path, **options).facts
     assert {key: facts[key] for key in expected} == expected
+
+
+def stamped(root, values, time=False):
+    """A nerfstudio capture whose frames have these time stamps, None for none, in reverse order of their names."""
+    path = root / "transforms.json"
+    data = json.loads(path.read_text())
+    data["frames"] = sorted(data["frames"], key=lambda frame: frame["file_path"])[: len(values)]
+    for frame, value in zip(data["frames"], values[::-1], strict=True):
+        frame |= {} if value is None else {"timestamp": value}
+        if not time:
+            frame.pop("time", None)
+    path.write_text(json.dumps(data))
+    return recognise(root, holdout=0)
+
+
+BEGAN = 1_700_000_000_000_000_000
+STAMPS = {
+    "seconds": ([100.5, 100.75, 101.0, 102.5], [0, 0.25, 0.5, 2], "in seconds"),
+    "whole seconds": ([0, 1, 3, 4], [0, 1, 3, 4], "in seconds"),
+    "nanoseconds": ([BEGAN, BEGAN + 50_000_001, BEGAN + 10**8, BEGAN + 3 * 10**8], [0, 0.050000001, 0.1, 0.3], "in nanoseconds"),
+    "an unknown unit": ([0, 33, 66, 132], None, "in an unknown unit"),
+}
+
+
+@pytest.mark.parametrize("case", STAMPS)
+def test_time_stamps_of_nerfstudio_are_times_if_there_are_no_others(nerfstudio_capture, tmp_path, case):
+    values, seconds, words = STAMPS[case]
+    capture = stamped(shutil.copytree(nerfstudio_capture.root, tmp_path / "c"), values)
+    span = values[-1] - values[0]
+    np.testing.assert_allclose(capture.time, [(value - values[0]) / span for value in values], atol=1e-12)
+    assert [name[-7:-4] for name in capture.names] == ["003", "002", "001", "000"]
+    if seconds is not None:
+        np.testing.assert_allclose(capture.seconds, seconds, rtol=0, atol=1e-12)
+    assert any(f"the frames have no time; their timestamp is read, {words}" in note for note in capture.notes)
+
+
+UNREAD_STAMPS = {
+    "some": ([0.5, None, 1.5, 2.0], "frame 2 has none"),
+    "text": ([0.5, "2024-05-01", 1.5, 2.0], "frame 2 has '2024-05-01', no number"),
+    "not a number": ([0.5, float("nan"), 1.5, 2.0], "frame 2 has 'nan', no number"),
+    "too large": ([0.5, 10**400, 1.5, 2.0], "no number"),
+    "equal": ([3, 3, 3, 3], "all are equal"),
+}
+
+
+@pytest.mark.parametrize("case", UNREAD_STAMPS)
+def test_time_stamps_that_are_no_times_are_told(nerfstudio_capture, tmp_path, case):
+    values, words = UNREAD_STAMPS[case]
+    capture = stamped(shutil.copytree(nerfstudio_capture.root, tmp_path / "c"), values)
+    assert [name[-7:-4] for name in capture.names] == ["000", "001", "002", "003"]
+    (line,) = [note for note in capture.notes if "timestamp" in note]
+    assert "timestamp of the frames is not read, because" in line and words in line
+
+
+def test_times_come_before_time_stamps(nerfstudio_capture, tmp_path):
+    root = shutil.copytree(nerfstudio_capture.root, tmp_path / "c")
+    expected = recognise(root, holdout=0)
+    capture = stamped(root, [float(i) for i in range(len(expected.names))], time=True)
+    assert capture.names == expected.names and (capture.time == expected.time).all()
+    assert any("timestamp of the frames is not read, because they have a time as well" in note for note in capture.notes)

@@ -13,6 +13,7 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks, keep_masks
 from ..ply_points import read_points
+from ..posed.timestamps import timestamps
 from ..reading import SPLITS, TRAIN, Options, Reading, Shot
 from . import transforms
 
@@ -36,6 +37,9 @@ def read(root: Path, options: Options) -> Reading:
     headers, alpha = checks.image_headers(root, paths.values())
     sizes = dict(zip(paths, headers, strict=True))
     times = transforms.times_of(frames, _FILE)
+    stamps = timestamps(frames, _FILE, times is not None)
+    times = stamps.since if times is None else times
+    said += (stamps.note,) if stamps.note else ()
     # Files of this kind are often unsorted, so frames are sorted by time, or by the natural order of their names.
     keys: dict[int, Any] = {i: checks.natural_key(p) if times is None else (times[i], checks.natural_key(p)) for i, p in paths.items()}
     order = sorted(paths, key=lambda i: keys[i])
@@ -48,6 +52,7 @@ def read(root: Path, options: Options) -> Reading:
                 name=paths[i],
                 camera=0,
                 time=float(rank) if times is None else times[i],
+                seconds=None if stamps.since is None or stamps.unit is None else stamps.since[i] * stamps.unit,
                 size=sizes[i],
                 file=paths[i],
                 keep=_mask(root, frames[i], where),
