@@ -10,7 +10,7 @@ from PIL import Image
 
 def clip(path, frames=4, container=None):
     path.parent.mkdir(parents=True, exist_ok=True)
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(list(path.name.encode()))  # copies of one video would be one
     with av.open(str(path), "w", format=container) as box:
         stream = box.add_stream("mpeg4", rate=24)
         stream.width, stream.height, stream.pix_fmt = 32, 24, "yuv420p"
