@@ -19,10 +19,9 @@ _CODE = (
 
 
 class Several(NamedTuple):
-    """What a file with several pictures is, how many it holds, and how many of them it shows a second, if it says so."""
+    """What a file with several pictures is, and how many of them it shows a second, if it says so."""
 
     words: str
-    count: int
     rate: float | None
 
 
@@ -35,10 +34,9 @@ def several(file: Path) -> Several | None:
             count = getattr(image, "n_frames", 1)
             if image.format not in _KINDS or count < 2 or not _is_alike(image):
                 return None
-            about: dict[str, Any] = image.info
-            duration = about.get("duration")  # ms
+            duration: Any = image.info.get("duration")  # ms
             rate = 1000 / duration if isinstance(duration, int | float) and duration > 0 else None
-            return Several(f"{_KINDS[image.format]} with {count} pictures", count, rate)
+            return Several(f"{_KINDS[image.format]} with {count} pictures", rate)
     except BadImageError:
         return None
 
