@@ -16,6 +16,7 @@ from typing import Any
 
 from ..pipeline import ArtifactError, CaptureError
 from ..pipeline.files import canonical_json, digest_bytes, read_json, write_json
+from ..pipeline.names import composed
 from .reconstruction import reconstruction
 from .scenes import CLAIM
 from .session import Options, Session
@@ -178,7 +179,7 @@ def scene_or_capture(path: Path, workspace: Path, name: str | None = None) -> tu
     """The capture, the scene's name (None: the capture's own) and the workspace that ``path`` means: the folder of a scene, a capture, or
     the name of a scene in ``workspace``. ``name`` is the value of --name."""
     path = path.expanduser()
-    folder = path if is_scene(path) else workspace / "scenes" / path if not path.exists() and len(path.parts) == 1 else None
+    folder = path if is_scene(path) else workspace / "scenes" / composed(str(path)) if not path.exists() and len(path.parts) == 1 else None
     if folder is None or not is_scene(folder):
         return path, name, workspace
     folder = folder.resolve()

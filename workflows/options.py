@@ -12,9 +12,16 @@ from typing import Annotated, Any
 
 import typer
 
+from ..pipeline.names import composed
 from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
 from .session import DEFAULT_WORKSPACE, SEEDS, Options
 from .timing.words import seconds_of, words_for
+
+
+def typed_name(value: str | None) -> str | None:
+    """The value of --name, in the form that names of scenes and batches have: terminals and file managers differ in that of accents."""
+    return value and composed(value)
+
 
 Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, a folder with poses, or a scene.")]
 Scene = Annotated[
@@ -27,7 +34,7 @@ Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: de
 PresetOfRun = Annotated[str | None, typer.Option("--preset", help="Preset of the run; by default that of the last one.")]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda.")]
-Name = Annotated[str | None, typer.Option("--name", help="Name of the scene; the capture's own name by default.")]
+Name = Annotated[str | None, typer.Option("--name", callback=typed_name, help="Name of the scene; the capture's own name by default.")]
 Static = Annotated[bool, typer.Option("--static", help="Nothing moves in this capture.")]
 Format = Annotated[str | None, typer.Option("--format", help="Format of the capture, if its files fit several.")]
 Time = Annotated[

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -10,9 +9,9 @@ from pathlib import Path
 
 from ..pipeline import Records, SettingsError
 from ..pipeline.files import digest_bytes, read_json, write_json
+from ..pipeline.names import RULE, is_safe, safe_name
 from ..pipeline.storage.lock import locked
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 CLAIM = "capture.json"  # names the capture that a scene's folder belongs to
 
 
@@ -77,8 +76,8 @@ class Scene:
 
 def check_name(name: str, where: str) -> None:
     """Raises SettingsError, which begins with ``where``, for what is no name of a scene or a batch."""
-    if not _NAME.fullmatch(name):
-        raise SettingsError(f"{where}: use up to 100 letters, digits, '.', '_' and '-', a letter or digit first")
+    if not is_safe(name):
+        raise SettingsError(f"{where}: {RULE}")
 
 
 def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None) -> Scene:
@@ -95,7 +94,7 @@ def find_scene(workspace: Path, capture: Path, own_name: str, chosen: str | None
         if owner not in (None, str(capture)):
             raise NameTakenError(chosen, str(owner), scenes / chosen)
         return Scene(chosen, scenes / chosen, capture, chosen=True)
-    name = re.sub(r"[^A-Za-z0-9._-]+", "-", own_name).strip("-._")[:80] or "capture"
+    name = safe_name(own_name) or "capture"
     scene = Scene(name, scenes / name, capture)
     return scene if _owner(scene.folder) in (None, str(capture)) else _other_name(scene)
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from pathlib import Path
 
 from ..errors import ArtifactError, SettingsError
 from ..files import read_json, write_json
+from ..names import RULE, is_safe
 from .store import Store
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
 class Pins:
@@ -57,8 +55,8 @@ class Pins:
             raise ArtifactError(f"{path}: this is not a list of pinned results; remove the file, and pin {name} again") from None
 
     def _path(self, name: str) -> Path:
-        if not _NAME.fullmatch(name):
-            raise SettingsError(f"{name}: use up to 128 letters, digits, '.', '_' and '-', a letter or digit first")
+        if not is_safe(name):
+            raise SettingsError(f"{name}: {RULE}")
         return self._folder / f"{name}.json"
 
     def names(self) -> list[str]:

@@ -3,10 +3,13 @@
 import json
 import subprocess
 import sys
+import unicodedata
 from pathlib import Path
 
 import pytest
-from e4dgs.pipeline.files import read_json
+from e4dgs.pipeline import SettingsError
+from e4dgs.pipeline.files import read_json, write_json
+from e4dgs.pipeline.names import is_safe, safe_name
 from e4dgs.workflows.scenes import NameTakenError, Scene, find_scene
 from e4dgs.workflows.session import Options, open_session
 
@@ -91,6 +94,70 @@ def test_a_run_writes_into_the_folder_that_it_got(cli, capture, tmp_path, monkey
     assert json.loads((own / "capture.json").read_text()) == {"path": str(capture)}
     assert json.loads((own / "plan.json").read_text())["scene"] == own.name and (own / "records" / "fine.json").is_file()
     assert [file.name for file in taken.folder.iterdir()] == ["capture.json"]
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("日本", "日本"),
+        ("jpg exif ümlaut", "jpg-exif-ümlaut"),
+        (unicodedata.normalize("NFD", "Łódź é"), "Łódź-é"),
+        ("हिन्दी ไทย١٢", "हिन्दी-ไทย١٢"),  # vowel signs and digits
+        ("a - b__c", "a---b__c"),
+        ("../..\u2215etc", "etc"),
+        (".hidden\u202egp4\0\n\x1b[2J", "hiddengp4-2J"),
+        ("clip \u2764\ufe0f 2", "clip-2"),
+        ("\u0301\u200b\ufeff☃", ""),
+        ("\udcff raw", "raw"),
+        ("語" * 200, "語" * 53),
+        ("x" * 200, "x" * 80),
+    ],
+)
+def test_letters_and_digits_of_all_scripts_are_kept(tmp_path, name, kept):
+    assert safe_name(name) == kept and is_safe(kept) == bool(kept)
+    scenes = [find_scene(tmp_path, Path(path), name, None).claim() for path in ("/one", "/two")]
+    assert scenes[0].name == (kept or "capture") and scenes[1].name.startswith(f"{scenes[0].name}-")
+    for scene in scenes:
+        assert find_scene(tmp_path, scene.capture, name, scene.name).folder == scene.folder, "as --name, too"
+        write_json(tmp_path / "states" / f"{scene.name}.json", {})
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        ".",
+        "..",
+        ".a",
+        "-a",
+        "_a",
+        "a/b",
+        "a\\b",
+        "a b",
+        "a\0",
+        "a\n",
+        "a\u202e",
+        "a\u200d",
+        "a\ufe0f",
+        "\u0301a",
+        "☃",
+        "\udcff",
+        "日" * 67,
+        "x" * 101,
+    ],
+)
+def test_what_is_no_name_is_refused(tmp_path, name):
+    with pytest.raises(SettingsError, match="letters, digits"):
+        find_scene(tmp_path, Path("/one"), "clip", name)
+
+
+def test_a_name_is_found_however_its_accents_were_typed(cli, capture):
+    typed = unicodedata.normalize("NFD", "Früh")
+    assert len(typed) == 5
+    assert cli("run", "all", capture, "--name", typed).code == 0
+    assert [path.name for path in Path("e4dgs-workspace/scenes").iterdir()] == [unicodedata.normalize("NFC", "Früh")]
+    for command in (["why", "fine", typed], ["store", "show", f"{typed}/fine"], ["store", "pin", typed], ["store", "unpin", typed]):
+        assert (result := cli(*command)).code == 0, result.err
 
 
 def test_a_folder_that_is_removed_during_a_run_is_claimed_again(tmp_path):

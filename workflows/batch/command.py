@@ -12,7 +12,7 @@ from rich.console import Console
 from ...pipeline import SettingsError, say
 from ...stages.captures import usual
 from ..machine.writable import writing_to
-from ..options import Debug, Workspace, of_captures
+from ..options import Debug, Workspace, of_captures, typed_name
 from ..results import words_of
 from ..scenes import check_name
 from ..session import DEFAULT_WORKSPACE, Options, other_stores
@@ -33,7 +33,7 @@ INSTEAD = {
 @of_captures()
 def batch(
     captures: Annotated[list[str], typer.Argument(metavar="CAPTURE...", help="Paths, patterns with *, lists of scenes in YAML.")],
-    name: Annotated[str, typer.Option("--name", help="Name of the batch; the same name continues it.")] = "batch",
+    name: Annotated[str, typer.Option("--name", callback=typed_name, help="Name of the batch; the same name continues it.")] = "batch",
     executor: Annotated[
         str, typer.Option("--executor", metavar="local|FILE.yaml", help="This machine, or the file of a cluster.")
     ] = "local",
@@ -120,7 +120,9 @@ def words_of_batch(
 
 
 def status(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Name of a batch; the newest one by default.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", callback=typed_name, help="Name of a batch; the newest one by default.")
+    ] = None,
     workspace: Workspace = DEFAULT_WORKSPACE,
     debug: Debug = False,
 ) -> None:

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from ...pipeline import SettingsError
+from ...pipeline.files import digest_bytes
+from ...pipeline.names import composed, fitted, only_safe, safe_name
 from ..scenes import check_name
 from ..session import Options
 from .yaml_files import read_yaml
@@ -120,11 +122,12 @@ def _read_list(file: Path, common: Entry, listed: _Listed) -> None:
         _known(row, {"capture", "name", "settings", "preset", "static", "format"}, where)
         word = os.path.expanduser(row["capture"])
         paths = _paths(word if os.path.isabs(word) else str(file.parent / word))
+        name = composed(str(row.get("name", "")))
         if "name" in row:
-            check_name(str(row["name"]), f"{where}: name")
+            check_name(name, f"{where}: name")
         if "name" in row and len(paths) > 1:
-            raise SettingsError(f"{where}: {len(paths)} captures cannot share the name {row['name']}")
-        listed.entries += [replace(_with(common, row, where), name=str(row.get("name", "")), capture=path) for path in paths]
+            raise SettingsError(f"{where}: {len(paths)} captures cannot share the name {name}")
+        listed.entries += [replace(_with(common, row, where), name=name, capture=path) for path in paths]
     sweep = data.get("sweep") or {}
     if not isinstance(sweep, dict) or not all(isinstance(values, list) and values for values in sweep.values()):
         raise SettingsError(f"{file}: sweep: expected a list of values for each setting")
@@ -154,20 +157,27 @@ def _text(value: Any) -> str:
 
 
 def _named(entries: list[Entry]) -> list[Entry]:
-    """Names scenes without a name after their capture, prefixed with its folder's name if several would have the same name."""
+    """Names scenes without a name after their capture. If several would have the same name, the name of its folder is put before each, and
+    if that is the same, too, six digits of its path behind."""
     names = [entry.name or _safe(Path(entry.capture)) for entry in entries]
-    often = Counter(names)
-    result = []
-    for entry, name in zip(entries, names):
-        if not entry.name and often[name] > 1:
-            name = f"{_safe(Path(entry.capture).parent)}-{name}"
-        result.append(replace(entry, name=name, group=name))
-    return result
+    for distinct in (_after_its_folder, _with_digits):
+        often = Counter(names)
+        own = zip(entries, names)
+        names = [name if entry.name or often[name] == 1 else distinct(Path(entry.capture), name) for entry, name in own]
+    return [replace(entry, name=name, group=name) for entry, name in zip(entries, map(fitted, names))]
+
+
+def _after_its_folder(path: Path, name: str) -> str:
+    return f"{_safe(path.parent)}-{name}"
+
+
+def _with_digits(path: Path, name: str) -> str:
+    return f"{name}-{digest_bytes(str(path).encode(errors='surrogateescape'))[:6]}"
 
 
 def _safe(path: Path) -> str:
     stem = path.stem if path.suffix and not path.is_dir() else path.name
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip("-._")[:60] or "capture"
+    return safe_name(stem, 60) or "capture"
 
 
 def _swept(entries: list[Entry], sweep: Mapping[str, Sequence[str]]) -> list[Entry]:
@@ -177,8 +187,10 @@ def _swept(entries: list[Entry], sweep: Mapping[str, Sequence[str]]) -> list[Ent
     for entry in entries:
         for values in itertools.product(*sweep.values()):
             chosen = dict(zip(sweep, values))
-            tail = ["-".join((key.rsplit(".", 1)[-1], re.sub(r"[^A-Za-z0-9.]+", "-", value))) for key, value in chosen.items()]
+            tail = ["-".join((key.rsplit(".", 1)[-1], re.sub("[_-]+", "-", only_safe(value)))) for key, value in chosen.items()]
             same = [f"{key}={value}" for key, value in chosen.items() if not key.endswith(".seed")]
             settings = tuple({**dict(entry.settings), **chosen}.items())
-            result.append(replace(entry, name="-".join([entry.name, *tail]), settings=settings, group=" ".join([entry.group, *same])))
+            result.append(
+                replace(entry, name=fitted("-".join([entry.name, *tail])), settings=settings, group=" ".join([entry.group, *same]))
+            )
     return result

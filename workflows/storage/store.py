@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, duration, say
+from ...pipeline.names import composed
 from ...pipeline.records import differences
 from ..last_run import scene_of
 from ..machine.writable import writing_to
@@ -131,7 +132,7 @@ def unpin(
     debug: Debug = False,
 ) -> None:
     """Let go of what `pin` keeps."""
-    pins = Pins(Store(workspace.resolve() / "store"))
+    scene, pins = composed(scene), Pins(Store(workspace.resolve() / "store"))
     if scene not in pins.names():
         raise SettingsError(f"{scene}: there is no such pin; pins: {', '.join(pins.names()) or 'none'}")
     with writing_to(workspace.resolve()):

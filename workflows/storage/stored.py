@@ -9,6 +9,7 @@ from typing import Any
 
 from ...pipeline import ArtifactError, Records, SettingsError, Store
 from ...pipeline.files import read_json
+from ...pipeline.names import composed
 from ..last_run import scene_of
 
 SHORTEST = 4  # digits of a key that are enough if they identify a single result
@@ -103,5 +104,5 @@ def _scene_and_stage(workspace: Path, words: Sequence[str]) -> tuple[str, str]:
     """The scene or stage, and the stage or key, that the words of `find` name."""
     if len(words) > 1 and (scene := scene_of(Path(words[0]), workspace, words[1])) is not None:
         return scene, words[1]
-    first, _, last = " ".join(words).replace(" ", "/").rpartition("/")
+    first, _, last = composed(" ".join(words)).replace(" ", "/").rpartition("/")
     return first, last

@@ -59,10 +59,10 @@ def emit(ledger: Ledger, cluster: Cluster, timeout: float | None = None) -> Path
     folder.mkdir(parents=True, exist_ok=True)
     names = [entry.name for entry in ledger.entries() if ledger.progress(entry.name).state != "done"]
     scenes = folder / "scenes.txt"
-    scenes.write_text("".join(f"{name}\n" for name in names))
+    scenes.write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
     quoted = {"logs": folder, "scenes": scenes, "workspace": ledger.workspace, "python": sys.executable}
     common = {
-        "batch": ledger.name,
+        "batch": shlex.quote(ledger.name),
         "timeout": "" if timeout is None else f" {timeout}",
         **{key: shlex.quote(str(path)) for key, path in quoted.items()},
     }
@@ -74,7 +74,7 @@ def emit(ledger: Ledger, cluster: Cluster, timeout: float | None = None) -> Path
     texts["results.sbatch"] = RESULTS.format(wants=_wants(small), setup=small.setup, **common)
     texts["submit.sh"] = SUBMIT.format(most=MOST_TASKS, last=len(names) - 1)
     for name, text in texts.items():
-        (folder / name).write_text(text)
+        (folder / name).write_text(text, encoding="utf-8")
         (folder / name).chmod(0o755)
     return folder
 
