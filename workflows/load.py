@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 from ..pipeline import ArtifactError, Records, Store
 from ..pipeline.files import read_json
-from .last_run import scene_or_capture, scenes_of
+from .last_run import Run, last_run, scene_or_capture, scenes_of
 from .machine.devices import resolve_device
-from .session import DEFAULT_WORKSPACE
+from .results import run_command
+from .session import DEFAULT_WORKSPACE, Options
 
 if TYPE_CHECKING:
     from ..scene.model import Model
@@ -37,7 +38,7 @@ def load(path: str | Path, workspace: str | Path = DEFAULT_WORKSPACE, device: st
             from ..stages.shared.model import read_model
 
             return read_model(store.open(stage, record["key"])).to(resolve_device(device))
-    raise ArtifactError(f"{scene}: no finished model of this scene is in {store.root}; make one with: e4dgs run all CAPTURE")
+    raise ArtifactError(f"{scene}: no finished model of this scene is in {store.root}; make one with: {_command(scene)}")
 
 
 def _scene_folder(path: Path, workspace: Path) -> Path:
@@ -53,5 +54,12 @@ def _scene_folder(path: Path, workspace: Path) -> Path:
         raise ArtifactError(f"{path}: {workspace} has several scenes of this capture ({names}); give the folder of one, {found[0]}")
     raise ArtifactError(
         f"{path}: this is not the folder of a scene, and {workspace} has no scene of such a capture; "
-        f"make one with: e4dgs run all {path}, or name its workspace"
+        f"make one with: {run_command(Options(path, workspace), 'all')}, or name its workspace"
     )
+
+
+def _command(scene: Path) -> str:
+    """The command that makes the model of this scene, with the options of its last run."""
+    (capture, name, workspace), run = scene_or_capture(scene, scene.parent.parent), last_run(scene) or Run()
+    chosen = (run.preset, run.set, run.device, name, run.static, run.format)
+    return run_command(Options(capture, workspace, *chosen, resolved=run.resolved), "all")

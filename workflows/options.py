@@ -12,8 +12,10 @@ from typing import Annotated, Any
 
 import typer
 
+from ..pipeline import PipelineError
 from ..pipeline.names import composed
 from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
+from .results import completed
 from .session import DEFAULT_WORKSPACE, SEEDS, Options
 from .timing.words import seconds_of, words_for
 
@@ -136,7 +138,12 @@ def _with_options(
     """``command`` with its parameter ``options`` replaced: by ``argument`` in its place, and by ``options`` after all other parameters."""
 
     def run(**given: Any) -> None:
-        command(options=gathered(**{name: given.pop(name) for name in (*argument, *options)}), **given)
+        chosen = gathered(**{name: given.pop(name) for name in (*argument, *options)})
+        try:
+            command(options=chosen, **given)
+        except PipelineError as error:
+            error.args = (completed(str(error), chosen),)
+            raise
 
     own = inspect.signature(command, eval_str=True).parameters.values()
     described = [(one.name, one.annotation, one.default) for one in own]

@@ -13,7 +13,7 @@ from ..stages.seeds.artifact import read_seeds_png
 from ..stages.shared.report_attributes import report_attributes
 from ..stages.shared.training_log import read_training_log
 from .reconstruction import EVALUATION, TRAINING
-from .results import run_command
+from .results import completed, run_command
 from .session import Session
 
 PLAYER = "player.html"  # in a scene's folder
@@ -77,6 +77,7 @@ def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) 
     assert evaluate is not None
     folder = session.scene.folder
     metrics = metrics_json(session.scene.name, named)
+    metrics["splits"] = {split: _completed(values, session) for split, values in metrics["splits"].items()}
     if read_json(folder / "metrics.json") != metrics:
         write_json(folder / "metrics.json", metrics)
     report = folder / "report.html"
@@ -92,6 +93,12 @@ def publish(session: Session, rows: Sequence[Row], outcomes: Sequence[Outcome]) 
             write_atomically(folder / PLAYER, player)
         write_json(stamp, shown)
     return metrics, report
+
+
+def _completed(values: Mapping[str, Any], session: Session) -> Mapping[str, Any]:
+    """The values of a split, with the options of this run in the command that would add LPIPS."""
+    reason = values.get("lpips_reason")
+    return values if reason is None else {**values, "lpips_reason": completed(reason, session.options)}
 
 
 def _player(scene: str, evaluate: Artifact) -> str | None:
@@ -114,6 +121,8 @@ def _render(
     from ..stages.report.page import render_report
 
     infos = {name: report_attributes(outcome.artifact) for name, outcome in outcomes.items() if outcome.artifact is not None}
+    for info in infos.values():
+        info["log"] = [completed(line, session.options) for line in info["log"]]
     plan_rows = [{**row.as_json(), **outcomes[row.stage].as_json(), "planned": row.state} for row in rows]
     placed = outcomes["seeds"].artifact if "seeds" in outcomes else None
     seeds = None if placed is None else read_seeds_png(placed)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shlex
+from dataclasses import replace
+from pathlib import Path
 
 from ..pipeline import Artifact, ArtifactError, CaptureError, Row, make_plan
 from .last_run import last_run, scenes_of
@@ -70,6 +73,29 @@ def missing(session: Session, wanted: Row, target: str | None = None) -> Artifac
 def run_command(options: Options, stage: str) -> str:
     """The command that runs ``stage`` with the same options, ready to paste into a shell."""
     return shlex.join(["e4dgs", "run", stage, *words_of(options)])
+
+
+def completed(text: str, options: Options) -> str:
+    """``text`` for people, with the capture and the options of a run in each command that it tells them to type.
+
+    Below this floor nobody knows them, so stages write "e4dgs run STAGE CAPTURE", "e4dgs export KIND CAPTURE" and "e4dgs store COMMAND".
+    """
+
+    def words(found: re.Match[str]) -> str:
+        command, what = found.groups()
+        if command == "run":
+            return run_command(options, what)
+        return shlex.join(["e4dgs", "export", what, *words_of(replace(options, time=None, store_also=()))])  # exports take neither
+
+    if options.capture != Path():  # one capture
+        text = re.sub(r"\be4dgs (run|export) (\w+) CAPTURE\b", words, text)
+    return re.sub(r"\be4dgs store \w+\b(?! --workspace)", lambda found: found[0] + in_workspace(options.workspace), text)
+
+
+def in_workspace(workspace: Path) -> str:
+    """The option that names a workspace, to put behind a command; "" for the default."""
+    default = workspace == DEFAULT_WORKSPACE or workspace == DEFAULT_WORKSPACE.resolve()
+    return "" if default else f" --workspace {shlex.quote(str(workspace))}"
 
 
 def words_of(options: Options) -> list[str]:

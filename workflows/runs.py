@@ -12,6 +12,7 @@ from rich.console import Console
 from ..pipeline import Row, Runner, duration
 from .last_run import remember
 from .reconstruction import EVALUATION, LIBRARIES
+from .results import completed
 from .session import Session
 from .timing.timed import Timed
 
@@ -48,7 +49,9 @@ def execute(
     if session.scene.name != name:
         say(f"another capture has just taken the name {name}, so the scene is called {session.scene.name} (see --name)")
     try:
-        outcomes = Runner(session.job, say, console, __version__, LIBRARIES).run(targets, forced, finished)
+        outcomes = Runner(session.job, lambda line: say(completed(line, session.options)), console, __version__, LIBRARIES).run(
+            targets, forced, finished
+        )
     except BaseException:
         session.scene.release()  # a capture that the first stage refuses leaves no scene behind
         raise

@@ -68,7 +68,7 @@ def evaluate(ctx: Context) -> None:
     book.stored.write(ctx.out)
     write_movies(ctx, judge, frames, next(reversed(views.values())), ctx.settings.movie_frames)
     if ctx.settings.player and (reason := write_scene(ctx.out, judge, frames)) is not None:
-        ctx.log(f"the report does not play the scene: {reason}; e4dgs export web writes a page of any size")
+        ctx.log(f"the report does not play the scene: {reason}; e4dgs export web CAPTURE writes a page of any size")
     metrics = {
         "protocol": protocol(frames, sample | views, ctx.settings, lpips_facts, notes),
         "splits": splits,

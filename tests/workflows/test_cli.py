@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -258,6 +259,23 @@ def test_doctor_says_what_the_cuda_kernels_need(cli, monkeypatch):
     result = cli("doctor")
     assert "CUDA: --device auto takes the CPU: a small render on the GPU went wrong: it is green" in result.out
     assert "ok   CUDA driver: supports CUDA 13.0" in result.out
+
+
+def test_commands_that_a_run_tells_people_to_type_have_its_options(cli, capture):
+    words = f"'{capture}' --workspace 'my w' --name one --static"
+    chosen = ("--workspace", "my w", "--name", "one", "--static")
+    ran = cli("run", "all", capture, *chosen, "--set", "fine.iterations=15")
+    assert ran.code == 0 and f"all steps done; e4dgs export web {words} --set fine.iterations=15 writes a page" in ran.out
+    scene = Path("my w/scenes/one")
+    reason = json.loads((scene / "metrics.json").read_text())["splits"]["test"]["lpips_reason"]
+    assert reason == f"no weights; then: e4dgs run evaluate {words} --set fine.iterations=15 --force"
+    assert cli(*shlex.split(reason.partition("e4dgs ")[2])).out.count("done in") == 1, "evaluate alone, of the same run"
+    assert "CAPTURE" not in (scene / "report.html").read_text()
+    failed = cli("run", "all", capture, *chosen, "--set", "fine.iterations=16")
+    assert failed.code == 1 and f"with `e4dgs run flow {words} --set fine.iterations=16 --force`" in failed.err
+    assert "or see e4dgs store list --workspace 'my w'\n" in failed.err
+    unknown = cli("store", "show", "nothing", "--workspace", "my w")
+    assert "e4dgs store list --workspace" in unknown.err
 
 
 def test_report_is_drawn_again_from_the_store_alone(cli, capture):

@@ -1,5 +1,7 @@
 """`e4dgs.load`: a script gets the model by the scene's folder or by the capture, and is told what to do where there is none."""
 
+import re
+import shlex
 import shutil
 
 import e4dgs
@@ -37,9 +39,17 @@ def test_a_render_takes_a_background(finished):
 
 
 def test_what_was_never_run_is_said_with_the_command_that_runs_it(finished, tmp_path):
-    _, workspace = finished
-    with pytest.raises(ArtifactError, match="e4dgs run all"):
+    capture, workspace = finished
+    with pytest.raises(ArtifactError, match=re.escape(f"e4dgs run all {tmp_path} --workspace {workspace}, or")):
         e4dgs.load(tmp_path, workspace=workspace)
+    (scene,) = (path for path in (workspace / "scenes").iterdir() if path.name not in ("again", "other"))
+    bare = tmp_path / "w" / "scenes" / "bare"
+    shutil.copytree(scene, bare, ignore=lambda *_: ["records"])
+    words = ["e4dgs", "run", "all", str(capture.root), "--workspace", str(tmp_path / "w"), "--device", "cpu", "--name", "bare", *QUICK]
+    with pytest.raises(ArtifactError, match="no finished model") as raised:
+        e4dgs.load(bare)
+    said = shlex.split(str(raised.value).partition("make one with: ")[2])
+    assert said[:3] == words[:3] and set(words) <= set(said)
 
 
 def test_a_stage_that_the_last_run_skipped_gives_no_model(finished):

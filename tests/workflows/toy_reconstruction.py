@@ -41,7 +41,9 @@ class Fine(Stage):
         time.sleep(0.002)  # at a millisecond's rounding, some time passes
         ctx.out.attrs["steps"] = ctx.settings.iterations
         ctx.out.info["training"] = {"seconds": 1234.0}
-        ctx.log("all steps done")
+        ctx.log("all steps done" if ctx.settings.iterations != 15 else "all steps done; e4dgs export web CAPTURE writes a page")
+        if ctx.settings.iterations == 16:
+            raise StageError("fine: the flow is damaged; make it again with `e4dgs run flow CAPTURE --force`, or see e4dgs store list")
 
 
 class Evaluate(Stage):
@@ -51,7 +53,8 @@ class Evaluate(Stage):
     def run(self, ctx: Any) -> None:
         fine = ctx.inputs["fine"]
         psnr = 20.0 + fine.attrs["steps"] if fine is not None else 10.0
-        ctx.out.attrs["metrics"] = {"protocol": {"split": "test"}, "splits": {"test": {"psnr": psnr, "lpips": None}}, "primitives": {}}
+        test = {"psnr": psnr, "lpips": None, "lpips_reason": "no weights; then: e4dgs run evaluate CAPTURE --force"}
+        ctx.out.attrs["metrics"] = {"protocol": {"split": "test"}, "splits": {"test": test}, "primitives": {}}
         ctx.out.info["metrics"] = {"render_fps": 12.5}
 
 

@@ -16,6 +16,7 @@ from ...pipeline.records import differences
 from ..last_run import scene_of
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
+from ..results import in_workspace
 from ..session import DEFAULT_WORKSPACE
 from .amounts import age, megabytes
 from .stored import Stored, every, find, users
@@ -147,7 +148,7 @@ def _causes(workspace: Path, one: Stored, two: Stored) -> list[str]:
     for k, line in enumerate(lines):
         name = line.removeprefix("input ").removesuffix(" changed")
         if f"input {name} changed" == line and "/" in old[name] and "/" in new[name]:
-            lines[k] = f"{line}: e4dgs store diff {old[name]} {new[name]}"
+            lines[k] = f"{line}: e4dgs store diff {old[name]} {new[name]}{in_workspace(workspace)}"
     for field in ("device", "code_version"):
         if field not in before and one.made(field) != two.made(field):
             lines.append(f"{field.replace('_', ' ')}: {one.made(field)} -> {two.made(field)}")

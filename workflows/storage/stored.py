@@ -11,6 +11,7 @@ from ...pipeline import ArtifactError, Records, SettingsError, Store
 from ...pipeline.files import read_json
 from ...pipeline.names import composed
 from ..last_run import scene_of
+from ..results import in_workspace
 
 SHORTEST = 4  # digits of a key that are enough if they identify a single result
 
@@ -89,7 +90,7 @@ def find(workspace: Path, *words: str) -> Stored:
     if not matches or (len(last) < SHORTEST and last not in of_scene):
         raise SettingsError(
             f"{' '.join(words)}: this names no result in {workspace}; give a key ({SHORTEST} digits or more), STAGE/KEY, or a scene and "
-            "a stage (e4dgs store list has them all)"
+            f"a stage (e4dgs store list{in_workspace(workspace)} has them all)"
         )
     if len(matches) > 1:
         raise SettingsError(f"{' '.join(words)}: several results begin so: {', '.join('/'.join(match) for match in matches[:5])}")
