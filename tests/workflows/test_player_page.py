@@ -161,6 +161,22 @@ def test_the_page_plays_and_its_controls_work(opened, file):
     assert not shown.errors
 
 
+def test_escape_closes_the_list_of_keys_and_opens_nothing(opened, file):
+    shown = opened(file)
+    page, listed = shown.page, lambda: visible(shown, "#keys")
+    for focused in ("#canvas", "#photo", "#help"):
+        page.locator("#canvas").focus()
+        page.keyboard.press("KeyH")
+        assert listed()
+        page.locator(focused).focus()
+        page.keyboard.press("Escape")
+        assert not listed(), focused
+        page.keyboard.press("Escape")
+        assert not listed(), focused
+    page.click("#help")
+    assert listed() and not shown.errors
+
+
 def test_without_a_graphics_device_the_first_picture_is_coarse_and_the_next_has_all_pixels(opened, file):
     watch = """
         window.widths = [];

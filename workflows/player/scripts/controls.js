@@ -52,6 +52,7 @@ export class Controls {
 
   #key(event) {
     const on = event.target.tagName, pressing = event.code === "Space" || event.code === "Enter";
+    if (event.code === "Escape") return this.player.help(false);
     if (event.ctrlKey || event.metaKey || event.altKey || on === "SELECT") return;
     if ((on === "BUTTON" && pressing) || (on === "INPUT" && event.code.startsWith("Arrow"))) return;
     const { player } = this, { camera } = player;

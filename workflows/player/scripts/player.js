@@ -116,8 +116,9 @@ export class Player {
     this.changed(), this.panel.show();
   }
 
-  help() {
-    showHelp();
+  // show: whether the list of keys shall be seen; by default if it is not.
+  help(show) {
+    showHelp(show);
   }
 
   fullScreen() {
