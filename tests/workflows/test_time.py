@@ -1,6 +1,7 @@
 """`--time` from the command line: a run decides its settings as it goes, they are kept, and every command finds its results."""
 
 import json
+import re
 import shlex
 
 import pytest
@@ -133,10 +134,16 @@ def test_a_plan_says_what_it_expects(patched, dnerf_capture, tmp_path, monkeypat
     assert not (tmp_path / "scenes").exists(), "a plan writes nothing"
 
 
-def test_a_time_that_is_too_short_is_said(dnerf_capture, tmp_path, capsys):
-    assert main(["plan", str(dnerf_capture.root), "--workspace", str(tmp_path), "--time", "2s", *QUICK]) == 0
-    said = capsys.readouterr().out
-    assert "--time 2s is too short for this capture: the shortest sensible run takes about" in said
+def test_a_time_that_is_too_short_is_said_with_what_the_plan_expects(dnerf_capture, tmp_path, capsys):
+    figures = []
+    for more in ([], ["--preset", "fast", "--set", "coarse.iterations=100"], ["--set", "coarse.iterations=9000"]):
+        words = [str(dnerf_capture.root), "--workspace", str(tmp_path), "--time", "2s", "--device", "cpu", *more]
+        assert main(["plan", *words]) == 0
+        said = capsys.readouterr().out
+        (figure,) = re.findall("--time 2s is too short for this capture: the shortest sensible run takes about (.*), and", said)
+        assert f"expected: about {figure} of 2s" in said, more
+        figures.append(figure)
+    assert len(set(figures)) == 3, "steps that the user chose count"
 
 
 @pytest.mark.parametrize("text", ["soon", "10", "-3m", "0s"])

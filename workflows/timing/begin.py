@@ -12,10 +12,9 @@ from ..session import Options, Session, open_session
 from .clock import Deadline
 from .decisions import Decisions
 from .defaults import COARSE, FINE, HULLS, guessed_times, steps_at_one
-from .evaluating import Evaluating
+from .evaluating import Evaluating, choose_with
 from .known import Known
 from .ladder import STEPS
-from .resolve import choose
 from .size import sized
 from .timed import Timed, left_to_publish
 from .words import seconds_of
@@ -49,8 +48,7 @@ def expect(session: Session, rows: Sequence[Row]) -> list[Row]:
     times, decisions, at_one = guessed_times(job, known), Decisions(session), steps_at_one(job)
     left = (seconds_of(session.options.time) - before) - left_to_publish(known)
     fixed = int(decisions.value(STEPS)) if decisions.given(STEPS) or decisions.made_earlier(STEPS) else None
-    evaluation = Evaluating(job, known).by_default(fixed or at_one)
-    chosen = choose(left - evaluation, times, at_one, fixed)
+    chosen, evaluation = choose_with(Evaluating(job, known), left, times, at_one, fixed)
     expected = {COARSE: chosen.coarse, HULLS: chosen.hulls, FINE: chosen.fine, EVALUATION: evaluation}
     found |= {stage: seconds for stage, seconds in expected.items() if stage in found}
     return [replace(row, estimate=found.get(row.stage, row.estimate)) for row in rows]

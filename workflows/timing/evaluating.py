@@ -9,7 +9,7 @@ from ...pipeline import Artifact, Job
 from ..reconstruction import EVALUATION
 from .defaults import evaluation_units, guessed_evaluation, views_by_default
 from .known import Known
-from .resolve import PICTURES, evaluation_within
+from .resolve import PICTURES, Chosen, TrainingTimes, choose, evaluation_within
 
 if TYPE_CHECKING:
     from .views import ViewCosts
@@ -45,3 +45,16 @@ class Evaluating:
     def shortest(self) -> float:
         """Expected seconds of the shortest sensible evaluation."""
         return evaluation_within(0.0, self.seconds, views_by_default(0)).seconds
+
+
+def choose_with(
+    evaluating: Evaluating, seconds: float, times: TrainingTimes, steps_at_one: int, fixed_steps: int | None
+) -> tuple[Chosen, float]:
+    """As `resolve.choose`, for ``seconds`` of training and evaluation together. Also the seconds of that evaluation: the usual one, or the
+    shortest if no training fits with the usual one."""
+    evaluation = evaluating.by_default(fixed_steps or steps_at_one)
+    chosen = choose(seconds - evaluation, times, steps_at_one, fixed_steps)
+    if not chosen.fits:  # at the cost of what is measured
+        evaluation = evaluating.shortest()
+        chosen = choose(seconds - evaluation, times, steps_at_one, fixed_steps)
+    return chosen, evaluation

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .ladder import LEAST_REFINEMENT, Rung, least_effort, most_effort, rung
 
@@ -50,9 +50,7 @@ def choose(seconds: float, times: TrainingTimes, steps_at_one: int, fixed_steps:
     best: Chosen | None = None
     longest = 0.0  # of the rungs so far: a higher rung may be expected to take a little less than the one below it
     for k in range(RUNGS + 1):
-        one = rung(low * (high / low) ** (k / RUNGS), steps_at_one)
-        if fixed_steps is not None:
-            one = Rung(one.effort, fixed_steps, one.refinement, one.share)
+        one = _rung(low * (high / low) ** (k / RUNGS), steps_at_one, fixed_steps)
         coarse, hulls, fine = times.of(one)
         longest = max(longest, coarse + hulls + fine)
         fits = longest <= seconds
@@ -97,6 +95,11 @@ def evaluation_within(seconds: float, seconds_of: Callable[[int, int], float], v
     return Judged(few, PICTURES[-1], seconds_of(few, PICTURES[-1]))
 
 
-def shortest(times: TrainingTimes, steps_at_one: int) -> float:
-    """Seconds of the shortest sensible training."""
-    return sum(times.of(rung(least_effort(steps_at_one), steps_at_one)))
+def shortest(times: TrainingTimes, steps_at_one: int, fixed_steps: int | None = None) -> float:
+    """Seconds of the shortest sensible training; with ``fixed_steps`` of `coarse`, if the user chose their number."""
+    return sum(times.of(_rung(least_effort(steps_at_one), steps_at_one, fixed_steps)))
+
+
+def _rung(effort: float, steps_at_one: int, fixed_steps: int | None) -> Rung:
+    one = rung(effort, steps_at_one)
+    return one if fixed_steps is None else replace(one, steps=fixed_steps)

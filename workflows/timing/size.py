@@ -40,32 +40,34 @@ def largest_that_fits(seconds: float, candidates: Sequence[int], seconds_of: Cal
 
 
 def sized(session: Session, deadline: Deadline, say: Callable[[str], None]) -> Session:
-    """``session``, opened again with smaller pictures if those of the usual size leave no time to train. Says so if no size does."""
+    """``session``, opened again with smaller pictures if those of the usual size leave no time to train. Says so, and if no size does."""
     decisions, facts = Decisions(session), Facts.of(session.job.capture.facts)
     if decisions.made_earlier(STEPS, SIZE) or decisions.given(SIZE):
         return session
     longest = max(facts.width, facts.height)
-    needs = _Needs(session)
+    needs = _Needs(session, decisions)
     if needs.seconds(1.0) <= deadline.left or needs.seconds(1.0, needs.cached()) <= deadline.left:
         return session
     found = largest_that_fits(deadline.left, sizes(longest), lambda side: needs.seconds(side / longest))
-    if not found.fits:
+    if found.side != longest:
+        say(f"--time {deadline.words}: pictures are scaled to {found.side} px, since there is no time to train on {longest} px")
+        decisions.make({SIZE: found.side})
+        session = open_session(session.options)
+        needs = _Needs(session, decisions)
+    if not found.fits and (seconds := needs.seconds(1.0, needs.cached())) > deadline.left:
         say(
-            f"--time {deadline.words} is too short for this capture: the shortest sensible run takes about {duration(found.seconds)}, "
+            f"--time {deadline.words} is too short for this capture: the shortest sensible run takes about {duration(seconds)}, "
             "and is done all the same"
         )
-    if found.side == longest:
-        return session
-    say(f"--time {deadline.words}: pictures are scaled to {found.side} px, since there is no time to train on {longest} px")
-    decisions.make({SIZE: found.side})
-    return open_session(session.options)
+    return session
 
 
 class _Needs:
     """What the shortest sensible run of a session needs, by estimates."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, decisions: Decisions) -> None:
         self.job = session.job
+        self.fixed = int(decisions.value(STEPS)) if decisions.given(STEPS) else None
         self.known = Known(self.job.store.root.parent, self.job.device)
         self.evaluation = Evaluating(self.job, self.known).shortest()
         self.before = stages_before(self.job, COARSE)
@@ -80,4 +82,4 @@ class _Needs:
         scaled = {**facts, "width": max(1, round(share * facts["width"])), "height": max(1, round(share * facts["height"]))}
         before = sum(expected(self.job, self.known, name, scaled) for name in self.before if name not in cached)
         times = guessed_times(self.job, self.known, None if share == 1.0 else scaled)
-        return before + shortest(times, steps_at_one(self.job, scaled)) + share**2 * self.evaluation
+        return before + shortest(times, steps_at_one(self.job, scaled), self.fixed) + share**2 * self.evaluation

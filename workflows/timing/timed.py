@@ -11,10 +11,10 @@ from ..session import Session
 from .clock import Deadline
 from .decisions import Decisions
 from .defaults import COARSE, FINE, guessed_times, kind, refines, seconds_of_coarse, steps_at_one, views_by_default
-from .evaluating import Evaluating
+from .evaluating import Evaluating, choose_with
 from .known import Known
 from .ladder import MEASURED, MOVIES, REFINEMENT, REFINING, SHARE, STEPS
-from .resolve import PICTURES, Chosen, TrainingTimes, choose, evaluation_within, refinement_within
+from .resolve import PICTURES, Chosen, TrainingTimes, evaluation_within, refinement_within
 
 PUBLISHING = "publishing"  # the report and the metrics, after the last stage
 LEFT_TO_PUBLISH = 2.0  # s, on the machine of the estimates
@@ -57,11 +57,7 @@ class Timed:
             times, at_one, how = self._measured(times)
         fixed = int(self.decisions.value(STEPS)) if given else None
         left = self.deadline.left - left_to_publish(self.known)
-        evaluation = self.evaluating.by_default(fixed or at_one)
-        chosen = choose(left - evaluation, times, at_one, fixed)
-        if not chosen.fits:  # at the cost of what is measured
-            evaluation = self.evaluating.shortest()
-            chosen = choose(left - evaluation, times, at_one, fixed)
+        chosen, evaluation = choose_with(self.evaluating, left, times, at_one, fixed)
         one = chosen.rung
         self._expected[COARSE] = chosen.coarse / self.known.ratio(COARSE, kind(self.job))
         refined = {} if times.fine is None else {SHARE: one.share, REFINING: one.refinement}
