@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from ..pipeline import ArtifactError, CaptureError
+from ..pipeline import ArtifactError, CaptureError, SettingsError
 from ..pipeline.files import canonical_json, digest_bytes, read_json, write_json
 from ..pipeline.names import composed
 from .reconstruction import reconstruction
@@ -50,6 +50,12 @@ class Run:
         for text in (*self.resolved, *self.set):
             words += ["--set", text]
         return shlex.join(words) or "no options"
+
+
+class NoRunError(ArtifactError):
+    """What a command shows or writes has not been made yet. Nothing failed, so this is a matter of its arguments: exit code 2."""
+
+    exit_code = SettingsError.exit_code
 
 
 @dataclass(frozen=True)
@@ -142,12 +148,12 @@ def options_of_last_run(given: Given, stage: str, done: bool = True) -> Options:
     included ``stage``, of the capture or scene, or of the whole workspace without either. A line says so unless that run had none. done:
     prefer a run that came to its end.
 
-    Raises ArtifactError if neither a capture nor a scene is given and nothing has run in the workspace, CaptureError if there is no such
+    Raises NoRunError if neither a capture nor a scene is given and nothing has run in the workspace, CaptureError if there is no such
     capture."""
     if given.capture is None and given.name is None:
         scene = _newest([folder.parent for folder in (given.workspace / "scenes").glob(f"*/{FILE}")], stage)
         if scene is None:
-            raise ArtifactError(f"{given.workspace}: no run is known in this workspace; name a capture, or another --workspace")
+            raise NoRunError(f"{given.workspace}: no run is known in this workspace; name a capture, or another --workspace")
     else:
         scene = _scene(given, stage)
     capture, name, workspace = scene_or_capture(given.capture or scene or Path(), given.workspace, given.name)

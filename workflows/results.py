@@ -7,8 +7,8 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
-from ..pipeline import Artifact, ArtifactError, CaptureError, Row, make_plan
-from .last_run import last_run, scenes_of
+from ..pipeline import Artifact, CaptureError, Row, make_plan
+from .last_run import NoRunError, last_run, scenes_of
 from .session import DEFAULT_WORKSPACE, Options, Session
 
 
@@ -16,7 +16,7 @@ def results(session: Session, stage: str) -> dict[str, Artifact | None]:
     """The stored results of ``stage`` and the stages it needs, by name; None for stages that this capture skips.
 
     If the last run is meant, these are the results that it made, also if the code or the capture has changed since. Raises CaptureError if
-    ``stage`` itself is skipped, ArtifactError if there is no such result; the message names the runs that exist.
+    ``stage`` itself is skipped, NoRunError if there is no such result; the message names the runs that exist.
     """
     rows = {row.stage: row for row in make_plan(session.job, [stage])}
     wanted, capture = rows[stage], session.options.capture
@@ -50,7 +50,7 @@ def made(session: Session, stage: str) -> dict[str, Artifact | None] | None:
     return found
 
 
-def missing(session: Session, wanted: Row, target: str | None = None) -> ArtifactError:
+def missing(session: Session, wanted: Row, target: str | None = None) -> NoRunError:
     """The error for a result that the store does not have. The message names the last run of this capture that made one, if there is any,
     and the command that makes it: a run of ``target``, by default of the stage itself."""
     options, stage = session.options, wanted.stage
@@ -58,12 +58,12 @@ def missing(session: Session, wanted: Row, target: str | None = None) -> Artifac
         (scene.name, run) for scene in scenes_of(session.scene.capture, session.job.store.root.parent) if (run := last_run(scene, stage))
     ]
     if not runs or options.last:
-        return ArtifactError(
+        return NoRunError(
             f"{options.capture}: the workspace {options.workspace} has no {stage} of this capture ({wanted.reason}); "
             f"make it with: {run_command(options, target or stage)}"
         )
     name, run = max(runs, key=lambda found: found[1].began)
-    return ArtifactError(
+    return NoRunError(
         f"{options.capture}: the workspace {options.workspace} has no {stage} of this capture with these options ({wanted.reason}). "
         f"The last run, of the scene {name}, had {run.words}: give the same options, or none to take that run. "
         f"To make this one: {run_command(options, target or stage)}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ...pipeline import StageError
+from ...pipeline import SettingsError, StageError
 from ...pipeline.files import write_atomically
 from ...scene.formats.axes import Turn, nearest_axis
 from .bake import Loss, bake, loss_of
@@ -53,8 +53,8 @@ def export_splats(
 
     kind: one of `KINDS`; all but ply and gltf are slightly lossy. up: the axis of the file that points up in the scene, `UP` by default, or
     "capture" for the capture's own axes. antialiased: write the Gaussians of an antialiased model as they are; see `bake`. Nothing is left
-    of an export that does not come to its end, and an earlier sequence is replaced as a whole. Raises StageError if ``kind`` needs a
-    package that is not installed, SettingsError as `bake` does, OSError if a file cannot be written."""
+    of an export that does not come to its end, and an earlier sequence is replaced as a whole. Raises SettingsError if ``kind`` needs
+    a package that is not installed, and as `bake` does; OSError if a file cannot be written."""
     if single and len(moments) != 1:
         raise ValueError(f"one file holds one time, not {len(moments)}")
     turn = turn_of(frames, up, UP[kind])
@@ -119,7 +119,7 @@ def _sog_encoder(antialiased: bool) -> Callable[[Gaussians], tuple[bytes, int]]:
     try:
         import gaussforge
     except ImportError as error:
-        raise StageError("export sog needs the package gaussforge; install it with: pip install 'e4dgs[splats]'") from error
+        raise SettingsError("export sog needs the package gaussforge; install it with: pip install 'e4dgs[splats]'") from error
 
     from ...scene.formats.ply import ply_bytes
     from ...scene.formats.sog import tagged_sog

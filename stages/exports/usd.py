@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...pipeline import SettingsError, StageError
+from ...pipeline import SettingsError
 from ...scene.formats.axes import Turn
 from .bake import Loss, bake, loss_of
 
@@ -45,14 +45,14 @@ def export_usd(
     """Writes ``path`` (.usdc or .usda) with time samples at ``moments``, increasing, in [0, 1]; see `write_usd`.
 
     times: number of times of the capture; time codes are its frames, counted from 0. up: see `stage_turn`. antialiased: see `bake`.
-    ``advance`` is called twice per sample. Raises StageError if usd-core is not installed, SettingsError for another ``up``.
+    ``advance`` is called twice per sample. Raises SettingsError if usd-core is not installed, or for another ``up``.
     """
     try:
         from pxr import UsdVol
 
         UsdVol.ParticleField3DGaussianSplat  # noqa: B018 - versions before 26.3 have no Gaussians
     except (ImportError, AttributeError) as error:
-        raise StageError("export usd needs the package usd-core, 26.3 or later; install it with: pip install 'e4dgs[usd]'") from error
+        raise SettingsError("export usd needs the package usd-core, 26.3 or later; install it with: pip install 'e4dgs[usd]'") from error
     from ...scene.camera_paths import upward
     from ...scene.formats.usd import stage_turn, write_usd
 

@@ -280,7 +280,7 @@ def test_commands_that_a_run_tells_people_to_type_have_its_options(cli, capture)
 
 def test_report_is_drawn_again_from_the_store_alone(cli, capture):
     result = cli("report", capture)
-    assert result.code == 1 and "e4dgs run evaluate" in result.err
+    assert result.code == 2 and "e4dgs run evaluate" in result.err
     cli("run", "all", capture)
     page = Path("e4dgs-workspace/scenes/my-scene/report.html")
     page.write_text("spoiled")

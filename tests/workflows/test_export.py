@@ -94,7 +94,7 @@ def test_by_default_files_go_to_the_scene_and_the_scale_is_said(n3v_capture, wor
 
 def test_flow_that_is_not_there_names_the_command_that_makes_it(n3v_capture, tmp_path, capsys):
     command = ["export", "flow", str(n3v_capture.root), "--workspace", str(tmp_path / "my w"), "--preset", "fast", "--set", "flow.grow=2"]
-    assert cli.main(command) == 1
+    assert cli.main(command) == 2
     error = capsys.readouterr().err
     assert "never run for this scene" in error
     assert f"make it with: e4dgs run flow {n3v_capture.root} --workspace '{tmp_path}/my w' --preset fast --set flow.grow=2\n" in error
@@ -103,7 +103,7 @@ def test_flow_that_is_not_there_names_the_command_that_makes_it(n3v_capture, tmp
 
 def test_other_settings_are_another_flow(n3v_capture, workspace, capsys):
     command = ["export", "flow", str(n3v_capture.root), "--workspace", str(workspace), *SETTINGS, "--set", "flow.grow=9"]
-    assert cli.main(command) == 1
+    assert cli.main(command) == 2
     assert "settings.grow: 4 -> 9" in capsys.readouterr().err
 
 

@@ -72,5 +72,5 @@ def test_without_the_package_one_line_says_how_to_get_it(words, tmp_path, capsys
         return usual(name, *arguments, **more)
 
     monkeypatch.setattr(builtins, "__import__", lacking)
-    assert main(["export", "4dgs", *words, "--out", str(tmp_path / "a.4dgs")]) == 1
+    assert main(["export", "4dgs", *words, "--out", str(tmp_path / "a.4dgs")]) == 2
     assert "pip install 'e4dgs[fourdgs]'" in " ".join(capsys.readouterr().err.split()) and not list(tmp_path.iterdir())

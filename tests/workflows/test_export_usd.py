@@ -174,5 +174,5 @@ def test_another_ending_is_refused(finished, tmp_path, capsys):
 
 def test_without_the_package_it_is_said_how_to_get_it(finished, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
-    assert export(finished, "--out", tmp_path / "scene.usdc") == 1
+    assert export(finished, "--out", tmp_path / "scene.usdc") == 2
     assert "e4dgs[usd]" in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import e4dgs.workflows
 import pytest
-from e4dgs.pipeline import SettingsError, StageError
+from e4dgs.pipeline import SettingsError
 from e4dgs.workflows.batch.ledger import Ledger
 from e4dgs.workflows.batch.sites.cluster import _provider, read_cluster
 from e4dgs.workflows.batch.sites.pools import Pool
@@ -120,7 +120,7 @@ def test_without_the_package_the_command_that_installs_it_is_named(monkeypatch):
         return real(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(StageError, match=r"pip install 'e4dgs\[kubernetes\]'"):
+    with pytest.raises(SettingsError, match=r"pip install 'e4dgs\[kubernetes\]'"):
         _provider(Pool(provider="kubernetes", image="e4dgs"), 120)
 
 

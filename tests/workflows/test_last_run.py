@@ -56,7 +56,7 @@ def test_report_why_show_and_pin_know_it_too(ran, capsys):
 def test_a_wrong_option_is_answered_with_the_run_that_exists(ran, tmp_path, capsys):
     capture, workspace = ran
     words = [str(capture), "--workspace", str(workspace), "--preset", "fast", "--out", str(tmp_path / "x")]
-    assert main(["render", *words]) == 1
+    assert main(["render", *words]) == 2
     said = capsys.readouterr().err
     assert "The last run" in said and "--set coarse.iterations=5" in said and "none to take that run" in said
 
@@ -81,12 +81,21 @@ def test_the_results_of_the_last_run_are_found_after_an_edit_of_the_code(ran, tm
     monkeypatch.setattr(plan, "key_of", lambda parts: key_of({**parts, "more": "of the code"}))
     words = [str(capture), "--workspace", str(workspace), "--frames", "1", "--size", "16"]
     assert main(["render", *words, "--out", str(tmp_path / "out")]) == 0
-    assert main(["render", *words, *QUICK, "--out", str(tmp_path / "other")]) == 1  # these options ask for results of this code
+    assert main(["render", *words, *QUICK, "--out", str(tmp_path / "other")]) == 2  # these options ask for results of this code
 
 
 def test_an_empty_workspace_and_an_unknown_scene_are_errors(tmp_path, capsys):
-    assert main(["view", "--workspace", str(tmp_path), "--no-browser"]) == 1
-    assert "no run is known" in capsys.readouterr().err
+    for workspace in (tmp_path, tmp_path / "nosuch"):
+        for command in (["view", "--no-browser"], ["render", "--out", str(tmp_path / "x.mp4")], ["export", "ply"], ["report"]):
+            assert main([*command, "--workspace", str(workspace)]) == 2, command
+            assert "no run is known" in capsys.readouterr().err
+    assert main(["status", "nosuch", "--workspace", str(tmp_path)]) == 2
+    assert "there is no such batch" in capsys.readouterr().err
+    for command in (["list"], ["list", "--json"], ["show", "a/b"], ["gc"], ["verify"], ["pin", "x"], ["unpin", "x"]):
+        assert main(["store", *command, "--workspace", str(tmp_path / "nosuch")]) == 2
+        said = capsys.readouterr()
+        assert "nosuch: there is no such folder" in said.err and not said.out
+    assert not (tmp_path / "nosuch").exists()
     assert main(["view", "nothing", "--workspace", str(tmp_path), "--no-browser"]) == 2
     assert "no such file or folder, and no scene" in capsys.readouterr().err
 

@@ -130,12 +130,12 @@ def test_what_was_not_trained_is_said_with_the_command_that_trains_it(finished, 
     capture, workspace = finished
     words = ["--workspace", str(workspace), "--preset", "default", "--device", "cpu", "--out", str(tmp_path / "a.mp4")]
     code = main(["render", str(capture.root), *words])
-    assert code == 1 and "e4dgs run fine" in " ".join(capsys.readouterr().err.split())
+    assert code == 2 and "e4dgs run fine" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_folder_that_holds_something_is_left_alone(finished, capsys, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    assert render(finished, "--frames", 1, "--out", tmp_path) == 1
+    assert render(finished, "--frames", 1, "--out", tmp_path) == 2
     assert "already holds something" in " ".join(capsys.readouterr().err.split())
     assert [f.name for f in tmp_path.iterdir()] == ["notes.txt"]
 

@@ -115,7 +115,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_without_a_model_it_says_how_to_make_one(dnerf_capture, tmp_path, capsys):
-    assert main(["view", str(dnerf_capture.root), "--workspace", str(tmp_path / "none"), "--no-browser"]) == 1
+    assert main(["view", str(dnerf_capture.root), "--workspace", str(tmp_path / "none"), "--no-browser"]) == 2
     assert "e4dgs run all" in capsys.readouterr().err
 
 

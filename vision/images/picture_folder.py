@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from ...pipeline import StageError
+from ...pipeline import SettingsError
 
 NOTHING = (
     1e10  # depth where there is nothing, as Blender writes it: farther than anything, so that a merge by depth takes the other picture
@@ -30,14 +30,14 @@ class PictureFolder:
     channel Z: world units along the optical axis, `NOTHING` where nothing is; with ``alpha`` also R, G, B, A: half floats, linear light,
     premultiplied, as compositing programs expect of EXR. The header says what the channels mean. The folder appears only when complete.
 
-    Raises StageError if the folder already holds something, or the package for EXR is missing.
+    Raises SettingsError if the folder already holds something, or the package for EXR is missing.
     """
 
     def __init__(self, folder: Path, depth: bool = False, alpha: bool = False) -> None:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise StageError(f"{folder}: already holds something; name a folder that does not exist or is empty")
+            raise SettingsError(f"{folder}: already holds something; name a folder that does not exist or is empty")
         if depth and importlib.util.find_spec("OpenEXR") is None:
-            raise StageError("--depth needs the package OpenEXR; install it with: pip install 'e4dgs[exr]'")
+            raise SettingsError("--depth needs the package OpenEXR; install it with: pip install 'e4dgs[exr]'")
         self.folder, self.depth, self.alpha, self._count = folder, depth, alpha, 0
 
     def __enter__(self) -> PictureFolder:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ...pipeline import ArtifactError
+from ...pipeline import SettingsError
 from ...pipeline.files import read_json, write_json
 from ...pipeline.storage.lock import is_locked, locked
 from .listing import Entry, known
@@ -59,10 +59,10 @@ class Ledger:
         return (self.folder / "batch.json").is_file()
 
     def entries(self) -> list[Entry]:
-        """The scenes of the batch. Raises ArtifactError if there is no such batch."""
+        """The scenes of the batch. Raises SettingsError if there is no such batch."""
         content = read_json(self.folder / "batch.json")
         if not isinstance(content, dict):
-            raise ArtifactError(f"{self.folder}: there is no such batch; batches here: {', '.join(batches(self.workspace)) or 'none'}")
+            raise SettingsError(f"{self.folder}: there is no such batch; batches here: {', '.join(batches(self.workspace)) or 'none'}")
         return [Entry.from_json(row) for row in content["scenes"]]
 
     def command(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ...pipeline import Progress, SettingsError, StageError, say
+from ...pipeline import Progress, SettingsError, say
 from ...pipeline.files import write_atomically
 from ..options import of_last_run
 from ..session import Options
@@ -74,7 +74,7 @@ def mesh(
     console = Console()
     if convexes:
         if not len(trained.model.convexes):
-            raise StageError(f"{options.capture}: its model has no convexes; leave out --convexes, or train with a larger hulls.budget")
+            raise SettingsError(f"{options.capture}: its model has no convexes; leave out --convexes, or train with a larger hulls.budget")
         made = f"{len(trained.model.convexes)} convexes"
         with Progress(count, "export", console) as bar, writing(target):
             triangles = write_meshes(trained, (hulls(trained.model, t, bar.advance) for t in moments), moments, target, single, turn)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from ...pipeline import Artifact, ArtifactError, Row, make_plan
+from ...pipeline import Artifact, Row, make_plan
 from ...scene.model import Model
 from ...scene.training.checkpoint import FILE, model_of
 from ...stages.shared.model import read_model
-from ..last_run import decided_for
+from ..last_run import NoRunError, decided_for
 from ..results import made, missing
 from ..session import Session, open_session
 
@@ -60,7 +60,7 @@ class Source:
         first = earlier.get("frames")
         return None if first is None else (first, earlier.get("poses"))
 
-    def missing(self) -> ArtifactError:
+    def missing(self) -> NoRunError:
         """The error for when there is nothing to show."""
         wanted = next(row for row in make_plan(self.session.job) if row.stage == "coarse")
         return missing(self.session, wanted, "all")

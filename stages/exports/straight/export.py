@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ....pipeline import StageError
+from ....pipeline import SettingsError
 from ....pipeline.files import write_atomically
 from ....scene.formats.axes import Turn
 from ..bake import Loss, bake, loss_of
@@ -71,12 +71,12 @@ def export_straight(
     advance: Callable[[int], None] = lambda n: None,
 ) -> ExportedStraight:
     """Writes ``out``. times: of the capture. moment: only this time in [0, 1], as a still. up, antialiased: see `export_splats`.
-    ``advance`` is called after each of four parts. Raises StageError if a package is missing, SettingsError as `bake` does."""
+    ``advance`` is called after each of four parts. Raises SettingsError if a package is missing, and as `bake` does."""
     if kind == "4dgs":
         try:
             import fourdgs  # noqa: F401 - checked before the work begins
         except ImportError as error:
-            raise StageError("export 4dgs needs the package fourdgs; install it with: pip install 'e4dgs[fourdgs]'") from error
+            raise SettingsError("export 4dgs needs the package fourdgs; install it with: pip install 'e4dgs[fourdgs]'") from error
     from ..camera_path import looked_at
 
     moves = times > 1 and moment is None

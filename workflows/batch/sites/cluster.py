@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ....pipeline import SettingsError, StageError
+from ....pipeline import SettingsError
 from ...machine import orphan
 from ..ledger import Ledger, Progress
 from ..listing import Entry
@@ -42,7 +42,7 @@ def read_cluster(file: Path) -> Cluster:
 
 
 class Parsl:
-    """Like `local.Local`, but on the pools of ``cluster``. Raises StageError if Parsl is not installed."""
+    """Like `local.Local`, but on the pools of ``cluster``. Raises SettingsError if Parsl is not installed."""
 
     def __init__(self, ledger: Ledger, cluster: Cluster, timeout: float | None) -> None:
         try:
@@ -50,7 +50,7 @@ class Parsl:
             from parsl.config import Config
             from parsl.jobs.error_handlers import windowed_error_handler
         except ImportError as error:
-            raise StageError("--executor FILE.yaml needs the package parsl; install it with: pip install 'e4dgs[cluster]'") from error
+            raise SettingsError("--executor FILE.yaml needs the package parsl; install it with: pip install 'e4dgs[cluster]'") from error
         self.ledger, self.cluster, self.timeout = ledger, cluster, timeout
         pools = {"cpu": cluster.cpu} | ({"gpu": cluster.gpu} if cluster.gpu is not None else {})
         # Parsl's default handler gives up a pool once all of its jobs so far have failed; with one node, a single loss would do that.

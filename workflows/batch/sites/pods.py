@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ....pipeline import SettingsError, StageError
+from ....pipeline import SettingsError
 from .pools import Pool
 
 USUAL_MEMORY_GB = 4.0  # per worker; without a limit, a pod could use up its node's memory and be killed for it
@@ -14,14 +14,16 @@ USUAL_MEMORY_GB = 4.0  # per worker; without a limit, a pod could use up its nod
 def pods(pool: Pool, look: int) -> Any:
     """The Parsl provider that starts and ends the pods of ``pool``. look: seconds between two checks of them.
 
-    Each pod requests as much as its limit, so that it gets a node with room for all of its workers. Raises StageError if the package
-    kubernetes is not installed, SettingsError if the pool has no image or no cluster is configured.
+    Each pod requests as much as its limit, so that it gets a node with room for all of its workers. Raises SettingsError if the
+    package kubernetes is not installed, the pool has no image, or no cluster is configured.
     """
     try:
         from kubernetes.client.exceptions import ApiException
         from kubernetes.config.config_exception import ConfigException
     except ImportError as error:
-        raise StageError("provider: kubernetes needs the package kubernetes; install it with: pip install 'e4dgs[kubernetes]'") from error
+        raise SettingsError(
+            "provider: kubernetes needs the package kubernetes; install it with: pip install 'e4dgs[kubernetes]'"
+        ) from error
     from parsl.jobs.states import JobState, JobStatus
     from parsl.providers import KubernetesProvider
 
