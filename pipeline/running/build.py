@@ -64,7 +64,7 @@ class Builder:
         log: list[str] = []
 
         def progress(total: int, label: str) -> Progress:
-            bars.append(Progress(total, f"{stage.name}: {label}" if label else stage.name, self._console))
+            bars.append(Progress(total, f"{stage.name}: {label}" if label not in ("", stage.name) else stage.name, self._console))
             return bars[-1]
 
         def say(message: str) -> None:
