@@ -70,8 +70,8 @@ KINDS: dict[str, MotionKind] = {
         pixels=5,
         steps=40_000,
         first_steps=first_motion_steps,
-        step_seconds=0.014,
-        megapixel_seconds=0.1,  # of the full image, although most steps render only a window around the object
+        step_seconds=0.02,
+        megapixel_seconds=0.12,  # of the full image, although most steps render only a window around the object
         convexes=False,
     ),
     "lifetimes": MotionKind("Gaussians; those on moving pixels live around a time of their own", _lifetimes),
