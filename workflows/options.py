@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..pipeline import PipelineError, SettingsError
+from ..pipeline import PipelineError
 from ..pipeline.names import composed
 from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
 from .results import completed
@@ -32,15 +32,6 @@ Scene = Annotated[
 ]
 Captures = Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="Captures, as `run` takes them.")]
 Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
-
-
-def _existing(workspace: Path) -> Path:
-    if not workspace.is_dir():
-        raise SettingsError(f"--workspace {workspace}: there is no such folder; a run makes it, or name another")
-    return workspace
-
-
-ExistingWorkspace = Annotated[Path, typer.Option("--workspace", callback=_existing, help="Folder that holds store/ and scenes/.")]
 Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast, compact, best.")]
 PresetOfRun = Annotated[str | None, typer.Option("--preset", help="Preset of the run; by default that of the last one.")]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]

@@ -91,10 +91,6 @@ def test_an_empty_workspace_and_an_unknown_scene_are_errors(tmp_path, capsys):
             assert "no run is known" in capsys.readouterr().err
     assert main(["status", "nosuch", "--workspace", str(tmp_path)]) == 2
     assert "there is no such batch" in capsys.readouterr().err
-    for command in (["list"], ["list", "--json"], ["show", "a/b"], ["gc"], ["verify"], ["pin", "x"], ["unpin", "x"]):
-        assert main(["store", *command, "--workspace", str(tmp_path / "nosuch")]) == 2
-        said = capsys.readouterr()
-        assert "nosuch: there is no such folder" in said.err and not said.out
     assert not (tmp_path / "nosuch").exists()
     assert main(["view", "nothing", "--workspace", str(tmp_path), "--no-browser"]) == 2
     assert "no such file or folder, and no scene" in capsys.readouterr().err

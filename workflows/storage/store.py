@@ -15,7 +15,7 @@ from ...pipeline.names import composed
 from ...pipeline.records import differences
 from ..last_run import scene_of
 from ..machine.writable import writing_to
-from ..options import Debug, ExistingWorkspace
+from ..options import Debug, Workspace
 from ..results import in_workspace
 from ..session import DEFAULT_WORKSPACE
 from .amounts import age, megabytes
@@ -31,7 +31,7 @@ Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
 
 def list_(
     stage: Annotated[str | None, typer.Argument(metavar="[STAGE]", help="Only results of this stage.")] = None,
-    workspace: ExistingWorkspace = DEFAULT_WORKSPACE,
+    workspace: Workspace = DEFAULT_WORKSPACE,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -61,7 +61,7 @@ def show_result(
     words: Annotated[
         list[str], typer.Argument(metavar="KEY|SCENE STAGE", help="A key, its first digits, or a scene or capture and a stage.")
     ],
-    workspace: ExistingWorkspace = DEFAULT_WORKSPACE,
+    workspace: Workspace = DEFAULT_WORKSPACE,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
@@ -98,7 +98,7 @@ def show_result(
 def diff(
     a: Annotated[str, typer.Argument(metavar="A", help="KEY, STAGE/KEY or SCENE/STAGE.")],
     b: Annotated[str, typer.Argument(metavar="B")],
-    workspace: ExistingWorkspace = DEFAULT_WORKSPACE,
+    workspace: Workspace = DEFAULT_WORKSPACE,
     debug: Debug = False,
 ) -> None:
     """Say in which code, settings, inputs and versions two results of one stage differ, and whether their content does."""
@@ -113,7 +113,7 @@ def diff(
 
 def pin(
     scene: Annotated[str, typer.Argument(metavar="SCENE")],
-    workspace: ExistingWorkspace = DEFAULT_WORKSPACE,
+    workspace: Workspace = DEFAULT_WORKSPACE,
     debug: Debug = False,
 ) -> None:
     """Keep what a scene's last run used, whatever runs later: `gc` leaves it until it is unpinned."""
@@ -129,7 +129,7 @@ def pin(
 
 def unpin(
     scene: Annotated[str, typer.Argument(metavar="SCENE")],
-    workspace: ExistingWorkspace = DEFAULT_WORKSPACE,
+    workspace: Workspace = DEFAULT_WORKSPACE,
     debug: Debug = False,
 ) -> None:
     """Let go of what `pin` keeps."""

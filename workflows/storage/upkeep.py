@@ -9,7 +9,7 @@ import typer
 
 from ...pipeline import Store, collect, say, unused
 from ..machine.writable import writing_to
-from ..options import Debug, ExistingWorkspace
+from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
 from .amounts import bytes_of, megabytes, seconds_of
 from .caches import kept, remove
@@ -17,7 +17,7 @@ from .stored import users
 
 
 def gc(
-    workspace: ExistingWorkspace = DEFAULT_WORKSPACE,
+    workspace: Workspace = DEFAULT_WORKSPACE,
     keep_bytes: Annotated[
         str | None, typer.Option("--keep-bytes", metavar="SIZE", help="Remove only until at most this much is left, for example 10G.")
     ] = None,

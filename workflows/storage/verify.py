@@ -6,11 +6,11 @@ import typer
 
 from ...pipeline import Store, say
 from ..machine.writable import writing_to
-from ..options import Debug, ExistingWorkspace
+from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
 
 
-def verify(workspace: ExistingWorkspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
+def verify(workspace: Workspace = DEFAULT_WORKSPACE, debug: Debug = False) -> None:
     """Digest every result in the store again; a damaged one is moved aside, to be made again by the next run. Exit code 1 for any."""
     store = Store(workspace.resolve() / "store")
     results = store.verify()
