@@ -185,8 +185,11 @@ def _advice(root: Path) -> str:
         return there.removeprefix(". ")
     if (models := models_in(root)) and not with_pictures(root):
         return _place_of_pictures(models[0])
-    if folders and with_pictures(root):
-        return f"It has the folders {', '.join(folders[:6])}: pass the one that holds images, or add transforms.json{there}"
+    if folders:
+        named = f"It has the folders {', '.join(folders[:6])}"
+        if with_pictures(root):
+            return f"{named}: pass the one that holds images, or add transforms.json{there}"
+        return f"{named}, with no picture or video in any: copy them there, or pass another folder{there}"
     known = "transforms.json, transforms_train.json, train_meta.json, or camNN.mp4 with poses_bounds.npy"
     return f"Expected a video or several of one event, images, {known}{there}"
 

@@ -34,7 +34,8 @@ def several(file: Path) -> Several | None:
             count = getattr(image, "n_frames", 1)
             if image.format not in _KINDS or count < 2 or not _is_alike(image):
                 return None
-            duration: Any = image.info.get("duration")  # ms
+            about: Any = image.info
+            duration = about.get("duration")  # ms
             rate = 1000 / duration if isinstance(duration, int | float) and duration > 0 else None
             return Several(f"{_KINDS[image.format]} with {count} pictures", rate)
     except BadImageError:
