@@ -59,11 +59,22 @@ def test_alpha_and_masks_are_not_converted(tmp_path):
     np.testing.assert_array_equal(read_mask(tmp_path, "mask.png"), COLOURS[..., 0])
 
 
+def test_a_photo_that_is_turned_is_converted_too(tmp_path):
+    """As a phone writes it that is held upright."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(COLOURS).save(tmp_path / "flat.jpg", icc_profile=P3, quality=100, subsampling=0)
+    Image.fromarray(COLOURS).save(tmp_path / "turned.jpg", icc_profile=P3, quality=100, subsampling=0, exif=exif)
+    flat = read_picture(tmp_path, "flat.jpg")
+    assert np.abs(flat.astype(int) - COLOURS).max() > 20
+    np.testing.assert_array_equal(read_picture(tmp_path, "turned.jpg", upright=True), np.rot90(flat, -1))
+
+
 def test_lines_say_what_was_done(tmp_path):
     photos = tmp_path / "photos"
     photos.mkdir()
     for i, icc in enumerate([P3, P3, SRGB, None, b"not a profile at all"]):
         Image.fromarray(np.roll(COLOURS, i, 0)).save(photos / f"{i}.png", icc_profile=icc)
     text = "\n".join(run_frames(photos, tmp_path / "out").lines)
-    assert "2 of 5 pictures: colours are converted from" in text and text.count("colours are converted") == 1
-    assert "1 of 5 pictures: colours are taken as sRGB, in spite of a profile that cannot be read" in text
+    assert "colours are converted from sRGB built-in to sRGB (2 pictures)" in text and text.count("colours are converted") == 1
+    assert "colours are taken as sRGB, in spite of a profile that cannot be read" in text and "(1 picture)" in text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from io import BytesIO
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,19 +17,22 @@ STEPS = (0, 64, 128, 192, 255)  # levels of each channel at which this is tried
 
 
 class Conversion(NamedTuple):
-    """name: of the profile, for people. transform: to sRGB; None if there is nothing to convert, or if the profile cannot be read, which
-    ``name`` then says."""
+    """name: of the profile, for people. transform: to sRGB; None if the profile cannot be read, which ``name`` then says."""
 
     name: str
     transform: ImageCmsTransform | None
 
 
-def in_srgb(image: Image) -> Image:
+def in_srgb(image: Image, say: Callable[[str], None]) -> Image:
     """``image``, decoded, with its colours as its profile means them, coded as sRGB; itself if it has no profile or one like sRGB. A grey
-    or printed image becomes RGB then. Alpha stays."""
-    conversion = conversion_of(image)
-    if conversion is None or conversion.transform is None:
+    or printed image becomes RGB then. Alpha stays. say: called with what was done, if it has another profile."""
+    conversion = _conversion_of(image)
+    if conversion is None:
         return image
+    if conversion.transform is None:
+        say(f"colours are taken as sRGB, in spite of {conversion.name}")
+        return image
+    say(f"colours are converted from {conversion.name} to sRGB")
     from PIL import Image as pillow
     from PIL import ImageCms
 
@@ -39,7 +43,7 @@ def in_srgb(image: Image) -> Image:
     return pillow.merge("RGBA", (*colours.split(), image.convert("RGBA").getchannel("A")))
 
 
-def conversion_of(image: Image) -> Conversion | None:
+def _conversion_of(image: Image) -> Conversion | None:
     """How ``image``, from `open_image`, is converted; None if it has no profile or one like sRGB."""
     profile = image.info.get("icc_profile")
     if not profile or not isinstance(profile, bytes) or image.mode.startswith(("I", "F")):
@@ -51,9 +55,7 @@ def conversion_of(image: Image) -> Conversion | None:
 
 def _colours(mode: str) -> str:
     """The mode whose channels a profile speaks of."""
-    if mode in ("CMYK", "YCbCr", "LAB"):
-        return "CMYK" if mode == "CMYK" else "RGB"
-    return "L" if mode in ("1", "L", "LA", "La") else "RGB"
+    return "CMYK" if mode == "CMYK" else "L" if mode in ("1", "L", "LA") else "RGB"
 
 
 @lru_cache(64)

@@ -15,6 +15,9 @@ from .files import BadImageError, open_image, pixels
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+Say = Callable[[str], None]
+TRUTH = "masks hold only 0 and 1, of which 1 is taken for white"
+
 # What each EXIF orientation (tag 0x0112) does to an array [H,W].
 _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     1: lambda a: a,
@@ -28,45 +31,42 @@ _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-def read_picture(root: Path, name: str, upright: bool = False) -> np.ndarray:
+def read_picture(root: Path, name: str, upright: bool = False, say: Say = lambda what: None) -> np.ndarray:
     """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it), but with the colours that its profile
-    means, as sRGB. upright: rotated by its EXIF orientation."""
+    means, as sRGB. upright: rotated by its EXIF orientation. say: called with what was done about a profile."""
     try:
         with open_image(root / name) as opened:
             image = pixels(opened, upright)
             alpha = "A" in image.getbands() or "transparency" in image.info
             if image.mode.startswith("I;16"):
                 return np.repeat(_eight_bits(image)[..., None], 3, axis=2)
-            return np.asarray(in_srgb(image).convert("RGBA" if alpha else "RGB"))
+            return np.asarray(in_srgb(image, say).convert("RGBA" if alpha else "RGB"))
     except BadImageError as error:
         raise CaptureError(
             f"{name}: cannot be decoded, perhaps cut short ({error}); copy it again or remove it from the capture"
         ) from error
 
 
-def read_mask(root: Path, name: str, turn: int = 1) -> np.ndarray:
+def read_mask(root: Path, name: str, turn: int = 1, say: Say = lambda what: None) -> np.ndarray:
     """uint8 [H,W] of a mask file of 1, 8 or 16 bits; 255 is masked. In a mask that holds only 0 and 1, as programs save truth values, 1
     is masked. turn: the EXIF orientation of the photo, given if the mask has the photo's size as stored, so that both are rotated
-    alike."""
+    alike. say: called with `TRUTH` for such a mask."""
     try:
         with open_image(root / name) as opened:
             image = pixels(opened, upright=False)
-            values = _mask_values(image)
-            mask = values * 255 if values.max() == 1 else values if values.dtype == np.uint8 else _eight_bits(image)
-            return np.ascontiguousarray(_TURNS[turn](mask.astype(np.uint8)))
+            values = np.asarray(image if image.mode.startswith("I;16") else image.convert("L"))
+            truth = values.max() == 1
+            mask = (values * 255).astype(np.uint8) if truth else values if values.dtype == np.uint8 else _eight_bits(image)
+            if truth:
+                say(TRUTH)
+            return np.ascontiguousarray(_TURNS[turn](mask))
     except BadImageError as error:
         raise CaptureError(f"{name}: the mask cannot be decoded, perhaps cut short ({error}); copy it again or remove it") from error
 
 
-def holds_truth_values(root: Path, name: str) -> bool:
-    """Whether a mask file that `read_mask` can read holds only 0 and 1."""
-    with open_image(root / name) as opened:
-        return bool(_mask_values(pixels(opened, upright=False)).max() == 1)
-
-
-def read_keep(root: Path, name: str, turn: int = 1) -> np.ndarray:
-    """uint8 [H,W]: 255 for pixels that count, 0 where the mask file is black, which excludes pixels. turn: see `read_mask`."""
-    keep = np.where(read_mask(root, name, turn) > 127, 255, 0).astype(np.uint8)
+def read_keep(root: Path, name: str, turn: int = 1, say: Say = lambda what: None) -> np.ndarray:
+    """uint8 [H,W]: 255 for pixels that count, 0 where the mask file is black, which excludes pixels. turn, say: see `read_mask`."""
+    keep = np.where(read_mask(root, name, turn, say) > 127, 255, 0).astype(np.uint8)
     if not keep.any():
         raise CaptureError(f"{name}: the mask is black everywhere, so nothing of its image counts; invert the masks, or remove this one")
     return keep
@@ -123,11 +123,6 @@ def composite(picture: np.ndarray, background: str | None) -> np.ndarray:
     alpha = picture[..., 3:].astype(np.uint16)
     total = picture[..., :3] * alpha + (255 if background == "white" else 0) * (255 - alpha)
     return ((total + 127) // 255).astype(np.uint8)
-
-
-def _mask_values(image: Image) -> np.ndarray:
-    """[H,W] of 8 or 16 bits, as stored; bits become 0 and 255."""
-    return np.asarray(image) if image.mode.startswith("I;16") else np.asarray(image.convert("L"))
 
 
 def _eight_bits(image: Image) -> np.ndarray:
