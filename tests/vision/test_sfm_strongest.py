@@ -5,7 +5,8 @@ import numpy as np
 import pycolmap
 import pytest
 from e4dgs.vision.sfm.pairs import MANY, image_pairs, many
-from e4dgs.vision.sfm.worker.features.database import extract, image_ids, match, write_cameras
+from e4dgs.vision.sfm.worker.features.database import extract, image_ids, write_cameras
+from e4dgs.vision.sfm.worker.features.matching import match
 from e4dgs.vision.sfm.worker.features.strongest import extract_strongest
 from PIL import Image
 

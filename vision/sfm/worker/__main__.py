@@ -34,6 +34,8 @@ def main(request_file: str) -> None:
         from .masked import reconstruct_masked as task
     elif request["task"] == "reconstruct_rig":
         from .rig import reconstruct_rig as task
+    elif request["task"] == "match":
+        from .features.matching import match_share as task
     elif request["task"] == "triangulate":
         from .known_poses import triangulate_known as task
     else:

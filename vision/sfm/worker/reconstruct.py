@@ -15,6 +15,7 @@ from ..trouble import FIXED
 from ..turning.result import turning_arrays
 from ..turning.solve import ANYHOW
 from .features import database as db
+from .features.matching import match
 from .features.strongest import extract_strongest
 from .mapping import ENOUGH, map_images
 from .masked_points import without_moving_points
@@ -53,7 +54,7 @@ def reconstruct(request: dict[str, Any], report: db.Report) -> tuple[dict[str, n
     else:
         octave = db.first_octave(root, names, cameras, bool(request["static"]))
         db.extract(path, root, names, of, most or MOST, report, keep, octave)
-    db.match(path, names, [(a, b) for a, b in request["pairs"]], seed, True, report)
+    match(path, names, [(a, b) for a, b in request["pairs"]], seed, True, report)
     return map_database(path, request, report)
 
 

@@ -15,6 +15,7 @@ import pycolmap
 
 from ..pairs import MOST
 from .features import database as db
+from .features.matching import match
 from .reconstruct import DATABASE, first_camera, map_database
 from .starts import reconstruct_fixed
 
@@ -34,7 +35,7 @@ def reconstruct_rig(request: dict[str, Any], report: db.Report) -> tuple[dict[st
     looks = folder / LOOKS
     camera_ids = db.write_cameras(looks, [first_camera(root / names[0], request)]) * len(names)
     db.extract(looks, root, names, camera_ids, request["max_features"] or MOST, report)
-    db.match(looks, names, pairs, seed, False, report)
+    match(looks, names, pairs, seed, False, report)
 
     firsts = [names[image.index(i)] for i in range(max(image) + 1)]
     joined = sorted({(image[a], image[b]) for a, b in pairs})

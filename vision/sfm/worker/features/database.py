@@ -93,23 +93,6 @@ def register(path: Path, root: Path, names: Sequence[str], camera_ids: Sequence[
             pycolmap.import_images(path, root, pycolmap.CameraMode.SINGLE, [name], reader)
 
 
-def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, verify: bool, report: Report) -> None:
-    """Matches the pairs (indices into `names`). `verify` also estimates the two-view geometry of each, which needs no poses."""
-    matching = pycolmap.FeatureMatchingOptions()
-    matching.skip_geometric_verification, matching.num_threads = not verify, thread_count()
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = seed
-    listing = path.with_suffix(".pairs.txt")
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = listing
-    report("matches", 0, len(pairs))
-    for start in range(0, len(pairs), MATCH_CHUNK):
-        chunk = pairs[start : start + MATCH_CHUNK]
-        _list_pairs(listing, names, chunk)
-        pycolmap.match_image_pairs(path, matching_options=matching, pairing_options=pairing, verification_options=verification)
-        report("matches", start + len(chunk), len(pairs))
-
-
 def verify(
     path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int, report: Report, error: float = 4.0, plane: float = 0.8
 ) -> None:
@@ -124,12 +107,13 @@ def verify(
     report("verify", 0, len(pairs))
     for start in range(0, len(pairs), MATCH_CHUNK):
         chunk = pairs[start : start + MATCH_CHUNK]
-        _list_pairs(listing, names, chunk)
+        list_pairs(listing, names, chunk)
         pycolmap.verify_matches(path, listing, options)
         report("verify", start + len(chunk), len(pairs))
 
 
-def _list_pairs(listing: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> None:
+def list_pairs(listing: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]]) -> None:
+    """Writes pairs (indices into `names`) as COLMAP reads them."""
     listing.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in pairs), encoding="utf-8")
 
 
