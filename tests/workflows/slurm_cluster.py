@@ -98,10 +98,15 @@ class Slurm:
         """What a client program prints; "" where it fails."""
         return subprocess.run(words, env=self.environment, capture_output=True, text=True).stdout.strip()
 
-    def jobs(self, states: str = "PD,R,CG") -> list[dict[str, str]]:
+    def jobs(self, states: str = "PD,CF,R,S,CG,RQ") -> list[dict[str, str]]:
         """id, name, state and node of the jobs in these states, arrays task by task; "all": also of those that have ended."""
-        rows = self.say("squeue", "-h", "-r", "-t", states, "-o", "%i|%j|%t|%N").splitlines()
-        return [dict(zip(("id", "name", "state", "node"), row.split("|"))) for row in rows]
+        command = ["squeue", "-h", "-r", "-t", states, "-o", "%i|%j|%t|%N"]
+        for _ in range(30):  # a busy controller does not answer, which must not look like no jobs
+            answer = subprocess.run(command, env=self.environment, capture_output=True, text=True)
+            if answer.returncode == 0:
+                return [dict(zip(("id", "name", "state", "node"), row.split("|"))) for row in answer.stdout.splitlines()]
+            time.sleep(1)
+        raise AssertionError(f"squeue does not answer: {answer.stderr.strip()}")
 
     def close(self) -> None:
         for job in self.jobs():

@@ -40,6 +40,17 @@ class Batch(ToyBatch):
         return next(job for job in self.slurm.jobs("all") if job["name"] == "e4dgs-train" and job["id"].endswith(f"_{SCENES.index(scene)}"))
 
 
+    def unfinished(self) -> list[str]:
+        return [scene for scene in SCENES if self.ledger.progress(scene).state != "done"]
+
+    def story(self) -> str:
+        """What a failure on another machine is read from: each scene's progress, its jobs, and the end of what these said."""
+        lines = [f"{scene}: {self.ledger.progress(scene)}" for scene in SCENES] + [str(job) for job in self.slurm.jobs("all")]
+        for file in sorted((self.ledger.folder / "slurm").glob("*.out")):
+            lines += [f"-- {file.name}", *file.read_text().splitlines()[-12:]]
+        return "\n".join(lines)
+
+
 def submit(batch: Batch) -> None:
     assert batch.start("--emit", "slurm").wait(PATIENCE) == 0, batch.said()
     subprocess.run([str(batch.ledger.folder / "slurm" / "submit.sh")], env=batch.environment, check=True, stdout=subprocess.DEVNULL)
@@ -66,7 +77,7 @@ def test_job_scripts_survive_what_happens_to_jobs_and_nodes(slurm, tmp_path):
     slurm.say("scontrol", "update", f"jobid={batch.job('scene0')['id']}", "TimeLimit=60")  # it was two minutes, too few for a busy machine
     batch.release("scene0")
     wait(lambda: not slurm.jobs(), PATIENCE, "all jobs end")
-    assert batch.states()["done"] == 5 and batch.ledger.progress("scene2").state != "done", "what was cancelled stays so"
+    assert batch.unfinished() == ["scene2"], batch.story()  # what was cancelled stays so
     batch.release("scene2")
     submit(batch)
     assert (batch.ledger.folder / "slurm" / "scenes.txt").read_text() == "scene2\n"
