@@ -37,7 +37,8 @@ def execute(
         nonlocal told
         session.scene.restore()
         if outcome.state == "ran":
-            say(f"{outcome.stage}: done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB")
+            used = f"done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB"
+            say(f"{outcome.stage}: {used}{left_after(outcome.stage, rows)}")
         decided = timed is not None and timed.finished(outcome)
         if decided or not told:  # as soon as there is something to look at
             remember(session, target, began)
@@ -63,3 +64,10 @@ def execute(
     if timed is not None:
         timed.published(time.monotonic() - begin)
     return published
+
+
+def left_after(stage: str, rows: Sequence[Row]) -> str:
+    """What the plan expects of the stages that follow, as the end of a line."""
+    names = [row.stage for row in rows]
+    seconds = sum(row.estimate or 0.0 for row in rows[names.index(stage) + 1 :] if row.state == "run") if stage in names else 0.0
+    return f"; about {duration(seconds)} left" if seconds else ""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import deque
+from collections.abc import Iterable
+from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
 from .say import say
@@ -12,6 +15,7 @@ if TYPE_CHECKING:
 
 _QUIET_SECONDS = 1.0  # a loop that ends sooner shows nothing
 _LINE_SECONDS = 10.0
+_LOOKED_BACK = 60.0  # s; the time left follows from the speed in these, as it changes while Gaussians are added
 _LABEL = 4  # what is being done takes at most this part of the terminal
 _ROOM_FOR_A_BAR = 100  # columns of the terminal from which there is a bar; below, the numbers and the note take its place
 
@@ -23,20 +27,30 @@ class Progress:
         self.total, self.label, self.done = max(0, int(total)), label, 0
         self._console, self._line_seconds = console, line_seconds
         self._start = self._last = time.monotonic()
+        self._marks: deque[tuple[float, float]] = deque()  # time, work done
+        self._parts: list[tuple[int, float]] = []
         self._bar: Any = None
         self._task: Any = None
+
+    def weigh(self, parts: Iterable[tuple[int, float]]) -> None:
+        """Tells how long units take, for the time left: (number of units, time of each beside the others), in their order. Without it all
+        take the same."""
+        self._parts = list(parts)
 
     def advance(self, n: int = 1, note: str = "") -> None:
         """Counts ``n`` more units as done. ``note`` is shown beside the bar."""
         self.done += n
         now = time.monotonic()
+        self._marks.append((now, self._work(self.done)))
+        while len(self._marks) > 2 and now - self._marks[1][0] >= _LOOKED_BACK:
+            self._marks.popleft()
         if self._console is None or now - self._start < _QUIET_SECONDS:
             return
         if self._console.is_terminal:
             self._show_bar(note)
         elif now - self._last >= self._line_seconds:
             self._last = now
-            say(self._line(now, note), to=self._console)
+            say(self._line(note), to=self._console)
 
     def _show_bar(self, note: str) -> None:
         if self._bar is None:
@@ -51,20 +65,35 @@ class Progress:
                 ),
                 progress.TaskProgressColumn(table_column=whole[0]),
                 progress.MofNCompleteColumn(table_column=whole[1]),
-                progress.TimeRemainingColumn(table_column=whole[2]),
+                progress.TextColumn("[progress.remaining]{task.fields[left]}", table_column=whole[2]),
             ]
             if self._console.width >= _ROOM_FOR_A_BAR:
                 columns.insert(1, progress.BarColumn(bar_width=24))
             columns.append(progress.TextColumn("{task.fields[note]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)))
             self._bar = progress.Progress(*columns, console=self._console, transient=True, expand=True)
-            self._task = self._bar.add_task(self.label, total=self.total, note=note)
+            self._task = self._bar.add_task(self.label, total=self.total, note=note, left="")
             self._bar.start()
-        self._bar.update(self._task, completed=self.done, total=self.total, **({"note": note} if note else {}))
+        left = f"{timedelta(seconds=round(self._left()))}"
+        self._bar.update(self._task, completed=self.done, total=self.total, left=left, **({"note": note} if note else {}))
 
-    def _line(self, now: float, note: str) -> str:
+    def _work(self, units: int) -> float:
+        """That of the first ``units``."""
+        work = 0.0
+        for count, each in self._parts:
+            work += min(max(units, 0), count) * each
+            units -= count
+        return work + max(units, 0)
+
+    def _left(self) -> float:
+        """Seconds. From the first unit that was counted on: what an earlier run has done took no time in this one."""
+        (first, before), (last, now) = self._marks[0], self._marks[-1]
+        if now <= before:
+            first, before = self._start, 0.0
+        return (last - first) / max(now - before, 1e-9) * max(0.0, self._work(self.total) - now)
+
+    def _line(self, note: str) -> str:
         percent = 100 * self.done / self.total if self.total else 100.0
-        left = (now - self._start) / max(1, self.done) * max(0, self.total - self.done)
-        return f"  {self.label}: {self.done}/{self.total} ({percent:.0f} %), {duration(left)} left{', ' + note if note else ''}"
+        return f"  {self.label}: {self.done}/{self.total} ({percent:.0f} %), {duration(self._left())} left{', ' + note if note else ''}"
 
     def close(self) -> None:
         """Removes the bar. Called at the end of the ``with`` block."""

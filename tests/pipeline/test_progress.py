@@ -34,6 +34,39 @@ def test_a_long_loop_says_a_line_every_ten_seconds(monkeypatch):
     assert len(lines) == 4
 
 
+def at(monkeypatch, bar: Progress, seconds: float, units: int) -> float:
+    """Advances by units at a time, and returns the seconds that are said to be left."""
+    monkeypatch.setattr(module.time, "monotonic", lambda: seconds)
+    bar.advance(units)
+    return bar._left()
+
+
+def test_the_time_left_knows_of_units_that_take_longer(monkeypatch):
+    monkeypatch.setattr(module.time, "monotonic", lambda: 0.0)
+    bar = Progress(200, "coarse")
+    bar.weigh([(100, 1.0), (100, 4.0)])
+    assert at(monkeypatch, bar, 25.0, 50) == pytest.approx(0.5 * 50 + 0.5 * 400)
+    assert at(monkeypatch, bar, 50.0, 50) == pytest.approx(0.5 * 400)
+    assert at(monkeypatch, bar, 150.0, 50) == pytest.approx(100.0)
+
+
+def test_what_an_earlier_run_has_done_took_no_time_in_this_one(monkeypatch):
+    monkeypatch.setattr(module.time, "monotonic", lambda: 0.0)
+    bar = Progress(100, "coarse")
+    at(monkeypatch, bar, 1.0, 60)
+    assert at(monkeypatch, bar, 11.0, 10) == pytest.approx(30.0)
+
+
+def test_the_time_left_follows_the_speed_of_the_last_minute(monkeypatch):
+    monkeypatch.setattr(module.time, "monotonic", lambda: 0.0)
+    bar = Progress(1000, "coarse")
+    for second in range(1, 101):
+        at(monkeypatch, bar, second, 5)
+    for second in range(101, 161):
+        left = at(monkeypatch, bar, second, 1)
+    assert left == pytest.approx(1000 - 560, rel=0.02)
+
+
 def test_durations_read_well():
     assert [duration(s) for s in (0.4213, 9.7, 12.3, 185, 7800)] == ["0.42 s", "9.7 s", "12 s", "3 min 05 s", "2 h 10 min"]
 

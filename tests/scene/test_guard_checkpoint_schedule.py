@@ -120,7 +120,7 @@ def test_nodes_look_for_the_motion_on_very_small_images_first(steps, first, smal
     assert training is not None and training.recipe.rigid_parts_at == () and first_motion("joint", steps, small) is None
     phases = training.phases
     assert sum(p.iterations for p in phases) == first
-    assert all(p.scale == scale and p.move == (p.name == "first motion") for p in phases)
+    assert all(p.scale == scale and p.move == (p.name == "motion") for p in phases)
 
 
 def test_losses_of_another_image_size_do_not_compare():

@@ -39,7 +39,6 @@ class Batch(ToyBatch):
         """The job that trains a scene, of the first array."""
         return next(job for job in self.slurm.jobs("all") if job["name"] == "e4dgs-train" and job["id"].endswith(f"_{SCENES.index(scene)}"))
 
-
     def unfinished(self) -> list[str]:
         return [scene for scene in SCENES if self.ledger.progress(scene).state != "done"]
 

@@ -51,7 +51,7 @@ def first_motion(strategy: Strategy, iterations: int, small: bool) -> FirstTrain
     steps = first_motion_steps(strategy, iterations)
     scale = HALF_RESOLUTION if small else QUARTER_RESOLUTION
     warm_up = round(steps * WARM_UP)
-    phases = [Phase("first shape", warm_up, False, scale), Phase("first motion", steps - warm_up, True, scale)]
+    phases = [Phase("shape", warm_up, False, scale), Phase("motion", steps - warm_up, True, scale)]
     return FirstTraining(
         "first motion", [phase for phase in phases if phase.iterations > 0], FIRST_MOTION, FIRST_GAUSSIANS, {"rigid_weight": 0.0}
     )
