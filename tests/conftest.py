@@ -27,6 +27,9 @@ from factory import (
     write_videos,
 )
 
+# These take a minute or more, mostly waiting. They begin first, or a process would be left with one of them when all others have ended.
+LONGEST = ("test_slurm", "test_run_printed_commands", "test_batch", "test_killed", "test_player_page", "test_crash", "test_own_footage")
+
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
 
@@ -41,7 +44,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Tests marked `cuda` are left out, not skipped, where the CUDA kernels cannot be used: nothing is missing there."""
+    """Puts the longest files first. Tests marked `cuda` are left out, not skipped, where the CUDA kernels cannot be used: nothing is
+    missing there."""
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
     marked = [item for item in items if item.get_closest_marker("cuda")]
     if marked:
         from e4dgs.rasterizer.cuda.runtime.available import why_not

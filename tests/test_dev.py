@@ -178,7 +178,7 @@ def test_the_whole_suite_runs_on_all_cores_and_a_part_of_it_on_one(dev, monkeypa
     monkeypatch.setattr(dev, "run", lambda command, environment=None: commands.append((command, environment)) or 0)
     for words in ([], ["-k", "hull"], ["tests/test_dev.py::test_dev"], ["--kernels=cuda", "tests/stress"]):
         assert dev.test(words) == 0
-    assert ["auto" in command for command, _ in commands] == [True, True, False, False]
+    assert ["--numprocesses" in command for command, _ in commands] == [True, True, False, False]
     assert commands[1][0][-2:] == ["-k", "hull"]
     assert all(environment["GOMP_SPINCOUNT"] for _, environment in commands)
 
