@@ -22,10 +22,17 @@ def room():
     return views, pictures, [truth.depth for truth in truths], points
 
 
-def test_most_of_what_it_tells_is_right(room):
-    views, pictures, depths, points = room
+@pytest.fixture(scope="module")
+def swept(room):
+    """The maps of all pictures, and what was told of the progress."""
+    views, pictures, _, points = room
     done: list[int] = []
-    maps = plane_sweep(views, list(views.train), pictures, points, done.append)
+    return plane_sweep(views, list(views.train), pictures, points, done.append), done
+
+
+def test_most_of_what_it_tells_is_right(room, swept):
+    views, _, depths, _ = room
+    maps, done = swept
     assert sum(done) == len(views.train) and len(maps) == len(views.train)
     known = np.mean([(one.inverse > 0).mean() for one in maps])
     assert known > 0.25
@@ -42,11 +49,11 @@ def test_most_of_what_it_tells_is_right(room):
         assert len(shown) == mine.sum() and np.abs(np.stack([x, y], 1) + 0.5 - at[mine][shown]).max() <= 1
 
 
-def test_gains_and_offsets_of_cameras_make_no_difference(room):
+def test_gains_and_offsets_of_cameras_make_no_difference(room, swept):
     views, pictures, _, points = room
     rng = np.random.default_rng(1)
     changed = [(p * rng.uniform(0.7, 0.9) + rng.uniform(0, 20)).astype(np.uint8) for p in pictures]
-    one, two = (plane_sweep(views, list(views.train), p, points) for p in (pictures, changed))
+    one, two = swept[0], plane_sweep(views, list(views.train), changed, points)
     before, after = (np.mean([(m.inverse > 0).mean() for m in maps]) for maps in (one, two))
     assert after > 0.9 * before
 
