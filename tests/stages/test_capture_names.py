@@ -10,6 +10,7 @@ from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import checks, recognise
 from e4dgs.stages.captures.listing import names as listed
 from e4dgs.stages.captures.listing.names import by_value, elsewhere, in_order
+from e4dgs.stages.captures.listing.numbers import places
 from PIL import Image
 
 
@@ -97,3 +98,42 @@ def test_all_suffixes_of_jpeg_are_read(tmp_path):
     assert recognise(tmp_path).facts["frames"] == 6
     scene(tmp_path, [str(i) for i in range(6)])
     assert len(recognise(tmp_path).images) == 6 and os.path.exists(tmp_path / "3.jfif")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "times", "line"),
+    [
+        ((1, 2, 3, 7, 8), (0, 2 / 7, 1), "the names skip 4 to 6: times follow the numbers, as if these pictures were missing"),
+        ((5, 10, 15, 30), (0, 2 / 5, 1), "the names skip 20 to 25: times follow"),
+        ((1, 3, 4, 6, 7), (0, 1 / 2, 1), "the names skip 2, 5: times follow"),
+        ((3, 8, 13, 18, 23), (0, 1 / 2, 1), None),
+        ((1, 2, 3, 800, 801), (0, 1 / 2, 1), "rise unevenly, most from f003.png to f800.png: the pictures are taken as evenly spaced"),
+        ((101, 134, 168, 201, 300), (0, 1 / 2, 1), "rise unevenly, most from f201.png to f300.png"),
+    ],
+)
+def test_pictures_that_are_missing_have_had_their_time(tmp_path, numbers, times, line):
+    for n in numbers:
+        Image.new("RGB", (16, 12), (n % 256, 0, 0)).save(tmp_path / f"f{n:03d}.png")
+    capture = recognise(tmp_path, holdout=0, fps=10)
+    np.testing.assert_allclose(capture.time[[0, 2, -1]], times)
+    assert [note for note in capture.notes if "skip" in note or "unevenly" in note] == [
+        note for note in capture.notes if line and line in note
+    ]
+    assert len(capture.notes) == (line is not None)
+    step = (numbers[1] - numbers[0]) if numbers[0] != 1 or numbers[1] != 3 else 1
+    span = (numbers[-1] - numbers[0]) // step if line is None or "follow" in line else len(numbers) - 1
+    assert capture.seconds[-1] == pytest.approx(span / 10)
+    thinned = recognise(tmp_path, holdout=0, fps=10, every=2)
+    np.testing.assert_allclose(thinned.seconds, capture.seconds[::2])
+    still = recognise(tmp_path, static=True)
+    assert not still.time.any() and still.notes == (), "photos of a scene that stands still have no times"
+
+
+def test_decimal_numbers_with_a_gap_are_times_and_other_names_say_nothing():
+    assert places(["0.0.png", "0.25.png", "0.5.png", "1.0.png"])[0] == [0, 1, 2, 4]
+    assert places(["0.00.png", "0.25.png", "0.50.png", "1.00.png"])[0] == [0, 1, 2, 4]
+    assert places(["0.25.png", "0.5.png", "1.25.png"])[0] == [0, 1, 2] and "unevenly" in places(["0.25.png", "0.5.png", "1.25.png"])[1]
+    assert places(["2024_1.png", "2024_2.png", "2024_3.png", "2024_5.png"])[0] == [0, 1, 2, 4], "one number is that of all"
+    assert places(["a1_1.png", "a1_2.png", "a2_9.png"]) == ([0, 1, 2], None)
+    assert places(["a.png", "b1.png", "c9.png"]) == ([0, 1, 2], None)
+    assert places(["f1.jpg", "f1.png", "f2.png", "f4.png"])[0] == [0, 1, 2, 3], "two pictures have one number"

@@ -12,6 +12,7 @@ from ..keep_masks import add_masks, turn_masks
 from ..listing import copies
 from ..listing.kinds import PICTURE, colour_only, kind_of
 from ..listing.names import by_value, is_image
+from ..listing.numbers import places
 from ..listing.several import apart, several, told
 from ..listing.twins import without_depth
 from ..listing.unread import described
@@ -51,10 +52,13 @@ def read(root: Path, options: Options) -> Reading:
         raise CaptureError(
             f"{prefix}{CAMERA_MATRIX}: one camera matrix for images of {len(set(sizes))} sizes; remove the file, or keep to one size"
         )
-    shots = [Shot(name=path, camera=0, time=float(i), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)]
-    if len(taken) < len(found):  # those that were not taken have had their time, too
+    clock, gaps = (range(len(found)), None) if options.static else places(found)
+    shots = [
+        Shot(name=path, camera=0, time=float(clock[i]), size=size, file=path) for i, path, size in zip(taken, paths, sizes, strict=True)
+    ]
+    if len(taken) < clock[-1] + 1:  # those that were not taken, or are missing, have had their time, too
         for i, shot in zip(taken, shots, strict=True):
-            shot.seconds = i / (options.fps or DEFAULT_FPS)
+            shot.seconds = clock[i] / (options.fps or DEFAULT_FPS)
     masked = add_masks(root, shots, prefix)
     if upright:
         turn_masks(root, shots)
@@ -69,7 +73,7 @@ def read(root: Path, options: Options) -> Reading:
         sources=(*([prefix + CAMERA_MATRIX] if hint is not None else []), *copied),
         K_hint=hint,
         upright=upright,
-        notes=(*thinned, *decimals, *told(root, paths), *copies.told(copied, "pictures"), *said, *masked),
+        notes=(*thinned, *decimals, *([gaps] if gaps else []), *told(root, paths), *copies.told(copied, "pictures"), *said, *masked),
         spoken_for=deep,
     )
 

@@ -9,7 +9,8 @@ import os
 import posixpath
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
 from pathlib import Path
 
 from ....pipeline import CaptureError
@@ -51,6 +52,17 @@ def by_value(names: Iterable[str]) -> bool:
         return False
     fractions = [fraction for _, _, fraction, _ in parts]
     return len(set(map(len, fractions))) > 1 and not any(f.endswith("0") and len(f) > 1 for f in fractions)
+
+
+def decimal_of(names: Sequence[str]) -> list[Fraction] | None:
+    """The decimal numbers that `names` of pictures are; None if they are none, or may be counters after a point (1.9, 1.10)."""
+    found = [_DECIMAL.fullmatch(posixpath.basename(name)) for name in names]
+    parts = [match.groups() for match in found if match is not None]
+    if len(parts) < len(names) or len({(posixpath.dirname(name), p[0], p[3]) for name, p in zip(names, parts, strict=True)}) != 1:
+        return None
+    if len({len(p[2]) for p in parts}) > 1 and not by_value([posixpath.basename(name) for name in names]):
+        return None
+    return [Fraction(int(p[1] + p[2]), 10 ** len(p[2])) for p in parts]
 
 
 def _value(name: str) -> tuple[int, str]:

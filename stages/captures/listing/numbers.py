@@ -1,0 +1,62 @@
+"""When the pictures of a numbered sequence were taken: numbers that are missing between them stand for time that passed."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections import Counter
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import pairwise
+
+from .names import decimal_of
+
+_LEAST_THERE = 0.5  # of the numbers from the first to the last; of more gaps it is not known whether they are pictures that are missing
+_MOST_TOLD = 3  # gaps
+
+
+def places(names: Sequence[str]) -> tuple[list[int], str | None]:
+    """The place of each picture on the clock of its sequence, in steps, the first at 0; and a line for people if their numbers do not rise
+    evenly. names: in order. Places follow the numbers if these rise by multiples of their commonest step and at least half are there;
+    otherwise the pictures are evenly spaced."""
+    even = list(range(len(names)))
+    numbers = _numbers(names)
+    steps = [] if numbers is None else [b - a for a, b in pairwise(numbers)]
+    if numbers is None or len(set(steps)) < 2:
+        return even, None
+    counts = Counter(steps)
+    step = min(counts, key=lambda value: (-counts[value], value))
+    regular = counts[step] > 1 and min(steps) == step > 0 and not any(s % step for s in steps)
+    if not regular or len(numbers) < _LEAST_THERE * ((numbers[-1] - numbers[0]) / step + 1):
+        k = max(range(len(steps)), key=lambda i: steps[i])
+        return even, (
+            f"the numbers in the names rise unevenly, most from {names[k]} to {names[k + 1]}: the pictures are taken as evenly spaced in "
+            "time; use --static if nothing moves"
+        )
+    gaps = [_gap(a, b, step) for a, b in pairwise(numbers) if b - a > step]
+    told = ", ".join(gaps[:_MOST_TOLD]) + (f" and {len(gaps) - _MOST_TOLD} more gaps" if len(gaps) > _MOST_TOLD else "")
+    return [int((n - numbers[0]) / step) for n in numbers], (
+        f"the names skip {told}: times follow the numbers, as if these pictures were missing; if the pictures are evenly spaced, number "
+        "them without gaps"
+    )
+
+
+def _gap(before: Fraction, after: Fraction, step: Fraction) -> str:
+    first, last = before + step, after - step
+    return _text(first) if first == last else f"{_text(first)} to {_text(last)}"
+
+
+def _text(value: Fraction) -> str:
+    return str(value.numerator) if value.denominator == 1 else f"{float(value):g}"
+
+
+def _numbers(names: Sequence[str]) -> list[Fraction] | None:
+    """The one number in which the names differ; None if they differ in more than one, or in other parts."""
+    decimals = decimal_of(names)
+    if decimals is not None:
+        return decimals
+    split = [re.split(r"([0-9]+)", posixpath.splitext(name)[0]) for name in names]
+    if len({tuple(parts[::2]) for parts in split}) != 1:
+        return None
+    columns = [column for column in list(zip(*split, strict=True))[1::2] if len(set(map(int, column))) > 1]
+    return [Fraction(int(text)) for text in columns[0]] if len(columns) == 1 else None
