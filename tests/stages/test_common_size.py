@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
-from e4dgs.stages.captures.assembly.common_size import common_size, crop
+from e4dgs.stages.captures.assembly.common_size import common_size, crop, told
 from e4dgs.stages.shared.frameset import FrameSet
 from factory import Camera, Options, make, render, write_colmap, write_dnerf, write_images, write_n3v, write_nerfstudio, write_panoptic
 from factory.writers import flatten
@@ -56,7 +56,7 @@ def test_cameras_follow_their_pictures(tmp_path, write, options):
     else:
         views = [capture.views[capture.files.index(name)] for name in frames.names]
     assert_true_to_their_cameras(frames, capture, views, 20 if write is write_n3v else 22)
-    assert sum("are not 80x64 px as most are" in line for line in ran.lines) == 1
+    assert sum("pictures are not 80x64 px" in line for line in ran.lines) == 1
 
 
 def test_d_nerf_keeps_its_alpha(tmp_path):
@@ -73,6 +73,12 @@ def test_d_nerf_keeps_its_alpha(tmp_path):
 def test_the_commonest_size_and_of_equals_the_smaller():
     assert common_size([(80, 64), (120, 96), (80, 64)]) == (80, 64)
     assert common_size([(120, 96), (80, 64)]) == (80, 64)
+    assert common_size([(320, 180), (640, 360), (180, 320)]) == (320, 180), (
+        "two of three are wide, though the upright one is first by width"
+    )
+    assert common_size([(180, 320)] * 2 + [(320, 180)] * 2 + [(641, 361)]) == (320, 180)
+    assert common_size([(160, 90)] * 2 + [(100, 100)] * 2 + [(90, 160)] * 2) == (100, 100), "of equals that which crops least"
+    assert common_size([(640, 360)] * 3 + [(320, 180)]) == (640, 360)
     assert crop((120, 96), (80, 64)) == (0, 0, 120, 96)
     assert crop((64, 80), (80, 64)) == (0, 14, 64, 51)
     assert crop((81, 64), (80, 64)) == (0, 0, 80, 64)
@@ -83,9 +89,16 @@ def test_what_is_lost_is_said(tmp_path):
     capture = write_images(make(PATH), tmp_path / "photos")
     (note,) = recognise(capture.root).notes
     assert note == (
-        "4 of 8 pictures are not 80x64 px as most are (first 002.png, 120x96): they are scaled to that size, "
+        "4 of 8 pictures are not 80x64 px, the shape of most (first 002.png, 120x96): they are scaled to that size, "
         "with up to 36% of a picture cropped at its sides, and enlarged up to 1.2 times"
     )
+
+
+def test_only_what_most_are_is_called_so():
+    names = [str(k) for k in range(5)]
+    assert "3 of 5 pictures are not 8x8 px (first 2" in told([(8, 8)] * 2 + [(8, 4), (4, 8), (3, 9)], names, (8, 8))
+    assert "2 of 5 pictures are not 8x8 px as most are (first 3" in told([(8, 8)] * 3 + [(8, 4), (4, 8)], names, (8, 8))
+    assert "2 of 4 pictures are not 8x8 px (first 2" in told([(8, 8)] * 2 + [(8, 4), (4, 8)], names[:4], (8, 8))
 
 
 def test_pictures_of_two_sizes_are_no_pair(tmp_path):
