@@ -85,6 +85,11 @@ def recognise(
     if sync is not None and kind != "videos":
         raise CaptureError(f"{root}: frames.sync aligns several videos without poses, not {kind}; leave it unset")
     reading = (_POSED | _BARE)[kind].read(_the_video(root) if kind == "video" else root, options)
+    if fps is not None and kind != "images" and any(shot.seconds is not None for shot in reading.shots):
+        raise CaptureError(
+            f"{root}: frames.fps is for pictures without times, but the layout {kind} has its own; leave it unset, or give a video another "
+            "rate with ffmpeg -r RATE -i FILE NEW"
+        )
     base = root if root.is_dir() else root.parent
     reading.notes += doubts(reading.shots, reading.sources)
     reading.notes += add_depth(base, reading.shots) or reading.depth_notes

@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from e4dgs.pipeline import CaptureError
 from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.formats.video import decode, probe
 from e4dgs.stages.captures.video.rates import rig_told
@@ -139,9 +140,20 @@ def test_a_doubled_stamp_costs_a_folder_of_videos_no_time(tmp_path):
     assert sum("time stamps" in note for note in capture.notes) == 1
 
 
-def test_raw_streams_say_that_their_times_are_assumed(tmp_path):
-    capture = recognise(encode(tmp_path / "clip.h264", levels(8)))
-    assert any("no time stamps that can be used: frames count as 1/" in note for note in capture.notes) and capture.facts["frames"] == 8
+@pytest.mark.parametrize(
+    ("suffix", "codec", "timing", "rate"), [("h264", "libx264", 1, 50), ("hevc", "libx265", 1, 50), ("hevc", "libx265", 0, 30)]
+)
+def test_raw_streams_say_that_their_times_are_assumed_at_the_rate_of_their_header(tmp_path, suffix, codec, timing, rate):
+    options = {"x265-params": f"log-level=none:pools=1:vui-timing-info={timing}"} if codec == "libx265" else None
+    capture = recognise(encode(tmp_path / f"clip.{suffix}", levels(8), codec, options, rate=50))
+    assert any(f"no time stamps that can be used: frames count as 1/{rate} s apart" in note for note in capture.notes)
+    assert capture.facts["frames"] == 8 and capture.seconds[-1] == pytest.approx(7 / rate)
+
+
+def test_a_rate_for_frames_with_times_is_refused(video_capture, videos_capture, n3v_capture):
+    for capture, kind in ((video_capture, "video"), (videos_capture, "videos"), (n3v_capture, "n3v")):
+        with pytest.raises(CaptureError, match=rf"frames\.fps is for pictures without times, but the layout {kind} has its own; leave it"):
+            recognise(capture.root, fps=25)
 
 
 def test_cameras_of_a_rig_at_two_rates_are_warned_of(n3v_capture, tmp_path):

@@ -25,6 +25,7 @@ LONG_GAP, LONG_GAPS = 10.0, 100.0  # s, and medians of the gaps between frames, 
 
 DEFAULT_RATE = 30.0  # frames per second of a raw stream that gives none
 MOST_RATE = 480.0  # frames per second of a phone; higher ones, such as 1000 and 90000, are units of time
+_RAW = ("m4v", "mjpeg", "h261", "h263", "h264", "hevc", "vvc", "vc1", "dirac", "obu", "mpegvideo")  # FFmpeg's names
 _KEPT = 32  # surveys
 _INTERLACED = (2, 3, 4, 5)  # FFmpeg's field orders
 _LEAST_DECODED = 0.5  # share of the packets from the first picture on
@@ -82,6 +83,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
             tags, pixel, notes = stream_tags(stream.codec_context), stream.sample_aspect_ratio, other_tracks(container, stream)
             packets = read_packets(container, stream, root / name, name)
             stated = float(stream.average_rate) if stream.average_rate else None
+            even = _even_rate(container, stream)
             base, start = float(stream.time_base or 0), stream.start_time
             reordered = bool(stream.codec_context.has_b_frames)
             counted = container.format.name == "avi"  # stamps of AVI are those of decoding
@@ -92,9 +94,9 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
     except (av.FFmpegError, OSError, ValueError) as error:
         raise CaptureError(f"{name}: {of_video(root / name, error)}") from error
     ticks = times.ticks
-    seconds = (ticks - ticks[0]) * (base if not times.untimed and base > 0 else 1 / _even_rate(stated))
+    seconds = (ticks - ticks[0]) * (base if not times.untimed and base > 0 else 1 / even)
     by_order = counted or times.untimed or first.stamp is None or first.stamp not in times.raw
-    fps = _even_rate(stated) if times.untimed else frame_rate(seconds.tolist(), stated)
+    fps = even if times.untimed else frame_rate(seconds.tolist(), stated)
     behind = 0.0 if times.untimed or start is None else float(ticks[0] - start) * base
     return Survey(
         shape=first.shape,
@@ -106,7 +108,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
         pixel=first.pixel,
         parity=first.parity,
         late=behind if abs(behind) < 1e6 else 0.0,
-        notes=(*notes, *_told(times, packets, late, first, stated, seconds)),
+        notes=(*notes, *_told(times, packets, late, first, even, seconds)),
     )
 
 
@@ -183,9 +185,11 @@ def _pictures(root: Path, name: str) -> list[int | None]:
         return [frame.pts for frame in decoded_frames(container, stream)]
 
 
-def _even_rate(stated: float | None) -> float:
-    """Frames per second of a video without times."""
-    return stated if stated is not None and 1 <= stated <= MOST_RATE else DEFAULT_RATE
+def _even_rate(container: Any, stream: Any) -> float:
+    """Frames per second of a video without times: that of the codec's own header, or that of the container. A raw stream has no container,
+    and FFmpeg states 25 for it."""
+    rates = (stream.codec_context.framerate, None if container.format.name in _RAW else stream.average_rate)
+    return next((float(rate) for rate in rates if rate and 1 <= rate <= MOST_RATE), DEFAULT_RATE)
 
 
 def _frames(count: int) -> str:
@@ -203,14 +207,14 @@ def _gap(seconds: Sequence[float]) -> list[str]:
     ]
 
 
-def _told(times: Times, packets: Packets, late: int, first: _First, stated: float | None, seconds: Sequence[float]) -> list[str]:
+def _told(times: Times, packets: Packets, late: int, first: _First, even: float, seconds: Sequence[float]) -> list[str]:
     shape, told = first.shape, list(_gap(seconds))
     if packets.trimmed:
         told.append(f"{_frames(packets.trimmed)} that its edit list hides: left out")
     if late:
         told.append(f"{_frames(late)} before the first that can be decoded: left out")
     if times.untimed:
-        told.append(f"it has no time stamps that can be used: frames count as 1/{_even_rate(stated):g} s apart")
+        told.append(f"it has no time stamps that can be used: frames count as 1/{even:g} s apart")
     if times.jumps:
         told.append(f"its clock begins again {times.jumps} time{'s' if times.jumps != 1 else ''}; it is continued")
     if times.repaired:
