@@ -92,7 +92,9 @@ def recognise(
         )
     base = root if root.is_dir() else root.parent
     reading.notes += doubts(reading.shots, reading.sources)
-    reading.notes += add_depth(base, reading.shots) or reading.depth_notes
+    said, unfit = add_depth(base, reading.shots)
+    reading.notes += said or reading.depth_notes
+    reading.spoken_for += unfit
     capture = assemble(base, _name(root), kind, reading, options)
     return replace(capture, notes=(*capture.notes, *_not_read(root, capture, reading)))
 

@@ -1,11 +1,13 @@
 """Depth that comes with a capture: found by its name, and used for what moves."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from e4dgs.pipeline import Artifact, ArtifactWriter
 from e4dgs.scene.seeds.moving.moving_seeds import MovingSeeds
+from e4dgs.stages.captures import recognise
 from e4dgs.stages.captures.listing.depth_maps import add_depth
 from e4dgs.stages.captures.reading import Shot
 from e4dgs.stages.depth.artifact import PRECISE, StoredDepth
@@ -122,7 +124,34 @@ def test_maps_of_another_shape_and_broken_ones_are_left_out(capture, tmp_path):
     second.write_bytes(b"no picture")
     notes = "\n".join(run_frames(capture.root, tmp_path / "run").context.capture.notes)
     assert "5 of 8 images have a depth map" in notes
-    assert f"2 depth maps are no grey picture or do not have the shape of theirs, and are left out (first depth/{first.name})" in notes
+    assert f"the depth map depth/{first.name} is not read: depth must have the shape of its picture; export it" in notes
+    assert f"the depth map depth/{second.name} is not read: such a file cannot be opened; copy it again" in notes and "layout" not in notes
+
+
+def test_why_depth_is_not_read_is_true(capture):
+    """Files of `depth_file_path` whose pictures are colours, depth with other names than its pictures, and depth of pictures not taken."""
+    data = json.loads((capture.root / "transforms.json").read_text())
+    (capture.root / "depth").rename(capture.root / "deep")
+    for frame, file in zip(data["frames"], sorted((capture.root / "deep").iterdir()), strict=False):
+        frame["depth_file_path"] = f"deep/{file.name}"
+        Image.new("RGB", (48, 32)).save(file)
+    (capture.root / "transforms.json").write_text(json.dumps(data))
+    (note,) = [note for note in recognise(capture.root).notes if "depth map" in note]
+    assert (
+        note.startswith("7 depth maps (first deep/") and "are not read: a picture of depth must have one channel of grey, not RGB" in note
+    )
+    (capture.root / "transforms.json").unlink()
+    (capture.root / "deep").rename(capture.root / "depth")
+    for file in (capture.root / "depth").iterdir():
+        Image.new("I;16", (48, 32), 1000).save(file)
+    assert not [note for note in recognise(capture.root, every=2).notes if "depth" in note and "not read" in note]
+    for file in (capture.root / "depth").iterdir():
+        file.rename(file.with_name(f"{file.stem}_depth.png"))
+    (note,) = [note for note in recognise(capture.root).notes if "depth" in note]
+    first = min((capture.root / "images").iterdir())
+    assert note.startswith("7 depth maps (first depth/") and note.endswith(
+        f"are not read, because depth is read by the name of its picture: that of images/{first.name} would be depth/{first.stem}.png"
+    )
 
 
 @pytest.mark.parametrize(
@@ -148,7 +177,7 @@ def test_where_depth_is_found(picture, depth, tmp_path):
         else:
             Image.fromarray(np.ones((4, 6), np.uint16)).save(tmp_path / name)
     shot = Shot(name=picture, camera=0, time=0.0, size=(12, 8), file=picture)
-    assert bool(add_depth(tmp_path, [shot])) is bool(depth) and shot.depth == depth
+    assert bool(add_depth(tmp_path, [shot])[0]) is bool(depth) and shot.depth == depth
 
 
 def test_the_artifact_of_seeds_has_the_depth_at_which_things_are_held(tmp_path):

@@ -89,7 +89,10 @@ CLOSED = {
     "tracks": (("DJI_1.SRT", "a.gpx", "imu.csv"), "3 subtitles or tracks (first DJI_1.SRT) are not read, because the layout is images"),
     "clouds": (("a.ply", "b.las", "c.pcd"), "3 point clouds (first a.ply) are not read, because the layout is images"),
     "archives": (("a.zip", "b.7z"), "2 archives (first a.zip) are not read; unpack them, or pass such a file as the capture"),
-    "depth arrays": (("depth/0.npy", "depth/1.npy"), "2 depth maps (first depth/0.npy) are not read, because the layout is images"),
+    "depth arrays": (
+        ("depth/0.npy", "depth/1.npy"),
+        "2 depth maps (first depth/0.npy) are not read, because depth is read by the name of its picture: that of IMG_0.JPG",
+    ),
     "calibration": (("intrinsics.json",), "the calibration file intrinsics.json is not read, because the layout is images"),
 }
 
@@ -160,7 +163,13 @@ def test_depth_among_colours(tmp_path, colour, other, what):
     root = pictures(tmp_path / "s", [name.format(i) for i in range(4) for name in (colour, other)])
     capture = recognise(root)
     assert capture.names == tuple(colour.format(i) for i in range(4))
-    assert f"4 {what} (first {other.format(0)}) are not read, because the layout is images" in capture.notes
+    (note,) = [note for note in capture.notes if note.startswith(f"4 {what} (first {other.format(0)}) are not read")]
+    if other.startswith(("depth/", "frame")):
+        assert "a picture of depth must have one channel of grey, not RGB" in note, "they are found by name"
+    elif "depth" in other or "confidence" in other:
+        assert "read by the name of its picture: that of " in note
+    else:
+        assert note.endswith(", because the layout is images")
 
 
 def test_grey_of_16_bits_with_the_name_of_a_picture_is_its_depth(tmp_path):

@@ -19,46 +19,51 @@ NEAR = 0.03  # seconds; pictures and depth of a TUM recording whose time stamps 
 _STAMP = re.compile(r"\d+\.\d+")
 
 
-def add_depth(root: Path, shots: Sequence[Shot]) -> tuple[str, ...]:
+def add_depth(root: Path, shots: Sequence[Shot]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Assigns to each shot without depth its map, if there is one: `depth/NAME` for `images/NAME`, or for NAME in the capture itself, with
     any of `SUFFIXES`; `depth/1x/NAME` for `rgb/1x/NAME`; `NAME.depth.png` beside `NAME.color.png`; the nearest stamp where names are time
     stamps; `NAME.depth` and `NAME.conf` beside it; and likewise `confidence/`. Maps that are no grey picture or do not have the shape of
-    theirs are left out, and those that need a package that is not installed. Returns notes for people if there is any."""
+    theirs are left out, and those that need a package that is not installed. Returns notes for people if there is any, and the files that
+    were left out."""
     listed: dict[str, dict[str, str]] = {}
     for shot in shots:
         if shot.file is not None:
             shot.depth = shot.depth or _found(root, shot.file, FOLDERS, listed)
             shot.depth_confidence = _found(root, shot.file, CONFIDENCE, listed) if shot.depth else None
-    needing = {shot.depth: extra for shot in shots if shot.depth and (extra := missing_extra(shot.depth))}
+    left_out: dict[str, list[str]] = {}
+    files: list[str] = []
     for shot in shots:
-        if shot.depth in needing:
+        if shot.depth and (why := _unfit(root, shot)):
+            left_out.setdefault(why, []).append(shot.depth)
+            files += [shot.depth, *([shot.depth_confidence] if shot.depth_confidence else [])]
             shot.depth = shot.depth_confidence = None
-    unfit = [shot.depth for shot in shots if shot.depth and not _fits(root, shot)]
-    for shot in shots:
-        if shot.depth in unfit:
-            shot.depth = shot.depth_confidence = None
-    said = told(shots)
-    if needing:
-        first, extra = next(iter(needing.items()))
-        said += (f"{len(needing)} depth maps are not read (first {first}): that needs pip install 'e4dgs[{extra}]'",)
-    if unfit and (said or needing):
-        said += (f"{len(unfit)} depth maps are no grey picture or do not have the shape of theirs, and are left out (first {unfit[0]})",)
-    return said
+    return (*told(shots), *(_told_unfit(why, those) for why, those in left_out.items())), tuple(files)
 
 
-def _fits(root: Path, shot: Shot) -> bool:
-    """Whether the map of ``shot`` can be opened and has the shape of its picture; that of others is not known yet."""
+def _told_unfit(why: str, files: Sequence[str]) -> str:
+    one = len(set(files)) == 1
+    count = f"the depth map {files[0]} is" if one else f"{len(set(files))} depth maps (first {files[0]}) are"
+    return f"{count} not read: {why}"
+
+
+def _unfit(root: Path, shot: Shot) -> str | None:
+    """Why the map of ``shot`` cannot be used; None if it can be opened and has the shape of its picture, which of other files than
+    pictures is not known yet."""
     assert shot.depth is not None
+    if extra := missing_extra(shot.depth):
+        return f"that needs pip install 'e4dgs[{extra}]'"
     if not shot.depth.lower().endswith(IMAGES):
-        return True
+        return None
     try:
         with open_image(root / shot.depth) as opened:
             if opened.mode not in GREY:  # a picture of depth in colours
-                return False
+                return f"a picture of depth must have one channel of grey, not {opened.mode}; export depth as PNG of 16 bits, NPY or EXR"
             width, height = opened.size
     except BadImageError:
-        return False
-    return abs(width * shot.size[1] / (height * shot.size[0]) - 1) < SHAPE
+        return "such a file cannot be opened; copy it again"
+    if abs(width * shot.size[1] / (height * shot.size[0]) - 1) < SHAPE:
+        return None
+    return "depth must have the shape of its picture; export it for the picture as it is stored"
 
 
 def told(shots: Sequence[Shot]) -> tuple[str, ...]:

@@ -15,6 +15,10 @@ _MASKS = "masks"
 _MASK_PLACES = "masks/ beside images/ (give the folder that holds both), masks/ in a flat folder of photos, mask_path of transforms.json"
 _SCALED = re.compile(r"(.*?)_?(\d+x?)?")  # images_4 and images, or 2x and 4x in rgb/
 _GROUPS = ("pose", "picture", "video", "other")  # the order of the lines
+_NAMED = {  # kinds of which those that belong to a picture by name are read
+    "depth map": "depth is read by the name of its picture",
+    "confidence map": "confidence goes with depth, which is read by the name of its picture",
+}
 _POSED_PICTURES = ("dnerf", "panoptic", "nerfstudio", "nerfies", "colmap", "llff", "record3d", "polycam", "rgbd", "tum")
 
 
@@ -42,7 +46,7 @@ def unread(root: Path, layout: str, read: Iterable[str], spoken_for: Sequence[st
 
 def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thinned: bool) -> tuple[dict[FileKind, list[str]], list[str]]:
     """The files that are not read, by kind, and the folders of COLMAP models that are not read."""
-    folders = {posixpath.dirname(path) for path in read if is_image(path)}
+    folders, beside = {posixpath.dirname(path) for path in read if is_image(path)}, {posixpath.dirname(path) for path in read}
     models, used = _models(files, read)
     told = {folder for folder in models if any(_within(f"{folder}/{part}".lstrip("/"), spoken_for) for part in _MODEL_FILES)}
     models = [folder for folder in models if folder not in told]
@@ -55,7 +59,7 @@ def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thi
         if ((folder in models or folder in told) and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
             continue
         kind = kind_of(path)
-        if kind is None or (thinned and kind is PICTURE and folder in folders):
+        if kind is None or (thinned and kind.group == "picture" and not kind.advice and folder in beside):
             continue
         groups.setdefault(COPY if kind is PICTURE and folder not in folders and _copies(folder, folders) else kind, []).append(path)
     return groups, models
@@ -131,7 +135,17 @@ def _line(kind: FileKind, paths: list[str], layout: str, read: set[str], models:
         return f"{text}, because those of another folder are"
     if kind is PICTURE and layout in _POSED_PICTURES:
         return f"{text}, because no camera of the layout {layout} uses {'it' if len(paths) == 1 else 'them'}"
+    pictures = [path for path in read if kind_of(path) is PICTURE]
+    if pictures and kind.one in _NAMED:
+        return f"{text}, because {_NAMED[kind.one]}: that of {_example(pictures)}"
     return f"{text}, because the layout is {layout}"
+
+
+def _example(pictures: Sequence[str]) -> str:
+    """The first picture, and where its depth map would lie."""
+    first = min(pictures, key=natural_key)
+    folder, name = posixpath.split(first)
+    return f"{first} would be {posixpath.join('depth', folder.partition('/')[2], _stem(name))}.png"
 
 
 def _advice(kind: FileKind, paths: Sequence[str]) -> str:
