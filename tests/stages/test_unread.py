@@ -85,6 +85,7 @@ CLOSED = {
         "the COLMAP model in sparse/1, the COLMAP model in sparse_ and transforms_a.json are not read, because the layout is images",
     ),
     "database": (("database.db",), "the COLMAP database database.db is not read, because the layout is images"),
+    "another database": (("rtabmap.db",), "the database rtabmap.db is not read, because the layout is images"),
     "lists": (("train_list.txt", "rgb.txt"), "2 lists of files or times (first rgb.txt) are not read, because the layout is images"),
     "tracks": (("DJI_1.SRT", "a.gpx", "imu.csv"), "3 subtitles or tracks (first DJI_1.SRT) are not read, because the layout is images"),
     "clouds": (("a.ply", "b.las", "c.pcd"), "3 point clouds (first a.ply) are not read, because the layout is images"),
@@ -106,7 +107,25 @@ def test_a_line_for_each_kind(tmp_path, case):
 
 
 def test_files_that_say_nothing_of_a_capture(tmp_path):
-    assert lines(photos(tmp_path, "README.md", "notes.txt", "Thumbs.db2", ".hidden.heic", "__MACOSX/a.heic", "run.py", "LICENSE")) == []
+    assert (
+        lines(
+            photos(
+                tmp_path,
+                "README.md",
+                "notes.txt",
+                "Thumbs.db2",
+                "Thumbs.db",
+                "ehthumbs_vista.db",
+                "desktop.ini",
+                ".DS_Store",
+                ".hidden.heic",
+                "__MACOSX/a.heic",
+                "run.py",
+                "LICENSE",
+            )
+        )
+        == []
+    )
     root = photos(tmp_path / "b", "work/store/x.ply", "work/scenes/a.png")
     assert lines(root) == [], "a workspace is no part of the capture"
 

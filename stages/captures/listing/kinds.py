@@ -69,6 +69,7 @@ _LISTS = re.compile(
     r"([^a-z].*)?\.(txt|lst|csv))|splits?.*\.json"
 )
 _MOTIONS = re.compile(rf"(.*[^a-z])?(imu|accel(erometer)?|gyro(scope)?|gps|gnss|telemetry|tracks?|tracking)([^a-z].*)?{_DATA}")
+_THUMBNAILS = re.compile(r"(eh)?thumbs.*\.db")  # Windows keeps them in every folder of pictures
 _POSE_FOLDERS = ("camera", "cameras", "camera-paths", "camera_paths", "pose", "poses", "extrinsic", "extrinsics", "traj", "w2c", "c2w")
 MODEL = ("cameras", "images", "points3d", "frames", "rigs", "project")  # files of a COLMAP model, by their stems
 
@@ -93,7 +94,12 @@ _OTHERS = (
     ("mesh or splat file", "mesh or splat files", lambda name: name.endswith(_MESHES)),
     ("subtitle or track", "subtitles or tracks", lambda name: name.endswith(_TRACKS) or _MOTIONS.fullmatch(name)),
     ("sound file", "sound files", lambda name: name.endswith(_SOUNDS)),
-    ("COLMAP database", "COLMAP databases", lambda name: name.endswith(".db")),
+    (
+        "COLMAP database",
+        "COLMAP databases",
+        lambda name: re.fullmatch(r"(.*[^a-z])?(database|colmap|features|matches)([^a-z].*)?\.db", name),
+    ),
+    ("database", "databases", lambda name: name.endswith(".db") and not _THUMBNAILS.fullmatch(name)),
     ("calibration file", "calibration files", lambda name: _CALIBRATIONS.fullmatch(name)),
     ("list of files or times", "lists of files or times", lambda name: _LISTS.fullmatch(name)),
 )
