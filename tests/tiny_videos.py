@@ -75,10 +75,11 @@ def from_key(number: int) -> Callable[[list[Any]], list[Any]]:
     return change
 
 
-def turn(file: Path, a: int, b: int, c: int, d: int) -> Path:
-    """Sets the display matrix of an MP4's track."""
+def turn(file: Path, *matrix: float) -> Path:
+    """Sets a, b, c and d of the display matrix of an MP4's track."""
+    a, b, c, d = (round(value * 65536) for value in matrix)
     data = bytearray(file.read_bytes())
-    struct.pack_into(">9i", data, data.index(b"tkhd") + 44, a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30)
+    struct.pack_into(">9i", data, data.index(b"tkhd") + 44, a, b, 0, c, d, 0, 0, 0, 1 << 30)
     file.write_bytes(data)
     return file
 

@@ -165,6 +165,33 @@ def test_colours_that_cannot_be_shown_are_refused():
     assert colours_told(Tags(18, 9, 9), "a.mp4", "dvh1") is not None, "profile 8.4 has an HLG base"
 
 
+def test_every_wide_gamut_is_converted_or_told():
+    for code in (11, 12):
+        assert Tags(1, code, 1).gamut == "P3" and colours_told(Tags(1, code, 1), "a.mp4", "avc1").startswith("its wide gamut (P3)")
+    assert "(film) are not converted" in colours_told(Tags(1, 8, 1), "a.mp4", "avc1")
+    both = colours_told(Tags(17, 11, 1), "a.mov", "avc1")
+    assert "transfer curve (SMPTE 428) is not converted" in both and "wide gamut (P3) is converted" in both
+    assert all(colours_told(Tags(1, code, 1), "a.mp4", "avc1") is None for code in (1, 2, 5, 6, 7, 22))
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "pix_fmt", "words"),
+    [
+        ("a.mov", "qtrle", "argb", "ffmpeg -i FILE -pix_fmt rgba FRAMES/%05d.png"),
+        ("a.mov", "qtrle", "rgb24", None),
+        ("a.mkv", "ffv1", "bgra", "ffmpeg -i FILE"),
+        ("a.mkv", "ffv1", "bgr0", None),
+        ("a.mov", "prores_ks", "yuva444p10le", "ffmpeg -i FILE"),
+        ("a.webm", "libvpx-vp9", "yuva420p", "ffmpeg -c:v libvpx-vp9 -i FILE"),
+        ("a.gif", "gif", "rgb8", None),
+    ],
+)
+def test_alpha_that_is_not_read_is_told(tmp_path, name, codec, pix_fmt, words):
+    notes = recognise(encode(tmp_path / name, [bars()] * 3, codec, pix_fmt=pix_fmt)).notes
+    told = [note for note in notes if note.startswith(f"{name}: its alpha channel is not read")]
+    assert len(told) == (words is not None) and all(words in note for note in told), notes
+
+
 def test_the_frame_has_the_last_word():
     frame = av.VideoFrame(16, 16, "yuv420p")
     frame.colorspace = 1

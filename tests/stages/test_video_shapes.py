@@ -83,6 +83,31 @@ def test_every_display_matrix_is_followed(tmp_path, matrix, suffix):
     assert (picture == TURNS[matrix](stored)).all()
     mirrored = matrix[0] * matrix[3] - matrix[1] * matrix[2] < 0
     assert any("mirrored" in note for note in capture.notes) == mirrored
+    assert sum("it is shown" in note and "as the file asks" in note for note in capture.notes) == (matrix != (1, 0, 0, 1))
+    if matrix == (0, 1, -1, 0):
+        assert capture.notes[1:] == (f"clip.{suffix}: it is shown turned by 90 degrees clockwise, as the file asks",)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "line"),
+    [
+        (
+            (0.866, -0.5, 0.5, 0.866),
+            "would turn it by 30 degrees counterclockwise; only quarter turns and mirroring are followed, so it is shown as stored",
+        ),
+        (
+            (-0.5, 0.866, -0.866, -0.5),
+            "would turn it by 120 degrees clockwise; only quarter turns and mirroring are followed, so it is shown "
+            "turned by 90 degrees clockwise",
+        ),
+        ((1, 0.5, 0.5, 1), "would skew it; only quarter turns and mirroring are followed, so it is shown as stored"),
+        ((0, 0, 0, 0), None),
+        ((0.9999, 0.001, -0.001, 0.9999), None),
+    ],
+)
+def test_a_display_matrix_that_is_not_followed_is_told(tmp_path, matrix, line):
+    notes = first(turn(encode(tmp_path / "clip.mp4", [corner()] * 2), *matrix))[0].notes[1:]
+    assert [line is not None and f"clip.mp4: its display matrix {line}" in note for note in notes] == [True] * (line is not None)
 
 
 def test_matrices_are_taken_to_the_nearest_axes():

@@ -13,7 +13,8 @@ from ....vision.images.wide_colour import HLG_PEAK, WHITE, Curve, Gamut, to_sdr
 # Values of ITU-T H.273, as FFmpeg gives them.
 _UNSPECIFIED = (0, 2)
 _CURVES: dict[int, Curve] = {16: "PQ", 18: "HLG"}
-_GAMUTS: dict[int, Gamut] = {9: "BT.2020", 12: "P3"}
+_GAMUTS: dict[int, Gamut] = {9: "BT.2020", 11: "P3", 12: "P3"}  # 11, of cinemas, is 12 with a greener white, which is shown as white
+_UNREAD_GAMUTS = {4: "BT.470 M", 8: "film", 10: "CIE XYZ"}
 _UNREAD_CURVES = {8: "linear", 9: "logarithmic", 10: "logarithmic", 17: "SMPTE 428"}
 _UNREAD_MATRICES = {8: "YCgCo", 10: "BT.2020 with constant luminance", 11: "SMPTE 2085", 14: "ICtCp"}
 _BT2020 = 9
@@ -72,12 +73,21 @@ def colours_told(tags: Tags, name: str, codec_tag: str) -> str | None:
         raise CaptureError(
             f"{name}: Dolby Vision without an HDR or SDR base (profile 5), which is not read; convert the video to HLG or SDR"
         )
-    if tags.transfer in _UNREAD_CURVES:
-        return f"its transfer curve ({_UNREAD_CURVES[tags.transfer]}) is not converted, so its contrast differs from that of other cameras"
     if tags.curve != "SDR":
         shown = f", shown at {HLG_PEAK:.0f} cd/m2" if tags.curve == "HLG" else ""
         return f"HDR ({tags.curve}{shown}, {tags.gamut}) is converted to SDR (sRGB, BT.709); {WHITE:.0f} cd/m2 becomes white"
-    return None if tags.is_plain else f"its wide gamut ({tags.gamut}) is converted to that of sRGB (BT.709); what lies outside is clipped"
+    said = []
+    if tags.transfer in _UNREAD_CURVES:
+        said.append(
+            f"its transfer curve ({_UNREAD_CURVES[tags.transfer]}) is not converted, so its contrast differs from that of other cameras"
+        )
+    if tags.primaries in _UNREAD_GAMUTS:
+        said.append(
+            f"its primaries ({_UNREAD_GAMUTS[tags.primaries]}) are not converted, so its colours differ from those of other cameras"
+        )
+    if not tags.is_plain:
+        said.append(f"its wide gamut ({tags.gamut}) is converted to that of sRGB (BT.709); what lies outside is clipped")
+    return "; ".join(said) or None
 
 
 def rgb_of(frame: Any, tags: Tags) -> np.ndarray:

@@ -12,7 +12,18 @@ import numpy as np
 
 MOST_STRETCHED = 4  # times as wide as high, or as high as wide; DV, HDV and anamorphic lenses stay below 2
 _ALIKE = 0.02  # relative difference of aspect ratios below which sizes are scalings of one another
+_OFF_AXIS = 0.02  # of a matrix's numbers, about one degree: writers round them
 STRAIGHT = (1, 0, 0, 1)
+_TURNS = {  # how a picture with this turn is shown
+    STRAIGHT: "",
+    (0, 1, -1, 0): "turned by 90 degrees clockwise",
+    (-1, 0, 0, -1): "turned by 180 degrees",
+    (0, -1, 1, 0): "turned by 90 degrees counterclockwise",
+    (-1, 0, 0, 1): "mirrored",
+    (1, 0, 0, -1): "mirrored top to bottom",
+    (0, 1, 1, 0): "mirrored and turned",
+    (0, -1, -1, 0): "mirrored and turned",
+}
 
 
 @dataclass(frozen=True)
@@ -36,11 +47,6 @@ class Shape:
         """Width and height, px, with square pixels, as shown."""
         width, height = self.square
         return (width, height) if self.turn[0] else (height, width)
-
-    @property
-    def is_mirrored(self) -> bool:
-        a, b, c, d = self.turn
-        return a * d - b * c < 0
 
     def turned(self, picture: np.ndarray) -> np.ndarray:
         """The stored picture [H,W,3] turned and mirrored as it is shown; its pixels are still not square."""
@@ -67,18 +73,41 @@ def _shape(width: int, height: int, pixel: Fraction | None, turn: tuple[int, int
     return Shape((width, height), pixel if pixel is not None and is_plausible(pixel) else Fraction(1), turn)
 
 
+def turn_told(frame: Any) -> str | None:
+    """A line about how the picture is turned and mirrored, or what of the display matrix is not followed; None if it is shown as stored."""
+    matrix = _matrix(frame)
+    if matrix is None or not any(matrix):
+        return None
+    shown = _TURNS[axis_turn(matrix)]
+    a, b, c, d = matrix
+    size = max(map(abs, matrix))
+    if min(max(abs(a), abs(d)), max(abs(b), abs(c))) < _OFF_AXIS * size:  # FFmpeg makes shapes of pixels of what it stretches
+        return f"it is shown {shown}, as the file asks" if shown else None
+    angle = np.degrees(np.arctan2(b, a))
+    is_turn = max(abs(a - d), abs(b + c)) < _OFF_AXIS * size
+    asked = f"turn it by {abs(angle):.3g} degrees {'counter' if angle < 0 else ''}clockwise" if is_turn else "skew it"
+    return (
+        f"its display matrix would {asked}; only quarter turns and mirroring are followed, so it is shown {shown or 'as stored'}; if "
+        "that is wrong, change its pixels"
+    )
+
+
 def is_plausible(pixel: Fraction) -> bool:
     return 1 / MOST_STRETCHED <= pixel <= MOST_STRETCHED
 
 
 def _turn(frame: Any) -> tuple[int, int, int, int]:
+    matrix = _matrix(frame)
+    return STRAIGHT if matrix is None else axis_turn(matrix)
+
+
+def _matrix(frame: Any) -> list[int] | None:
+    """a, b, c, d of the display matrix of a frame, in units of 1/65536; None if it has none."""
     from av.sidedata.sidedata import Type
 
     data = frame.side_data.get(Type.DISPLAYMATRIX)
-    if data is None:
-        return STRAIGHT
-    matrix = np.frombuffer(bytes(data), np.int32)
-    return axis_turn(matrix[[0, 1, 3, 4]].tolist()) if len(matrix) == 9 else STRAIGHT
+    matrix = None if data is None else np.frombuffer(bytes(data), np.int32)
+    return matrix[[0, 1, 3, 4]].tolist() if matrix is not None and len(matrix) == 9 else None
 
 
 def axis_turn(matrix: Sequence[int]) -> tuple[int, int, int, int]:

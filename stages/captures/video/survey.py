@@ -14,10 +14,11 @@ import numpy as np
 from ....pipeline import CaptureError, thread_count
 from ..listing.refusals import of_video
 from ..video_files import open_video
+from .alpha import alpha_told
 from .colour import Tags, colours_told, frame_tags, stream_tags
 from .fields import FieldTest
 from .packets import Packets, read_packets
-from .shape import Shape, is_plausible, shape_of
+from .shape import Shape, is_plausible, shape_of, turn_told
 from .times import Times, frame_rate, picture_times
 from .tracks import best_track, other_tracks
 
@@ -59,6 +60,8 @@ class _First:
     stamp: int | None
     pixel: Fraction | None
     colours: str | None
+    turn: str | None
+    alpha: str | None
     flagged: bool
     parity: str | None
     shown: list[int | None]  # stamps of the pictures that were decoded
@@ -140,7 +143,7 @@ def _first(root: Path, name: str, tags: Tags, pixel: Fraction | None) -> _First:
             raise CaptureError(f"{name}: frame 0: the picture is damaged; copy or record the video again")
         pixel = pixel or stream.codec_context.sample_aspect_ratio
         shape, colours = shape_of(frame, pixel), colours_told(frame_tags(frame, tags), name, codec_tag)
-        found = _First(shape, frame.pts, pixel, colours, False, None, [frame.pts])
+        found = _First(shape, frame.pts, pixel, colours, turn_told(frame), alpha_told(frame, stream), False, None, [frame.pts])
         if frame.interlaced_frame or field_order in _INTERLACED:
             test = FieldTest()
             while frame is not None and not test.is_over:
@@ -227,8 +230,7 @@ def _told(times: Times, packets: Packets, late: int, first: _First, even: float,
     if shape.square != shape.stored:
         ratio, stored, square = shape.pixel, "x".join(map(str, shape.stored)), "x".join(map(str, shape.square))
         told.append(f"pixels are {ratio.numerator}:{ratio.denominator} as wide as high: {stored} is scaled to {square}")
-    if shape.is_mirrored:
-        told.append("it is shown mirrored, as the file asks")
+    told += [line for line in (first.turn, first.alpha) if line]
     if first.flagged:
         told.append("interlaced: deinterlaced" if first.parity else "flagged as interlaced, but its frames are whole: left as they are")
     return [*told, *([first.colours] if first.colours else [])]
