@@ -129,7 +129,19 @@ def test_nerfstudio_filenames_of_splits_win_over_the_hold_out(nerfstudio_capture
         data.update(train_filenames=names[:6], val_filenames=names[6:7], test_filenames=names[7:])
 
     edit(root / "transforms.json", split)
-    np.testing.assert_array_equal(recognise(root).split, [0] * 6 + [1] + [2] * 3)
+    capture = recognise(root)
+    np.testing.assert_array_equal(capture.split, [0] * 6 + [1] + [2] * 3)
+    assert not any("train_filenames" in note for note in capture.notes)
+
+    def overlap(data):
+        names = [f["file_path"] for f in data["frames"]]
+        data.update(train_filenames=names[:8], val_filenames=names[6:], test_filenames=names[6:])
+
+    edit(root / "transforms.json", overlap)
+    capture = recognise(root)
+    np.testing.assert_array_equal(capture.split, [0] * 6 + [2] * 4)
+    (note,) = [note for note in capture.notes if "train_filenames" in note]
+    assert note.startswith("2 of 10 frames of transforms.json are in train_filenames and in a list that is held out; they are held out")
 
 
 def test_nerfstudio_order_without_times_is_that_of_the_names(nerfstudio_capture, tmp_path):

@@ -105,6 +105,7 @@ def _splits(
             numbers.setdefault(name, []).append(i)
     listed = {_normal(root, str(frame.get("file_path"))) for frame in frames}
     result: dict[int, int] = {}
+    both: dict[int, None] = {}
     unknown: list[str] = []
     for split, (name, entries) in enumerate(lists.items()):
         field = f"{name}_filenames"
@@ -113,12 +114,20 @@ def _splits(
             own = numbers.get(path) or next((numbers[path + s] for s in checks.IMAGE_SUFFIXES if path + s in numbers), [])
             for i in own:
                 # nerfstudio writes the same list for val and test if there is only one held-out set. It counts as test.
+                if result.get(i) == TRAIN != split:
+                    both[i] = None
                 result[i] = max(split, result.get(i, 0))
             if not own and path not in listed:  # one whose picture is missing has been counted already
                 unknown.append(f"{field}[{n}]: {path[:200]!r}")
     notes = []
     if unknown:
         notes.append(f"{len(unknown)} entries of the lists of {_FILE} name no frame and are ignored; first {unknown[0]}")
+    if both:
+        first = next(iter(both))
+        notes.append(
+            f"{len(both)} of {len(paths)} frames of {_FILE} are in train_filenames and in a list that is held out; they are held out "
+            f"and do not train (first {paths[first]}): remove them from one list"
+        )
     rest = [i for i in paths if i not in result]
     given = " and ".join(f"{name}_filenames" for name, entries in lists.items() if entries)
     if rest and not lists["train"]:
