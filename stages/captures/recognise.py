@@ -95,7 +95,7 @@ def recognise(
     said, unfit = add_depth(base, reading.shots)
     reading.notes += said or reading.depth_notes
     reading.spoken_for += unfit
-    capture = assemble(base, _name(root), kind, reading, options)
+    capture = assemble(base, root, _name(root), kind, reading, options)
     return replace(capture, notes=(*capture.notes, *_not_read(root, capture, reading)))
 
 

@@ -200,6 +200,16 @@ def test_the_same_image_twice(tmp_path):
     refused(scene(tmp_path / "s", frames(file_path="./0.png")), "0.png", "listed twice")
 
 
+def test_a_video_is_named_and_not_its_folder(video_capture, videos_capture):
+    file = next(video_capture.root.glob("*.mp4")) if video_capture.root.is_dir() else video_capture.root
+    for options, words in ({"holdout": 1}, "none of them for training"), ({"every_time": 12}, "frames.every_time=12 would train on one"):
+        with pytest.raises(CaptureError) as refusal:
+            recognise(file, **options)
+        assert str(refusal.value).startswith(f"{file}: ") and words in str(refusal.value)
+    with pytest.raises(CaptureError, match=r"none of them for training; use frames\.holdout=0"):
+        recognise(videos_capture.root, holdout=1)
+
+
 def test_nothing_to_train_on(tmp_path):
     root = scene(tmp_path / "s")
     refused(root, "none of them for training", "holdout=0", holdout=1)

@@ -19,13 +19,14 @@ from .one_place import joined_place
 from .timeline import Timeline, timeline
 
 
-def assemble(root: Path, name: str, kind: str, reading: Reading, options: Options) -> Capture:
-    """Converts a reader's frames to a `Capture`: times in [0,1], splits, pairs, facts. Raises CaptureError if they cannot be trained on."""
+def assemble(root: Path, given: Path, name: str, kind: str, reading: Reading, options: Options) -> Capture:
+    """Converts a reader's frames to a `Capture`: times in [0,1], splits, pairs, facts. root: the folder of the files. given: what the user
+    gave, which messages name: it may be a file. Raises CaptureError if the frames cannot be trained on."""
     shots = reading.shots
     _refuse_duplicates(shots)
     stands = joined_place(shots)
     reading.fixed_cameras |= stands
-    when = timeline(root, reading, options)
+    when = timeline(given, reading, options)
     poses, points, origin = brought_near([s.cam_from_world for s in shots], reading.points)
     sizes = [s.size for s in shots]
     common = common_size(sizes)

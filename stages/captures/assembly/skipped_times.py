@@ -9,7 +9,7 @@ import numpy as np
 from ....pipeline import CaptureError
 
 
-def skipped_times(root: Path, train: np.ndarray, camera: np.ndarray, time: np.ndarray, every: int) -> np.ndarray:
+def skipped_times(given: Path, train: np.ndarray, camera: np.ndarray, time: np.ndarray, every: int) -> np.ndarray:
     """Which of the ``train`` [F] frames lie at times that are skipped, bool [F]. The first time trains, then every ``every``-th one.
 
     Times are counted over all cameras together, so a rig trains on every camera of a time or on none. camera [F]: index. time [F].
@@ -18,7 +18,7 @@ def skipped_times(root: Path, train: np.ndarray, camera: np.ndarray, time: np.nd
     too.
     """
     times, rank = np.unique(np.round(time[train], 9), return_inverse=True)
-    setting = f"{root}: frames.every_time={every}"
+    setting = f"{given}: frames.every_time={every}"
     if len(times) < 2:
         raise CaptureError(f"{setting} tests the times between those that train, and here all frames have one time; leave it unset")
     if all(len(np.unique(time[train & (camera == one)])) < 2 for one in np.unique(camera[train])):

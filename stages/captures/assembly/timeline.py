@@ -31,14 +31,15 @@ class Timeline(NamedTuple):
     notes: tuple[str, ...]
 
 
-def timeline(root: Path, reading: Reading, options: Options) -> Timeline:
-    """Times in [0, 1], splits and pairs of the frames of ``reading``. Raises CaptureError if none is left for training."""
+def timeline(given: Path, reading: Reading, options: Options) -> Timeline:
+    """Times in [0, 1], splits and pairs of the frames of ``reading``. given: the file or folder that messages name. Raises CaptureError if
+    none is left for training."""
     shots = reading.shots
     notes: tuple[str, ...] = ()
-    split = _splits(root, reading, options)
+    split = _splits(given, reading, options)
     raw = np.array([s.time for s in shots], dtype=np.float64)
     if reading.has_split and not options.static:
-        _same_unit(root, reading, split, raw)
+        _same_unit(given, reading, split, raw)
     time = np.zeros_like(raw) if options.static else _unit_times(raw)
     times = len(np.unique(np.round(time, 9)))
     static = options.static or times == 1
@@ -47,7 +48,7 @@ def timeline(root: Path, reading: Reading, options: Options) -> Timeline:
     index = {key: i for i, key in enumerate(sorted({s.camera for s in shots}))}
     camera = np.array([index[s.camera] for s in shots], dtype=np.int32)
     if options.every_time > 1:
-        left_out = skipping.skipped_times(root, split == TRAIN, camera, time, options.every_time)
+        left_out = skipping.skipped_times(given, split == TRAIN, camera, time, options.every_time)
         split[split != TRAIN] = VAL  # new views apart from new times: one mean of both would say little about either
         split[left_out] = TEST
         notes = (skipping.told(split, time, options.every_time),)
@@ -55,25 +56,26 @@ def timeline(root: Path, reading: Reading, options: Options) -> Timeline:
     return Timeline(split, camera, time, seconds, following, times, len(index), static, notes)
 
 
-def _splits(root: Path, reading: Reading, options: Options) -> np.ndarray:
+def _splits(given: Path, reading: Reading, options: Options) -> np.ndarray:
     """[F] uint8: the splits of the files, or every N-th frame held out. Raises CaptureError if no frame is for training."""
     split = np.array([s.split for s in reading.shots], dtype=np.uint8)
     if not reading.has_split and options.holdout and options.every_time == 1:
         split[np.arange(len(split)) % options.holdout == 0] = TEST
     if not (split == TRAIN).any():
-        advice = "check the split files" if reading.has_split else "use frames.holdout=0"
-        raise CaptureError(f"{root}: {len(split)} frames, none of them for training; {advice}")
+        own = "use frames.holdout=0, or 2 and more"
+        advice = "check the split files" if reading.has_split and options.holdout != 1 else own
+        raise CaptureError(f"{given}: {len(split)} frames, none of them for training; {advice}")
     return split
 
 
-def _same_unit(root: Path, reading: Reading, split: np.ndarray, raw: np.ndarray) -> None:
+def _same_unit(given: Path, reading: Reading, split: np.ndarray, raw: np.ndarray) -> None:
     """Raises CaptureError if held-out views span so much more time than those for training that their times must be in another unit."""
     train = raw[split == TRAIN]
     for held_out, name in ((VAL, "validation"), (TEST, "test")):
         times = raw[split == held_out]
         if len(times) and len(np.unique(train)) >= LEAST_TIMES and np.ptp(times) > MOST_SPAN * np.ptp(train):
             raise CaptureError(
-                f"{root}: the times of the {name} views span {np.ptp(times):g}, those for training {np.ptp(train):g} "
+                f"{given}: the times of the {name} views span {np.ptp(times):g}, those for training {np.ptp(train):g} "
                 f"({', '.join(reading.sources[:3])}): they must be in the same unit; correct the times of one of them"
             )
 
