@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 
-def told_depth(root: Path, names: Sequence[str], what: str = "depth maps are not used yet") -> tuple[str, ...]:
+def told_depth(root: Path, names: Sequence[str], what: str = "no depth map belongs to a picture by its name") -> tuple[str, ...]:
     """A note for people about ``names``, files and folders relative to ``root``; none without names."""
     folders = [f"{name}/" for name in names if (root / name).is_dir()]
     files = [name for name in names if f"{name}/" not in folders]

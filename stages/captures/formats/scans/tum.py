@@ -73,7 +73,7 @@ def read(root: Path, options: Options) -> Reading:
         alpha=alpha,
         sources=(*((source,) if note is None else ()), _PICTURES, _POSES),
         notes=(*found.notes, *((note,) if note else ()), *notes),
-        depth_notes=told_depth(root, unread, "depth and accelerations are not used yet"),
+        depth_notes=told_depth(root, unread, "no depth map has the time of a picture, and accelerations are not used"),
         spoken_for=(*unread, *unposed),
     )
 
