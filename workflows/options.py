@@ -15,6 +15,7 @@ import typer
 from ..pipeline import PipelineError
 from ..pipeline.names import composed
 from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
+from .machine.places import check_output
 from .results import completed
 from .session import DEFAULT_WORKSPACE, SEEDS, Options
 from .timing.words import seconds_of, words_for
@@ -50,6 +51,7 @@ StoreAlso = Annotated[
 Seed = Annotated[int | None, typer.Option("--seed", min=0, max=2**31 - 1, help="Seed of everything that is drawn at random; 0 by default.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]
 
+OUTPUTS = ("out", "plot")  # options of the commands that name what they write
 _REQUIRED = inspect.Parameter.empty
 _OF_RUN: Mapping[str, tuple[Any, Any]] = {  # name -> annotation, default
     "workspace": (Workspace, DEFAULT_WORKSPACE),
@@ -139,6 +141,9 @@ def _with_options(
 
     def run(**given: Any) -> None:
         chosen = gathered(**{name: given.pop(name) for name in (*argument, *options)})
+        for name in OUTPUTS:
+            for capture in given.get("captures", (chosen.capture,)) if given.get(name) is not None else ():
+                check_output(f"--{name}", given[name], capture.expanduser(), chosen.workspace)
         try:
             command(options=chosen, **given)
         except PipelineError as error:

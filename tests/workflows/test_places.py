@@ -1,0 +1,79 @@
+"""Paths on the command line: no command writes over a capture."""
+
+import os
+from pathlib import Path
+
+import pytest
+from e4dgs.pipeline import SettingsError
+from e4dgs.workflows.machine.places import check_output
+
+KINDS = ("flow", "ply", "spz", "sog", "gltf", "web", "4dgs", "usd", "mesh")
+COMMANDS = [("render",), *(("export", kind) for kind in KINDS)]
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+@pytest.mark.parametrize("out", ["000.png", "points3D.ply", "test", "."])
+def test_no_command_writes_into_a_capture(cli, capture, command, out):
+    before = content(capture)
+    result = cli(*command, capture, "--out", capture / out)
+    assert result.code == 2 and result.err.count("\n") == 1, result.err
+    name = (capture / out).name
+    assert f"--out {capture / out}: this would change the capture {capture}, which is never written to; --out {name} would do" in result.err
+    assert content(capture) == before
+
+
+def test_no_benchmark_writes_into_a_capture(cli, capture):
+    for option in ("--out", "--plot"):
+        result = cli("bench", "pipeline", capture, option, capture / "000.svg")
+        assert result.code == 2 and f"{option} {capture}/000.svg: this would change the capture" in result.err
+    assert cli("bench", "ablation", capture, "--out", capture).code == 2
+
+
+def refused(out: Path, capture: Path, workspace: Path = Path("e4dgs-workspace")) -> bool:
+    try:
+        check_output("--out", out, capture, workspace)
+    except SettingsError:
+        return True
+    return False
+
+
+@pytest.fixture
+def rig(tmp_path, monkeypatch):
+    """A folder with a file, a link to a file elsewhere, and a link to a folder elsewhere; the current folder is beside it."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("rig", "disk/more"):
+        Path(folder).mkdir(parents=True)
+    for file in ("rig/cam00.mp4", "disk/cam01.mp4", "disk/more/cam02.mp4", "disk/other.mp4"):
+        Path(file).touch()
+    Path("rig/cam01.mp4").symlink_to("../disk/cam01.mp4")
+    Path("rig/more").symlink_to("../disk/more")
+    return Path("rig")
+
+
+def test_links_are_followed_in_both_directions(rig):
+    os.symlink("rig", "alias")
+    os.symlink("rig/cam00.mp4", "mine.mp4")
+    for out in ("rig/cam00.mp4", "rig/cam01.mp4", "alias/new", "mine.mp4", "disk/cam01.mp4", "disk/more/new.mp4", "disk/../rig/x", "disk"):
+        assert refused(Path(out), rig) and refused(Path(out).absolute(), Path("alias")), out
+    for out in ("rig.mp4", "rig2/cam00.mp4", "disk/other.mp4", "disk/new", "."):
+        assert not refused(Path(out), rig), out
+
+
+def test_a_capture_of_one_file_refuses_that_file_alone(rig):
+    video = Path("rig/cam00.mp4")
+    assert refused(video, video) and refused(Path("disk/cam01.mp4"), Path("rig/cam01.mp4")) and refused(video.absolute(), video)
+    assert not refused(Path("rig/render.mp4"), video) and not refused(Path("rig"), video)
+
+
+def test_a_workspace_in_the_capture_may_be_written_to(rig, monkeypatch):
+    monkeypatch.chdir(rig)
+    here = Path()
+    assert not refused(Path("e4dgs-workspace/a.mp4"), here) and not refused(Path("e4dgs-workspace/scenes/rig/export"), here)
+    assert refused(Path("a.mp4"), here) and refused(here, here)
+    assert refused(Path("a.mp4"), here, workspace=here) and not refused(Path("scenes/rig/a.mp4"), here, workspace=here)
+    with pytest.raises(SettingsError, match=r"--out e4dgs-workspace/a.mp4 would do"):
+        check_output("--out", Path("a.mp4"), here, Path("e4dgs-workspace"))

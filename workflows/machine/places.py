@@ -1,0 +1,51 @@
+"""Paths on the command line: nothing is written over a capture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from ...pipeline import SettingsError
+
+
+def check_output(option: str, out: Path, capture: Path, workspace: Path) -> None:
+    """Raises SettingsError if writing to ``out``, the value of ``option``, would change the capture: if it is one of its files, also one
+    that only a link in its folder leads to, or lies in its folder. A workspace in that folder may be written to."""
+    if not _touches(out, capture, workspace):
+        return
+    name = out.resolve().name
+    others = (folder / name for folder in (Path(), workspace, capture.resolve().parent))
+    free = next((other for other in others if not other.exists() and not _touches(other, capture, workspace)), None)
+    instead = "name a place outside of it" if free is None else f"{option} {free} would do"
+    raise SettingsError(f"{option} {out}: this would change the capture {capture}, which is never written to; {instead}")
+
+
+def _touches(out: Path, capture: Path, workspace: Path) -> bool:
+    whole, place = capture.resolve(), out.resolve()
+    places = {place, out.parent.resolve() / out.name}  # what a link leads to, and the link itself, which a new file would replace
+    if not whole.is_dir():
+        return whole in places
+    own = workspace.resolve()
+    if own == whole:
+        own /= "scenes"  # the workspace has nothing else there that an output belongs to
+    if own.is_relative_to(whole) and place.is_relative_to(own):
+        return False
+    if any(place.is_relative_to(whole) for place in places):
+        return True
+    return any(place.is_relative_to(target) or place == target.parent for target in _linked(whole, own))
+
+
+def _linked(folder: Path, skipped: Path) -> Iterator[Path]:
+    """Files and folders elsewhere that links in ``folder`` lead to, also links behind links; not those in ``skipped``."""
+    waiting, seen = [folder], {folder}
+    while waiting:
+        for where, folders, files in os.walk(waiting.pop()):
+            folders[:] = [name for name in folders if Path(where, name) != skipped]
+            for path in (Path(where, name) for name in (*folders, *files) if os.path.islink(os.path.join(where, name))):
+                target = path.resolve()
+                if target not in seen:
+                    seen.add(target)
+                    yield target
+                    if target.is_dir():
+                        waiting.append(target)
