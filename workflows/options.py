@@ -15,7 +15,7 @@ import typer
 from ..pipeline import PipelineError
 from ..pipeline.names import composed
 from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
-from .machine.places import check_output
+from .machine.places import check_output, typed_path
 from .results import completed
 from .session import DEFAULT_WORKSPACE, SEEDS, Options
 from .timing.words import seconds_of, words_for
@@ -26,13 +26,19 @@ def typed_name(value: str | None) -> str | None:
     return value and composed(value)
 
 
-Capture = Annotated[Path, typer.Argument(metavar="CAPTURE", help="A video, a folder of images, a folder with poses, or a scene.")]
+Capture = Annotated[
+    Path, typer.Argument(parser=typed_path, metavar="CAPTURE", help="A video, a folder of images, a folder with poses, or a scene.")
+]
 Scene = Annotated[
     Path | None,
-    typer.Argument(metavar="CAPTURE|SCENE", help="A capture, or a scene: its folder or its name. By default the scene that ran last."),
+    typer.Argument(
+        parser=typed_path,
+        metavar="CAPTURE|SCENE",
+        help="A capture, or a scene: its folder or its name. By default the scene that ran last.",
+    ),
 ]
-Captures = Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="Captures, as `run` takes them.")]
-Workspace = Annotated[Path, typer.Option("--workspace", help="Folder that holds store/ and scenes/.")]
+Captures = Annotated[list[Path], typer.Argument(parser=typed_path, metavar="CAPTURE...", help="Captures, as `run` takes them.")]
+Workspace = Annotated[Path, typer.Option("--workspace", parser=typed_path, metavar="DIR", help="Folder that holds store/ and scenes/.")]
 Preset = Annotated[str, typer.Option("--preset", help="Named set of settings: default, fast, compact, best.")]
 PresetOfRun = Annotated[str | None, typer.Option("--preset", help="Preset of the run; by default that of the last one.")]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="STAGE.KEY=VALUE", help="A setting of a stage; may be repeated.")]
@@ -46,7 +52,12 @@ Time = Annotated[
 ]
 StoreAlso = Annotated[
     list[Path] | None,
-    typer.Option("--store-also", metavar="DIR", help="Another workspace, which is only read: its results are reused; may be repeated."),
+    typer.Option(
+        "--store-also",
+        parser=typed_path,
+        metavar="DIR",
+        help="Another workspace, which is only read: its results are reused; may be repeated.",
+    ),
 ]
 Seed = Annotated[int | None, typer.Option("--seed", min=0, max=2**31 - 1, help="Seed of everything that is drawn at random; 0 by default.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show a traceback with an error.")]

@@ -1,4 +1,4 @@
-"""Paths on the command line: no command writes over a capture."""
+"""Paths on the command line: none is empty, and no command writes over a capture."""
 
 import os
 from pathlib import Path
@@ -77,3 +77,24 @@ def test_a_workspace_in_the_capture_may_be_written_to(rig, monkeypatch):
     assert refused(Path("a.mp4"), here, workspace=here) and not refused(Path("scenes/rig/a.mp4"), here, workspace=here)
     with pytest.raises(SettingsError, match=r"--out e4dgs-workspace/a.mp4 would do"):
         check_output("--out", Path("a.mp4"), here, Path("e4dgs-workspace"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("plan", ""),
+        ("run", "all", ""),
+        ("render", "", "--out", "a.mp4"),
+        ("batch", ""),
+        ("bench", "pipeline", ""),
+        ("plan", "CAPTURE", "--workspace", ""),
+        ("plan", "CAPTURE", "--store-also="),
+        ("render", "CAPTURE", "--out", ""),
+        ("export", "ply", "CAPTURE", "--out", ""),
+        ("store", "gc", "--workspace", ""),
+    ],
+    ids=" ".join,
+)
+def test_an_empty_path_is_not_the_current_folder(cli, capture, words):
+    result = cli(*(capture if word == "CAPTURE" else word for word in words))
+    assert result.code == 2 and "is empty; give one" in result.err and not Path("e4dgs-workspace").exists(), result.err

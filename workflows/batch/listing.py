@@ -74,6 +74,8 @@ def entries_of(words: Sequence[str], common: Entry) -> list[Entry]:
     """
     listed = _Listed()
     for word in words:
+        if not word.strip():
+            raise SettingsError("CAPTURE: a name is empty; give one, or . for the current folder")
         if word.endswith((".yaml", ".yml")):
             _read_list(Path(word), common, listed)
         else:
@@ -117,7 +119,7 @@ def _read_list(file: Path, common: Entry, listed: _Listed) -> None:
     for k, row in enumerate(data["scenes"]):
         where = f"{file}: scene {k + 1}"
         row = {"capture": row} if isinstance(row, str) else row
-        if not isinstance(row, dict) or not isinstance(row.get("capture"), str):
+        if not isinstance(row, dict) or not isinstance(row.get("capture"), str) or not row["capture"].strip():
             raise SettingsError(f"{where}: expected a path, or a mapping with capture")
         _known(row, {"capture", "name", "settings", "preset", "static", "format"}, where)
         word = os.path.expanduser(row["capture"])

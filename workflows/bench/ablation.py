@@ -14,6 +14,7 @@ import typer
 from ...pipeline import SettingsError
 from ...pipeline.files import write_atomically
 from ...stages.hulls.defaults import CONVEXES
+from ..machine.places import typed_path
 from ..options import Captures, of_captures
 from ..session import Options
 from . import output
@@ -69,7 +70,7 @@ and tOF, for captures of fixed cameras. Seconds of all stages; a cached stage co
 @of_captures("seed", "store_also")
 def ablation(
     captures: Captures,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where ablation.csv, .html and .json go.")],
+    out: Annotated[Path, typer.Option("--out", parser=typed_path, metavar="DIR", help="Where ablation.csv, .html and .json go.")],
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each row; the tables show mean and spread.")] = 1,
     rows: Annotated[
         str | None, typer.Option("--rows", metavar="NAME,NAME", help="Only rows whose names begin like this: a,b,full.")

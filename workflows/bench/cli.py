@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..machine.places import typed_path
 from ..options import Captures, Debug, of_captures, seen_as
 from ..session import Options
 from . import output
@@ -23,7 +24,9 @@ app = typer.Typer(no_args_is_help=True, help="Is this machine as fast as it shou
 
 Rows = Annotated[str | None, typer.Option("--rows", metavar="NAME,NAME", help="Only these rows; see --list.")]
 List = Annotated[bool, typer.Option("--list", help="List the rows and measure nothing.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.json", help="Write every number, with machine and protocol.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", parser=typed_path, metavar="FILE.json", help="Write every number, with machine and protocol.")
+]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="0 takes all cores.")]
 Repeats = Annotated[int, typer.Option("--repeats", min=1, help="Runs of each contender.")]
 Seconds = Annotated[float, typer.Option("--seconds", min=0, help="Longest time for all runs of one contender.")]
@@ -82,7 +85,9 @@ def pipeline(
     points: Annotated[str, typer.Option("--points", help="Presets or settings joined by +, separated by commas.")] = LADDER,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each point, with seeds 0, 1, ...")] = 1,
     out: Out = None,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.svg", help="Draw the curves: .svg or .png.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", parser=typed_path, metavar="FILE.svg", help="Draw the curves: .svg or .png.")
+    ] = None,
     *,
     options: Options,
 ) -> None:

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, say
+from ..machine.places import typed_path
 from ..machine.writable import writing_to
 from ..options import of_last_run
 from ..results import results
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, help="Write results as files for other programs.")
 
 Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Output folder; by default scenes/<name>/export/flow in the workspace.")
+    Path | None,
+    typer.Option("--out", parser=typed_path, metavar="DIR", help="Output folder; by default scenes/<name>/export/flow in the workspace."),
 ]
 Largest = Annotated[
     float | None, typer.Option("--largest", metavar="PX", help="Motion that gets full colour; by default chosen for the flow.")
@@ -48,7 +50,12 @@ Largest = Annotated[
 Times = Annotated[int | None, typer.Option("--times", min=1, max=10_000, help="Number of files; by default one for each time, at most 60.")]
 Target = Annotated[
     Path | None,
-    typer.Option("--out", metavar="FILE|DIR", help="A folder, or a file for one time; by default scenes/<name>/export/ in the workspace."),
+    typer.Option(
+        "--out",
+        parser=typed_path,
+        metavar="FILE|DIR",
+        help="A folder, or a file for one time; by default scenes/<name>/export/ in the workspace.",
+    ),
 ]
 
 

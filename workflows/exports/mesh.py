@@ -12,6 +12,7 @@ from rich.console import Console
 
 from ...pipeline import Progress, SettingsError, say
 from ...pipeline.files import write_atomically
+from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
@@ -25,7 +26,10 @@ ENDINGS = (".glb", ".ply")
 USUAL_RATE = 24.0  # times per second for a capture without seconds
 UP = {".glb": "Y", ".ply": "Z"}  # glTF says +Y is up; Blender and CloudCompare take +Z for up in a .ply file
 
-Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.glb|FILE.ply|DIR", help="Output; by default scenes/<name>/export/mesh.")]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", parser=typed_path, metavar="FILE.glb|FILE.ply|DIR", help="Output; by default scenes/<name>/export/mesh."),
+]
 Times = Annotated[
     int | None,
     typer.Option(

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, StageError, say
+from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
 from .film import Asked, Film
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 @of_last_run("coarse")
 def render(
     options: Options,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
+    out: Annotated[Path, typer.Option("--out", parser=typed_path, metavar="FILE.mp4|DIR", help="A video, or a folder for PNG files.")],
     path: Annotated[str, typer.Option("--path", metavar="NAME|FILE.json", help="turntable, spiral, capture, or a file.")] = "spiral",
     frames: Annotated[int | None, typer.Option("--frames", min=1, max=100_000, help="Number of pictures.")] = None,
     seconds: Annotated[

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from ...pipeline import Progress, say
+from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
@@ -19,7 +20,9 @@ if TYPE_CHECKING:
 
 ENDINGS: dict[Straight, str] = {"4dgs": ".4dgs", "freetime": ".ply"}
 
-Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.4dgs|DIR", help="Output; by default in scenes/<name>/export/4dgs.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", parser=typed_path, metavar="FILE.4dgs|DIR", help="Output; by default in scenes/<name>/export/4dgs.")
+]
 
 
 @of_last_run("coarse")

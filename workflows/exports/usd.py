@@ -9,13 +9,17 @@ import typer
 from rich.console import Console
 
 from ...pipeline import Progress, say
+from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
 from .trained import Antialiased, Moment, Up, check_moment, is_file, open_trained, up_axis, writing
 
 ENDINGS = (".usdc", ".usda")
 
-Out = Annotated[Path | None, typer.Option("--out", metavar="FILE.usdc|FILE.usda|DIR", help="Output; by default scenes/<name>/export/usd.")]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", parser=typed_path, metavar="FILE.usdc|FILE.usda|DIR", help="Output; by default scenes/<name>/export/usd."),
+]
 Times = Annotated[
     int | None, typer.Option("--times", min=1, max=10_000, help="Number of time samples; by default one for each time, at most 60.")
 ]

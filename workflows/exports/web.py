@@ -10,6 +10,7 @@ from rich.console import Console
 
 from ...pipeline import CaptureError, Progress, SettingsError, say
 from ...pipeline.files import write_atomically
+from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
 from .meaning import without
@@ -22,6 +23,7 @@ Out = Annotated[
     Path | None,
     typer.Option(
         "--out",
+        parser=typed_path,
         metavar="FILE.html|DIR",
         help="One page with everything in it, or a folder with page and data apart, for a web server; by default a page in "
         "scenes/<name>/export/web.",

@@ -1,4 +1,4 @@
-"""Paths on the command line: nothing is written over a capture."""
+"""Paths on the command line: none is empty, and nothing is written over a capture."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import typer
+
 from ...pipeline import SettingsError
+
+
+def typed_path(text: str | Path) -> Path:
+    """A path as it was typed. An empty one, often a shell variable without a value, would mean the current folder, so it is refused."""
+    if not str(text).strip():
+        raise typer.BadParameter("the name is empty; give one, or . for the current folder")
+    return Path(text)
 
 
 def check_output(option: str, out: Path, capture: Path, workspace: Path) -> None:
