@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -110,10 +111,17 @@ def as_float32(value: Tensor) -> np.ndarray:
 
 
 def _export(layer: Any, path: Path) -> None:
+    from pxr import Tf
+
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as folder:
         part = Path(folder) / path.name
-        if not layer.Export(str(part)):
-            raise OSError(None, "the USD library failed", str(path))
+        try:
+            done, told = layer.Export(str(part)), ""
+        except Tf.ErrorException as error:  # a page of its insides: each write that failed, and what it then could not read back
+            done, told = False, str(error)
+        if not done:
+            words = re.search(r"Error occurred writing file: ([^'\n]+)", told)
+            raise OSError(None, words[1] if words else "the USD library failed", str(path))
         sync_file(part)
         os.replace(part, path)

@@ -11,6 +11,7 @@ from e4dgs.scene.formats.axes import Turn, nearest_axis
 from e4dgs.scene.formats.ply import LEAST_ALPHA
 from e4dgs.scene.formats.usd import stage_turn, write_usd
 from e4dgs.workflows.cli import main
+from small_disk import small_disk
 
 pxr = pytest.importorskip("pxr")
 from pxr import Gf, Usd, UsdGeom, UsdValidation, UsdVol  # noqa: E402
@@ -170,6 +171,15 @@ def test_a_folder_gets_the_scene_s_name(finished, tmp_path):
 def test_another_ending_is_refused(finished, tmp_path, capsys):
     assert export(finished, "--out", tmp_path / "scene.obj") == 2
     assert ".usdc or .usda" in " ".join(capsys.readouterr().err.split()) and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ending", ["usdc", "usda"])
+def test_a_full_disk_is_one_message_as_for_other_exports(finished, tmp_path, capsys, ending):
+    with small_disk(tmp_path / "small", 4_000_000) as disk:
+        filler, out = disk.fill(4096), disk.path / f"scene.{ending}"
+        assert export(finished, "--times", 2, "--out", out) == 1
+        assert capsys.readouterr().err == f"error: export: {out} cannot be written (No space left on device); give another --out\n"
+        assert [*disk.path.iterdir()] == [filler], "nothing half-written is left"
 
 
 def test_without_the_package_it_is_said_how_to_get_it(finished, tmp_path, capsys, monkeypatch):
