@@ -40,10 +40,11 @@ class Look(NamedTuple):
 
 
 class Size(NamedTuple):
-    """voxel, farthest: world units."""
+    """In world units. voxel: width. farthest: depth up to which surfaces are fused. resolved: width that matches the cameras' pixels."""
 
     voxel: float
     farthest: float
+    resolved: float = float("inf")
 
 
 def look(model: Model, frames: FrameSet, i: int, t: float) -> Look:
@@ -87,7 +88,8 @@ def size_of(model: Model, frames: FrameSet, t: float) -> Size:
     middle = float(np.median(z))
     low, high = np.percentile(places, (2, 98), axis=0)
     footprint = FOOTPRINT * middle / float(np.median(focal))
-    return Size(max(footprint, float((high - low).max()) / ACROSS), FAR * middle)
+    voxel = max(footprint, float((high - low).max()) / ACROSS)
+    return Size(voxel, FAR * middle, voxel)
 
 
 def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable[[int], None] = lambda n: None) -> Mesh:
@@ -123,8 +125,10 @@ def fuse(model: Model, frames: FrameSet, t: float, size: Size, advance: Callable
     surface = grid.extract_triangle_mesh(SEEN if len(views) > 1 else 0.5)
     triangles = surface.triangle.indices.numpy() if "indices" in surface.triangle else np.zeros((0, 3))
     if not len(triangles):
+        large = size.voxel > size.resolved  # then the scene vanishes in them; small ones are each seen by too few pixels
+        advice = f"a smaller --voxel (the pixels resolve {size.resolved:.3g})" if large else "a larger --voxel"
         raise StageError(
-            f"export mesh: no surface at time {t:g} with voxels of {size.voxel:.3g} world units; give a larger --voxel, or train for longer"
+            f"export mesh: no surface at time {t:g} with voxels of {size.voxel:.3g} world units; give {advice}, or train for longer"
         )
     colors = surface.vertex.colors.numpy()
     return Mesh(

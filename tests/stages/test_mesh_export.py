@@ -126,6 +126,13 @@ def test_voxels_that_do_not_fit_are_refused(posed, model, monkeypatch):
 
 
 @needs_open3d
+def test_voxels_beside_which_the_scene_vanishes_should_be_smaller(posed, model):
+    size = size_of(model, posed[1], 0.0)
+    with pytest.raises(StageError, match=rf"give a smaller --voxel \(the pixels resolve {size.voxel:.3g}\)"):
+        fuse(model, posed[1], 0.0, size._replace(voxel=100.0))
+
+
+@needs_open3d
 def test_a_few_solid_pixels_are_no_surface_and_no_failure_of_open3d(posed):
     """Open3D looks at every fourth pixel along each side, and refuses a view in which none of them is solid."""
     _, frames = posed
