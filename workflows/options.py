@@ -15,7 +15,7 @@ import typer
 from ..pipeline import PipelineError
 from ..pipeline.names import composed
 from .last_run import Given, decided_for, options_of_last_run, scene_or_capture
-from .machine.places import check_output, typed_path
+from .machine.places import check_output, check_workspace, typed_path
 from .results import completed
 from .session import DEFAULT_WORKSPACE, SEEDS, Options
 from .timing.words import seconds_of, words_for
@@ -152,6 +152,7 @@ def _with_options(
 
     def run(**given: Any) -> None:
         chosen = gathered(**{name: given.pop(name) for name in (*argument, *options)})
+        check_workspace(chosen.workspace)
         for name in OUTPUTS:
             for capture in given.get("captures", (chosen.capture,)) if given.get(name) is not None else ():
                 check_output(f"--{name}", given[name], capture.expanduser(), chosen.workspace)

@@ -113,6 +113,14 @@ def test_what_has_to_write_there_says_so_in_one_message(read_only, dnerf_capture
     assert f"--store-also {workspace}" in done.stderr
 
 
+def test_of_a_workspace_that_cannot_be_made_no_results_are_promised(read_only, dnerf_capture):
+    workspace = read_only[0] / "new"
+    for words in (("run", "frames", dnerf_capture.root, *QUICK), ("batch", dnerf_capture.root, *QUICK)):
+        done = run(read_only, *words, "--workspace", workspace)
+        said = f"error: {workspace}: cannot be written (Permission denied), and this command has to; give another --workspace\n"
+        assert (done.returncode, done.stderr) == (1, said)
+
+
 @pytest.mark.parametrize("name", ["scene.mp4", "pictures", "new/scene.mp4"])
 def test_a_render_cannot_be_written_there(read_only, dnerf_capture, name):
     workspace, _ = read_only

@@ -98,3 +98,12 @@ def test_a_workspace_in_the_capture_may_be_written_to(rig, monkeypatch):
 def test_an_empty_path_is_not_the_current_folder(cli, capture, words):
     result = cli(*(capture if word == "CAPTURE" else word for word in words))
     assert result.code == 2 and "is empty; give one" in result.err and not Path("e4dgs-workspace").exists(), result.err
+
+
+@pytest.mark.parametrize("command", [("plan",), ("run", "all"), ("batch",), ("render", "--out", "a.mp4"), ("why", "frames")], ids=" ".join)
+def test_a_workspace_at_or_below_a_file_is_refused(cli, capture, tmp_path, command):
+    (tmp_path / "file").touch()
+    for workspace in ("file", "file/ws"):
+        result = cli(*command, capture, "--workspace", workspace)
+        said = f"error: --workspace {workspace}: {tmp_path / 'file'} is a file, not a folder; give another --workspace\n"
+        assert (result.code, result.err) == (2, said)

@@ -1,4 +1,4 @@
-"""Paths on the command line: none is empty, and nothing is written over a capture."""
+"""Paths on the command line: none is empty, a workspace is no file, and nothing is written over a capture."""
 
 from __future__ import annotations
 
@@ -16,6 +16,14 @@ def typed_path(text: str | Path) -> Path:
     if not str(text).strip():
         raise typer.BadParameter("the name is empty; give one, or . for the current folder")
     return Path(text)
+
+
+def check_workspace(workspace: Path) -> None:
+    """Raises SettingsError if the workspace is a file, or lies below one."""
+    whole = workspace.resolve()
+    place = next(place for place in (whole, *whole.parents) if os.path.exists(place))
+    if not place.is_dir():
+        raise SettingsError(f"--workspace {workspace}: {place} is a file, not a folder; give another --workspace")
 
 
 def check_output(option: str, out: Path, capture: Path, workspace: Path) -> None:

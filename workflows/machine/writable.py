@@ -23,7 +23,10 @@ def writing_to(workspace: Path) -> Iterator[None]:
         place = Path(str(error.filename or workspace))
         if error.errno not in _FORBIDDEN or not place.is_relative_to(workspace):
             raise
-        raise StageError(
-            f"{place}: cannot be written ({error.strerror}), and this command has to; results in {workspace} can be read: give another "
-            f"--workspace, and to `run`, `plan` and `batch` --store-also {workspace}, to take them from there"
-        ) from error
+        advice = "give another --workspace"
+        if (workspace / "store").is_dir():
+            advice = (
+                f"results in {workspace} can be read: {advice}, and to `run`, `plan` and `batch` --store-also {workspace}, to take them "
+                "from there"
+            )
+        raise StageError(f"{place}: cannot be written ({error.strerror}), and this command has to; {advice}") from error
