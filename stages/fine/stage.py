@@ -23,9 +23,10 @@ class Fine(Stage):
     def applies(self, facts: Mapping[str, Any], settings: FineSettings) -> Applies:
         if settings.iterations == 0:
             return Applies.no("fine.iterations is 0")
+        together = "Gaussians, and convexes where hulls places some"  # how many is a setting of that stage, which is not known here
         if rests(Facts.of(facts), settings):
-            return Applies.yes("Gaussians and convexes together; without convexes, control nodes are refined already")
-        return Applies.yes("Gaussians and convexes together")
+            return Applies.yes(f"{together}; without any, control nodes are refined already")
+        return Applies.yes(together)
 
     def estimate(self, facts: Mapping[str, Any], settings: FineSettings) -> float | None:
         from ..estimates import training_seconds

@@ -99,4 +99,7 @@ def test_the_plan_knows_when_nothing_is_left_to_refine():
     fine = Fine()
     assert "refined already" in fine.applies(nodes, FineSettings()).reason and fine.estimate(nodes, FineSettings()) < 5
     for facts, settings in ((rig, FineSettings()), (nodes, FineSettings(iterations=1500))):
-        assert fine.applies(facts, settings).reason == "Gaussians and convexes together" and fine.estimate(facts, settings) > 20
+        assert (
+            fine.applies(facts, settings).reason == "Gaussians, and convexes where hulls places some"
+            and fine.estimate(facts, settings) > 20
+        )
