@@ -193,9 +193,16 @@ def _json(text: str) -> Any:
 
 def _messages(error: ValidationError) -> str:
     parts = []
-    for item in error.errors():
-        where = ".".join(str(part) for part in item["loc"])
-        parts.append(f"{where}: {item['msg']}" if where else item["msg"])
+    found = error.errors()
+    for item in found:
+        if item["type"] == "too_short" and len(found) > 1:
+            continue  # pydantic counts what is left without the entries that are wrong, and those have messages of their own
+        told = f"give at least {item['ctx']['min_length']}, separated by commas" if item["type"] == "too_short" else item["msg"]
+        *where, last = item["loc"] or ("",)
+        if isinstance(last, int) and item["type"] == "literal_error":
+            told, last = f"{item['input']!r} is not allowed; give {item['ctx']['expected']}", f"entry {last + 1}"
+        place = ".".join(map(str, [*where, last]))
+        parts.append(f"{place}: {told}" if place else told)
     return "; ".join(dict.fromkeys(parts))
 
 

@@ -19,7 +19,7 @@ class Fit(Settings):
     flag: bool = False
     label: str | None = None
     levels: tuple[int, ...] = (1, 2)
-    modes: tuple[Literal["slow", "fast"], ...] | None = None
+    modes: tuple[Literal["slow", "fast"], ...] | None = Field(None, min_length=1)
     weights: Path | None = None
 
 
@@ -50,7 +50,9 @@ def test_values_take_the_type_of_their_field():
         ("fit.iterations=many", "unable to parse string as an integer"),
         ("fit.mode=swift", "'slow' or 'fast'"),
         ("fit.levels=some", r"fit\.levels=some: 0: .*valid integer"),
-        ("fit.modes=quick", "0: Input should be 'slow' or 'fast'"),
+        ("fit.modes=quick", r"fit\.modes=quick: entry 1: 'quick' is not allowed; give 'slow' or 'fast'\n"),
+        ("fit.modes=fast,quick", r"fit\.modes=fast,quick: entry 2: 'quick' is not allowed; give 'slow' or 'fast'\n"),
+        ("fit.modes=[]", r"fit\.modes=\[\]: give at least 1, separated by commas\n"),
         ("fit.rate=nan", "finite number"),
         ("fit.iteratons=3", r"fit has no setting 'iteratons' \(did you mean 'iterations'\?\); its settings are:\n  fit.iterations: int"),
         ("fot.rate=3", r"there is no stage 'fot' \(did you mean 'fit'\?\); stages: fit"),
