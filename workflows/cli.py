@@ -20,7 +20,7 @@ from .bench.ablation import ablation
 from .bench.cli import app as bench
 from .exports.command import app as export
 from .exports.render import render
-from .machine.interrupts import end_cleanly_when_terminated, ended
+from .machine.interrupts import end_cleanly_when_terminated, ended, said_when_interrupted
 from .machine.orphan import end_with_starter
 from .machine.spinning import spin_briefly
 from .machine.writable import writing_to
@@ -190,7 +190,7 @@ def main(arguments: list[str] | None = None) -> Any:
     finally:
         ended()
     if code == INTERRUPTED:
-        errors.print("interrupted; finished results are kept, and a long stage continues from its last checkpoint", highlight=False)
+        errors.print(said_when_interrupted(arguments), highlight=False)
     return code
 
 

@@ -6,6 +6,7 @@ import sys
 import textwrap
 
 import pytest
+from e4dgs.workflows.machine.interrupts import said_when_interrupted
 
 PROGRAM = """
     import os, signal, sys, time, weakref
@@ -82,3 +83,11 @@ LOSES = """
 def test_a_sigterm_that_a_library_loses_comes_again_until_the_command_ends(command, then):
     done = subprocess.run([sys.executable, "-c", textwrap.dedent(LOSES), command], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"lost\n{then}\n", "")
+
+
+def test_checkpoints_are_promised_of_commands_that_have_them_alone():
+    for words in (["run", "all", "a"], ["batch", "a"], ["bench", "pipeline", "a"]):
+        assert said_when_interrupted(words).endswith("a long stage continues from its last checkpoint")
+    for words in (["render", "run", "--out", "a.mp4"], ["export", "ply", "a"]):
+        assert said_when_interrupted(words) == "interrupted; give the command again: it begins anew"
+    assert said_when_interrupted(["store", "gc"]) == said_when_interrupted([]) == "interrupted"

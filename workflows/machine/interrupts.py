@@ -6,9 +6,12 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Sequence
 from types import FrameType
 
 AGAIN = 0.05  # s after which an interrupt that Python dropped is raised again
+OF_STAGES = ("run", "batch", "bench", "ablation")  # commands whose results are kept stage by stage
+WRITING = ("render", "export")  # commands whose files are there when they are complete
 PATIENCE = 10.0  # s after which a SIGTERM is raised again if the command has not ended: libraries can lose it, too
 
 _waiting: list[threading.Timer] = []
@@ -27,6 +30,14 @@ def end_cleanly_when_terminated() -> None:
         return
     if not isinstance(sys.unraisablehook, _Hook):
         sys.unraisablehook = _Hook()
+
+
+def said_when_interrupted(arguments: Sequence[str]) -> str:
+    """What is said of a command line that was interrupted: what is left of it, and how it goes on."""
+    command = next((word for word in arguments if not word.startswith("-")), "")
+    if command in OF_STAGES:
+        return "interrupted; finished results are kept, and a long stage continues from its last checkpoint"
+    return "interrupted; give the command again: it begins anew" if command in WRITING else "interrupted"
 
 
 def ended() -> None:
