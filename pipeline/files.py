@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,13 @@ def sizes(root: Path) -> dict[str, int]:
                     regular = entry.is_file(follow_symlinks=False)
                     found[prefix + entry.name] = entry.stat(follow_symlinks=False).st_size if regular else -1
     return found
+
+
+def bytes_in(root: Path) -> int:
+    """Bytes of all files below ``root``, links aside; 0 if it has gone."""
+    with suppress(OSError):
+        return sum(max(0, size) for size in sizes(root).values())
+    return 0
 
 
 def sync_file(path: Path) -> None:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..files import sizes
+from ..files import bytes_in
 from .artifact import MANIFEST
 from .pins import Pins
 from .store import Store
@@ -97,7 +97,7 @@ def _item(store: Store, stage: str, key: str) -> Item | None:
     path = store.path(stage, key)
     try:
         manifest = path / MANIFEST
-        return Item(stage, key, sum(sizes(path).values()), (manifest if manifest.exists() else path).stat().st_mtime)
+        return Item(stage, key, bytes_in(path), (manifest if manifest.exists() else path).stat().st_mtime)
     except OSError:
         return None
 
@@ -137,14 +137,14 @@ def _remains(store: Store, older_than: float | None) -> list[Item]:
     for folder in sorted((store.root / "quarantine").glob("*-*-*-*")):
         when = _time_of(folder.name)
         if older_than is None or when < before:
-            found.append(Item(f"quarantine/{folder.name}", "", _bytes(folder), when))
+            found.append(Item(f"quarantine/{folder.name}", "", bytes_in(folder), when))
             store.drop(folder, folder.name)
     for folder in sorted((store.root / "checkpoints").glob("*-*")) if older_than is not None else ():
         stage, key = folder.name.rsplit("-", 1)
         with store.lock_if_free(stage, key) as free:
             changed = _newest(folder)
             if free and changed < before:
-                found.append(Item(f"checkpoints/{folder.name}", "", _bytes(folder), changed))
+                found.append(Item(f"checkpoints/{folder.name}", "", bytes_in(folder), changed))
                 store.drop_checkpoints(stage, key)
     return found
 
@@ -154,12 +154,6 @@ def _time_of(name: str) -> float:
     with suppress(ValueError):
         return calendar.timegm(time.strptime(name.rsplit("-", 2)[1], "%Y%m%dT%H%M%SZ"))
     return 0.0
-
-
-def _bytes(folder: Path) -> int:
-    with suppress(OSError):
-        return sum(sizes(folder).values())
-    return 0
 
 
 def _newest(folder: Path) -> float:

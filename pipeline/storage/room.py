@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import StageError
-from ..files import sizes
+from ..files import bytes_in
 
 _FULL = {errno.ENOSPC: "No space left on device", errno.EDQUOT: "Disk quota exceeded"}
 _FEW = 100  # below this many free inodes, the message also says how many more files fit
@@ -36,7 +36,7 @@ def said_when_full(place: Path, what: str = "", partial: Path | None = None, nee
         if found is None:
             raise
         path, reason = found
-        written = _bytes(partial) if partial is not None else 0
+        written = bytes_in(partial) if partial is not None else 0
         known = [f"{written} bytes were written"] if partial is not None else []
         known += [f"{needed} are needed"] if needed else []
         known += [_free(folder) for folder in _places(Path(path) if path else place, place)]
@@ -74,9 +74,3 @@ def _free(folder: Path) -> str:
         files = f" and {found.f_favail} more files" if found.f_favail < _FEW and found.f_files > 0 else ""
         return f"{found.f_bavail * found.f_frsize} bytes{files} are free in {folder}"
     return f"it is unknown how much is free in {folder}"
-
-
-def _bytes(folder: Path) -> int:
-    with suppress(OSError):
-        return sum(max(0, size) for size in sizes(folder).values())
-    return 0

@@ -22,7 +22,7 @@ def test_list_has_every_result_with_its_scenes(cli, capture):
     rows = json.loads(cli("list", "fine", "--json").out)
     assert sorted(row["key"] for row in rows) == keys("fine") and sorted(row["scenes"][0] for row in rows) == ["my-scene", "short"]
     for row in rows:
-        files = [path for path in (STORE / "fine" / row["key"]).rglob("*") if path.is_file() and path.name != "manifest.json"]
+        files = [path for path in (STORE / "fine" / row["key"]).rglob("*") if path.is_file()]
         assert row["bytes"] == sum(path.stat().st_size for path in files) and row["made"].startswith("20")
         provenance = json.loads((STORE / "fine" / row["key"] / "manifest.json").read_text())["provenance"]
         assert row["seconds"] == provenance["seconds"] > 0

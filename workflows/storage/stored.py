@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...pipeline import ArtifactError, Records, SettingsError, Store
-from ...pipeline.files import read_json
+from ...pipeline.files import bytes_in, read_json
 from ...pipeline.names import composed
 from ..last_run import scene_of
 from ..results import in_workspace
@@ -32,8 +32,8 @@ class Stored:
 
     @property
     def size(self) -> int:
-        """Size in bytes, from the manifest."""
-        return sum(int(entry[0]) for entry in self.manifest["files"].values())
+        """Bytes on the disk, as `gc` counts them: those of the manifest, too."""
+        return bytes_in(self.path)
 
     def made(self, field: str, unknown: Any = None) -> Any:
         """A field of the provenance, or ``unknown``: results of other versions may not have it."""
