@@ -10,7 +10,7 @@ from .machine.threads import thread_count
 from .plan import Row, make_plan
 from .records import Records
 from .running.build import Outcome
-from .running.progress import Progress, duration
+from .running.progress import Progress, counted, duration
 from .running.runner import Runner
 from .running.say import say
 from .settings import Settings, build_settings, describe, settings_by_name, split_assignment
@@ -53,6 +53,7 @@ __all__ = [
     "capture_digest",
     "check_targets",
     "collect",
+    "counted",
     "describe",
     "duration",
     "explain",

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..pipeline import Row, duration, say
+from ..pipeline import Row, counted, duration, say
 from ..pipeline.errors import one_line
 from ..stages.facts import Facts
 from ..stages.poses.artifact import read_limits
@@ -24,7 +24,8 @@ def show_capture(console: Console, session: Session) -> None:
     facts = Facts.of(session.job.capture.facts)
     splits = ", ".join(f"{count} {name}" for name, count in facts.splits.items() if count)
     console.print(f"[bold]{escape(session.scene.name)}[/]: {facts.format} ({escape(facts.why)})", soft_wrap=True, highlight=False)
-    say(f"  {facts.frames} frames {facts.width}x{facts.height}, {facts.cameras} cameras, {facts.times} times; {splits}", to=console)
+    seen = f"{counted(facts.cameras, 'camera')}, {counted(facts.times, 'time')}"
+    say(f"  {counted(facts.frames, 'frame')} {facts.width}x{facts.height}, {seen}; {splits}", to=console)
     say(*(f"  {one_line(note)}" for note in session.notes), to=console)
     if session.scene.renamed:
         console.print(f"  another capture already has this name in the workspace, so the scene is called {session.scene.name} (see --name)")
@@ -60,7 +61,9 @@ def show_metrics(console: Console, metrics: Mapping[str, Any], report: Path) -> 
     if metrics.get("render_fps") is not None:
         parts.append(f"{metrics['render_fps']:.1f} frames per second")
     if primitives := metrics.get("primitives"):
-        parts.append(f"{primitives.get('gaussians', 0)} Gaussians, {primitives.get('convexes', 0)} convexes")
+        parts.append(
+            f"{counted(primitives.get('gaussians', 0), 'Gaussian')}, {counted(primitives.get('convexes', 0), 'convex', 'convexes')}"
+        )
     console.print(", ".join(parts), highlight=False)
     say(f"report: {report}", to=console)
 

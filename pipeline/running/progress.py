@@ -108,6 +108,11 @@ class Progress:
         self.close()
 
 
+def counted(count: int, what: str, many: str = "") -> str:
+    """``1 camera``, ``2 cameras``. many: the plural of ``what`` if it does not end in s alone."""
+    return f"{count} {what if count == 1 else many or what + 's'}"
+
+
 def duration(seconds: float) -> str:
     """``0.42 s``, ``12 s``, ``3 min 05 s``, ``2 h 10 min``."""
     if seconds < 10:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ...pipeline import Applies, Context, Resources, Stage
+from ...pipeline import Applies, Context, Resources, Stage, counted
 from ..facts import Facts
 from .settings import EvaluateSettings
 from .spread import SAMPLE, flicker_cameras
@@ -29,7 +29,7 @@ class Evaluate(Stage):
 
     def applies(self, facts: Mapping[str, Any], settings: EvaluateSettings) -> Applies:
         counts = Facts.of(facts).splits
-        chosen = [f"{counts[split]} {split} views" for split in settings.splits if counts.get(split)]
+        chosen = [counted(counts[split], f"{split} view") for split in settings.splits if counts.get(split)]
         if chosen:
             return Applies.yes(", ".join(chosen))
         return Applies.yes(f"no views in {', '.join(settings.splits)}: training views are measured instead")

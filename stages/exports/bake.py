@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...pipeline import SettingsError
+from ...pipeline import SettingsError, counted
 from .capture_cameras import camera_of, distinct_views
 from .plain import PlainLook, compensated
 
@@ -56,8 +56,8 @@ class Loss:
 
     def __str__(self) -> str:
         mode = "antialiased (compensated opacity)" if self.antialiased else "classic (0.3 px² added)"
-        said = f"{self.psnr:.1f} dB from the full model in {mode} viewers, {self.cameras} cameras"
-        return f"{self.convexes} convexes became Gaussians: {said}" if self.convexes else said
+        said = f"{self.psnr:.1f} dB from the full model in {mode} viewers, {counted(self.cameras, 'camera')}"
+        return f"{counted(self.convexes, 'convex became a Gaussian', 'convexes became Gaussians')}: {said}" if self.convexes else said
 
 
 def bake(model: Model, frames: FrameSet, antialiased: bool = False) -> Baked:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...pipeline import counted
 from .capture_cameras import camera_of, distinct_views
 from .web_scene import web_scene
 
@@ -30,7 +31,7 @@ class Lost:
     views: int
 
     def __str__(self) -> str:
-        return f"{self.psnr:.1f} dB from the model over {self.views} views"
+        return f"{self.psnr:.1f} dB from the model over {counted(self.views, 'view')}"
 
 
 @dataclass
@@ -46,7 +47,8 @@ class ExportedWeb:
         gaussians, convexes, seconds = sum(self.header["gaussians"]), sum(self.header["convexes"]), self.header["seconds"]
         size = f"{len(self.data) / 1e6:.2f} MB"
         size += f", {len(self.data) / 1e6 / seconds:.2f} MB a second" if seconds > 0 and self.header["motion"] != "static" else ""
-        return f"{gaussians} Gaussians, {convexes} convexes, motion {self.header['motion']}; {size}; {self.loss}"
+        shapes = f"{counted(gaussians, 'Gaussian')}, {counted(convexes, 'convex', 'convexes')}"
+        return f"{shapes}, motion {self.header['motion']}; {size}; {self.loss}"
 
 
 def export_web(model: Model, frames: FrameSet, times: int, advance: Callable[[int], None] = lambda n: None) -> ExportedWeb:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ...pipeline import Applies, Context, Given, Resources, Stage
+from ...pipeline import Applies, Context, Given, Resources, Stage, counted
 from ..captures import Capture
 from ..facts import Facts
 from .settings import FramesSettings, recognise_for
@@ -26,7 +26,7 @@ class Frames(Stage):
     def applies(self, facts: Mapping[str, Any], settings: FramesSettings) -> Applies:
         known = Facts.of(facts)
         action = "pictures stay in their files" if known.images_in_files else "pictures are decoded from video"
-        return Applies.yes(f"{known.frames} frames, {action}")
+        return Applies.yes(f"{counted(known.frames, 'frame')}, {action}")
 
     def estimate(self, facts: Mapping[str, Any], settings: FramesSettings) -> float | None:
         """Decoding once on two cores: about 60 megapixels per second from image files, 15 from video into the store (measured)."""

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from e4dgs.pipeline import Progress, duration
+from e4dgs.pipeline import Progress, counted, duration
 from e4dgs.pipeline.machine import memory
 from e4dgs.pipeline.machine.memory import PeakMemory
 from e4dgs.pipeline.running import progress as module
@@ -65,6 +65,11 @@ def test_the_time_left_follows_the_speed_of_the_last_minute(monkeypatch):
     for second in range(101, 161):
         left = at(monkeypatch, bar, second, 1)
     assert left == pytest.approx(1000 - 560, rel=0.02)
+
+
+def test_counts_read_well():
+    assert [counted(n, "camera") for n in (0, 1, 2)] == ["0 cameras", "1 camera", "2 cameras"]
+    assert [counted(n, "convex", "convexes") for n in (1, 45)] == ["1 convex", "45 convexes"]
 
 
 def test_durations_read_well():

@@ -135,7 +135,7 @@ def test_lists_may_name_what_no_frame_has_or_what_was_deleted(root):
     edit(root, lambda data: data.update(train_filenames=names[:9], test_filenames=[*names[9:], "images/other.png"]))
     (root / "images/010.png").unlink()
     notes = recognise(root).notes
-    assert any("1 entries of the lists" in note and "images/other.png" in note for note in notes)
+    assert any("1 entry of the lists" in note and "images/other.png" in note for note in notes)
     assert any("1 of 12 frames of transforms.json have no image" in note for note in notes) and len(notes) == 2
 
 

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from e4dgs.pipeline import Store, unused
 
 SCENE = Path("e4dgs-workspace/scenes/my-scene")
 
@@ -191,6 +192,16 @@ def test_gc_removes_what_no_scene_used_last(cli, capture):
     assert cli("gc").out.startswith("0 results")
 
 
+def test_gc_and_list_count_the_same_bytes(cli, capture):
+    cli("run", "all", capture)
+    listed = json.loads(cli("store", "list", "--json").out)
+    assert sum(row["bytes"] for row in listed) == unused(Store(Path("e4dgs-workspace/store")), tuple)[1] > 0
+
+
+def test_one_is_no_plural(cli, capture):
+    assert "5 frames 32x24, 1 camera, 5 times; " in cli("plan", capture).out
+
+
 def test_gc_has_limits_and_says_what_is_left(cli, capture):
     cli("run", "all", capture)
     cli("run", "all", capture, "--set", "fine.iterations=5")
@@ -227,7 +238,7 @@ def test_gc_spares_what_a_viewer_has_open(cli, capture):
     held = Artifact(next(Path("e4dgs-workspace/store/fine").iterdir()))
     cli("run", "all", capture, "--set", "fine.iterations=5")
     out = cli("gc").out
-    assert f"left fine/{held.path.name}: a process uses it" in out and "1 results" in out and held.path.is_dir()
+    assert f"left fine/{held.path.name}: a process uses it" in out and "1 result," in out and held.path.is_dir()
 
 
 def test_doctor_reports_what_fails_without_failing_itself(cli, monkeypatch):

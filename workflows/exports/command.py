@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress, SettingsError, say
+from ...pipeline import CaptureError, Progress, SettingsError, counted, say
 from ..machine.places import typed_path
 from ..machine.writable import writing_to
 from ..options import of_last_run
@@ -100,7 +100,7 @@ def flow(
     with Progress(len(fields.pairs), "export", console) as bar, writing(folder):
         count = export_flow(fields, pictures, folder, largest, bar.advance)
     meaning = f"full colour is {largest:.3g} px, darker means more, black means unknown (wheel.png)"
-    say(f"{len(fields.pairs)} pairs, {count} files; {meaning}", f"flow: {folder}")
+    say(f"{counted(len(fields.pairs), 'pair')}, {counted(count, 'file')}; {meaning}", f"flow: {folder}")
 
 
 @app.command()
@@ -170,5 +170,6 @@ def _splats(
     console = Console()
     with Progress(len(moments), "export", console) as bar, writing(target):
         done = export_splats(trained.model, trained.frames, target, moments, kind, single, axis, antialiased, bar.advance)
-    files = f"{len(moments)} files, {done.fewest} to {done.most} Gaussians each" if len(moments) > 1 else f"{done.most} Gaussians"
+    each = counted(done.most, "Gaussian") if done.fewest == done.most else f"{done.fewest} to {done.most} Gaussians"
+    files = f"{len(moments)} files, {each} each" if len(moments) > 1 else each
     say(f"{files}; {done.loss}", f"axes: {done.turn}", f"{kind}: {target}")

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ...pipeline import Progress, SettingsError, say
+from ...pipeline import Progress, SettingsError, counted, say
 from ...pipeline.files import write_atomically
 from ..machine.places import typed_path
 from ..options import of_last_run
@@ -79,7 +79,7 @@ def mesh(
     if convexes:
         if not len(trained.model.convexes):
             raise SettingsError(f"{options.capture}: its model has no convexes; leave out --convexes, or train with a larger hulls.budget")
-        made = f"{len(trained.model.convexes)} convexes"
+        made = counted(len(trained.model.convexes), "convex", "convexes")
         with Progress(count, "export", console) as bar, writing(target):
             triangles = write_meshes(trained, (hulls(trained.model, t, bar.advance) for t in moments), moments, target, single, turn)
     else:
@@ -89,7 +89,8 @@ def mesh(
         with Progress(count * len(fused_views(trained.frames)), "export", console) as bar, writing(target):
             meshes = (fuse(trained.model, trained.frames, t, size, bar.advance) for t in moments)
             triangles = write_meshes(trained, meshes, moments, target, single, turn)
-    said = f"{min(triangles)} to {max(triangles)} triangles at {count} times" if count > 1 else f"{triangles[0]} triangles"
+    least, most = min(triangles), max(triangles)
+    said = (counted(most, "triangle") if least == most else f"{least} to {most} triangles") + (f" at {count} times" if count > 1 else "")
     say(f"{said}; {made}", f"axes: {turn}", f"mesh: {target}")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ...pipeline import CaptureError, Progress, SettingsError, StageError, say
+from ...pipeline import CaptureError, Progress, SettingsError, StageError, counted, say
 from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
@@ -79,7 +79,7 @@ def render(
             bar.advance(1)
     cut = "" if (width, height) == wanted else f" (not {wanted[0]}x{wanted[1]}: the sizes of a video are even)"
     length = f", {film.seconds:.4g} s at {film.fps:.4g} a second ({film.why})" if video or film.why != "--frames" else ""
-    say(f"{film.count} pictures of {width}x{height}{cut}{length}: {out}")
+    say(f"{counted(film.count, 'picture')} of {width}x{height}{cut}{length}: {out}")
 
 
 def _checked(out: Path, alpha: bool, depth: bool) -> bool:

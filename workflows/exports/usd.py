@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from ...pipeline import Progress, say
+from ...pipeline import Progress, counted, say
 from ..machine.places import typed_path
 from ..options import of_last_run
 from ..session import Options
@@ -48,5 +48,5 @@ def usd(
     with Progress(2 * len(moments), "export", console) as bar, writing(path):
         done = export_usd(trained.model, trained.frames, path, moments, trained.times, axis, antialiased, bar.advance)
     count = f"{len(moments)} times" if len(moments) > 1 else "one time"
-    said = f"{done.gaussians} Gaussians at {count}, {done.rate:.6g} time codes a second; {done.loss}"
+    said = f"{counted(done.gaussians, 'Gaussian')} at {count}, {done.rate:.6g} time codes a second; {done.loss}"
     say(said, f"axes: {done.turn}", f"usd: {path}")

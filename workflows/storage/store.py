@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, duration, say
+from ...pipeline import Artifact, ArtifactError, Pins, SettingsError, Store, counted, duration, say
+from ...pipeline.files import sizes
 from ...pipeline.names import composed
 from ...pipeline.records import differences
 from ..last_run import scene_of
@@ -52,7 +53,7 @@ def list_(
     console = console if console.is_terminal else Console(width=WIDTH)
     table, missing = fitted(rows, TITLES, console.width)
     console.print(table)
-    say(f"{len(found)} results, {megabytes(sum(stored.size for stored in found))}")
+    say(f"{counted(len(found), 'result')}, {megabytes(sum(stored.size for stored in found))}")
     if missing:
         say(f"not shown in {console.width} columns: {', '.join(missing)}; --json has them")
 
@@ -77,7 +78,7 @@ def show_result(
     rows = [
         ("scenes", ", ".join(stored.scenes) or "none: no scene's last run used it"),
         ("made", f"{facts['made'] or 'at an unknown time'} in {took}"),
-        ("size", f"{megabytes(stored.size)} in {len(stored.manifest['files'])} files, content {facts['digest'][:SHORT]}"),
+        ("size", f"{megabytes(stored.size)} in {counted(len(sizes(stored.path)), 'file')}, content {facts['digest'][:SHORT]}"),
         ("made by", f"{_code(parts)}, e4dgs {stored.made('code_version') or 'unknown'}; {libraries}"),
     ]
     try:
@@ -124,7 +125,7 @@ def pin(
         raise SettingsError(f"{scene}: {workspace} has no results of such a scene; scenes: {', '.join(known) or 'none'}")
     with writing_to(workspace.resolve()):
         pinned = Pins(Store(workspace.resolve() / "store")).add(scene, sorted(results))
-    say(f"{scene}: {len(pinned)} results are pinned")
+    say(f"{scene}: {counted(len(pinned), 'result is', 'results are')} pinned")
 
 
 def unpin(
@@ -178,7 +179,7 @@ def _code(parts: Mapping[str, Any]) -> str:
     """The code that made a result, or its version number for results made before keys included the code."""
     if "code" not in parts:
         return f"version {parts.get('version')}"
-    return f"code {parts['code']['digest'][:SHORT]} of {len(parts['code']['files'])} files"
+    return f"code {parts['code']['digest'][:SHORT]} of {counted(len(parts['code']['files']), 'file')}"
 
 
 def _facts(stored: Stored) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...pipeline import Store, collect, say, unused
+from ...pipeline import Store, collect, counted, say, unused
 from ..machine.writable import writing_to
 from ..options import Debug, Workspace
 from ..session import DEFAULT_WORKSPACE
@@ -58,7 +58,7 @@ def gc(
     for item in items:
         say(f"{'would remove' if dry_run else 'removed'} {item.name} ({megabytes(item.size)})")
     results = [item for item in items if item.key]
-    say(f"{len(results)} results, {megabytes(sum(item.size for item in results))}; {megabytes(left + spared)} are left")
+    say(f"{counted(len(results), 'result')}, {megabytes(sum(item.size for item in results))}; {megabytes(left + spared)} are left")
     if most is not None and left + spared > most:
         say(
             "what is left is in use, pinned, too new, or belongs to a scene's last run; "

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ....pipeline import CaptureError
+from ....pipeline import CaptureError, counted
 from .. import checks, keep_masks
 from ..ply_points import read_points
 from ..posed.timestamps import timestamps
@@ -121,7 +121,7 @@ def _splits(
                 unknown.append(f"{field}[{n}]: {path[:200]!r}")
     notes = []
     if unknown:
-        notes.append(f"{len(unknown)} entries of the lists of {_FILE} name no frame and are ignored; first {unknown[0]}")
+        notes.append(f"{counted(len(unknown), 'entry', 'entries')} of the lists of {_FILE} without a frame: ignored; first {unknown[0]}")
     if both:
         first = next(iter(both))
         notes.append(

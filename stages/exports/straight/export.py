@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ....pipeline import SettingsError
+from ....pipeline import SettingsError, counted
 from ....pipeline.files import write_atomically
 from ....scene.formats.axes import Turn
 from ..bake import Loss, bake, loss_of
@@ -56,7 +56,7 @@ class ExportedStraight:
     def __str__(self) -> str:
         size = f"{self.size / 1e6:.2f} MB" + (f", {self.size / 1e6 / self.seconds:.2f} MB a second" if self.seconds else "")
         decoded = f"{self.psnr:.1f} dB from the model's Gaussians when decoded" + (f", over {len(MOMENTS)} times" if self.seconds else "")
-        return f"{self.gaussians} Gaussians in {self.pieces} straight pieces; {size}; {decoded}; {self.loss}"
+        return f"{counted(self.gaussians, 'Gaussian')} in {counted(self.pieces, 'straight piece')}; {size}; {decoded}; {self.loss}"
 
 
 def export_straight(
