@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import pytest
 import torch
@@ -90,7 +91,10 @@ def test_tests_that_want_a_gpu_are_not_collected_without_one(request, monkeypatc
     (plugin,) = (
         one for one in request.config.pluginmanager.get_plugins() if str(getattr(one, "__file__", "")).endswith("tests/conftest.py")
     )
-    plain, marked = (types.SimpleNamespace(get_closest_marker=lambda name, mine=mine: mine) for mine in (None, pytest.mark.cuda))
+    plain, marked = (
+        types.SimpleNamespace(get_closest_marker=lambda name, mine=mine: mine, path=Path("test_any.py"))
+        for mine in (None, pytest.mark.cuda)
+    )
     left_out: list = []
     config = types.SimpleNamespace(hook=types.SimpleNamespace(pytest_deselected=lambda items: left_out.extend(items)))
     for reason, kept in (("no driver", [plain]), (None, [plain, marked])):
