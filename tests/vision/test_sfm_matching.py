@@ -30,14 +30,14 @@ def features(tmp_path_factory):
 
 @pytest.fixture
 def small_chunks(monkeypatch):
-    monkeypatch.setattr(matching, "CHUNK", 5)
+    monkeypatch.setattr(matching, "MATCH_CHUNK", 5)
 
 
 def matched(features, folder, threads, monkeypatch, verify=True):
     """(rows of both tables, progress) of all pairs, found by `threads` processes."""
     path, told = folder / f"{threads}.db", []
     copy(features, path)
-    monkeypatch.setattr(matching, "thread_count", lambda: threads)
+    monkeypatch.setattr(matching, "thread_count", lambda most: min(most, threads))
     matching.match(path, NAMES, PAIRS, SEED, verify, lambda _, done, total: told.append((done, total)))
     return {table: rows(path, table) for table in matching.RESULTS}, told
 

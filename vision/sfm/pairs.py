@@ -7,6 +7,7 @@ OVERLAP = 4  # following images that each image is matched with, besides those a
 LONGEST = 64
 SMALL = 1200  # px; frames whose longer side is shorter are enlarged for features
 MANY = 100  # images; in a longer sequence each feature is seen so often that fewer of them determine the cameras as well
+MATCHERS = 8  # most processes that match; each has a copy of the features
 MOST, STRONGEST = 8192, 3000  # features of an image; of one among many
 KEYFRAMES, FEWER_KEYFRAMES = 24, 16  # images spread over a sequence that are all matched with one another, to close loops; fewer among many
 

@@ -18,7 +18,7 @@ from ...pairs import enlarged
 Report = Callable[[str, int, int], None]  # phase, done, total
 
 CHUNK_OF_FEATURES = 8  # images per call; a killed run loses at most this many
-MATCH_CHUNK = 64  # pairs per call
+MATCH_CHUNK = 64  # pairs per call; a killed run loses at most this many in each process
 ENLARGED, AS_IT_IS = -1, 0  # SIFT's first octave: pictures at twice their size, or as they are
 LOOKED = 3  # images whose features are counted to decide between the two
 FEW = 2000  # features; images with fewer are enlarged whatever their size

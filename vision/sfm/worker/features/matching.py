@@ -1,4 +1,4 @@
-"""`match`: matches pairs of images, each core in a process of its own. Runs in the worker process: imports pycolmap."""
+"""`match`: matches pairs of images, in a process of one thread for each core. Runs in the worker process: imports pycolmap."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 import pycolmap
 
 from .....pipeline import thread_count
+from ...pairs import MATCHERS
 from ...runner import run_worker
-from .database import Report, image_ids, list_pairs
+from .database import MATCH_CHUNK, Report, image_ids, list_pairs
 
-CHUNK = 64  # pairs per call; a killed run loses at most this many
 RESULTS = ("matches", "two_view_geometries")  # tables of COLMAP's database
 
 
@@ -24,12 +24,12 @@ def match(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], se
     each, which needs no poses.
 
     COLMAP 4.2 searches for neighbours with faiss and its own OpenBLAS. With two threads 4 of 89 calls gave other matches, with one
-    none of 587. So each process has one thread, and a copy of the features.
+    none of 587 did. So each process has one thread, and a copy of the features.
     """
     todo = _unmatched(path, names, pairs, verify)
     done = len(pairs) - len(todo)
     report("matches", done, len(pairs))
-    count = min(thread_count(), -(-len(todo) // CHUNK))
+    count = min(thread_count(MATCHERS), -(-len(todo) // MATCH_CHUNK))
     if count < 2:
         _match(path, names, todo, seed, verify, lambda k: report("matches", done + k, len(pairs)))
         return
@@ -81,10 +81,10 @@ def _match(
     verification.ransac.random_seed = seed
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = path.with_suffix(".pairs.txt")
-    for start in range(0, len(pairs), CHUNK):
-        list_pairs(pairing.match_list_path, names, pairs[start : start + CHUNK])
+    for start in range(0, len(pairs), MATCH_CHUNK):
+        list_pairs(pairing.match_list_path, names, pairs[start : start + MATCH_CHUNK])
         pycolmap.match_image_pairs(path, matching_options=matching, pairing_options=pairing, verification_options=verification)
-        advance(min(start + CHUNK, len(pairs)))
+        advance(min(start + MATCH_CHUNK, len(pairs)))
 
 
 def _unmatched(path: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], verify: bool) -> list[tuple[int, int]]:
