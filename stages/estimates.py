@@ -24,8 +24,10 @@ TRIANGULATED_TIMES = 3  # of several cameras
 SECONDS_PER_TRIANGULATED_FRAME = 0.3
 
 # In GB of 1e9 bytes, fitted to the peak memory of the captures in benchmarks/results. None exceeds the estimate by more than a fifth.
-GB_OF_TORCH = 0.7
-GB_PER_MEGAPIXEL = 0.008  # summed over all frames, whose pictures are cached
+GB_OF_PYTHON = 0.4  # with the libraries that read pictures
+GB_OF_TORCH = 0.9
+GB_OF_A_MATCHER = 0.13  # of each process that matches pictures
+GB_PER_MEGAPIXEL = 0.012  # summed over all frames, whose pictures are cached
 MOST_GB_OF_PICTURES = 5.0  # `scene.views.CACHE_BYTES`, and what is derived from the pictures
 GB_PER_MEGAPIXEL_OF_A_VIEW = 1.0  # of the view being rendered, with its gradients
 
@@ -37,7 +39,7 @@ def training_resources(facts: Facts, device: str) -> Resources:
     return Resources(memory_gb=GB_OF_TORCH + pictures + GB_PER_MEGAPIXEL_OF_A_VIEW * view, gpu=device == "cuda")
 
 
-def picture_resources(facts: Facts, gb_per_megapixel: float, gb: float = 0.3, gpu: bool = False) -> Resources:
+def picture_resources(facts: Facts, gb_per_megapixel: float, gb: float = GB_OF_PYTHON, gpu: bool = False) -> Resources:
     """Needs of a stage that works on a few pictures at a time."""
     return Resources(memory_gb=gb + gb_per_megapixel * facts.width * facts.height / 1e6, gpu=gpu)
 

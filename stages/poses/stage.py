@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ...pipeline import Applies, Context, Resources, Stage
-from ...vision.sfm.pairs import STRONGEST, choose, enlarged, image_pairs, many
+from ...pipeline import Applies, Context, Resources, Stage, thread_count
+from ...vision.sfm.pairs import MATCHERS, STRONGEST, choose, enlarged, image_pairs, many
 from ..facts import Facts
 from .settings import PosesSettings
 
@@ -57,9 +57,9 @@ class Poses(Stage):
         return 8 + frames * (1.1 + looked + features) + per_pair * pairs
 
     def resources(self, facts: Mapping[str, Any], settings: PosesSettings, device: str) -> Resources:
-        from ..estimates import picture_resources
+        from ..estimates import GB_OF_A_MATCHER, GB_OF_PYTHON, picture_resources
 
-        return picture_resources(Facts.of(facts), 2.0)
+        return picture_resources(Facts.of(facts), 2.0, GB_OF_PYTHON + GB_OF_A_MATCHER * thread_count(MATCHERS))
 
     def run(self, ctx: Context) -> None:
         from .run import pose_capture
