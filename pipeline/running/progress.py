@@ -27,7 +27,7 @@ class Progress:
         self.total, self.label, self.done = max(0, int(total)), label, 0
         self._console, self._line_seconds = console, line_seconds
         self._start = self._last = time.monotonic()
-        self._marks: deque[tuple[float, float]] = deque()  # time, work done
+        self._marks: deque[tuple[float, float]] = deque()  # clock, work done until then
         self._parts: list[tuple[int, float]] = []
         self._bar: Any = None
         self._task: Any = None
@@ -77,7 +77,7 @@ class Progress:
         self._bar.update(self._task, completed=self.done, total=self.total, left=left, **({"note": note} if note else {}))
 
     def _work(self, units: int) -> float:
-        """That of the first ``units``."""
+        """Time that the first ``units`` take beside others, by `weigh`."""
         work = 0.0
         for count, each in self._parts:
             work += min(max(units, 0), count) * each
@@ -86,10 +86,10 @@ class Progress:
 
     def _left(self) -> float:
         """Seconds. From the first unit that was counted on: what an earlier run has done took no time in this one."""
-        (first, before), (last, now) = self._marks[0], self._marks[-1]
-        if now <= before:
-            first, before = self._start, 0.0
-        return (last - first) / max(now - before, 1e-9) * max(0.0, self._work(self.total) - now)
+        (began, before), (now, done) = self._marks[0], self._marks[-1]
+        if done <= before:
+            began, before = self._start, 0.0
+        return (now - began) / max(done - before, 1e-9) * max(0.0, self._work(self.total) - done)
 
     def _line(self, note: str) -> str:
         percent = 100 * self.done / self.total if self.total else 100.0

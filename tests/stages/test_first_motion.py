@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 from e4dgs.pipeline import Progress
+from e4dgs.scene.motion.kinds import KINDS
 from e4dgs.scene.motion.nodes.control_nodes import ControlNodes
 from e4dgs.scene.motion.nodes.schedule import first_motion_steps, node_phases
+from e4dgs.scene.motion.phases import Phase
 from e4dgs.scene.training.checkpoint import model_of
 from e4dgs.stages.coarse import first_motion
 from e4dgs.stages.coarse.settings import CoarseSettings
@@ -61,3 +63,14 @@ def test_a_training_that_goes_on_from_its_checkpoint_does_not_begin_again(start)
     before = model.gaussians.means.detach().clone()
     first_motion.find_first_motion(ctx, model, views, settings, STEPS, small=True)
     assert torch.equal(model.gaussians.means.detach(), before)
+
+
+def test_the_time_left_weighs_steps_by_the_size_of_their_images(start):
+    views, model, settings, ctx = start
+    bars = []
+    ctx.progress = lambda total, label: bars.append(Progress(total, label)) or bars[-1]
+    train(ctx, "coarse", model, views, [Phase("small", 2, scale=0.5), Phase("full", 2)], settings, budget=500)
+    (bar,) = bars
+    kind, megapixels = KINDS["nodes"], views.width * views.height / 1e6
+    extra = 2 * kind.megapixel_seconds * megapixels * 0.75  # of two steps on the full image over two on half the size
+    assert bar._work(4) - bar._work(2) == pytest.approx(bar._work(2) + extra)
