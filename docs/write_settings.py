@@ -22,8 +22,7 @@ INTRODUCTION = """# Settings
 Give a setting with `--set stage.KEY=VALUE`, as often as needed. `--set train.KEY=VALUE` sets it for all stages that train. A wrong name or
 value is answered with the valid ones. Order: defaults, `--preset`, `--static`, `--format`, `--seed`, `--set`; the last one wins.
 
-"none" as a default means that the program chooses, as the text says. After a change, the stages that read the setting run again, and those
-that read their results.
+"none" as a default means that the program chooses, as the text says.
 """
 HEAD = "| setting | default | values | meaning |\n|---|---|---|---|"
 MAIN = (

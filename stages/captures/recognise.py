@@ -72,8 +72,8 @@ def recognise(
     (0: none); `background` ("white" | "black") is what alpha is composited on, white by default; `max_size` px limits the longer
     side of the pictures that later stages see; `max_frames` and `every` thin out videos, images and synchronised videos; with
     `every_time` above 1, only every so many-th time trains and the others are test, in place of `holdout`; `fps` gives
-    numbered images their times in seconds; `sync` (None | "sound" | "frames") chooses how the clocks of several videos are aligned,
-    and `audio_cache` is a folder that caches the sound envelopes of long ones; `usual` limits the size where `max_size`
+    numbered images their times in seconds; `sync` (None | "sound" | "timecode" | "frames") chooses how the clocks of several
+    videos are aligned, and `audio_cache` is a folder that caches the sound envelopes of long ones; `usual` limits the size where `max_size`
     does not (`Capture.chosen` then says to what). Raises `CaptureError` if the capture is unreadable or
     inconsistent, or fits two formats.
     """

@@ -38,9 +38,10 @@ class FramesSettings(Settings):
         1, ge=1, le=1_000_000, description="train on every N-th time and test on the others, in place of holdout; 1 trains on all"
     )
     fps: float | None = Field(None, gt=0, le=1e6, description="frames per second of numbered images; 30 if the files do not say")
-    sync: Literal["sound", "frames"] | None = Field(
+    sync: Literal["sound", "timecode", "frames"] | None = Field(
         None,
-        description="how the clocks of several videos are aligned; none: by sound if that is clear for all of them, else by first frames",
+        description="how the clocks of several videos are aligned; none: by sound if that is clear for all, else by timecodes if all have "
+        "one, else by first frames",
     )
     watermark: bool = Field(True, description="ignore what stands still in the pictures of a camera that moves, such as a logo")
 

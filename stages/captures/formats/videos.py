@@ -1,12 +1,14 @@
 """Several videos of one event without poses: each is a camera, in the order of the names, and all get frames at the same times.
 
-If every video has sound, their clocks are aligned by it; otherwise each begins at 0. The times are those of the camera with the lowest
-frame rate within the span that all videos share. From the other videos the nearest frames are taken.
+Their clocks are aligned by the sound if it is clear in every video, or else by timecodes if every video has one; otherwise each begins at
+0. The times are those of the camera with the lowest frame rate within the span that all videos share. From the other videos the nearest
+frames are taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +19,11 @@ from ..listing.copies import same_bytes, told
 from ..reading import TEST, TRAIN, Options, Reading, Shot, Video
 from ..sound import onsets
 from ..sound.cache import onsets_of
+from ..video import timecode
 from ..video.probe import told_together
 from . import video
 
 _POSES = "poses_bounds.npy"  # if this file exists, the capture belongs to n3v, whatever the names of the videos
-_BY_SOUND = "aligned by their sound"
 
 
 def detect(root: Path) -> str | None:
@@ -42,9 +44,7 @@ def read(root: Path, options: Options) -> Reading:
     headers = {}
     for name in names:
         headers[name] = video.probe(root, name)
-    shifts, how = clocks(root, names, options.sync, options.audio_cache)
-    if how == _BY_SOUND:  # sound is timed from the start of the track, of which the first pictures may be lost
-        shifts = [shift + headers[name].late - headers[names[0]].late for name, shift in zip(names, shifts, strict=True)]
+    shifts, how, doubt = clocks(root, headers, options.sync, options.audio_cache)
     local = [np.asarray(headers[name].seconds) for name in names]
     times, taken = _shared(names, local, shifts, options)
     late = max(float(np.abs(s[list(t)] + shift - times).max()) for s, t, shift in zip(local, taken, shifts, strict=True))
@@ -67,39 +67,66 @@ def read(root: Path, options: Options) -> Reading:
         fps=headers[names[0]].fps,
         videos=tuple(Video(name, n * len(times), taken[n], len(headers[name].seconds)) for n, name in enumerate(names)),
         sources=tuple(copied),
-        notes=(*told(copied, "videos"), _told(names, shifts, times, taken, headers, how, late), *told_together(headers)),
+        notes=(*told(copied, "videos"), _told(names, shifts, times, taken, headers, how, late), *doubt, *told_together(headers)),
     )
 
 
-def clocks(root: Path, names: Sequence[str], sync: str | None, heard_before: Path | None = None) -> tuple[list[float], str]:
-    """Seconds to add to each video's own times to bring them to one clock, and how they were found.
+def clocks(
+    root: Path, headers: Mapping[str, video.Header], sync: str | None, heard_before: Path | None = None
+) -> tuple[list[float], str, tuple[str, ...]]:
+    """Seconds to add to each video's own times to bring them to one clock, how they were found, and a line if timecodes say otherwise.
 
-    sync: if the sound does not determine the clocks, "sound" raises CaptureError and None aligns by the first frames. "frames" ignores
-    the sound. heard_before: folder that caches the envelopes of long sounds (`sound/cache.py`).
+    sync: what to align by; CaptureError if that is not possible. None takes the sound, else timecodes, else the first frames.
+    heard_before: folder that caches the envelopes of long sounds (`sound/cache.py`).
     """
+    names, videos = list(headers), list(headers.values())
     zero = [0.0] * len(names)
     if sync == "frames":
-        return zero, "aligned by their first frames"
+        return zero, "aligned by their first frames", ()
+    # sound and timecodes run from the start of the track, of which the first pictures may be lost
+    late = [header.late - videos[0].late for header in videos]
+    coded = timecode.shifts([h.timecode for h in videos], [h.fps for h in videos], [h.seconds[-1] + h.late for h in videos])
+    heard = None
+    if sync != "timecode":
+        heard = _by_sound(root, names, heard_before)
+        if isinstance(heard, str) and sync == "sound":
+            raise CaptureError(f"{root}: {heard}; start all videos with a clap, or trim them to one start and use frames.sync=frames")
+    if isinstance(heard, list):
+        shifts = [a + b for a, b in zip(heard, late, strict=True)]
+        off = 0.0 if coded is None else max(abs(a - b) for a, b in zip(heard, coded, strict=True))
+        frame = max(1 / (header.fps or math.inf) for header in videos)
+        doubt = (
+            (f"by their timecodes they would be up to {off:.3f} s elsewhere; frames.sync=timecode goes by these",)
+            if off > 1.5 * frame
+            else ()
+        )
+        return shifts, "aligned by their sound", doubt
+    if coded is not None:
+        return [a + b for a, b in zip(coded, late, strict=True)], "aligned by their timecodes", ()
+    if sync == "timecode":
+        told = ", ".join(f"{name} {header.timecode or 'none'}" for name, header in headers.items())
+        raise CaptureError(
+            f"{root}: the timecodes of its videos do not align them ({told}): each needs one, all of the same kind, and they must overlap; "
+            "leave frames.sync unset to align them by sound"
+        )
+    return zero, f"aligned by their first frames ({heard})", ()
+
+
+def _by_sound(root: Path, names: Sequence[str], heard_before: Path | None) -> list[float] | str:
+    """The shifts by sound; text that says which video has none, or none that is clear."""
     heard = []
     for name, envelope in zip(names, onsets_of(root, names, heard_before), strict=True):
         if envelope is None:
-            if sync == "sound":
-                raise CaptureError(f"{name}: no sound that can be read, so frames.sync=sound cannot align it; use frames.sync=frames")
-            return zero, f"aligned by their first frames ({name} has no sound)"
+            return f"{name} has no sound that can be read"
         heard.append(envelope)
     longest = max(range(len(names)), key=lambda n: len(heard[n][0]))
     shifts = []
     for name, envelope in zip(names, heard, strict=True):
         shift = 0.0 if envelope is heard[longest] else onsets.offset(heard[longest], envelope)
         if shift is None:
-            if sync == "sound":
-                raise CaptureError(
-                    f"{name}: its sound does not fit that of {names[longest]} at one shift clearly better than at others; "
-                    "start all videos with a clap, or trim them to one start and use frames.sync=frames"
-                )
-            return zero, f"aligned by their first frames (the sound of {name} does not determine its clock)"
+            return f"the sound of {name} fits that of {names[longest]} at no shift clearly better than at others"
         shifts.append(shift)
-    return [shift - shifts[0] for shift in shifts], _BY_SOUND
+    return [shift - shifts[0] for shift in shifts]
 
 
 def _shared(

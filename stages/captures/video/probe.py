@@ -12,7 +12,7 @@ from .survey import survey
 @dataclass(frozen=True)
 class Header:
     """Facts about a video: size as shown, time in seconds of every frame in display order, frame rate, and a line for every repair and
-    for what is not read. late: seconds by which the first frame comes after the start of its track."""
+    for what is not read. late: seconds by which the first frame comes after the start of its track. timecode: of that start."""
 
     width: int
     height: int
@@ -20,12 +20,13 @@ class Header:
     fps: float | None
     notes: tuple[str, ...] = ()
     late: float = 0.0
+    timecode: str | None = None
 
 
 def probe(root: Path, name: str) -> Header:
     """Reads all packets, but decodes only the first frames. Raises CaptureError for broken and truncated files."""
     found = survey(root, name)
-    return Header(*found.shape.shown, found.seconds, found.fps, found.notes, found.late)
+    return Header(*found.shape.shown, found.seconds, found.fps, found.notes, found.late, found.timecode)
 
 
 def told_together(headers: Mapping[str, Header]) -> tuple[str, ...]:

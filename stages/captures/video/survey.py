@@ -38,7 +38,8 @@ class Survey:
     """seconds: time of each picture in the order shown, the first at 0. raw: their time stamps in the file, ticks. by_order: pictures are
     to be counted, because their stamps say nothing. pixel: width over height of a pixel, if the container says. parity: of the fields of
     interlaced video, None for whole frames. late: seconds by which
-    the first picture comes after the start of the track. notes: a line for every repair and for everything that is not read."""
+    the first picture comes after the start of the track. timecode: of the start of the track, as it is written there. notes: a line for
+    every repair and for everything that is not read."""
 
     shape: Shape
     seconds: tuple[float, ...]
@@ -49,6 +50,7 @@ class Survey:
     pixel: Fraction | None
     parity: str | None
     late: float
+    timecode: str | None
     notes: tuple[str, ...]
 
 
@@ -86,6 +88,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
             tags, pixel, notes = stream_tags(stream.codec_context), stream.sample_aspect_ratio, other_tracks(container, stream)
             packets = read_packets(container, stream, root / name, name)
             stated = float(stream.average_rate) if stream.average_rate else None
+            code = stream.metadata.get("timecode") or container.metadata.get("timecode")
             even = _even_rate(container, stream)
             base, start = float(stream.time_base or 0), stream.start_time
             reordered = bool(stream.codec_context.has_b_frames)
@@ -111,6 +114,7 @@ def _survey(root: Path, name: str, state: tuple[int, ...]) -> Survey:
         pixel=first.pixel,
         parity=first.parity,
         late=behind if abs(behind) < 1e6 else 0.0,
+        timecode=code,
         notes=(*notes, *_told(times, packets, late, first, even, seconds)),
     )
 

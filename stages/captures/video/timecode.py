@@ -1,0 +1,44 @@
+"""The clocks of cameras from the timecode that each wrote into its video (SMPTE ST 12-1), as cameras with a common clock do."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+MOST_RATE = 60.5  # frames per second; faster cameras count several pictures as one frame, and how many is not written
+DAY = 86_400  # seconds of the code, after which it begins again
+SAME = 1e-4  # s; codes whose seconds differ by more in length drift apart
+_CODE = re.compile(r"(\d\d):([0-5]\d):([0-5]\d)([:;.])(\d\d)")
+
+
+def seconds_of(code: str, fps: float) -> tuple[float, float] | None:
+    """Seconds from midnight to the first frame, and how many seconds pass while the code counts one; None if `code` is no timecode of
+    this rate. Codes at 29.97 frames per second count 30 frames as a second, so theirs is 0.1 % longer. A semicolon or a full stop before
+    the frames marks drop-frame codes, which keep up with the clock: they leave out two numbers (four at 59.94) in nine of ten minutes."""
+    found, nominal = _CODE.fullmatch(code.strip()), round(fps)
+    if found is None or not 1 <= fps <= MOST_RATE:
+        return None
+    hours, minutes, seconds, frames = (int(found[k]) for k in (1, 2, 3, 5))
+    if hours > 23 or frames >= nominal:
+        return None
+    count = (3600 * hours + 60 * minutes + seconds) * nominal + frames
+    if found[4] != ":" and nominal in (30, 60):
+        passed = 60 * hours + minutes
+        return (count - nominal // 15 * (passed - passed // 10)) / fps, 1.0
+    return count / fps, nominal / fps
+
+
+def shifts(codes: Sequence[str | None], rates: Sequence[float | None], lengths: Sequence[float]) -> list[float] | None:
+    """Seconds to add to each video's own times to bring them to the first one's clock. None unless all have a timecode, count seconds of
+    one length, and overlap in time.
+
+    codes, rates, lengths: timecode of the first frame, frames per second and seconds of each video.
+    """
+    found = [seconds_of(code, rate) for code, rate in zip(codes, rates, strict=True) if code is not None and rate is not None]
+    known = [one for one in found if one is not None]
+    if len(known) < len(codes) or max(second for _, second in known) - min(second for _, second in known) > SAME:
+        return None
+    day = DAY * known[0][1]
+    shifted = [(begin - known[0][0] + day / 2) % day - day / 2 for begin, _ in known]
+    overlap = min(shift + length for shift, length in zip(shifted, lengths, strict=True)) - max(shifted)
+    return shifted if overlap > 0 else None

@@ -1,0 +1,108 @@
+"""Clocks from the timecodes that cameras write into their videos: what a code says, and when it aligns videos."""
+
+import av
+import numpy as np
+import pytest
+from e4dgs.pipeline import CaptureError
+from e4dgs.stages.captures import recognise
+from e4dgs.stages.captures.formats.videos import clocks
+from e4dgs.stages.captures.video.probe import probe
+from e4dgs.stages.captures.video.timecode import seconds_of, shifts
+from factory.writers import write_mp4
+
+NTSC = 30000 / 1001
+
+
+@pytest.mark.parametrize(
+    ("code", "fps", "seconds"),
+    [
+        ("00:00:00:00", 25, 0),
+        ("01:02:03:12", 25, 3723.48),
+        ("23:59:59:24", 25, 86399.96),
+        ("10:00:00:00", NTSC, 36036.0),  # counts 30 frames as a second
+        ("10:00:00;00", NTSC, 35999.964),  # keeps up with the clock
+        ("00:01:00;02", NTSC, 1800 / NTSC),  # follows 00:00:59;29
+        ("00:10:00;00", NTSC, 17982 / NTSC),
+        ("00:01:00;04", 2 * NTSC, 3600 / (2 * NTSC)),
+        ("00:00:01;00", 25, 1.0),  # 25 frames a second leave nothing out
+    ],
+)
+def test_what_a_code_says(code, fps, seconds):
+    assert seconds_of(code, fps)[0] == pytest.approx(seconds, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("code", "fps"),
+    [
+        *(("24:00:00:00", 25), ("00:60:00:00", 25), ("00:00:00:25", 25), ("1:00:00:00", 25), ("", 25), ("x" * 1000, 25)),
+        *(("00:00:00:00", 120), ("00:00:00:00", 0.5), ("00:00:00:00:00", 25)),
+    ],
+)
+def test_what_is_no_code_of_the_rate(code, fps):
+    assert seconds_of(code, fps) is None
+
+
+def test_codes_align_across_midnight_and_rates():
+    codes = ["23:59:59:20", "00:00:00:05", "23:59:58:00"]
+    assert shifts(codes, [25, 25, 50], [5, 5, 5]) == pytest.approx([0.0, 0.4, -1.8])
+
+
+@pytest.mark.parametrize(
+    ("codes", "rates"),
+    [
+        (["10:00:00:00", None], [25, 25]),
+        (["10:00:00:00", "10:00:00:00"], [25, None]),
+        (["10:00:00:00", "10:00:05:00"], [25, 25]),  # the first has ended
+        (["10:00:00:00", "10:00:00:00"], [25, NTSC]),  # seconds of unequal length
+        (["10:00:00:00", "10:00:99:00"], [25, 25]),
+    ],
+    ids=["none", "no rate", "apart", "kinds of seconds", "no code"],
+)
+def test_codes_that_align_nothing(codes, rates):
+    assert shifts(codes, rates, [5, 5]) is None
+
+
+def coded(file, code, frames=50, sound=None):
+    """25 frames per second of growing grey, with a timecode track as cameras write it."""
+    plain = file.with_suffix(".plain.mp4")
+    write_mp4(plain, (np.full((32, 48, 3), 20 + 4 * k, np.uint8) for k in range(frames)), 25, sound=sound)
+    with av.open(str(plain)) as old, av.open(str(file), "w") as new:
+        copies = {stream: new.add_stream_from_template(stream) for stream in old.streams}
+        copies[old.streams.video[0]].metadata["timecode"] = code
+        for packet in old.demux():
+            if packet.dts is not None:
+                packet.stream = copies[packet.stream]
+                new.mux(packet)
+    plain.unlink()
+
+
+def test_a_recorded_track_aligns_videos_without_sound(tmp_path):
+    coded(tmp_path / "a.mp4", "09:59:59:20")
+    coded(tmp_path / "b.mov", "10:00:00:10")
+    assert probe(tmp_path, "b.mov").timecode == "10:00:00:10"
+    capture = recognise(tmp_path)
+    assert "aligned by their timecodes (b.mov +0.600 s)" in capture.notes[0]
+    assert [video.taken[0] for video in capture.videos] == [15, 0]
+    assert [video.taken[0] for video in recognise(tmp_path, sync="frames").videos] == [0, 0]
+
+
+def test_sound_goes_before_timecodes_and_says_where_they_differ(tmp_path, monkeypatch):
+    from e4dgs.stages.captures.formats import videos
+
+    for name, code in (("a.mp4", "10:00:00:00"), ("b.mp4", "10:00:00:10")):
+        coded(tmp_path / name, code)
+    headers = {name: probe(tmp_path, name) for name in ("a.mp4", "b.mp4")}
+    for heard, doubts in ((0.4, 0), (0.4 + 0.059, 0), (0.4 + 0.061, 1)):  # one frame and a half is 0.06 s
+        monkeypatch.setattr(videos, "_by_sound", lambda *of, heard=heard: [0.0, heard])
+        found, how, doubt = clocks(tmp_path, headers, None)
+        assert (found, how, len(doubt)) == ([0.0, heard], "aligned by their sound", doubts)
+        assert clocks(tmp_path, headers, "timecode")[:2] == ([0.0, pytest.approx(0.4)], "aligned by their timecodes")
+    assert "0.061 s elsewhere; frames.sync=timecode" in doubt[0]
+
+
+def test_codes_that_are_asked_for_and_missing_are_named(tmp_path):
+    coded(tmp_path / "a.mp4", "10:00:00:00")
+    coded(tmp_path / "b.mp4", "11:00:00:00")
+    with pytest.raises(CaptureError, match=r"a\.mp4 10:00:00:00, b\.mp4 11:00:00:00.* leave frames\.sync unset"):
+        recognise(tmp_path, sync="timecode")
+    assert "aligned by their first frames" in recognise(tmp_path).facts["why"]
