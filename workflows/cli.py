@@ -96,7 +96,7 @@ def run(
     forced = tuple(targets or session.job.graph.stages) if force else ()
     rows = expect(session, make_plan(session.job, targets, forced))
     show.show_capture(console, session)
-    show.show_plan(console, rows, session.options.time)
+    show.show_plan(console, rows, session)
     told = {f"  frames: {note}" for note in session.notes}  # above; they stay in the log of the result
 
     def tell(line: str) -> None:
@@ -125,7 +125,7 @@ def plan(
         print(json.dumps(plan_json(session, rows), indent=2, ensure_ascii=False))
         return
     show.show_capture(console, session)
-    show.show_plan(console, rows, session.options.time)
+    show.show_plan(console, rows, session)
 
 
 @app.command()

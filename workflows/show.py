@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..pipeline import Row, counted, duration, say
+from ..pipeline import Row, counted, duration, say, settings_by_name
 from ..pipeline.errors import one_line
 from ..stages.facts import Facts
 from ..stages.poses.artifact import read_limits
-from .session import Session
+from .session import SEEDS, Session
 
 _COLOURS = {"cached": "green", "run": "yellow", "skip": "dim"}
 
@@ -31,8 +31,10 @@ def show_capture(console: Console, session: Session) -> None:
         console.print(f"  another capture already has this name in the workspace, so the scene is called {session.scene.name} (see --name)")
 
 
-def show_plan(console: Console, rows: Sequence[Row], time: str | None = None) -> None:
-    """Prints one line per stage: state, estimate, what it does and why. time: that the run may take; then also what it is expected to."""
+def show_plan(console: Console, rows: Sequence[Row], session: Session) -> None:
+    """Prints one line per stage: state, estimate, what it does and why; settings that change nothing; with --time, what the run is expected
+    to take."""
+    time = session.options.time
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title in ("stage", "state", "estimate", "reason"):
         table.add_column(title, no_wrap=title != "reason", overflow="fold")
@@ -44,8 +46,24 @@ def show_plan(console: Console, rows: Sequence[Row], time: str | None = None) ->
     for row in rows:
         if row.stage == "poses" and row.artifact is not None and (limits := read_limits(row.artifact)):
             say(f"{row.stage}: {limits}", to=console)
+    say(*without_effect(rows, session), to=console)
     if time is not None and (left := [row.estimate for row in rows if row.state == "run" and row.estimate is not None]):
         console.print(f"expected: about {duration(sum(left))} of {time}; each stage is decided when it begins, by what is left")
+
+
+def without_effect(rows: Sequence[Row], session: Session) -> list[str]:
+    """A line for each setting of --set that only stages have which are skipped for another reason."""
+    skipped = {row.stage: row.reason for row in rows if row.state == "skip"}
+    known, lines = settings_by_name(session.job.graph.settings), []
+    for text in session.options.assignments:
+        name = text.partition("=")[0].strip()
+        stages = known[name][0] if name in known and name not in SEEDS else []
+        reasons = [skipped.get(stage) for stage in stages]
+        if reasons and all(reason is not None and name not in reason for reason in reasons):
+            lines.append(
+                f"{name} changes nothing here: {' and '.join(stages)} {'is' if len(stages) == 1 else 'are'} skipped ({reasons[0]})"
+            )
+    return lines
 
 
 def show_metrics(console: Console, metrics: Mapping[str, Any], report: Path) -> None:
