@@ -98,7 +98,7 @@ REAL = "measures real captures for minutes; only its words are checked"
 PARSED_ONLY = {
     "sudo apt install g++ python3-dev python3-venv": "changes the machine",
     "python3 dev.py wheel": "compiles for minutes; CONTRIBUTING.md says when to run it with --check, which also installs and uses it",
-    "pip install dist/e4dgs-*.whl": "downloads; `python3 dev.py wheel --check` does it",
+    "pip install e4dgs-*.whl": "downloads; `python3 dev.py wheel --check` does it",
     "source .venv/bin/activate": "a shell's own; the environment is made by `python3 dev.py sample`, which downloads",
     "e4dgs bench cuda --garden test_garden.npz": "needs a GPU; tests/workflows/test_bench.py runs its rows on a pretended one",
     "python benchmarks/bench.py raster --garden test_garden.npz": ROWS,
