@@ -14,6 +14,7 @@ from .last_run import remember
 from .reconstruction import EVALUATION, LIBRARIES
 from .results import completed
 from .session import Session
+from .timing.known import Known
 from .timing.timed import Timed
 
 
@@ -32,6 +33,7 @@ def execute(
     from .publish import publish, write_plan
 
     target, began, told = "all" if targets is None else targets[0], time.time(), False
+    known = Known(session.job.store.root.parent, session.job.device)
 
     def finished(outcome) -> None:
         nonlocal told
@@ -39,6 +41,9 @@ def execute(
         if outcome.state == "ran":
             used = f"done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB"
             say(f"{outcome.stage}: {used}{left_after(outcome.stage, rows)}")
+            if timed is None:
+                known.learn_stage(session.job, outcome)
+                known.write()
         decided = timed is not None and timed.finished(outcome)
         if decided or not told:  # as soon as there is something to look at
             remember(session, target, began)

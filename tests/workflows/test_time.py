@@ -3,8 +3,10 @@
 import json
 import re
 import shlex
+from types import SimpleNamespace
 
 import pytest
+from e4dgs.pipeline import Outcome
 from e4dgs.pipeline.files import read_json, write_json
 from e4dgs.workflows.cli import main
 from e4dgs.workflows.last_run import runs_of
@@ -182,3 +184,32 @@ def test_speeds_are_learned_step_by_step(tmp_path):
     assert known.stage_ratio("flow") == 1.0, "what takes a second says nothing about the machine"
     known.learn(9.0, 3.0, "poses")
     assert known.stage_ratio("flow") == 3.0, "the machine is as slow as elsewhere"
+
+
+def outcome(seconds, reason="never run for this scene", state="ran"):
+    return Outcome("flow", state, reason, seconds)
+
+
+def test_any_whole_stage_teaches_the_speed(tmp_path):
+    stage = SimpleNamespace(estimate=lambda facts, settings: 10.0)
+    job = SimpleNamespace(graph={"flow": stage}, settings={"flow": None}, capture=SimpleNamespace(facts={}))
+    known = Known(tmp_path, "cpu")
+    for part in (
+        outcome(30, "input frames changed; 3 of 9 pairs are new"),
+        outcome(30, "x; continues from a checkpoint"),
+        outcome(30, state="cached"),
+    ):
+        known.learn_stage(job, part)
+    assert known.machine_ratio() == 1.0
+    known.learn_stage(job, outcome(5.0))
+    assert known.machine_ratio() == 0.5
+
+
+def test_a_plan_without_a_time_follows_the_speed_that_runs_showed(dnerf_capture, tmp_path, capsys):
+    def promised():
+        assert main(["plan", str(dnerf_capture.root), "--workspace", str(tmp_path), "--device", "cpu", "--json"]) == 0
+        return {row["stage"]: row["estimate_seconds"] for row in json.loads(capsys.readouterr().out)["stages"]}
+
+    before = promised()
+    write_json(tmp_path / FILE, {Known(tmp_path, "cpu").machine: {"ratios": {"coarse": 0.5, "seeds": 0.4, "evaluate": 3.0}}})
+    assert promised() == {stage: None if seconds is None else pytest.approx(seconds / 2) for stage, seconds in before.items()}

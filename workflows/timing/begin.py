@@ -38,11 +38,15 @@ def begin(options: Options, say: Callable[[str], None], anew: bool = False) -> t
 
 
 def expect(session: Session, rows: Sequence[Row]) -> list[Row]:
-    """``rows`` with what each stage is expected to take in a run that keeps to a time; as they are in any other."""
-    if session.options.time is None or all(row.state != "run" for row in rows):
+    """``rows`` with what each stage is expected to take on this machine, as earlier runs of the workspace showed it, and in the time that
+    the run may take."""
+    if all(row.state != "run" for row in rows):
         return list(rows)
     job = session.job
     known = Known(job.store.root.parent, job.device)
+    if session.options.time is None:
+        ratio = known.machine_ratio()
+        return [row if row.estimate is None else replace(row, estimate=row.estimate * ratio) for row in rows]
     found = {row.stage: row.estimate * known.stage_ratio(row.stage) for row in rows if row.state == "run" and row.estimate is not None}
     before = sum(seconds for stage, seconds in found.items() if stage not in (COARSE, HULLS, FINE, EVALUATION))
     times, decisions, at_one = guessed_times(job, known), Decisions(session), steps_at_one(job)

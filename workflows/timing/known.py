@@ -1,7 +1,7 @@
-"""What is known about the speed of this machine: a file of the workspace, written by the runs that kept to a time.
+"""What is known about the speed of this machine: a file of the workspace, written by its runs.
 
-``timing.json`` has, for each machine: how long stages took, as ratios to their estimates; and for each kind of capture the costs of
-training steps, and by what ratio finished trainings differed from what these made expect.
+``timing.json`` has, for each machine: how long stages took, as ratios to their estimates; and, from runs that kept to a time, for each
+kind of capture the costs of training steps, and by what ratio finished trainings differed from what these made expect.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ...pipeline import Job, thread_count
+from ...pipeline import Job, Outcome, thread_count
 from ...pipeline.files import read_json, write_json
 from ...stages.facts import Facts
 from ..machine.devices import processor
@@ -20,6 +20,7 @@ from .steps.costs import StepCosts
 FILE = "timing.json"
 NEW = 0.5  # weight of the newest observation
 LEAST, MOST = 0.05, 20.0  # ratios beyond these are accidents
+PARTLY = ("continues from a checkpoint", " are new")  # in the reason of a stage that did a part of its work; the rest had been done
 LEAST_SECONDS = 3.0  # taken and expected, from which a time says something about the machine
 
 
@@ -56,6 +57,14 @@ class Known:
         earlier = self._ratios().get(key)
         mixed = found if not isinstance(earlier, int | float) else earlier ** (1 - NEW) * found**NEW
         self._ratios()[key] = round(min(max(mixed, LEAST), MOST), 4)
+
+    def learn_stage(self, job: Job, outcome: Outcome) -> None:
+        """Takes the time of a stage into its ratio, if it did the whole of its work."""
+        if outcome.state != "ran" or any(words in outcome.reason for words in PARTLY):
+            return
+        estimate = job.graph[outcome.stage].estimate(job.capture.facts, job.settings[outcome.stage])
+        if estimate is not None:
+            self.learn(outcome.seconds, estimate, outcome.stage)
 
     def costs(self, kind: str) -> list[StepCosts] | None:
         """The costs of the trainings of `coarse` for captures of this kind; None if they are unknown."""

@@ -130,12 +130,10 @@ class Timed:
 
     def _learn(self, outcome: Outcome) -> None:
         """Compares what a stage took with what was expected."""
+        self.known.learn_stage(self.job, outcome)
+        name = outcome.stage
         if outcome.state != "ran" or "continues from" in outcome.reason:
             return
-        name, settings = outcome.stage, self.job.settings[outcome.stage]
-        estimate = self.job.graph[name].estimate(self.job.capture.facts, settings)
-        if estimate is not None:
-            self.known.learn(outcome.seconds, estimate, name)
         if name == FINE:
             self.known.learn(outcome.seconds, self._refinement_step * (self.decisions.value(REFINING) or 0), FINE, kind(self.job))
         elif name in self._expected:
