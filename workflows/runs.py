@@ -15,6 +15,7 @@ from .reconstruction import EVALUATION, LIBRARIES
 from .results import completed
 from .session import Session
 from .timing.known import Known
+from .timing.left import Left
 from .timing.timed import Timed
 
 
@@ -33,6 +34,7 @@ def execute(
     from .publish import publish, write_plan
 
     target, began, told = "all" if targets is None else targets[0], time.time(), False
+    left = Left(rows)
     known = Known(session.job.store.root.parent, session.job.device)
 
     def finished(outcome) -> None:
@@ -40,7 +42,7 @@ def execute(
         session.scene.restore()
         if outcome.state == "ran":
             used = f"done in {duration(outcome.seconds)}, at most {outcome.peak_rss_mb:.0f} MB"
-            say(f"{outcome.stage}: {used}{left_after(outcome.stage, rows)}")
+            say(f"{outcome.stage}: {used}{left.after(outcome)}")
             if timed is None:
                 known.learn_stage(session.job, outcome)
                 known.write()
@@ -69,10 +71,3 @@ def execute(
     if timed is not None:
         timed.published(time.monotonic() - begin)
     return published
-
-
-def left_after(stage: str, rows: Sequence[Row]) -> str:
-    """What the plan expects of the stages that follow, as the end of a line."""
-    names = [row.stage for row in rows]
-    seconds = sum(row.estimate or 0.0 for row in rows[names.index(stage) + 1 :] if row.state == "run") if stage in names else 0.0
-    return f"; about {duration(seconds)} left" if seconds else ""
