@@ -116,3 +116,11 @@ def test_videos_of_cameras_and_phones(tmp_path, suffix, container):
     clip(tmp_path / "s" / f"00000.{suffix}", container=container)
     capture = recognise(tmp_path / "s")
     assert (capture.facts["format"], capture.facts["frames"]) == ("video", 4)
+
+
+def test_streams_that_were_merely_appended_say_how_to_join_them(tmp_path):
+    for name in ("1.ts", "2.ts"):
+        clip(tmp_path / name, container="mpegts")
+    (tmp_path / "both.ts").write_bytes((tmp_path / "1.ts").read_bytes() + (tmp_path / "2.ts").read_bytes())
+    with pytest.raises(CaptureError, match=r"both\.ts: frame \d: .*join its parts with ffmpeg's concat demuxer"):
+        recognise(tmp_path / "both.ts")

@@ -37,7 +37,8 @@ def read_packets(container: Any, stream: Any, path: Path, name: str) -> Packets:
             found.trimmed += 1
             continue
         if packet.is_corrupt and found.stamps:
-            raise CaptureError(f"{name}: frame {len(found.stamps)}: the file is damaged or cut short here; copy it again")
+            joined = ", or join its parts with ffmpeg's concat demuxer" if "mpegts" in container.format.name else ""
+            raise CaptureError(f"{name}: frame {len(found.stamps)}: the file is damaged or cut short here; copy it again{joined}")
         found.sizes += packet.size
         if is_hidden(codec, packet):
             continue
