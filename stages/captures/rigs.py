@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from . import checks
+from .listing.numbers import places
 from .reading import Shot
 
 
@@ -18,11 +19,13 @@ from .reading import Shot
 class Rig:
     """What the folders of images are.
 
-    places: (camera, index of its time) of each image; None if the folders are no rig. note: why they are none, for people; None for a rig
-    or a single folder. others: further pictures in the folders, relative to the capture, whose names this follows from as well.
+    places: (camera, place of its time) of each image; None if the folders are no rig. gaps: whether times passed of which there are no
+    pictures, by the numbers in the names. note: why they are no rig, or which numbers are skipped, for people. others: further pictures
+    in the folders, relative to the capture, whose names this follows from as well.
     """
 
     places: list[tuple[str, int]] | None = None
+    gaps: bool = False
     note: str | None = None
     others: tuple[str, ...] = ()
 
@@ -44,10 +47,13 @@ def cameras_of(root: Path, images: Sequence[str], deleted: Sequence[str] = ()) -
         posed[posixpath.dirname(name)].add(_frame(name))
         frames[posixpath.dirname(name)].add(_frame(name))
     others = tuple(sorted({name for names in listed.values() for name in names} - set(images)))
-    number = {frame: i for i, frame in enumerate(sorted(set.intersection(*frames.values()), key=checks.natural_key))}
+    suffix = posixpath.splitext(images[0])[1]
+    shared = checks.in_order(frame + suffix for frame in set.intersection(*frames.values()))
+    clock, skipped = places(shared)
+    number = dict(zip(map(_frame, shared), clock, strict=True))
     same = any(all(names[folder] == names[folders[0]] for folder in folders) for names in (frames, posed))
     if same and all(_frame(name) in number for name in images):
-        return Rig([(posixpath.dirname(name), number[_frame(name)]) for name in images], others=others)
+        return Rig([(posixpath.dirname(name), number[_frame(name)]) for name in images], clock[-1] >= len(clock), skipped, others)
     first = frames[folders[0]]
     other = next((folder for folder in folders if frames[folder] != first), None)
     counts = "" if other is None else f" ({len(first)} in {folders[0]}, {len(frames[other])} in {other})"

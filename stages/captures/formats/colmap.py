@@ -16,9 +16,10 @@ import numpy as np
 from ....pipeline import CaptureError
 from .. import checks
 from ..keep_masks import add_masks
+from ..listing.clock import follow_numbers
 from ..posed.finding import find_pictures
 from ..posed.stated import states_layout
-from ..reading import Options, Reading, Shot
+from ..reading import DEFAULT_FPS, Options, Reading, Shot
 from ..rigs import Rig, all_fixed, cameras_of, folders_of
 from . import n3v
 from .colmap_model import ImageRecord, Model, Place, choose, lens_of, model_places, told_twice
@@ -59,6 +60,8 @@ def read(root: Path, options: Options) -> Reading:
     for (camera, time), i, size in zip(times, found.paths, sizes, strict=True):
         shots.append(_shot(root, images[i], found.paths[i], size, cameras, files))
         shots[-1].camera, shots[-1].time = checks.natural_key(camera), float(time)
+        shots[-1].seconds = time / (options.fps or DEFAULT_FPS) if rig.gaps else None
+    skipped = follow_numbers(shots, options.fps) if rig.places is None and not options.static else ()
     masked = add_masks(root, shots, model.pictures)
     copies = _copies(root, model.pictures)
     notes = (
@@ -66,6 +69,7 @@ def read(root: Path, options: Options) -> Reading:
         *([model.note] if model.note else []),
         *told_twice(model),
         *found.notes,
+        *skipped,
         *masked,
         *copies[0],
         *_told(root, model, rig, paths, where),

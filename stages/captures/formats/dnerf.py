@@ -1,7 +1,7 @@
 """D-NeRF layout: `transforms_{train,val,test}.json`, `time` on every frame, RGBA images with straight alpha.
 
-Each frame counts as a separate camera, unless the train poses form a smooth path. Then one camera moved through the scene (a
-hand-held video exported in this layout), and neighbours in time form pairs.
+Each frame counts as a separate camera, unless fixed cameras saw several times, or the train poses form a smooth path. Then one camera
+moved through the scene (a hand-held video exported in this layout), and neighbours in time form pairs.
 """
 
 from __future__ import annotations
@@ -11,9 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from ....pipeline import CaptureError
-from .. import checks
+from .. import checks, keep_masks
+from ..ply_points import read_points
 from ..reading import SPLITS, TRAIN, Options, Reading, Shot
 from . import transforms
+from .cameras_of_times import fixed_cameras
+from .frame_files import cloud_of, depth_of, lost_depth, mask_of
 
 # Median step between train cameras consecutive in time, divided by the median distance of any two: 0.03 for a walked path of 90
 # frames, 1.0 to 1.2 for the scattered views of D-NeRF. A straight walk of n frames has 3.4 / n, so a path needs about 14 frames.
@@ -40,7 +43,7 @@ def read(root: Path, options: Options) -> Reading:
         bare = next(file for (_, file, _), t in zip(loaded, per_file, strict=True) if t is None)
         raise CaptureError(f"{bare}: frame 0: time is missing, but the other split files have times; add it, or remove it everywhere")
     times = [found[i] for found, file in zip(per_file, listed, strict=True) if found is not None for i in there[file].paths]
-    times = times or [0.0] * len(entries)
+    timed, times = bool(times), times or [0.0] * len(entries)
 
     shots = []
     for number, ((split, file, data, i, frame), path, time, size) in enumerate(zip(entries, paths, times, sizes, strict=True)):
@@ -53,22 +56,37 @@ def read(root: Path, options: Options) -> Reading:
                 size=size,
                 split=split,
                 file=path,
+                keep=mask_of(root, frame, f"{file}: frame {i}"),
+                depth=depth_of(root, frame, f"{file}: frame {i}"),
                 K=lens.K,
                 cam_from_world=transforms.pose(frame, f"{file}: frame {i}"),
                 distortion=lens.distortion,
                 fisheye=lens.fisheye,
             )
         )
-    moving = _join_path(shots)
+    fixed = timed and fixed_cameras(shots)
+    moving = not fixed and _join_path(shots)
+    notes = [note for found in there.values() for note in found.notes] + list(lost_depth([entry[-1] for entry in entries], shots))
+    if not timed and not options.static:
+        notes.append(
+            f"no frame of {' and '.join(file for _, file in files)} has a time, so all show one moment; add time if something moves"
+        )
+    if masked := keep_masks.told(shots, "(mask_path)"):
+        notes.append(masked)
+    cloud, missing = cloud_of(root, loaded[0][2], files[0][1])
+    points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     raw_fps = loaded[0][2].get("fps")
     return Reading(
-        why=" + ".join(file for _, file in files) + (", poses along one smooth path" if moving else ""),
+        why=" + ".join(file for _, file in files) + (", fixed cameras" if fixed else ", poses along one smooth path" if moving else ""),
         shots=shots,
         alpha=alpha,
         has_split=len(files) > 1,
         fps=None if raw_fps is None else checks.number(raw_fps, f"{files[0][1]}: fps", 1e-3, 1e6),
-        sources=tuple(file for _, file in files),
-        notes=tuple(note for found in there.values() for note in found.notes),
+        fixed_cameras=fixed,
+        sources=(*(file for _, file in files), *([cloud] if cloud else [])),
+        points=points if len(points) else None,
+        point_colors=colors if len(points) else None,
+        notes=(*notes, *missing),
     )
 
 

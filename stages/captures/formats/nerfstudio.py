@@ -12,12 +12,17 @@ import numpy as np
 
 from ....pipeline import CaptureError, counted
 from .. import checks, keep_masks
+from ..listing.clock import follow_numbers
 from ..ply_points import read_points
 from ..posed.timestamps import timestamps
-from ..reading import SPLITS, TRAIN, Options, Reading, Shot
+from ..reading import DEFAULT_FPS, SPLITS, TRAIN, Options, Reading, Shot
+from ..rigs import Rig, cameras_of
 from . import transforms
+from .cameras_of_times import fixed_cameras, moving_cameras
+from .frame_files import cloud_of, depth_of, lost_depth, mask_of
 
 _FILE = "transforms.json"
+_SPLIT_FOLDERS = {"train", "val", "test", "eval", "validation"}  # which may hold files of the same names and are no cameras
 
 
 def detect(root: Path) -> str | None:
@@ -55,8 +60,8 @@ def read(root: Path, options: Options) -> Reading:
                 seconds=None if stamps.since is None or stamps.unit is None else stamps.since[i] * stamps.unit,
                 size=sizes[i],
                 file=paths[i],
-                keep=_mask(root, frames[i], where),
-                depth=_depth(root, frames[i], where),
+                keep=mask_of(root, frames[i], where),
+                depth=depth_of(root, frames[i], where),
                 K=lens.K,
                 cam_from_world=transforms.pose(frames[i], where),
                 distortion=lens.distortion,
@@ -64,29 +69,54 @@ def read(root: Path, options: Options) -> Reading:
                 split=TRAIN if splits is None else splits[i],
             )
         )
-    fixed = _cameras(shots)
-    if not fixed and len({shot.camera for shot in shots}) == len(shots) > 1:
+    said += _set_times(root, shots, times, data, options)
+    fixed = fixed_cameras(shots)
+    if not fixed and times is not None:
+        moving_cameras(shots)
+    several = len({shot.camera for shot in shots})
+    if not fixed and several == len(shots) > 1:
         said += (
-            "frames share times and no camera stands still, so each frame counts as a camera of its own and no optical flow is measured",
+            "frames share times, no camera stands still and folders do not tell them apart, so each frame counts as a camera of its own "
+            "and no optical flow is measured",
         )
     of_frames = keep_masks.told(shots, "(mask_path)")
     masked = (of_frames,) if of_frames else keep_masks.add_masks(root, shots)
-    cloud, missing = _cloud(root, data)
+    said += lost_depth([frames[i] for i in order], shots)
+    cloud, missing = cloud_of(root, data, _FILE)
     points, colors = read_points(root, cloud) if cloud else (np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    fps = data.get("fps")
     return Reading(
-        why=f"{_FILE}, {'several cameras' if len({s.camera for s in shots}) > 1 else 'one moving camera'}",
+        why=f"{_FILE}, {'several cameras' if several > 1 else 'one moving camera'}",
         shots=shots,
         alpha=alpha,
         has_split=splits is not None,
-        untimed=times is None,
-        fps=None if fps is None else checks.number(fps, f"{_FILE}: fps", 1e-3, 1e6),
+        untimed=times is None and several == 1,
+        fps=_fps(data),
         fixed_cameras=fixed,
         sources=(_FILE, *([cloud] if cloud else [])),
         points=points if len(points) else None,
         point_colors=colors if len(points) else None,
         notes=(*found.notes, *said, *masked, *missing),
     )
+
+
+def _set_times(root: Path, shots: Sequence[Shot], times: Sequence[float] | None, data: dict[str, Any], options: Options) -> tuple[str, ...]:
+    """Times, and cameras, of frames that have none: folders with files of the same names are the cameras of a rig, and the pictures of one
+    camera follow the numbers in their names. Returns lines for people."""
+    if times is not None or options.static:
+        return ()
+    files = [shot.file or "" for shot in shots]
+    folders = {posixpath.basename(posixpath.dirname(file)).lower() for file in files}
+    rig = Rig() if folders & _SPLIT_FOLDERS else cameras_of(root, files)
+    if rig.places is None:
+        return (*([rig.note] if rig.note else []), *follow_numbers(shots, options.fps or _fps(data)))
+    for shot, (camera, time) in zip(shots, rig.places, strict=True):
+        shot.camera, shot.time = checks.natural_key(camera), float(time)
+        shot.seconds = time / (options.fps or _fps(data) or DEFAULT_FPS) if rig.gaps else None
+    return (rig.note,) if rig.note else ()
+
+
+def _fps(data: dict[str, Any]) -> float | None:
+    return None if data.get("fps") is None else checks.number(data["fps"], f"{_FILE}: fps", 1e-3, 1e6)
 
 
 def _splits(
@@ -146,59 +176,3 @@ def _normal(root: Path, path: str) -> str:
     except CaptureError:  # a path of another machine
         path = posixpath.normpath(path)
     return unicodedata.normalize("NFC", path)
-
-
-def _cloud(root: Path, data: dict[str, Any]) -> tuple[str | None, tuple[str, ...]]:
-    """The file of points that `ply_file_path` names, or a note if it does not exist. nerfstudio stores the points in the world of
-    `transform_matrix`: both already include `applied_transform`, which maps COLMAP's world to it."""
-    field = f"{_FILE}: ply_file_path"
-    if data.get("ply_file_path") is None:
-        return None, ()
-    name = checks.relative(root, checks.text(data["ply_file_path"], field).replace("\\", "/"), field)
-    if checks.resolve_inside(root, name, field).is_file():
-        return name, ()
-    return None, (f"{field}: no file {name[:200]!r}, so training begins at points that are triangulated; copy it if there is one",)
-
-
-def _mask(root: Path, frame: dict[str, Any], where: str) -> str | None:
-    path = frame.get("mask_path")
-    return None if path is None else checks.find_image(root, checks.text(path, f"{where}: mask_path"), f"{where}: mask_path")
-
-
-def _depth(root: Path, frame: dict[str, Any], where: str) -> str | None:
-    """The depth map that `depth_file_path` names. Its unit (`depth_unit_scale_factor`) does not matter: depth is fitted to known points."""
-    field = f"{where}: depth_file_path"
-    if frame.get("depth_file_path") is None:
-        return None
-    name = checks.relative(root, checks.text(frame["depth_file_path"], field).replace("\\", "/"), field)
-    return name if checks.resolve_inside(root, name, field).is_file() else None
-
-
-def _cameras(shots: Sequence[Shot]) -> bool:
-    """Distinguishes cameras if several frames share a time. True if they are fixed cameras; some of their pictures may be missing."""
-    times = [round(s.time, 9) for s in shots]
-    distinct = len(set(times))
-    if distinct == len(times) or distinct == 1:
-        return False
-    # The same pose and lens at several times is one fixed camera, or two if their pictures lie in two folders.
-    poses = [
-        tuple(np.round(np.concatenate([s.cam_from_world.ravel(), s.K.ravel()]), 5))
-        for s in shots
-        if s.cam_from_world is not None and s.K is not None
-    ]
-    for keys in (poses, [(posixpath.dirname(s.file or ""), *pose) for s, pose in zip(shots, poses, strict=True)]):
-        seen: dict[Any, list[float]] = {}
-        for key, time in zip(keys, times, strict=True):
-            seen.setdefault(key, []).append(time)
-        fixed = all(len(set(mine)) == len(mine) > 1 for mine in seen.values())
-        if fixed and 2 * len(shots) >= len(seen) * distinct:  # as for all captures, at most half of the pictures may be missing
-            ids = {key: i for i, key in enumerate(seen)}
-            for shot, key in zip(shots, keys, strict=True):
-                shot.camera = ids[key]
-            return True
-    training = [time for shot, time in zip(shots, times, strict=True) if shot.split == TRAIN]
-    alone = len(set(training)) == len(training) < len(shots)  # one moving camera trains, and others are held out at its times
-    ids = {pose: i for i, pose in enumerate(dict.fromkeys(poses), 1)}
-    for i, (shot, pose) in enumerate(zip(shots, poses, strict=True)):
-        shot.camera = i if not alone else 0 if shot.split == TRAIN else ids[pose]
-    return False

@@ -1,0 +1,74 @@
+"""What a frame of a `transforms.json` names besides its picture: mask, depth map, and the cloud of points of the whole file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ....pipeline import CaptureError
+from ....vision.depth.files import SUFFIXES
+from .. import checks
+from ..reading import Shot
+
+DEPTH = ("depth_file_path", "depth_path")  # nerfstudio; instant-ngp and NeRFCapture
+_LONGEST = 4096
+
+
+def mask_of(root: Path, frame: dict[str, Any], where: str) -> str | None:
+    """The file that `mask_path` names. Raises CaptureError if there is none."""
+    field, raw = f"{where}: mask_path", frame.get("mask_path")
+    if raw is None:
+        return None
+    name = checks.text(raw, field)
+    return _inside(root, name, field, ("", *checks.IMAGE_SUFFIXES)) or checks.find_image(root, name, field)
+
+
+def depth_of(root: Path, frame: dict[str, Any], where: str) -> str | None:
+    """The depth map that the frame names, which may lack its suffix; None if there is no such file. Its unit
+    (`depth_unit_scale_factor`) does not matter: depth is fitted to known points."""
+    for key in DEPTH:
+        if frame.get(key) is not None:
+            return _inside(root, checks.text(frame[key], f"{where}: {key}"), f"{where}: {key}", ("", *SUFFIXES))
+    return None
+
+
+def lost_depth(frames: Sequence[dict[str, Any]], shots: Sequence[Shot]) -> tuple[str, ...]:
+    """A line if depth maps that ``frames`` name are not there. shots: those of ``frames``."""
+    named = [shot.depth for frame, shot in zip(frames, shots, strict=True) if any(frame.get(key) is not None for key in DEPTH)]
+    lost = sum(depth is None for depth in named)
+    return (f"{lost} of {len(named)} depth maps that frames name are not there (depth_file_path)",) if lost else ()
+
+
+def cloud_of(root: Path, data: dict[str, Any], file: str) -> tuple[str | None, tuple[str, ...]]:
+    """The file of points that `ply_file_path` names, or a note if it does not exist. nerfstudio stores the points in the world of
+    `transform_matrix`: both already include `applied_transform`, which maps COLMAP's world to it."""
+    field, raw = f"{file}: ply_file_path", data.get("ply_file_path")
+    if raw is None:
+        return None, ()
+    name = checks.text(raw, field)
+    if (found := _inside(root, name, field)) is not None:
+        return found, ()
+    return None, (f"{field}: no file {name[:200]!r}, so training begins at points that are triangulated; copy it if there is one",)
+
+
+def _inside(root: Path, raw: str, field: str, suffixes: Sequence[str] = ("",)) -> str | None:
+    """The file that a path names, relative to the capture: as it is written, or by its end if it is an absolute path of another place. None
+    if there is none. Raises CaptureError for a path that leaves the capture."""
+    name = raw.replace("\\", "/")
+    try:
+        return _file(root, checks.relative(root, name, field), field, suffixes)
+    except CaptureError:
+        parts = [part for part in name.split("/") if part not in ("", ".")]
+        if not _is_absolute(name) or ".." in parts or len(name) > _LONGEST:
+            raise
+        ends = ("/".join(parts[cut:]) for cut in range(1, len(parts)))
+        return next((path for end in ends if (path := _file(root, end, field, suffixes))), None)
+
+
+def _is_absolute(name: str) -> bool:
+    return name.startswith("/") or name[1:3] == ":/"
+
+
+def _file(root: Path, name: str, field: str, suffixes: Sequence[str]) -> str | None:
+    return next((name + suffix for suffix in suffixes if checks.resolve_inside(root, name + suffix, field).is_file()), None)
