@@ -1,4 +1,4 @@
-"""Converts photos with a colour profile other than sRGB to sRGB, as browsers and viewers show them."""
+"""Converts photos whose files say that their colours are others than sRGB to sRGB, as browsers and viewers show them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from collections.abc import Callable
 from functools import lru_cache
 from io import BytesIO
 from typing import TYPE_CHECKING, NamedTuple
+
+from .coding_points import coding_of, converted
+from .files import CODING
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -24,8 +27,12 @@ class Conversion(NamedTuple):
 
 
 def in_srgb(image: Image, say: Callable[[str], None]) -> Image:
-    """``image``, decoded, with its colours as its profile means them, coded as sRGB; itself if it has no profile or one like sRGB. A grey
-    or printed image becomes RGB then. Alpha stays. say: called with what was done, if it has another profile."""
+    """``image``, decoded, with its colours as its file means them, coded as sRGB; itself if it has no profile or one like sRGB. A grey
+    or printed image becomes RGB then. Alpha stays. A cICP chunk outranks a profile, as PNG says. say: called with what was done."""
+    if (coding := coding_of(image.info.get(CODING))) is not None:
+        if coding.told is not None:
+            say(coding.told)
+        return converted(image, coding)
     conversion = _conversion_of(image)
     if conversion is None:
         return image

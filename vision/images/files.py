@@ -17,6 +17,7 @@ MOST_BYTES = 2**31
 ORIENTATION = 0x0112  # the EXIF field; 1 is as stored, 2 to 8 ask for a turn or a mirror
 LYING = (5, 6, 7, 8)  # its values that include a quarter turn
 _MOST_CHUNKS = 100_000  # of a PNG; one of a gigabyte in the usual pieces has as many
+CODING = "cicp"  # of an opened PNG's `info`: the data of its cICP chunk, which Pillow skips
 _BACK = {6: 8, 8: 6}  # the orientation that undoes another; the others undo themselves
 
 
@@ -42,6 +43,8 @@ def open_image(path: Path) -> Iterator[Image]:
         with path.open("rb") as file, Image.open(file, formats=FORMATS) as image:
             if min(image.size) < 1:
                 raise BadImageError(f"its size is {image.width}x{image.height}")
+            if image.format == "PNG" and (coding := _coding(file)) is not None:
+                image.info[CODING] = coding
             yield image
     except BadImageError:
         raise
@@ -63,18 +66,38 @@ def _more_behind_pixels(file: IO[bytes] | None) -> bool:
     """Whether a PNG has EXIF data or texts, which may be such data, behind its pixels. Leaves the file where it was."""
     if file is None:  # the pixels have been read
         return True
-    before, at, pixels = file.tell(), 8, False
+    pixels = False
+    for kind, _ in _chunks(file):
+        pixels = pixels or kind == b"IDAT"
+        if kind is None or (pixels and kind in (b"eXIf", b"tEXt", b"zTXt", b"iTXt")):
+            return True
+    return False
+
+
+def _coding(file: IO[bytes]) -> bytes | None:
+    """The data of the cICP chunk of a PNG, which comes before the pixels; None if it has none. Leaves the file where it was."""
+    for kind, length in _chunks(file):
+        if kind == b"cICP":
+            return file.read(4) if length == 4 else None
+        if kind in (b"IDAT", None):
+            return None
+    return None
+
+
+def _chunks(file: IO[bytes]) -> Iterator[tuple[bytes | None, int]]:
+    """(kind, bytes of data) of each chunk of a PNG up to IEND, with the file at its data; at last (None, 0) if there are too many. Leaves
+    the file where it was."""
+    before, at = file.tell(), 8
     try:
         for _ in range(_MOST_CHUNKS):
             file.seek(at)
             head = file.read(8)
             if len(head) < 8 or head[4:] == b"IEND":
-                return False
-            pixels = pixels or head[4:] == b"IDAT"
-            if pixels and head[4:] in (b"eXIf", b"tEXt", b"zTXt", b"iTXt"):
-                return True
-            at += 12 + int.from_bytes(head[:4], "big")
-        return True
+                return
+            length = int.from_bytes(head[:4], "big")
+            yield head[4:], length
+            at += 12 + length
+        yield None, 0
     finally:
         file.seek(before)
 

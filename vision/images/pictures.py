@@ -32,15 +32,16 @@ _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def read_picture(root: Path, name: str, upright: bool = False, say: Say = lambda what: None) -> np.ndarray:
-    """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it), but with the colours that its profile
-    means, as sRGB. upright: rotated by its EXIF orientation. say: called with what was done about a profile."""
+    """uint8 [H,W,3], or [H,W,4] with straight alpha, of `root/name` as stored (as COLMAP reads it), but with the colours that its file
+    means, as sRGB. upright: rotated by its EXIF orientation. say: called with what was done about them."""
     try:
         with open_image(root / name) as opened:
             image = pixels(opened, upright)
             alpha = "A" in image.getbands() or "transparency" in image.info
+            image = in_srgb(image, say)
             if image.mode.startswith("I;16"):
                 return np.repeat(_eight_bits(image)[..., None], 3, axis=2)
-            return np.asarray(in_srgb(image, say).convert("RGBA" if alpha else "RGB"))
+            return np.asarray(image.convert("RGBA" if alpha else "RGB"))
     except BadImageError as error:
         raise CaptureError(
             f"{name}: cannot be decoded, perhaps cut short ({error}); copy it again or remove it from the capture"
