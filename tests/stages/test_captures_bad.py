@@ -410,6 +410,9 @@ LOOKS = {
     "zeros": (bytes(5000), "zeros"),
     "pointer": (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 5\n", "git lfs pull"),
     "PDF": (b"%PDF-1.7\n" + bytes(range(256)) * 8, "looks like a PDF document"),
+    "DPX": (b"SDPX" + bytes(range(256)) * 8, "looks like a DPX picture"),
+    "DPX of little-endian numbers": (b"XPDS" + bytes(range(256)) * 8, "looks like a DPX picture"),
+    "Radiance": (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 8\n" * 40, "looks like a Radiance HDR picture"),
     "HEIC": (b"\0\0\0\x18ftypheic" + bytes(range(256)) * 8, "looks like a HEIC or AVIF picture"),
 }
 

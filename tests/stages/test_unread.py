@@ -54,6 +54,17 @@ CLOSED = {
     "NEF": (("a.NEF",), "the NEF (camera raw) picture a.NEF is not read; develop it"),
     "CR3": (("a.CR3", "a2.cr2"), "the CR3 (camera raw) picture a.CR3 is not read; develop it"),
     "EXR": (("a.exr",), "the EXR picture a.exr is not read; convert it to PNG"),
+    "linear light": (
+        ("a.exr", "b.exr"),
+        "2 EXR pictures (first a.exr) are not read; convert them to PNG coded as sRGB, since the numbers stand for linear light, for "
+        "example with oiiotool IN --colorconvert linear sRGB -d uint8 -o OUT.png",
+    ),
+    "DPX": (("a.1001.dpx", "a.1002.dpx"), "2 DPX pictures (first a.1001.dpx) are not read; convert them to PNG coded as sRGB, since"),
+    "Cineon": (("a.cin",), "the Cineon picture a.cin is not read; convert it to PNG coded as sRGB, since the numbers stand for log or"),
+    "SGI": (("a.sgi", "b.rgb"), "2 SGI pictures (first a.sgi) are not read; convert them to PNG"),
+    "PCX": (("a.pcx",), "the PCX picture a.pcx is not read; convert it to PNG"),
+    "QOI": (("a.qoi",), "the QOI picture a.qoi is not read; convert it to PNG"),
+    "JXR": (("a.jxr",), "the JPEG XR picture a.jxr is not read; convert it to JPEG"),
     "INSV": (("a.insv",), "the INSV video a.insv is not read; export it as MP4"),
     "videos": (("a/b.MTS", "a/c.3gp", "a/d.mp4"), "3 videos (first a/b.MTS) are not read, because the layout is images"),
     "poses": (("sub/poses_bounds.npy",), "sub/poses_bounds.npy is not read, because the layout is images"),
@@ -104,6 +115,16 @@ def test_a_line_for_each_kind(tmp_path, case):
     found = lines(photos(tmp_path, *names))
     assert any(note.startswith(line) for note in found), found
     assert len(found) == (2 if case == "CR3" else 1), found
+
+
+@pytest.mark.parametrize("suffix", ["dpx", "cin", "sgi", "rgb", "pcx", "qoi", "jxr", "exr", "hdr"])
+def test_a_sequence_of_a_closed_kind_is_named(tmp_path, suffix):
+    """The whole sequence and one file of it; neither is a video that was cut short."""
+    root = stubs(tmp_path / "plates", *(f"plate.{1001 + i}.{suffix}" for i in range(5)))
+    for path in (root, root / f"plate.1001.{suffix}"):
+        with pytest.raises(CaptureError, match=r"convert them to (PNG|JPEG)") as refusal:
+            recognise(path)
+        assert "video" not in str(refusal.value) and "cut short" not in str(refusal.value)
 
 
 def test_files_that_say_nothing_of_a_capture(tmp_path):

@@ -209,3 +209,19 @@ def test_poses_are_held_against_the_shape_as_shown(n3v_capture, tmp_path):
     np.save(root / "poses_bounds.npy", table)
     capture = recognise(root)
     assert any("pixels are 4:3" in note for note in capture.notes)
+
+
+def test_y4m_is_a_video(tmp_path):
+    """As programs pass raw pictures to each other, with and without a folder around it."""
+    file = tmp_path / "clip.y4m"
+    with av.open(str(file), "w", format="yuv4mpegpipe") as container:
+        stream = container.add_stream("wrapped_avframe", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 32, 24, "yuv420p"
+        for i in range(6):
+            frame = av.VideoFrame.from_ndarray(np.full((24, 32, 3), 40 * i, np.uint8), format="rgb24").reformat(format="yuv420p")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    for path in (file, tmp_path):
+        capture = recognise(path)
+        assert capture.facts["format"] == "video" and capture.facts["frames"] == 6
+    assert first(file)[1].max() <= 2

@@ -10,6 +10,12 @@ from functools import lru_cache
 from .names import is_image, is_video
 
 _JPEG = "convert them to JPEG, for example with magick mogrify -format jpg"
+_LIGHT = (
+    "convert them to PNG coded as sRGB, since the numbers stand for {0} light, for example with "
+    "oiiotool IN --colorconvert {1} sRGB -d uint8 -o OUT.png"
+)
+_LINEAR = _LIGHT.format("linear", "linear")
+_LOG = f"{_LIGHT.format('log or linear', 'SPACE')} (SPACE is theirs, such as linear)"
 _RAW = "develop them to JPEG or to TIFF of 16 bits"
 _MP4 = "export them as MP4"
 _RAWS = (
@@ -22,7 +28,12 @@ _CLOSED = {  # suffixes of pictures and videos that no layout reads: (name, what
     ".jxl": ("JPEG XL", _JPEG),
     **dict.fromkeys((".jp2", ".j2k", ".jpf", ".jpx", ".j2c", ".jpc"), ("JPEG 2000", _JPEG)),
     **{suffix: (f"{suffix[1:].upper()} (camera raw)", _RAW) for suffix in _RAWS},
-    **{suffix: (suffix[1:].upper(), "convert them to PNG") for suffix in (".exr", ".hdr", ".ppm", ".pgm", ".pnm", ".tga", ".psd")},
+    **{suffix: (suffix[1:].upper(), "convert them to PNG") for suffix in (".ppm", ".pgm", ".pnm", ".tga", ".psd", ".pcx", ".qoi")},
+    **dict.fromkeys((".sgi", ".rgb"), ("SGI", "convert them to PNG")),
+    ".jxr": ("JPEG XR", _JPEG),
+    **{suffix: (suffix[1:].upper(), _LINEAR) for suffix in (".exr", ".hdr")},
+    ".dpx": ("DPX", _LOG),
+    ".cin": ("Cineon", _LOG),
     **{suffix: (suffix[1:].upper(), _JPEG) for suffix in (".mpo", ".insp", ".thm")},
     **{suffix: (suffix[1:].upper(), "export them as JPEG") for suffix in (".lfr", ".lfp")},
 }

@@ -18,7 +18,7 @@ from ....pipeline import CaptureError
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".webp", ".bmp", ".tif", ".tiff")
 VIDEO_SUFFIXES = (
     *(".mp4", ".mov", ".mkv", ".webm", ".avi", ".m4v", ".mpg", ".mpeg", ".ts", ".gif"),
-    *(".mts", ".m2ts", ".m2t", ".3gp", ".3g2", ".wmv", ".asf", ".mxf", ".flv", ".ogv", ".vob", ".dv", ".m2v"),
+    *(".mts", ".m2ts", ".m2t", ".3gp", ".3g2", ".wmv", ".asf", ".mxf", ".flv", ".ogv", ".vob", ".dv", ".m2v", ".y4m"),
 )
 _DECIMAL = re.compile(r"(\D*)(\d+)\.(\d+)(\.\D\w*)?")
 _FORMS = ("NFC", "NFD")
