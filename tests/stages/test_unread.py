@@ -85,6 +85,18 @@ CLOSED = {
     "Record3D": (("metadata.json",), "metadata.json is not read, because the layout is images"),
     "Bundler": (("bundle.out",), "bundle.out is not read, because the layout is images"),
     "VisualSFM": (("model.nvm",), "model.nvm is not read, because the layout is images"),
+    "camera of Nuke": (
+        ("shot.chan",),
+        "the pose file of another program shot.chan is not read; export the poses as a COLMAP model or transforms.json, with",
+    ),
+    "matchmove": (("shot.abc",), "the pose file of another program shot.abc is not read; export the poses as a COLMAP model"),
+    "angles": (("scene_opk.txt",), "the pose file of another program scene_opk.txt is not read; export the poses"),
+    "ContextCapture": (("a_blocks_exchange.xml", "BlocksExchange.xml"), "2 pose files of other programs (first "),
+    "RealityCapture": (("room.rcproj",), "the pose file of another program room.rcproj is not read; export the poses"),
+    "Pix4D": (
+        ("x_calibrated_external_camera_parameters.txt",),
+        "the pose file of another program x_calibrated_external_camera_parameters.txt is not read; export the poses",
+    ),
     "a trajectory": (("traj.txt",), "traj.txt is not read, because the layout is images"),
     "light field": (("a.lfr",), "the LFR picture a.lfr is not read; export it as JPEG"),
     "model": (
@@ -125,6 +137,40 @@ def test_a_sequence_of_a_closed_kind_is_named(tmp_path, suffix):
         with pytest.raises(CaptureError, match=r"convert them to (PNG|JPEG)") as refusal:
             recognise(path)
         assert "video" not in str(refusal.value) and "cut short" not in str(refusal.value)
+
+
+REALITY_CAPTURE = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><xcr:Rotation>1 0 0 0 1 0 0 0 1</xcr:Rotation></x:xmpmeta>'
+LIGHTROOM = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><crs:Exposure2012>+0.50</crs:Exposure2012></x:xmpmeta>'
+SCANNER_APP = '{"cameraPoseARFrame": [1, 0, 0, 0], "frame_index": 0}'
+
+
+@pytest.mark.parametrize(("suffix", "content"), [("xmp", REALITY_CAPTURE), ("XMP", REALITY_CAPTURE), ("json", SCANNER_APP)])
+def test_poses_beside_pictures_are_told_by_their_content(tmp_path, suffix, content):
+    root = photos(tmp_path)
+    for i in range(4):
+        (root / f"IMG_{i}.{suffix}").write_text(content)
+    (root / f"about.{suffix}").write_text(content)  # of no picture
+    (line,) = lines(root)
+    assert line.startswith(f"4 pose files of other programs (first IMG_0.{suffix}) are not read; export the poses as a COLMAP model or")
+
+
+def test_settings_beside_pictures_are_no_poses(tmp_path):
+    root = photos(tmp_path)
+    (root / "IMG_0.xmp").write_text(LIGHTROOM)
+    (root / "IMG_1.json").write_text('{"title": "IMG_1.JPG", "geoData": {"latitude": 0.0}}')
+    assert lines(root) == []
+
+
+def test_poses_of_other_programs_beside_poses_that_are_read(nerfstudio_capture, tmp_path):
+    root = stubs(shutil.copytree(nerfstudio_capture.root, tmp_path / "n"), "shot.chan")
+    assert lines(root) == ["the pose file of another program shot.chan is not read, because the layout is nerfstudio"]
+
+
+def test_poses_of_other_programs_beside_the_folder_of_pictures(tmp_path):
+    root = stubs(pictures(tmp_path / "shot", [f"images/{i}.jpg" for i in range(4)]), "shot.chan", "b.abc")
+    for path in (root, root / "images"):
+        (line,) = lines(path)
+        assert "2 pose files of other programs (first b.abc) are not read; export the poses as a COLMAP model" in line
 
 
 def test_files_that_say_nothing_of_a_capture(tmp_path):

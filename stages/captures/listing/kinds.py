@@ -64,7 +64,7 @@ ROLES = {  # words in names of files and folders that say what a picture or an a
 _COLOUR = ("color", "colour", "rgb", "image", "img", "left")
 _ARRAYS = (".npy", ".npz", ".pfm", ".exr", ".flo", ".tiff", ".tif", ".pgm", ".dpt", ".raw")
 _CLOUDS = (".ply", ".las", ".laz", ".pcd", ".e57", ".pts", ".ptx", ".xyz")
-_MESHES = (".obj", ".glb", ".gltf", ".usd", ".usdz", ".usda", ".usdc", ".fbx", ".stl", ".abc", ".splat", ".spz", ".sog")
+_MESHES = (".obj", ".glb", ".gltf", ".usd", ".usdz", ".usda", ".usdc", ".fbx", ".stl", ".splat", ".spz", ".sog")
 _TRACKS = (".srt", ".vtt", ".ass", ".gpx", ".kml", ".kmz", ".nmea", ".fit")
 _SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus")
 ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst")
@@ -73,6 +73,9 @@ _POSES = re.compile(
     rf"(transforms?.*\.json|poses_bounds.*\.npy|models?\.json|(.*_)?meta(data)?\.json|dataset\.json|scene\.json|.*cameras?{_DATA}|cameras?_.*{_DATA}"
     rf"|(.*[^a-z])?(poses?|traj(ectory|ectories)?|extrinsics?|odometry|ground_?truth|w2c|c2w){_DATA}|(poses?|traj(ectory)?|extrinsics?)[^a-z].*{_DATA}"
     r"|.*\.nvm|bundle.*\.out|.*\.psx|.*\.psz|.*\.sfm|sfm_data.*|reconstruction.*\.json)"
+)
+_OTHER_POSES = re.compile(  # of programs that also export what is read: Nuke, RealityCapture, Agisoft, Pix4D, ContextCapture, matchmovers
+    r".*\.(chan|rcproj|abc)|(.*[^a-z])?opk([^a-z].*)?\.(txt|csv)|.*blocks_?exchange.*\.xml|.*external_camera_parameters.*\.txt"
 )
 _CALIBRATIONS = re.compile(rf"((.*[^a-z])?(intrinsics?|calib|calibration|distortion)([^a-z].*)?{_DATA}|k\.txt)")
 _LISTS = re.compile(
@@ -99,6 +102,12 @@ class FileKind:
 PICTURE = FileKind("picture", "pictures", "picture")
 VIDEO = FileKind("video", "videos", "video")
 POSE = FileKind("pose file", "pose files", "pose")
+OTHER_POSE = FileKind(
+    "pose file of another program",
+    "pose files of other programs",
+    "pose",
+    "export the poses as a COLMAP model or transforms.json, with the program that wrote them",
+)
 COPY = FileKind("picture in another size", "pictures in another size", "picture")
 _OTHERS = (
     ("point cloud", "point clouds", lambda name: name.endswith(_CLOUDS)),
@@ -137,6 +146,8 @@ def kind_of(path: str) -> FileKind | None:
         return VIDEO
     if name.endswith(ARCHIVES):
         return FileKind("archive", "archives", advice="unpack them, or pass such a file as the capture")
+    if _OTHER_POSES.fullmatch(name):
+        return OTHER_POSE
     if _POSES.fullmatch(name) or (folders.split("/")[-1] in _POSE_FOLDERS and re.search(f"{_DATA}$", name)):
         return POSE
     return next((FileKind(one, many) for one, many, fits in _OTHERS if fits(name)), None)

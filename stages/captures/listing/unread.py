@@ -7,8 +7,9 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from .kinds import COPY, MODEL, PICTURE, POSE, FileKind, kind_of
+from .kinds import COPY, MODEL, OTHER_POSE, PICTURE, POSE, FileKind, kind_of
 from .names import is_image, natural_key
+from .sidecars import posed_sidecars
 from .tree import MOST_DEEP, MOST_FILES, tree
 
 _MASKS = "masks"
@@ -33,7 +34,7 @@ def unread(root: Path, layout: str, read: Iterable[str], spoken_for: Sequence[st
     if (root / _MASKS).is_dir() and not _within(_MASKS, spoken_for) and not any(_within(path, [_MASKS]) for path in read):
         lines.append(f"the folder {_MASKS}/ is ignored, because the layout is {layout}; masks are read from {_MASK_PLACES}")
         spoken_for = (*spoken_for, _MASKS)
-    groups, models = _groups(found.files, read, spoken_for, thinned)
+    groups, models = _groups(root, found.files, read, spoken_for, thinned)
     for kind in sorted(groups, key=lambda kind: (_GROUPS.index(kind.group), kind.many)):
         lines.append(_line(kind, groups[kind], layout, read, models if kind is POSE else []))
     if not found.whole:
@@ -44,13 +45,16 @@ def unread(root: Path, layout: str, read: Iterable[str], spoken_for: Sequence[st
     return tuple(lines)
 
 
-def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thinned: bool) -> tuple[dict[FileKind, list[str]], list[str]]:
-    """The files that are not read, by kind, and the folders of COLMAP models that are not read."""
+def _groups(
+    root: Path, files: Sequence[str], read: set[str], spoken_for: Sequence[str], thinned: bool
+) -> tuple[dict[FileKind, list[str]], list[str]]:
+    """The files in `root` that are not read, by kind, and the folders of COLMAP models that are not read."""
     folders, beside = {posixpath.dirname(path) for path in read if is_image(path)}, {posixpath.dirname(path) for path in read}
     models, used = _models(files, read)
     told = {folder for folder in models if any(_within(f"{folder}/{part}".lstrip("/"), spoken_for) for part in _MODEL_FILES)}
     models = [folder for folder in models if folder not in told]
     groups: dict[FileKind, list[str]] = {POSE: []} if models else {}
+    sidecars = posed_sidecars(root, files)
     for path in files:
         if path in read or _within(path, spoken_for):
             continue
@@ -58,7 +62,7 @@ def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thi
         of_model = _stem(name).lower() in MODEL
         if ((folder in models or folder in told) and of_model) or (folder in used and (of_model or name.lower() == "points3d.ply")):
             continue
-        kind = kind_of(path)
+        kind = OTHER_POSE if path in sidecars else kind_of(path)
         if kind is None or (thinned and kind.group == "picture" and not kind.advice and folder in beside):
             continue
         groups.setdefault(COPY if kind is PICTURE and folder not in folders and _copies(folder, folders) else kind, []).append(path)
@@ -68,7 +72,7 @@ def _groups(files: Sequence[str], read: set[str], spoken_for: Sequence[str], thi
 def described(root: Path, least: int = 1) -> str:
     """Sentences about what an unusable folder has, ". " before each; empty if that is nothing known. least: number of kinds that can
     be read from which on they are worth a sentence."""
-    groups, models = _groups(tree(root).files, set(), (), False)
+    groups, models = _groups(root, tree(root).files, set(), (), False)
     kinds = sorted(groups, key=lambda kind: (_GROUPS.index(kind.group), kind.many))
     closed = [f"{_counted(kind, groups[kind])} cannot be read: {_advice(kind, groups[kind])}" for kind in kinds if _is_closed(kind)]
     named = [_model(folder) for folder in models] + _patterns(groups.get(POSE, []))
@@ -111,6 +115,9 @@ def above(root: Path, layout: str) -> tuple[str, ...]:
     if root.is_dir():
         poses = [name for name in names if kind_of(name) is POSE and (root.parent / name).is_file()]
         poses += [f"{name}/" for name in ("sparse", "colmap") if name in names]
+        others = [name for name in names if kind_of(name) is OTHER_POSE and (root.parent / name).is_file()]
+        if others:
+            lines.append(f"beside the folder {root.name}/ {_line(OTHER_POSE, others, layout, set(), ())}")
         if poses:
             verb = "is" if len(poses) == 1 else "are"
             lines.append(f"{_joined(poses)} beside the folder {root.name}/ {verb} not read; give the folder that holds both")
@@ -129,7 +136,7 @@ def _line(kind: FileKind, paths: list[str], layout: str, read: set[str], models:
         twins = {posixpath.splitext(path)[0].lower() for path in read if is_image(path)}
         if all(posixpath.splitext(path)[0].lower() in twins for path in paths):
             return f"{text}; each has the name of a picture that is read"
-    if kind.advice:
+    if kind.advice and not (kind is OTHER_POSE and layout in (*_POSED_PICTURES, "n3v")):  # which have poses already
         return f"{text}; {_advice(kind, paths)}"
     if kind is COPY:
         return f"{text}, because those of another folder are"
